@@ -109,6 +109,14 @@ class DetachableRig(Protocol):
 
 
 @runtime_checkable
+class MotorRig(Protocol):
+    """A rig whose base can move although each command that reached it is zero, such as a drone."""
+
+    def is_at_rest(self) -> bool:
+        """True while the base stands and its motors are off."""
+
+
+@runtime_checkable
 class HazardRig(Protocol):
     """A rig whose base reports one hazard."""
 
@@ -371,29 +379,32 @@ class DriverContract:
     async def test_a_silent_base_is_lost_and_gets_zero_first_when_back(
         self, harness: DriverHarness
     ) -> None:
-        """A base without sensors may still drive; a base that returns starts again."""
+        """A base without sensors may still drive; a base that returns starts again, at rest."""
         taken = await _moving(harness)
         await harness.until(lambda: not harness.sink.is_up)
         assert harness.sink.states[-1][1], "the reason"
         harness.driver.send(Twist(0.1), 3, 3)
         await _ends_with_zero(harness, taken)
-        await harness.connect()
-        assert (await harness.command(Twist(0.1))).is_zero
+        await _comes_back_at_rest(harness)
 
     @_connected
     async def test_a_base_that_vanishes_and_returns_gets_zero_first(
         self, harness: DriverHarness
     ) -> None:
-        """As after a silence, but with cut links: the driver reconnects by itself."""
+        """As after a silence, but with cut links: the driver reconnects by itself.
+
+        At once, and after a silence, as of a base that a person switches off and on.
+        """
         rig = _detachable(harness)
-        for seq in range(3):
-            harness.driver.send(Twist(0.1), seq, seq)
-        rig.disconnect()
-        await harness.until(lambda: not harness.sink.is_up)
-        harness.driver.send(Twist(0.1), 4, 4)
-        rig.reconnect()
-        await harness.connect()
-        assert (await harness.command(Twist(0.1))).is_zero
+        for is_silent_before in (False, True):
+            await _moving(harness)
+            if is_silent_before:
+                await harness.until(lambda: not harness.sink.is_up)
+            rig.disconnect()
+            await harness.until(lambda: not harness.sink.is_up)
+            harness.driver.send(Twist(0.1), 4, 4)
+            rig.reconnect()
+            await _comes_back_at_rest(harness)
 
     def test_a_hazard_is_told_and_its_end_and_its_silence(self) -> None:
         """The driver reports a hazard (such as a bump), its end, and a silent source of hazards.
@@ -703,6 +714,33 @@ async def _ends_with_zero(harness: DriverHarness, taken: list[Twist]) -> None:
     await asyncio.sleep(SETTLE_TIME)
     taken.extend(harness.rig.commands())
     assert taken[-1].is_zero
+
+
+async def _comes_back_at_rest(harness: DriverHarness) -> None:
+    """Let a lost base publish again; assert that nothing moves while the daemon commands no motion.
+
+    One command to move is sent as the first one, which must reach the base as zero. Zeros to a
+    stopped robot follow, as of a daemon whose run has ended with the loss.
+    """
+    rig, loop = harness.rig, asyncio.get_running_loop()
+    taken: list[Twist] = []
+
+    def rests() -> bool:
+        return not isinstance(rig, MotorRig) or rig.is_at_rest()
+
+    await harness.until(rests)
+    await harness.connect()
+    harness.driver.send(Twist(0.1), 5, 5)
+    end = loop.time() + SETTLE_TIME
+
+    def has_stood() -> bool:
+        harness.driver.send(ZERO, 6, 6, is_stopped=True)
+        taken.extend(rig.commands())
+        assert rests(), "the motors of a base that came back run by themselves"
+        return bool(taken) and loop.time() >= end
+
+    await harness.until(has_stood, publishing=True)
+    assert all(twist.is_zero for twist in taken)
 
 
 async def _sent_scan(harness: DriverHarness, rig: ScriptedRig, seq: int, ranges: Array) -> Scan:
