@@ -90,7 +90,7 @@ def unpack_bundle(data: bytes) -> OpenedBundle:
 def read_bundle(path: Path) -> OpenedBundle:
     """The bundle in a file. ConfigError in one line with the path."""
     try:
-        data = read_regular(path, MAX_BUNDLE)
+        data = read_regular(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     try:
