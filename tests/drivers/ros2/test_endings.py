@@ -99,7 +99,7 @@ class LaunchedRobot:
 
     def _feed(self) -> None:
         """Publish sensors and take commands; each command lasts until the next."""
-        while not self._is_over.wait(0.05):
+        while not self._is_over.wait(0.1):
             self.base.publish()
             self.commands += self.base.commands()
 
