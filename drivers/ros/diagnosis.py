@@ -456,13 +456,16 @@ class Graph:
             " older, or all with Iron or newer"
         )
 
-    def may_wake(self, topics: Iterable[TopicStats]) -> bool:
-        """True while a sensor may sleep: it is announced and silent, and other topics are heard.
+    def check_time(self, subscriptions: Subscriptions, seconds: float) -> float:
+        """How long a check lasts in s: `seconds`, and WAKE_TIME more while a sensor may wake.
 
-        Such a sensor starts when a node subscribes, as a check does.
+        Such a sensor is announced and silent while other topics are heard. It starts when a node
+        subscribes, as a check does.
         """
+        topics = subscriptions.topics.values()
         stats = [one for one in topics if one.is_needed or one.has_only_entries]
-        return any(one.count for one in stats) and any(map(self._may_sleep, stats))
+        may_wake = any(one.count for one in stats) and any(map(self._may_sleep, stats))
+        return seconds + (WAKE_TIME if may_wake else 0.0)
 
     def _may_sleep(self, stats: TopicStats) -> bool:
         """True for a topic that is announced with its type, and has not enough messages."""
@@ -605,11 +608,6 @@ def has_enough(subscriptions: Subscriptions, elapsed: float) -> bool:
         stats.count >= (ENOUGH_MESSAGES if stats.is_needed else 1)
         for stats in subscriptions.topics.values()
     )
-
-
-def check_time(graph: Graph, subscriptions: Subscriptions, seconds: float) -> float:
-    """How long a check lasts in s: `seconds`, and WAKE_TIME more while a sensor may wake."""
-    return seconds + (WAKE_TIME if graph.may_wake(subscriptions.topics.values()) else 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

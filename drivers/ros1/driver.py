@@ -136,8 +136,8 @@ class Ros1Driver:
         begun = loop.time()
         task = asyncio.create_task(self._run_adapter(is_check=True))
         while not (task.done() or self._has_enough(loop.time() - begun)):
-            wanted = diagnosis.check_time(self._master.graph(), self._subscriptions, seconds)
-            if loop.time() - begun >= wanted:
+            graph = self._master.graph()
+            if loop.time() - begun >= graph.check_time(self._subscriptions, seconds):
                 break  # the findings name what is missing
             await asyncio.sleep(min(_WATCH_PERIOD, seconds))
         report = self._report()

@@ -456,8 +456,9 @@ def _answer(
         if (end.process, end.topic, end.is_publisher) not in node_ends
     ]
     strays = frozenset(end for end in unlisted if not end.is_publisher)
-    others = in_dds.not_ros | bridges.keys()
-    nodeless = frozenset(end for end in unlisted if end.process not in others)
+    nodeless = frozenset(
+        end for end in unlisted if end.process not in in_dds.not_ros | bridges.keys()
+    )
     return _Answer(prefix, frozenset(of_nodes), in_dds.ends, strays, nodeless, in_dds.not_ros)
 
 

@@ -155,8 +155,7 @@ class RosDriver:
         try:
             while not task.done():
                 graph = self._foreign_graph()
-                wanted = diagnosis.check_time(graph, self._subscriptions, seconds)
-                if loop.time() - began >= wanted:
+                if loop.time() - began >= graph.check_time(self._subscriptions, seconds):
                     break
                 if loop.time() - began >= seconds:
                     self._wake_sensors()
@@ -513,14 +512,12 @@ class RosDriver:
 
     def _wake_sensors(self) -> None:
         """Announce the subscriptions of a check: a sensor may sleep until a node subscribes."""
-        if self._session is None or not self._scheme.is_node or self._tokens.are_declared:
-            return
-        topics = self._subscriptions.topics.values()
-        if all(stats.count for stats in topics if stats.is_needed):
-            return
-        graph = self._foreign_graph()
-        subscribed = [_subscribed_end(stats, graph) for stats in topics]
-        self._tokens.declare(self._session, subscribed, None, ())
+        graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
+        are_heard = all(stats.count for stats in topics if stats.is_needed)
+        is_due = self._scheme.is_node and not self._tokens.are_declared and not are_heard
+        if self._session is not None and is_due:
+            subscribed = [_subscribed_end(stats, graph) for stats in topics]
+            self._tokens.declare(self._session, subscribed, None, ())
 
     def _announce(self, command_type: type | None) -> None:
         """Announce this driver, with all its ends, as a ROS node; again for another type."""

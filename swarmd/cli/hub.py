@@ -6,9 +6,9 @@ ends within milliseconds, before a zero has passed it. A base without a command 
 its last velocity.
 
 Three processes solve this. The first is the one that was started. It ignores nothing: on a signal
-it closes a pipe, and it ends when the second has ended. The second, the keeper, reads the end of
-the pipe, which comes also if the first process was killed. The keeper then waits for OUTLIVES s
-and kills the third, the hub. Keeper and hub ignore the signals, and have a session of their own.
+it writes to a pipe, and it ends when the second has ended. The second, the keeper, reads the pipe,
+which ends if the first process was killed. The keeper then waits for OUTLIVES s and kills the
+third, the hub. Keeper and hub ignore the signals, and have a session of their own.
 """
 
 from __future__ import annotations
@@ -56,25 +56,19 @@ def run_hub(command: Sequence[str], outlives: float = OUTLIVES) -> int:
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # the keeper and the hub inherit this
     reader, writer = os.pipe()
-    keeper = os.fork()
-    if keeper == 0:
+    if (keeper := os.fork()) == 0:
         os.close(writer)
         os.setsid()
         os._exit(_keep(command, reader, outlives))
     os.close(reader)
     for number in _SIGNALS:
-        signal.signal(number, lambda *_: _close(writer))
+        signal.signal(number, lambda *_: os.write(writer, b"."))
     _, status = os.waitpid(keeper, 0)
     return os.waitstatus_to_exitcode(status)
 
 
-def _close(descriptor: int) -> None:
-    with suppress(OSError):  # a second signal
-        os.close(descriptor)
-
-
 def _keep(command: Sequence[str], reader: int, outlives: float) -> int:
-    """Run the hub until it ends, or until `outlives` s after the end of `reader`'s pipe."""
+    """Run the hub until it ends, or until `outlives` s after a byte, or the end, of the pipe."""
     process = subprocess.Popen(command, start_new_session=True)
     ended = os.pidfd_open(process.pid)
     select.select([reader, ended], [], [])

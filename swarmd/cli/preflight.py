@@ -267,10 +267,13 @@ def _run(
     until: Sequence[str] = (),
 ) -> Record:
     """A run as `check_runs` takes it, with the configured parameters below its own."""
-    layers = (*settings.pattern_layers(pattern), (REQUEST_LAYER, dict(params)))
-    provides = sorted(settings.platform.provides)
-    run = {"name": name, "pattern": pattern, "layers": layers, "until": until}
-    return {**run, "provides": provides}
+    return {
+        "name": name,
+        "pattern": pattern,
+        "layers": (*settings.pattern_layers(pattern), (REQUEST_LAYER, dict(params))),
+        "until": until,
+        "provides": sorted(settings.platform.provides),
+    }
 
 
 def _check_commands(settings: DaemonSettings, driver: Driver) -> Iterator[Finding]:
