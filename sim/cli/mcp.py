@@ -27,6 +27,7 @@ import msgspec
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, describe_patterns
 from swarmd.client.connect import Connection
+from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.plugins import need
 from swarmd.security.roster import Role
@@ -384,6 +385,7 @@ class SwarmTools:
 
         They also stop within 10 s if this server ends.
         """
+        began = boottime()
         _check_pattern(pattern)
         _check_bounds("seconds", seconds, MAX_RUN)
         rehearsal: Answer | None = None
@@ -400,7 +402,7 @@ class SwarmTools:
                 )
             self._check_unstopped(stops_before, epochs_before, await self._epochs())
         # `lease`: robots stop by themselves if this server renews the run no more.
-        outcome = await self._swarm.run(
+        outcome = await self._swarm.called_at(began).run(
             pattern, robots, params=params, seconds=seconds, lease=LEASE
         )
         answer = _counted(outcome)

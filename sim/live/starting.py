@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
+from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.core.messages import Code, Presence, State, Status
 from swarmd.core.verbs import RunRequest
@@ -103,7 +104,8 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
     robot refuses a request that names an earlier epoch.) ConfigError if all robots refuse the first
     request. SwarmError if no robot runs the pattern after the last request.
     """
-    outcome = operator.request(RunRequest, view.epochs(run.robots), **run_fields(run))
+    began = boottime()  # of all requests: a stop between two of them is later than the run
+    outcome = operator.request(RunRequest, view.epochs(run.robots), issued=began, **run_fields(run))
     if len(outcome.refused) == len(run.robots):
         raise ConfigError(why_not("run", outcome))
     started_at_once, started_late = set(outcome.applied), set[str]()
@@ -117,7 +119,9 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
         # If all robots run by now, `targets` is empty, and the request goes to no robot. So the
         # last outcome has no reasons: earlier outcomes have reasons of robots that run by now.
         targets = tuple(name for name in run.robots if name in not_started - started_late)
-        outcome = operator.request(RunRequest, view.epochs(targets), **run_fields(run))
+        outcome = operator.request(
+            RunRequest, view.epochs(targets), issued=began, **run_fields(run)
+        )
         started_late.update(outcome.applied)
     started = started_at_once | started_late
     if not started:

@@ -13,7 +13,7 @@ import click
 from swarmd.cli.consent import need_consent
 from swarmd.cli.options import FILE, CommonOptions, Failure, common_options
 from swarmd.cli.output import print_json, print_table, warn
-from swarmd.cli.send import known_members, show
+from swarmd.cli.send import known_members, session_of, show
 from swarmd.client.goals import resume_on
 from swarmd.client.runs import send_goal
 from swarmd.core.verbs import LabelRequest, ParamRequest
@@ -110,11 +110,13 @@ def _carry_out(
     if outcomes:
         view = queried_again()
     if plan.goal is not None:
-        outcomes.append(send_goal(operator, run_epochs, next_goal(operator, view, **plan.goal)))
+        goal = next_goal(operator, view, **plan.goal)
+        outcomes.append(send_goal(session_of(options, operator), run_epochs, goal))
         view = queried_again()
     if plan.resume:
         # `timeout` None: the usual time for replies, as for the requests before.
-        outcomes.append(resume_on(operator, view, plan.resume, timeout=None))
+        session = session_of(options, operator)
+        outcomes.append(resume_on(session, view, plan.resume, timeout=None))
         view = queried_again()
     return outcomes + _send_remaining_params(operator, view)
 

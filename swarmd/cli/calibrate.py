@@ -95,7 +95,8 @@ def calibrate(
             names = ", ".join(moving)
             warn(f"running: {names}; robots that move in sight make figures less exact")
         _confirm(robot, status.platform, side_m, yes)
-        report, status = _measure(operator, robot, {"floor": side_m, "repeats": repeats})
+        params = {"floor": side_m, "repeats": repeats}
+        report, status = _measure(operator, robot, params, options.began)
         _end_findings(operator, robot, status, report)
         _show(options, robot, status, report, write)
 
@@ -165,10 +166,12 @@ def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
 
 
 def _measure(
-    operator: Operator, robot: str, params: dict[str, float]
+    operator: Operator, robot: str, params: dict[str, float], issued: float
 ) -> tuple[Mapping[str, object], Status]:
     """Run the calibration pattern; returns its report with the figures, and the last status.
 
+    `issued`: when the user typed the command, in s on the clock since boot: a robot that was
+    stopped since then refuses.
     Failure if the robot refuses, is lost or does not finish. The robot is stopped if it may still
     run the pattern when this function ends, for instance after Ctrl-C.
     """
@@ -179,7 +182,7 @@ def _measure(
     may_run = True  # until a reply or status shows that the robot does not run the pattern
     try:
         outcome = operator.request(
-            RunRequest, epochs, pattern=PATTERN, params=params, seconds=LONGEST
+            RunRequest, epochs, issued=issued, pattern=PATTERN, params=params, seconds=LONGEST
         )
         if not outcome.applied:
             reply = outcome.replies.get(robot)

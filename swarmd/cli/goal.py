@@ -55,7 +55,7 @@ def resume(options: CommonOptions, targets: Targets) -> None:
     """
     with asking(options, targets, needs_status=True) as asked:
         wait = asked.targeted.time_left
-        asked.report(resume_on(asked.operator, asked.view, asked.names, timeout=wait))
+        asked.report(resume_on(asked.targeted.session, asked.view, asked.names, timeout=wait))
 
 
 @click.command()

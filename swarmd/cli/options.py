@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from importlib import import_module
 from itertools import groupby
@@ -15,6 +15,7 @@ import click
 
 from swarmd.cli import completion
 from swarmd.client.network_options import NetworkOptions
+from swarmd.core.clock import boottime
 from swarmd.core.errors import unknown
 from swarmd.core.numbers import read_duration
 
@@ -226,10 +227,14 @@ class LazyGroup(VerbGroup):
 
 @dataclass(frozen=True, slots=True)
 class CommonOptions(NetworkOptions):
-    """The common options of every verb; None or empty if not given."""
+    """The common options of every verb; None or empty if not given.
+
+    `began`: when the user typed the command, in s on the clock since boot; no option.
+    """
 
     output: str | None = None
     timeout: float | None = None
+    began: float = field(default_factory=boottime, compare=False)
 
     @property
     def is_json(self) -> bool:

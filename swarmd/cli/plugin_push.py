@@ -330,6 +330,7 @@ class _Pusher:
                 epoch_by_robot,
                 timeout=timeout,
                 least_timeout=PUSH_TIMEOUT,
+                issued=self._asked.options.began,
                 content=content,
                 signature=signature,
                 offset=offset,

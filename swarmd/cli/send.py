@@ -34,7 +34,7 @@ _HELP = {
 
 def session_of(options: CommonOptions, operator: Operator) -> Session:
     """The session of a verb: lines for the user are warnings."""
-    return Session(operator, options.timeout, warn)
+    return Session(operator, options.timeout, warn, began=options.began)
 
 
 def known_members(

@@ -11,12 +11,14 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NoReturn
 
 import click
 
 from swarmd.cli.options import CommonOptions, LazyGroup, LazyVerb, common_options, output_option
 from swarmd.cli.output import print_json, warn
+from swarmd.core.clock import process_start
 from swarmd.core.errors import (
     ConfigError,
     NetworkError,
@@ -168,7 +170,8 @@ def main(args: list[str] | None = None) -> NoReturn:
     """Run swarmctl and exit with its code; every error is one line on stderr."""
     is_fork = _FORK_SERVER in sys.modules  # of a process that may have a server, which goes on
     try:
-        code = run_cli(cli, args, "swarmctl", exit_code_of)
+        options = replace(CommonOptions.of_environment(), began=process_start())
+        code = run_cli(cli, args, "swarmctl", exit_code_of, options)
     except SystemExit as end:  # a signal ended the command
         code = end.code if isinstance(end.code, int) else 1
     code = code or _flushed()
@@ -201,13 +204,17 @@ def _flushed() -> int:
 
 
 def run_cli(
-    command: click.Command, args: list[str] | None, name: str, code_of: Callable[[SwarmError], int]
+    command: click.Command,
+    args: list[str] | None,
+    name: str,
+    code_of: Callable[[SwarmError], int],
+    options: CommonOptions | None = None,
 ) -> int:
     """Run the command of a program and return its exit code; an error is one line on stderr.
 
     `args`: the words of the command line, None for those of this process. `name`: the program.
-    `code_of`: the exit code of an error of swarmd. With `-o json` an error is also a JSON document
-    on stdout, the only document.
+    `code_of`: the exit code of an error of swarmd. `options`: the defaults of the options. With
+    `-o json` an error is also a JSON document on stdout, the only document.
     """
     words = sys.argv[1:] if args is None else args
     stdout_at_start = sys.stdout
@@ -217,7 +224,7 @@ def run_cli(
     elif fault := _not_text(words):
         return _fail(fault, 2, words)
     try:
-        return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
+        return int(command.main(args, prog_name=name, standalone_mode=False, obj=options) or 0)
     except click.Abort:
         return _fail("interrupted", 130, words)
     except click.exceptions.NoArgsIsHelpError as error:

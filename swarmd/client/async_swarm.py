@@ -27,7 +27,7 @@ def _awaited(
     @wraps(method)
     async def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> R:
         cancelled = threading.Event()
-        swarm = self._swarm._cancellable(cancelled)
+        swarm = self._swarm._cancellable(cancelled, self._began)
         work = begin(partial(method, swarm, *args, **kwargs))
         self._under_way.add(work)
         work.add_done_callback(self._under_way.discard)
@@ -68,6 +68,19 @@ class AsyncSwarm:
     def __init__(self, swarm: Swarm) -> None:
         self._swarm = swarm
         self._under_way: set[Future[Any]] = set()
+        self._began: float | None = None
+
+    def called_at(self, began: float) -> AsyncSwarm:
+        """The same connection, whose methods count as called at `began`.
+
+        For a program that works before it calls a method, such as one that simulates a run first: a
+        stop since `began` then counts as later than the run. `began`: s on the clock since boot
+        (CLOCK_BOOTTIME).
+        """
+        one = AsyncSwarm(self._swarm)
+        one._under_way = self._under_way
+        one._began = began
+        return one
 
     members = _awaited(Swarm.members)
     describe = _awaited(Swarm.describe)

@@ -18,11 +18,10 @@ if TYPE_CHECKING:
     from swarmd.client.session import Session
     from swarmd.core.messages import Epoch
     from swarmd.network.operator.members_view import MembersView
-    from swarmd.network.operator.operator import Operator
 
 
 def resume_on(
-    operator: Operator, view: MembersView, names: tuple[str, ...], *, timeout: float | None
+    session: Session, view: MembersView, names: tuple[str, ...], *, timeout: float | None
 ) -> Outcome:
     """Ask each robot to run its own goal, as `view` shows it."""
     # By digest of a goal: the robots with this own goal, each with the epoch to quote.
@@ -31,8 +30,9 @@ def resume_on(
         status = view.members[name].status if name in view.members else None
         own = status.goal.own if status is not None and status.goal is not None else None
         by_digest[own.digest if own is not None else ""][name] = epoch
+    request, began = session.operator.request, session.began
     return joined(
-        operator.request(ResumeRequest, epoch_by_robot, timeout=timeout, digest=digest)
+        request(ResumeRequest, epoch_by_robot, timeout=timeout, issued=began, digest=digest)
         for digest, epoch_by_robot in by_digest.items()
     )
 
@@ -59,5 +59,5 @@ def undo(session: Session) -> Outcome:
         outcomes.append(stop_names(operator, stand))
     if run:
         wait = session.time_left(view)
-        outcomes.append(send_goal(operator, view.epochs(run), goal, timeout=wait))
+        outcomes.append(send_goal(session, view.epochs(run), goal, timeout=wait))
     return joined(outcomes)

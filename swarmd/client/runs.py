@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from swarmd.client.targets import Targets
     from swarmd.core.goal import Goal
     from swarmd.core.messages import Epoch, Status
-    from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
     from swarmd.texts.assignments import Value
 
@@ -146,7 +145,7 @@ def carry_out(
         opened.callback(keeper.close)
     # A robot that has changed since the look (by its epoch, a count of changes) refuses the run.
     epochs = targeted.view.epochs(targeted.names)
-    return StartedRun(goal, send_goal(targeted.operator, epochs, goal, timeout=targeted.time_left))
+    return StartedRun(goal, send_goal(targeted.session, epochs, goal, timeout=targeted.time_left))
 
 
 def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:
@@ -160,14 +159,19 @@ def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:
 
 
 def send_goal(
-    operator: Operator, epochs: Mapping[str, Epoch | None], goal: Goal, **fields: Any
+    session: Session, epochs: Mapping[str, Epoch | None], goal: Goal, **fields: Any
 ) -> Outcome:
-    """Send a goal to robots: as a run request, or as a goal request if it has no pattern."""
+    """Send a goal to robots: as a run request, or as a goal request if it has no pattern.
+
+    The request counts as issued when the verb of `session` began.
+    """
+    request, began = session.operator.request, session.began
     if goal.pattern is None:
-        return operator.request(GoalRequest, epochs, goal=goal, **fields)
-    return operator.request(
+        return request(GoalRequest, epochs, issued=began, goal=goal, **fields)
+    return request(
         RunRequest,
         epochs,
+        issued=began,
         pattern=goal.pattern,
         params=goal.params,
         seconds=goal.seconds,
@@ -240,7 +244,7 @@ def _send_start(targeted: TargetedView, goal: Goal, start: _Start) -> Outcome:
 
     try:
         outcome = send_goal(
-            targeted.operator,
+            session,
             epochs,
             goal,
             timeout=targeted.time_left,
@@ -277,7 +281,7 @@ def run_with_canary(
     # This goal targets only the canaries, so that it ends no run of another robot.
     canary_goal = signed_again(operator, goal, targets=canaries)
     canary_epochs = view.epochs(canaries)
-    outcome = send_goal(operator, canary_epochs, canary_goal, timeout=targeted.time_left)
+    outcome = send_goal(session, canary_epochs, canary_goal, timeout=targeted.time_left)
     if len(outcome.applied) < len(canaries):
         stop_names(operator, canaries)
         names = ", ".join(canaries)
@@ -295,7 +299,7 @@ def run_with_canary(
     present_view = operator.members(timeout=session.timeout)
     # Newer than any goal that was issued meanwhile.
     goal = signed_again(operator, goal, generation=next_generation(operator, present_view))
-    outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
+    outcome = send_goal(session, epochs, goal, timeout=session.timeout)
     return outcome, {"canary": list(canaries), "others": list(others)}
 
 

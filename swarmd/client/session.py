@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
 from swarmd.client.known_robots import remember
 from swarmd.client.targets import Targets, named, targets_of, unlabelled
+from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError, SwarmError, unknown
 
 if TYPE_CHECKING:
@@ -28,12 +29,15 @@ class Session:
 
     `timeout`: the longest time in s that the verb takes. `tell` takes lines for the user.
     `is_cancelled` returns True once the caller no longer waits; a verb that waits then ends.
+    `began`: when the user typed, clicked or called the verb, in s on the clock since boot. A robot
+    that was stopped since then refuses to start a run.
     """
 
     operator: Operator
     timeout: float | None = None
     tell: Callable[[str], object] = lambda text: None
     is_cancelled: Callable[[], bool] = lambda: False
+    began: float = field(default_factory=boottime)
 
     def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
         """Query all members (a look), and tell the user which robots are missing.
@@ -134,7 +138,8 @@ class TargetedView:
     ) -> Outcome:
         """Send a request to all targets, or to `names`, in the time that is left; the outcome."""
         epochs = self.view.epochs(self.names if names is None else names)
-        return self.operator.request(kind, epochs, timeout=self.time_left, **fields)
+        began = self.session.began
+        return self.operator.request(kind, epochs, timeout=self.time_left, issued=began, **fields)
 
     def counted(self, outcome: Outcome) -> Outcome:
         """The outcome with the `unlabelled` robots: its exit code is then PARTIAL at best."""

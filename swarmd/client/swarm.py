@@ -13,6 +13,7 @@ from swarmd.client.members import Description, Members
 from swarmd.client.session import Session
 from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
+from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.network.operator.exit_codes import TIMEOUT
 
@@ -57,6 +58,7 @@ class Swarm:
         self._pool, self._timeout, self._tell, self._places = pool, timeout, tell, places
         self._cancelled = cancelled or threading.Event()
         self._parents: tuple[threading.Event, ...] = ()
+        self._began: float | None = None  # when the call began; None: when it takes an operator
 
     def __enter__(self) -> Self:
         return self
@@ -350,7 +352,7 @@ class Swarm:
         with self._session(timeout, is_request=True) as session:
             targeted = session.target(targets, needs_status=True)
             wait, names = targeted.time_left, targeted.names
-            return targeted.counted(resume_on(session.operator, targeted.view, names, timeout=wait))
+            return targeted.counted(resume_on(session, targeted.view, names, timeout=wait))
 
     def undo(self, *, timeout: float | None = None) -> Outcome:
         """Set the goal before the present one again; robots run it at once."""
@@ -407,8 +409,11 @@ class Swarm:
         with self._session(timeout) as session:
             return send_stop(session, verb, targets, reason, until_all=until_all)
 
-    def _cancellable(self, cancelled: threading.Event) -> Swarm:
-        """The same connection, for one call that ends when `cancelled` is set."""
+    def _cancellable(self, cancelled: threading.Event, began: float | None = None) -> Swarm:
+        """The same connection, for one call that ends when `cancelled` is set.
+
+        `began`: when the call was made, in s on the clock since boot; None: now.
+        """
         one = Swarm(
             self._pool,
             timeout=self._timeout,
@@ -417,11 +422,13 @@ class Swarm:
             cancelled=cancelled,
         )
         one._parents = (self._cancelled,)
+        one._began = boottime() if began is None else began
         return one
 
     @contextmanager
     def _session(self, timeout: float | None, *, is_request: bool = False) -> Iterator[Session]:
         check_time("timeout", timeout)
+        began = boottime() if self._began is None else self._began
         events = (self._cancelled, *self._parents)
         lend = self._pool.lend_for_request if is_request else self._pool.lend
         with lend() as operator:
@@ -430,6 +437,7 @@ class Swarm:
                 self._timeout if timeout is None else timeout,
                 self._tell,
                 lambda: any(event.is_set() for event in events),
+                began,
             )
 
 

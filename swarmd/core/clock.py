@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ TICK = 0.05
 """Seconds between two decisions of a robot, at most."""
 STALL_TIMEOUT = 1.0
 """A robot whose loop is later than this, in s, has stalled: its run ends (`loop_stalled`)."""
+_START_TIME = 19  # the place of `starttime` after the name of the program, see proc_pid_stat(5)
 FIRST_WALL = 1.7e9
 """A wall clock of before November 2023, in s since 1970, has not been set."""
 
@@ -24,6 +24,17 @@ FIRST_WALL = 1.7e9
 def boottime() -> float:
     """Seconds since boot (CLOCK_BOOTTIME), with time in suspend; never set back."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def process_start() -> float:
+    """When this process began, on the clock of `boottime`, to 10 ms; now if the system is silent.
+
+    A command counts from then: its user typed it before its modules were imported.
+    """
+    with suppress(OSError, ValueError, IndexError):
+        fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+        return int(fields[_START_TIME]) / os.sysconf("SC_CLK_TCK")
+    return boottime()
 
 
 class ClockSample(NamedTuple):
@@ -47,6 +58,8 @@ def clock_id() -> str:
 
     Processes with equal ids read the same clock. A reboot or a time namespace gives another id.
     """
+    import hashlib  # `swarmctl --help` reads no clock
+
     boot = namespace = ""
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()

@@ -54,10 +54,26 @@ CertificatePem = Annotated[bytes, Meta(max_length=2048)]
 
 
 class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
-    """The fields that every request has. On the wire `verb` names the type of request."""
+    """The fields that every request has. On the wire `verb` names the type of request.
+
+    A request is issued when its user types, clicks or calls it. What the operator's side does then
+    (query of the robots, canary, wait for a start time) does not make the request later.
+
+    - `age`: s since the request was issued. Of a request that may start a run an upper bound: the
+      age includes the longest round trip of the operator's last query of the robots.
+    - `clock`, `issued`: the clock of the operator's machine (`core/clock.clock_id`), and the time
+      in s on this clock at which the request was issued. Empty: not known.
+    - `issued_at`: by robot, the earliest time in s on the robot's own clock at which the request
+      may have been issued, for robots whose clock the operator has heard. Unlike `age` this time
+      also holds for a copy that arrives late.
+    """
 
     id: Name
     operator: Annotated[str, Meta(min_length=1, max_length=128)]
+    age: Seconds = 0.0
+    clock: Word = ""
+    issued: Seconds = 0.0
+    issued_at: dict[Name, Seconds] = {}
 
     @property
     def verb(self) -> str:
@@ -79,8 +95,6 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     - `at`: by robot, the start time in s on the robot's own clock (CLOCK_BOOTTIME). The pattern is
       loaded before. A robot without an entry starts once the pattern is loaded. The robot refuses a
       request that arrives more than MAX_LATE after its start time.
-    - `age`: an upper bound of the s since the operator issued the request: it includes the longest
-      round trip of the operator's last query of the robots.
     """
 
     pattern: Name
@@ -89,28 +103,22 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     until: tuple[Word, ...] = ()
     goal: Goal | None = None
     at: dict[Name, Seconds] = {}
-    age: Seconds = 0.0
 
 
 class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
     """Run the robot's own goal, which is offered or whose run has ended.
 
     `digest`: of the goal that the operator saw, in hex; the robot refuses if its own goal has
-    another digest. Empty: any goal. `age`: s since the operator issued the request, an upper bound.
+    another digest. Empty: any goal.
     """
 
     digest: Word = ""
-    age: Seconds = 0.0
 
 
 class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
-    """Set a goal without a run; a robot offers the goal, or stands if the goal has no pattern.
-
-    `age`: s since the operator issued the request, an upper bound.
-    """
+    """Set a goal without a run; a robot offers the goal, or stands if the goal has no pattern."""
 
     goal: Goal
-    age: Seconds = 0.0
 
 
 class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
@@ -146,14 +154,11 @@ class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
     - No flag: the run ends.
     - `is_rerun`: the run ends, and a new run with the new code follows.
     - `keeps_running`: the run continues with the old code. Set by a push without `is_rerun`.
-
-    `age`: s since the operator issued the request, an upper bound.
     """
 
     pattern: Name
     is_rerun: bool = False
     keeps_running: bool = False
-    age: Seconds = 0.0
 
 
 class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
@@ -163,7 +168,6 @@ class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
     - `offset`: bytes of the pattern before the piece `data`.
     - `is_rerun`: a present run of the pattern ends, and a new run with the new code follows. False:
       nothing moves or stops, so the robot does not compare its epoch.
-    - `age`: s since the operator issued the request, an upper bound.
     """
 
     content: Annotated[bytes, Meta(max_length=8192)]
@@ -171,7 +175,6 @@ class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
     offset: Count = 0
     data: Annotated[bytes, Meta(max_length=32768)] = b""
     is_rerun: bool = False
-    age: Seconds = 0.0
 
 
 class ForgetRequest(_EpochRequest, frozen=True, kw_only=True, tag="forget"):
@@ -204,11 +207,10 @@ class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
 class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
     """Stop. `targets` None: every robot; the epochs are not compared.
 
-    `age`: s since the operator issued the stop. A run that was requested later continues.
+    A run that was requested later than the stop continues.
     """
 
     targets: Epochs | None = None
-    age: Seconds = 0.0
 
 
 class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
@@ -217,14 +219,14 @@ class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
     - `scope`: if it is `swarm`, the latch spreads to all robots of the swarm.
     - `is_relayed`: another robot relayed the request. A robot on which this latch was reset before
       refuses a relayed request.
-    - `age`: s since the operator issued the request. Goals that were set later stay valid.
+
+    Goals that were set later stay valid.
     """
 
     targets: Epochs | None = None
     scope: Literal["swarm", "robots"] = "swarm"
     reason: ReasonText = ""
     is_relayed: bool = False
-    age: Seconds = 0.0
 
 
 Request = (

@@ -281,23 +281,28 @@ class PatternIntake:
         """Begin the trial of the code of `entry`; `on_event` and `on_reply` take its end."""
         self._state.candidate = Candidate(id, entry, version)
         targets: dict[str, Epoch | None] = {self._state.robot: self._state.control.epoch()}
-        is_rerun, age = False, 0.0
-        # Only a rerun moves the robot, so only a rerun needs the epoch (count of the robot's
-        # changes) that the operator saw. Any other trial quotes the present epoch, which the robot
-        # does not refuse.
-        if request is not None and request.is_rerun:
-            targets, is_rerun, age = request.targets, True, request.age
-        self._state.control.try_code(
-            ReloadRequest(
-                id=id,
-                operator=entry.manifest.issuer if request is None else request.operator,
-                targets=targets,
-                pattern=entry.manifest.name,
-                is_rerun=is_rerun,
-                keeps_running=not is_rerun,
-                age=age,
-            )
+        reload = ReloadRequest(
+            id=id,
+            operator=entry.manifest.issuer if request is None else request.operator,
+            targets=targets,
+            pattern=entry.manifest.name,
+            keeps_running=True,
         )
+        # Only a rerun moves the robot, so only a rerun needs the epoch (count of the robot's
+        # changes) that the operator saw, and the time at which it was issued. Any other trial
+        # quotes the present epoch, which the robot does not refuse.
+        if request is not None and request.is_rerun:
+            reload = replace(
+                reload,
+                targets=request.targets,
+                is_rerun=True,
+                keeps_running=False,
+                age=request.age,
+                issued_at=request.issued_at,
+                clock=request.clock,
+                issued=request.issued,
+            )
+        self._state.control.try_code(reload)
 
     def on_event(self, event: HostEvent) -> HostEvent | None:
         """Take an event of the pattern host, and return the event to hand to the robot.

@@ -208,7 +208,14 @@ class RequestServer:
         # Only an estop has `is_relayed`: a relayed estop does not renew a latch that was reset. A
         # stop leaves no latch, and the robot treats a relayed stop as any other stop.
         if stop.verb == "stop":
-            request = verbs.StopRequest(id=stop.id, operator=operator, targets=targets, age=age)
+            request = verbs.StopRequest(
+                id=stop.id,
+                operator=operator,
+                targets=targets,
+                age=age,
+                clock=stop.clock,
+                issued=stop.issued,
+            )
         else:
             request = verbs.EstopRequest(
                 id=stop.id,
@@ -218,6 +225,8 @@ class RequestServer:
                 reason=stop.reason,
                 is_relayed=is_relayed,
                 age=age,
+                clock=stop.clock,
+                issued=stop.issued,
             )
         self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=is_relayed)
         self._on_request(request)

@@ -26,7 +26,7 @@ from typing import Annotated, Any, Literal, get_args
 import msgspec
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import MAX_SECONDS, Line, Name
+from swarmd.core.bounds import MAX_SECONDS, Line, Name, Seconds, Word
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_GOAL
@@ -225,6 +225,10 @@ class Stop(_Datagram, frozen=True, kw_only=True):
     origin: Annotated[bytes, Meta(max_length=4)] = b""
     counter: Number = 0
     repeated: Milliseconds = 0  # the age when the operator itself sent the copy that was relayed
+    # The clock of the operator's machine (`core/clock.clock_id`), and the time in s on this clock
+    # at which the stop was issued; empty from an older version.
+    clock: Word = ""
+    issued: Seconds = 0.0
 
 
 class Ack(_Datagram, frozen=True, kw_only=True):

@@ -14,6 +14,7 @@ from swarmd.core.goal import Goal, GoalState, HeldGoal
 from swarmd.core.messages import Epoch, Reason, Refusal, State
 from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.goals import Found
+from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.state import Lifecycle
 
@@ -51,6 +52,13 @@ class GoalHandler:
         request of an operator.
         """
         goals, now = self._goals, effects.now
+        if (
+            goal.pattern is None
+            and age is not None
+            and goal.is_for(self._lifecycle.identity.robot, goals.labels)
+        ):
+            # A stop of all robots, or an operator, has made this goal: the robot is to stand.
+            self._lifecycle.stops.note(IssueTime(now - age), goal.issuer)
         relation = goals.judge(goal)
         if relation is Found.OWN:
             epoch_before = self._lifecycle.epoch
@@ -116,6 +124,9 @@ class GoalHandler:
         if refusal := goals.overtaken_by(goal):
             lifecycle.refuse(effects, request, *refusal)
             return
+        if goal.pattern is None:
+            issued = IssueTime.of(request, effects.now - request.age)
+            lifecycle.stops.note(issued, request.operator)
         relation = goals.judge(goal)
         if relation is Found.OWN:
             self._take_over(goal, request.age, effects, may_join=False)
@@ -186,7 +197,7 @@ class GoalHandler:
         # The time of the run counts from the time at which the goal was set.
         seconds_left = None if goal.seconds is None else goal.seconds - age
         # The run counts as requested when the goal was set: a stop issued since then ends the run.
-        wish = Wish(now - age, goal.text)
+        wish = Wish(IssueTime(now - age), goal.text)
         self._start(goal, effects, wish, seconds_left, None)
 
     def _can_start(self) -> bool:

@@ -12,11 +12,12 @@ from swarmd.core.goal import Goal
 from swarmd.core.host_messages import REQUEST_LAYER, Load, Loaded
 from swarmd.core.values import Scalar
 from swarmd.core.verbs import ParamRequest, ReloadRequest, ResumeRequest, RunRequest
+from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.settings import RobotIdentity
 
 
 class Wish(Struct, frozen=True):
-    """When and by whom a run was requested. A stop issued before `at` does not end the run.
+    """When and by whom a run was requested. An earlier stop does not end the run.
 
     - A joined goal (run without a request) counts from the time at which the goal was set.
     - The run after a reload counts from the reload request.
@@ -25,12 +26,16 @@ class Wish(Struct, frozen=True):
       run: a stop that would have ended the replaced run ends this run, too.
     """
 
-    at: float
-    """s on the own clock"""
+    issued: IssueTime
     by: str
     """the operator, the goal as text, or the low battery"""
     is_own: bool = False
     """the robot itself wants the run: its battery is low"""
+
+    @property
+    def at(self) -> float:
+        """The earliest time at which the run may have been requested, in s on the own clock."""
+        return self.issued.at
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,6 +39,7 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
 from swarmd.protection.protection import Protection
 from swarmd.robot.goal_handler import GoalHandler, fault_of
+from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import PendingParams, Trial, Wish, load_command
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
@@ -62,15 +63,15 @@ MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 class _StopTime(NamedTuple):
     """When a stop was issued, and whether the robot carried out an earlier copy of this stop."""
 
-    issued_at: float  # s, own clock
+    issued: IssueTime
     is_copy: bool
 
     def is_before(self, wish: Wish) -> bool:
         """True if the run of `wish` was requested after the stop, which must not end this run."""
         if self.is_copy:
             # At equal times, too: the first copy has ended all runs that were requested before it.
-            return self.issued_at <= wish.at
-        return self.issued_at < wish.at  # at equal times the robot stops, in doubt
+            return not wish.issued.is_before(self.issued)
+        return self.issued.is_before(wish.issued)  # at equal times the robot stops, in doubt
 
 
 class RequestHandler:
@@ -96,7 +97,6 @@ class RequestHandler:
         self._executed: dict[str, float] = {}
         # A robot without a run or load has obeyed all stops that were issued before this time.
         self._obeyed_until = -math.inf
-        self._epoch_raised_at = -math.inf  # when a stop, an estop or a reset last raised the epoch
         self.reset_at = -math.inf  # the time of the last reset
 
     def answer(self, request: verbs.Request, effects: Effects) -> None:
@@ -130,21 +130,21 @@ class RequestHandler:
         """
         lifecycle, next_wish = self._lifecycle, self._lifecycle.pattern_run.wish
         stop = self._time_of(request, effects.now)
+        lifecycle.stops.note(stop.issued, request.operator)
         if next_wish is not None and stop.is_before(next_wish):
             self._refuse_stop(request, stop, next_wish, effects)
             return
         # Robots relay copies of a stop for a minute. Without run and load, a copy must not end a
         # trial or reset that was requested after the first copy.
-        is_obeyed_already = stop.is_copy or stop.issued_at <= self._obeyed_until
-        self._obeyed_until = max(self._obeyed_until, stop.issued_at)
+        is_obeyed_already = stop.is_copy or stop.issued.at <= self._obeyed_until
+        self._obeyed_until = max(self._obeyed_until, stop.issued.at)
         if next_wish is not None or not is_obeyed_already:
-            self._epoch_raised_at = effects.now
             lifecycle.raise_revision(f"{request.operator} (stop)")
             lifecycle.stop(Reason.OPERATOR, f"by {request.operator}", effects)
         self._goals.on_stop(request, effects)
         self._answer_stop(request, effects)
 
-    def _time_of(self, request: verbs.StopRequest, now: float) -> _StopTime:
+    def _time_of(self, request: verbs.StopRequest | verbs.EstopRequest, now: float) -> _StopTime:
         """The time of issue by the age that the request states.
 
         A copy was issued before the first copy was carried out, whatever age the copy states.
@@ -153,9 +153,8 @@ class RequestHandler:
         # Only a stop that was carried out is in `_executed`. The age of a refused copy is not kept:
         # a forged copy would make the true stop look older.
         executed_at = self._executed.get(request.id)
-        if executed_at is None:
-            return _StopTime(stated, is_copy=False)
-        return _StopTime(min(stated, executed_at), is_copy=True)
+        issued = IssueTime.of(request, stated if executed_at is None else min(stated, executed_at))
+        return _StopTime(issued, is_copy=executed_at is not None)
 
     def _refuse_stop(
         self, request: verbs.StopRequest, stop: _StopTime, next_wish: Wish, effects: Effects
@@ -185,14 +184,16 @@ class RequestHandler:
             return
         latch = Latch(issuer=request.operator, scope=request.scope, reason=request.reason)
         self._lifecycle.latch(latch_id, latch, effects)
-        self._obeyed_until = self._epoch_raised_at = effects.now
+        self._lifecycle.stops.note(self._time_of(request, effects.now).issued, request.operator)
+        self._obeyed_until = effects.now
         self._goals.on_stop(request, effects)
         self._answer_stop(request, effects)
 
     def on_run(self, request: verbs.RunRequest, effects: Effects) -> None:
         """Load the pattern, or refuse; the reply follows once the pattern is loaded."""
         lifecycle = self._lifecycle
-        why = self._refusal_to_start() or self._refusal_to_run(request, effects.now)
+        wish = self._wish_of(request, effects.now)
+        why = self._refusal_to_start(wish) or self._refusal_to_run(request, effects.now)
         if why is not None:
             lifecycle.refuse(effects, request, *why)
         else:
@@ -201,7 +202,7 @@ class RequestHandler:
                 request.pattern,
                 request.params,
                 effects,
-                wish=self._wish_of(request, effects.now),
+                wish=wish,
                 seconds=request.seconds,
                 until=request.until,
                 request=request,
@@ -211,10 +212,11 @@ class RequestHandler:
 
     def on_resume(self, request: verbs.ResumeRequest, effects: Effects) -> None:
         """Run the robot's own goal."""
-        if why := self._refusal_to_start():
+        wish = self._wish_of(request, effects.now)
+        if why := self._refusal_to_start(wish):
             self._lifecycle.refuse(effects, request, *why)
         else:
-            self._goals.resume(request, self._wish_of(request, effects.now), effects)
+            self._goals.resume(request, wish, effects)
 
     def on_goal(self, request: verbs.GoalRequest, effects: Effects) -> None:
         """Set the goal without a run."""
@@ -277,26 +279,28 @@ class RequestHandler:
             moves += f", {twist.lateral:z.2f} m/s to the left"
         return f"{sent}; measured {moves}, {age:.1f} s ago"
 
-    def _refusal_to_start(self) -> tuple[Refusal, str] | None:
-        """Why no run can start in the present state; None if a run can start."""
+    def _refusal_to_start(self, wish: Wish) -> tuple[Refusal, str] | None:
+        """Why no run of this wish can start in the present state; None if a run can start."""
         machine = self._lifecycle.state_machine
         if machine.state in (State.ESTOPPED, State.FAULTED):
             is_estopped = machine.state is State.ESTOPPED
             refusal = Refusal.ESTOPPED if is_estopped else Refusal.FAULTED
             return refusal, f"{machine.state} ({machine.reason}) {machine.detail}; reset it first"
+        if by := self._lifecycle.stops.later_than(wish.issued):
+            return Refusal.OVERTAKEN, _stopped_text(by)
         text = under_way(self._lifecycle)
         return (Refusal.BUSY, text) if text else None
 
     def _wish_of(
         self, request: verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest, now: float
     ) -> Wish:
-        """When (s on the own clock) and by whom the request was issued.
+        """When and by whom the request was issued.
 
-        A stop, estop or reset that changes the robot raises the epoch, and `request` quotes the
-        present epoch. So the operator issued `request` after the last such rise. If the age of
-        `request` states an earlier time, the time of that rise counts.
+        The operator may have queried this robot after a stop that came later than the request. So
+        the epoch that `request` quotes tells nothing about the time of issue.
         """
-        return Wish(max(now - request.age, self._epoch_raised_at), request.operator)
+        earliest = min(request.issued_at.get(self._robot, now - request.age), now)
+        return Wish(IssueTime.of(request, earliest), request.operator)
 
     def _refusal_to_run(self, request: verbs.RunRequest, now: float) -> tuple[Refusal, str] | None:
         """Why a run is refused for its conditions, start time or goal; None if it is accepted."""
@@ -336,7 +340,6 @@ class RequestHandler:
             self._end_findings(findings, request, effects)
             lifecycle.reset(request.reason or f"by {request.operator}", effects)
             lifecycle.applied(effects, request, "idle")
-            self._epoch_raised_at = effects.now
             # A copy of an earlier stop counts as obeyed, and does not undo the reset.
             self._obeyed_until = self.reset_at = effects.now
 
@@ -375,7 +378,6 @@ class RequestHandler:
         self._obeyed_until = self.reset_at = now
         if findings:
             lifecycle.raise_revision(_cause_of_reset(request))
-            self._epoch_raised_at = now
             self._end_findings(findings, request, effects)
         text = f"{len(findings)} findings ended" if findings else "nothing to reset"
         lifecycle.applied(effects, request, f"idle: {text}")
@@ -409,12 +411,15 @@ class RequestHandler:
         if text := under_way(lifecycle):
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
             return
+        wish = self._wish_of(request, effects.now)
+        if request.is_rerun and (by := lifecycle.stops.later_than(wish.issued)):
+            lifecycle.refuse(effects, request, Refusal.OVERTAKEN, _stopped_text(by))
+            return
         lifecycle.raise_revision(f"{request.operator} (reload {pattern})")
         running = lifecycle.pattern_run.running
         is_running = running is not None and running.pattern == pattern
         params = running.params if running is not None and is_running else {}
         self._trials += 1
-        wish = self._wish_of(request, effects.now)
         lifecycle.trial = Trial(self._trials, effects.now, request, wish)
         effects.trial = StartTrial(load_command(lifecycle.identity, self._trials, pattern, params))
 
@@ -514,6 +519,11 @@ class RequestHandler:
 
 def _cause_of_reset(request: verbs.ResetRequest) -> str:
     return f"{request.operator} (reset)"
+
+
+def _stopped_text(by: str) -> str:
+    """The refusal of a start that was issued before a stop of `by`."""
+    return f"stopped since this was asked for, by {by}"
 
 
 def _new_code_text(request: verbs.ReloadRequest) -> str:

@@ -72,6 +72,7 @@ from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import Permit
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
+from swarmd.robot.issue_time import IssueTime, KnownStops
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.low_battery import LowBattery
 from swarmd.robot.message_limits import Outbox
@@ -191,6 +192,11 @@ class Lifecycle:
         self.pattern_run = PatternRun()
         self.latches = Latches(latches)  # the emergency stops that hold the robot
         self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
+        self.stops = KnownStops()
+        if (
+            goals is not None and goals.stood is not None
+        ):  # the robot was stopped in an earlier life
+            self.stops.note(IssueTime(goals.stood), "someone before its daemon started")
         self.outbox = Outbox()  # limits the messages of the pattern
         # The count of changes of this robot. A request quotes the epoch (instance and revision)
         # that the operator saw; once the revision has changed, the request is refused.
@@ -621,6 +627,7 @@ class Lifecycle:
         if not new:
             return
         effects.is_latched = True
+        self.stops.note(IssueTime(effects.now), latches[new[0]].issuer)
         self.raise_revision(f"{latches[new[0]].issuer} (estop)")
         self._end(Trigger.ESTOP, Reason.ESTOP, self.latches.text, effects)
 
@@ -810,7 +817,7 @@ def _end_for_low_battery(
             settings.pattern,
             settings.params,
             effects,
-            wish=Wish(ended_run.wish.at, "its low battery", is_own=True),
+            wish=Wish(ended_run.wish.issued, "its low battery", is_own=True),
             seconds=settings.seconds,
         )
 

@@ -16,6 +16,7 @@ from swarmd.client.runs import Run, carry_out
 from swarmd.client.session import Session, TargetedView
 from swarmd.client.stops import send_stop
 from swarmd.client.targets import Targets
+from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
@@ -102,8 +103,8 @@ class LiveCommander:
             return lambda: self._stop("estop" if verb == "estop" else "stop", names, tell, ending)
         if names is None:
             raise ValueError("no robot was targeted")
-        chosen = names
-        return lambda: self._request(verb, chosen, fields, ending)
+        chosen, clicked_at = names, boottime()
+        return lambda: self._request(verb, chosen, fields, ending, clicked_at)
 
     def _stop(
         self,
@@ -133,17 +134,19 @@ class LiveCommander:
         names: tuple[str, ...],
         fields: Mapping[str, Any],
         cancelled: threading.Event,
+        clicked_at: float,
     ) -> CommandProgress:
         """Send a request of a page to robots and wait for their replies; runs in a thread.
 
         `verb`: run, param, reset or label. `names`: the robots that the page shows or has selected.
-        `fields`: the texts that the user typed. `cancelled` ends the wait for robots. Returns the
-        final answer for the page; ConfigError for a mistake in a text.
+        `fields`: the texts that the user typed. `cancelled` ends the wait for robots. `clicked_at`:
+        s on the clock since boot. Returns the final answer for the page; ConfigError for a mistake
+        in a text.
         """
         send = self._sender(verb, names, fields)  # parses the texts before anything is sent
         with self._limit.request(), self._make() as operator, ExitStack() as opened:
             operator.expect(names)  # a robot that does not answer counts as missing
-            session = Session(operator, is_cancelled=cancelled.is_set)
+            session = Session(operator, is_cancelled=cancelled.is_set, began=clicked_at)
             try:
                 targeted = session.target(Targets(names), needs_status=verb in ("reset", "label"))
             except NetworkError as error:

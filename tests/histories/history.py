@@ -472,6 +472,37 @@ def _push_with_split(chance: random.Random, robots: tuple[str, ...]) -> Steps:
     return tuple(_after(chance, 0.3, 4.0, one) for one in steps)
 
 
+def _run_before_stop(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """A run whose operator waits for a missing robot, and the other operator's stop meanwhile."""
+    one, other = _both(chance)
+    missing = chance.choice(robots)
+    gone = chance.choice(
+        (
+            step(0.0, "freeze", robot=missing, seconds=chance.choice((0.9, 4.0))),
+            step(0.0, "kill", robot=missing),
+            step(0.0, "cut", senders=(missing,), receivers=(one,)),
+            step(0.0, "start", robot=missing),
+            _boot(chance, robots),
+        )
+    )
+    start = chance.choice((_run, _run, _command("resume")))(chance, robots)
+    stop = chance.choice((_command("stop"), _command("estop"), _program_stop, _goal))
+    end = stop(chance, robots)
+    back = chance.choice(
+        (
+            step(0.0, "heal"),
+            step(0.0, "thaw", robot=missing),
+            step(0.0, "start", robot=missing),
+        )
+    )
+    return (
+        gone,
+        _after(chance, 0.0, 1.0, replace(start, args=start.args | {"by": one})),
+        _after(chance, 0.02, 2.5, replace(end, args=end.args | {"by": other})),
+        _after(chance, 0.1, 3.0, back),
+    )
+
+
 def _freeze(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
     """For less and more than a stall, a lease and the life of a relayed stop's first intervals."""
     seconds = chance.choice((0.2, 1.0, 2.9, 3.1, 8.0))
@@ -516,6 +547,7 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_undo_chain, 0.4),
     (_cut_lease, 0.4),
     (_push_with_split, 0.4),
+    (_run_before_stop, 2.0),
 )
 
 

@@ -32,11 +32,15 @@
    knows, or more of a sender on a channel within a second than the limits allow.
 13. *A pose that stands still moves no robot far*: while the tracker of a fenced robot tells one
    place, the robot drives at most STANDING_WAY by one request of an operator.
+14. *A robot that knows a stop stands until a request that was typed later*: a run whose request (or
+   goal, of a robot that joins) was typed before a stop of which the robot was told does not go on.
 
 The time that a stop is on its way adds nothing to its age: no clocks are compared. So it may seem
 later than it was, by the delay of each of its hops, and never earlier: in doubt it acts. So does
 that of a Zenoh program by the time for which its query waits in a daemon that stalls, since a query
-has no stamp of its arrival. Rules 5 and 7 count these times (`_unseen_by`, `_unseen_age`).
+has no stamp of its arrival. A request may seem earlier than it was, by the way of the beacon by
+which its operator knows the clock of the robot. Rules 5 and 7 count these times (`_unseen_by`,
+`_unseen_age`).
 
 A robot that starts with an empty or an older disk has forgotten what it obeyed: it counts as a new
 robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
@@ -69,6 +73,7 @@ AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
 LATE = 25.0  # s for which an operator repeats a stop
 HEAL_TIME = 10.0  # s
 STANDING_WAY = 0.25  # m
+ROUNDING = 0.005  # s: a stop counts its age in ms, rounded by each robot that hands it on
 MAX_SENT = 300  # datagrams of one robot within a second
 
 
@@ -86,6 +91,7 @@ class _Memory:
 
     stopped: float = -1.0  # when the latest stop that it obeyed was issued
     obeyed: float = -1.0  # when it obeyed a stop last
+    told: float = -1.0  # when the latest stop of which it was told was issued
     stopped_all: float = -1.0  # as `stopped`, of the stops of all robots
     reset: float = -1.0  # when it was reset last
     held: frozenset[str] = frozenset()
@@ -116,12 +122,12 @@ class Invariants:
     def forget_stops(self, robot: str) -> None:
         """A robot has ended before what it obeyed was on its disk."""
         if (known := self._robots.get(robot)) is not None:
-            known.stopped = known.obeyed = known.stopped_all = known.reset = -1.0
+            known.stopped = known.obeyed = known.stopped_all = known.reset = known.told = -1.0
 
     # Steps
 
     def on_event(self, daemon: VirtualDaemon) -> None:
-        """Rules 1, 3, 5, 6 and 9."""
+        """Rules 1, 3, 5, 6, 9 and 14."""
         known = self._of(daemon)
         robot = daemon.robot
         self._check_order(daemon, known)
@@ -138,6 +144,8 @@ class Invariants:
             known.runs = daemon.cause
         elif known.was_running and not is_running:
             self._check_end(daemon)
+        if is_running:
+            self._check_told(daemon, known)
         known.was_running, known.state = is_running, robot.state
 
     def on_twist(self, daemon: VirtualDaemon) -> None:
@@ -151,6 +159,8 @@ class Invariants:
     def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
         """Rules 1 and 2."""
         robot, known, now = daemon.robot, self._of(daemon), self._swarm.now
+        if isinstance(request, StopRequest | EstopRequest):
+            known.told = max(known.told, self._issued[request.id])
         if reply.code is not Code.APPLIED:
             self._check_refused(daemon, request)
             return
@@ -274,6 +284,18 @@ class Invariants:
                 " the stop of all that its giver obeyed",
             )
 
+    def _check_told(self, daemon: VirtualDaemon, known: _Memory) -> None:
+        cause = daemon.cause
+        assert cause is not None
+        early = known.told - self._wanted(cause)
+        if early > ROUNDING:
+            what = "joined goal" if cause.request is None else f"`{cause.request.verb}`"
+            raise BrokenRuleError(
+                14,
+                f"{daemon.name} runs by a {what} that was typed {early:.2f} s before a stop that"
+                " it knows",
+            )
+
     def _check_refused(self, daemon: VirtualDaemon, request: Request) -> None:
         cause = daemon.cause
         if not isinstance(request, StopRequest) or not daemon.robot.is_running or cause is None:
@@ -295,8 +317,11 @@ class Invariants:
         return self._unseen_age(daemon.hops.get(id, 0)) + daemon.waits.get(id, 0.0)
 
     def _unseen_age(self, hops: int) -> float:
-        """The longest time for which a stop that `hops` robots handed on was on its way, in s."""
-        return (hops + 1) * MOST_DELAY * self._swarm.slowest
+        """The longest time in s by which a stop that `hops` robots handed on seems too late.
+
+        The time counts from a request, which may seem too early by one way.
+        """
+        return (hops + 2) * MOST_DELAY * self._swarm.slowest
 
     def _check_order(self, daemon: VirtualDaemon, known: _Memory) -> None:
         robot = daemon.robot
@@ -347,6 +372,7 @@ class Invariants:
         for id in new:
             issued = self._issued.get(id, self._swarm.now)
             known.stopped = max(known.stopped, issued)
+            known.told = max(known.told, issued)
             if daemon.robot.latches[id].scope == "swarm":
                 known.stopped_all = max(known.stopped_all, issued)
         known.held, known.cleared = held, cleared

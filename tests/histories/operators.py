@@ -43,7 +43,7 @@ from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_goals import next_goal
 from swarmd.network.operator.outcome import Acks, Outcome, joined
 from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
-from swarmd.network.operator.request_sender import REPEAT_PERIOD, aged, request_timeout
+from swarmd.network.operator.request_sender import REPEAT_PERIOD, request_timeout
 from swarmd.network.operator.stop_request import PendingStop
 from swarmd.network.operator.stop_sender import STOP_PACE
 from swarmd.network.signature import Author
@@ -133,19 +133,19 @@ class VirtualOperator(Node):
         **fields: Any,
     ) -> Command:
         """`ahead`: seconds until all start. `here`: s for which a run lease is renewed."""
+        typed = self.swarm.now
         view = yield from self._look(needs_status=False)
         names = _chosen(view, targets)
-        params = params or {}
-        goal = self._next_goal(view, pattern=pattern, params=params, targets=targets, **fields)
+        fields |= {"pattern": pattern, "params": params or {}, "targets": targets}
+        goal = self._next_goal(view, typed, **fields)
         if not names or goal is None:
             return None
         at = {} if ahead is None else dict.fromkeys(names, self.swarm.now + ahead)
         run = {"goal": goal, "at": at, **_run_fields(goal)}
         if not has_goal:
             run["goal"] = None
-        outcome = yield from self._request(
-            RunRequest, view, names, least=5.0 + (ahead or 0.0), **run
-        )
+        least = 5.0 + (ahead or 0.0)
+        outcome = yield from self._request(RunRequest, view, names, typed, least=least, **run)
         if goal.lease is not None:
             self._keep(goal, names, 1, self.swarm.now + here)
         return outcome
@@ -159,6 +159,8 @@ class VirtualOperator(Node):
             verb=verb,
             operator=self.name,
             scope="robots" if targets else "swarm",
+            clock=self.name,
+            issued=now,
         )
         renew = None
         if self.swarm.is_secured:
@@ -224,26 +226,29 @@ class VirtualOperator(Node):
         return None
 
     def reset(self, targets: tuple[str, ...] = ()) -> Command:
+        typed = self.swarm.now
         view = yield from self._look()
         names = _chosen(view, targets)
         ids = tuple(sorted(view.latches(names)))
-        return (yield from self._request(ResetRequest, view, names, ids=ids))
+        return (yield from self._request(ResetRequest, view, names, typed, ids=ids))
 
     def set_goal(self, pattern: str | None, targets: tuple[str, ...] = ()) -> Command:
         """A goal without a run: robots stand, or are offered it."""
+        typed = self.swarm.now
         view = yield from self._look()
         names = _chosen(view, targets)
-        goal = self._next_goal(view, pattern=pattern, targets=targets)
+        goal = self._next_goal(view, typed, pattern=pattern, targets=targets)
         if goal is None:
             return None
-        return (yield from self._request(GoalRequest, view, names, goal=goal))
+        return (yield from self._request(GoalRequest, view, names, typed, goal=goal))
 
     def undo(self) -> Command:
+        typed = self.swarm.now
         view = yield from self._look()
         present, before = present_goals(view)
         if present is None or before is None or before.lease is not None:
             return None
-        goal = self._next_goal(view, **content_of(before), undoes=present.id)
+        goal = self._next_goal(view, typed, **content_of(before), undoes=present.id)
         if goal is None:
             return None
         run, stand = set_apart(view, present, before)
@@ -252,15 +257,15 @@ class VirtualOperator(Node):
             outcome = yield from self.stop("stop", tuple(stand))
             assert outcome is not None
             outcomes.append(outcome)
-            self.swarm.issued[goal.id] = self.swarm.now  # its age counts from the request
         if run and goal.pattern is None:
-            outcomes.append((yield from self._request(GoalRequest, view, run, goal=goal)))
+            outcomes.append((yield from self._request(GoalRequest, view, run, typed, goal=goal)))
         elif run:
             fields = {"goal": goal, **_run_fields(goal)}
-            outcomes.append((yield from self._request(RunRequest, view, run, **fields)))
+            outcomes.append((yield from self._request(RunRequest, view, run, typed, **fields)))
         return joined(outcomes)
 
     def resume(self, targets: tuple[str, ...] = ()) -> Command:
+        typed = self.swarm.now
         view = yield from self._look()
         outcomes = []
         by_digest: dict[str, list[str]] = {}
@@ -269,13 +274,15 @@ class VirtualOperator(Node):
             own = status.goal.own if status is not None and status.goal is not None else None
             by_digest.setdefault("" if own is None else own.digest, []).append(name)
         for digest, names in by_digest.items():
-            outcomes.append((yield from self._request(ResumeRequest, view, names, digest=digest)))
+            request = self._request(ResumeRequest, view, names, typed, digest=digest)
+            outcomes.append((yield from request))
         return joined(outcomes)
 
     def label(self, targets: tuple[str, ...], labels: tuple[str, ...]) -> Command:
+        typed = self.swarm.now
         view = yield from self._look()
         names = _chosen(view, targets)
-        return (yield from self._request(LabelRequest, view, names, labels=labels))
+        return (yield from self._request(LabelRequest, view, names, typed, labels=labels))
 
     def push(self, pattern: str, targets: tuple[str, ...] = ()) -> Command:
         """Reduced: the pieces arrive at once, and no reply is waited for."""
@@ -309,22 +316,32 @@ class VirtualOperator(Node):
         kind: type[AnyRequest],
         view: MembersView,
         names: Iterable[str],
+        typed: float,
         *,
         least: float = 5.0,
         **fields: Any,
     ) -> Generator[None, None, Outcome]:
+        """`typed`: when the command began, to which its request is dated."""
         swarm, targets = self.swarm, view.epochs(names)
         asked: dict[str, Epoch | None] = {
             name: epoch for name, epoch in targets.items() if view.is_in_reach(name)
         }
-        request: Any = kind(id=self._new_id(), operator=self.name, targets=asked, **fields)
+        request: Any = kind(
+            id=self._new_id(typed),
+            operator=self.name,
+            targets=asked,
+            clock=self.name,
+            issued=typed,
+            issued_at=view.issue_times(asked, typed),
+            **fields,
+        )
         acks = Acks(request.id)
         began, timeout = swarm.now, request_timeout(view, least)
         repeat = RepeatTimer(began, ((1e9, REPEAT_PERIOD),))
         while (robots := acks.missing(asked)) and swarm.now - began < timeout:
             if repeat.is_due(swarm.now):
-                age = swarm.now - began + view.round_trip
-                self._ask(request.verb, encode(aged(request, age)), robots, acks)
+                age = swarm.now - typed + view.round_trip
+                self._ask(request.verb, encode(replace(request, age=age)), robots, acks)
             yield
         return acks.outcome(targets, seconds=swarm.now - began, reached=len(asked))
 
@@ -356,10 +373,10 @@ class VirtualOperator(Node):
         again = partial(self._keep, goal, names, count + 1, until)
         self.swarm.at(self.swarm.now + goal.lease / LEASE_PARTS, again)
 
-    def _next_goal(self, view: MembersView, **fields: Any) -> Goal | None:
+    def _next_goal(self, view: MembersView, typed: float, **fields: Any) -> Goal | None:
         asker: Any = SimpleNamespace(name=self.name, identity=None)
         try:
-            return replace(next_goal(asker, view, **fields), id=self._new_id())
+            return replace(next_goal(asker, view, **fields), id=self._new_id(typed))
         except ConfigError:
             return None
 
@@ -374,9 +391,10 @@ class VirtualOperator(Node):
     def _send(self, body: Datagram, to: Address | None) -> None:
         self.swarm.send(self, body, to)
 
-    def _new_id(self) -> str:
+    def _new_id(self, typed: float | None = None) -> str:
+        """An id; what has it was typed at `typed`, or now."""
         id = self._random.getrandbits(48).to_bytes(6, "big").hex()
-        self.swarm.issued[id] = self.swarm.now
+        self.swarm.issued[id] = self.swarm.now if typed is None else typed
         return id
 
 

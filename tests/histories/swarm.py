@@ -225,6 +225,10 @@ class VirtualSwarm:
         self.random = random.Random(seed)
         self.cuts: set[tuple[str, str]] = set()
         self.loss, self.delay = 0.0, DELAY
+        # By sender, the s by which its datagrams, and its requests by links, arrive later.
+        self.slow: dict[str, float] = {}
+        self.slow_links: dict[str, float] = {}
+        self.copies: tuple[float, ...] = ()  # s after which each datagram arrives once more
         self.slowest = DELAY  # of all delays so far
         self.wall = 1.8e9  # s; the wall clocks differ by robot and may jump
         self.judge: Judge | None = None
@@ -289,14 +293,16 @@ class VirtualSwarm:
             receivers = [one for one in self.nodes.values() if one is not sender]
         else:
             receivers = [self._by_address[to]] if to in self._by_address else []
-        self.slowest = max(self.slowest, self.delay)
+        delay = self.delay + self.slow.get(sender.name, 0.0)
+        self.slowest = max(self.slowest, delay + max(self.copies, default=0.0))
         for one in receivers:
             if not one.is_listening or not self.reaches(sender.name, one.name):
                 continue
             if self.loss and self.random.random() < self.loss:
                 continue
-            when = self.now + self.delay * (1.0 + (MOST_DELAY - 1.0) * self.random.random())
-            self.at(when, partial(one.receive, body, sender))
+            when = self.now + delay * (1.0 + (MOST_DELAY - 1.0) * self.random.random())
+            for later in (0.0, *self.copies):
+                self.at(when + later, partial(one.receive, body, sender))
 
     def name_of(self, address: Address) -> str:
         """The robot or operator at an address."""
@@ -306,7 +312,7 @@ class VirtualSwarm:
         """What an operator asks a robot by a link: both directions must pass."""
         daemon = self.robots[robot]
         if daemon.is_up and self.reaches(asker, robot) and self.reaches(robot, asker):
-            when = self.now + 2.0 * self.delay
+            when = self.now + 2.0 * self.delay + self.slow_links.get(asker, 0.0)
             self.at(when, partial(daemon.take, partial(daemon.take_query, call, when)))
 
     def answer(self, robot: str, asker: str, call: Callable[[], object]) -> None:

@@ -163,7 +163,10 @@ def test_a_busy_computer_wins_its_own_id() -> None:
 
 
 def test_the_age_of_a_goal_counts_from_its_request() -> None:
-    """The links are slow: the request takes two seconds."""
+    """The links are slow: the request takes two seconds.
+
+    The clock of a robot is known to the way of its answer, 1.2 s at most: the goal may seem older.
+    """
     history = replay(
         2,
         [step(0.0, "disturb", delay=1.0), step(0.0, "run", by="anna", **JOIN), step(8.0, "heal")],
@@ -173,25 +176,28 @@ def test_the_age_of_a_goal_counts_from_its_request() -> None:
         held = one.robot.goal
         assert held is not None
         assert held.issued is not None
-        assert abs(held.issued - swarm.issued[held.goal.id]) < 0.5
+        assert 0.0 <= swarm.issued[held.goal.id] - held.issued <= 1.3
 
 
 @pytest.mark.parametrize(
-    ("after", "is_running"),
-    [(0.2, True), (0.63, False), (1.3, False)],
-    ids=["1 s before the run", "0.57 s before", "0.1 s after"],
+    ("first", "pause", "is_running"),
+    [("stop", 2.5, True), ("stop", 0.3, False), ("run", 0.1, False), ("run", 1.5, False)],
 )
-def test_a_stop_that_may_be_later_than_a_run_ends_it(after: float, is_running: bool) -> None:
-    """The run is asked for 1.2 s after it is typed; the time on its way makes the stop later."""
-    run = step(0.0, "run", by="anna")
+def test_a_stop_that_may_be_later_than_a_run_ends_it(
+    first: str, pause: float, is_running: bool
+) -> None:
+    """Both have long ways, so that a stop seems later and a run earlier, by 0.6 s for each way."""
+    orders = {"run": step(0.0, "run", by="anna"), "stop": step(0.0, "stop", by="bob")}
+    begin = orders.pop(first)
+    [end] = orders.values()
     history = replay(
         2,
         [
-            run,
+            step(0.0, "run", by="anna"),
             step(4.0, "disturb", delay=0.5),
             step(0.0, "cut", senders=("bob",), receivers=("r1", "r2")),
-            replace(run, gap=0.5),
-            step(after, "stop", by="bob"),
+            replace(begin, gap=0.5),
+            replace(end, gap=pause),
             step(2.8, "split", groups=()),
             step(6.0, "heal"),
         ],

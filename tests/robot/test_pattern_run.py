@@ -9,6 +9,7 @@ import pytest
 
 from swarmd.core.host_messages import Loaded
 from swarmd.core.kernels import load_kernel
+from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.timeouts import LOAD_TIMEOUT, MIN_EXPIRY, STEP_TIMEOUT
 
@@ -19,7 +20,7 @@ else:
 
 
 def loading(seconds: float | None = None, since: float = 10.0) -> Loading:
-    return Loading(1, "drive", {}, seconds, since, None, Wish(since, "alice"))
+    return Loading(1, "drive", {}, seconds, since, None, Wish(IssueTime(since), "alice"))
 
 
 def running(seconds: float | None = None) -> PatternRun:

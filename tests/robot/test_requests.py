@@ -740,3 +740,124 @@ def test_findings_of_a_running_robot_are_not_ended() -> None:
     harness.advance(0.1)
     assert (harness.status.state, harness.status.findings) == (State.RUNNING, (FOUND,))
     assert harness.status.decision.speed_share == 0.56
+
+
+# The last order, a start or a stop, by when it was issued
+
+STARTS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("run", {"pattern": "forward"}),
+    ("resume", {}),
+    ("reload", {"pattern": "forward", "is_rerun": True}),
+)
+
+
+def at_rest(verb: str) -> RobotHarness:
+    """A robot that can start by this verb, and that a stop reached one second ago."""
+    harness = started() if verb == "reload" else RobotHarness(patterns=PATTERNS)
+    if verb == "resume":
+        harness.find(JOINED, 100.0, may_join=False)
+    harness.advance(5.0)
+    harness.applied("stop", operator="bob")
+    if verb == "reload":  # a rerun needs a run, which a third operator wanted after the stop
+        harness.ask("run", pattern="forward", operator="carla")
+    harness.advance(1.0)
+    return harness
+
+
+@pytest.mark.parametrize(("verb", "fields"), STARTS)
+def test_a_start_that_was_issued_before_a_known_stop_is_refused(
+    verb: str, fields: dict[str, Any]
+) -> None:
+    """Its operator may have looked at the robot after the stop, and quotes its present epoch."""
+    harness = at_rest(verb)
+    reply = harness.refused(verb, age=1.1, **fields)
+    assert reply.refusal is Refusal.OVERTAKEN
+    assert "bob" in reply.text
+    harness.send(harness.request(verb, age=0.9, **fields))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    assert harness.status.changed_by.startswith("alice")
+
+
+def test_a_reload_that_starts_no_run_is_older_than_no_stop() -> None:
+    harness = at_rest("run")
+    harness.send(harness.request("reload", pattern="forward", age=5.0))
+    harness.advance(0.5)
+    assert harness.replies[-1].code is Code.APPLIED
+
+
+def test_a_copy_that_arrives_late_keeps_its_time_of_issue() -> None:
+    """The age of the copy counts from its sending; the robot's own clock tells more."""
+    harness = at_rest("run")
+    stopped = harness.now - 1.0
+    at = {harness.robot.id: stopped - 0.1}
+    late = harness.refused("run", pattern="forward", age=0.2, issued_at=at)
+    assert late.refusal is Refusal.OVERTAKEN
+    at = {harness.robot.id: stopped + 0.1}
+    harness.send(harness.request("run", pattern="forward", age=1.5, issued_at=at))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+
+
+@pytest.mark.parametrize("others", [{}, {"at": {"tb3-01": 1007.0}}], ids=["at once", "at a time"])
+def test_a_stop_that_a_robot_learns_later_ends_an_earlier_run(others: dict[str, Any]) -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    harness.send(harness.request("run", pattern="forward", age=3.0, **others))
+    harness.advance(0.5)
+    assert late_stop(harness, 3.4).code is Code.APPLIED
+    harness.advance(3.0)
+    assert (harness.status.state, harness.twist.is_zero) == (State.STOPPED, True)
+
+
+def test_orders_of_one_machine_are_compared_by_its_clock() -> None:
+    """Whatever the ways took: the stop seems to be later than it was, and the run earlier."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    harness.applied("stop", operator="bob", clock="a", issued=70.0)
+    run: dict[str, Any] = {"pattern": "forward", "age": 0.5, "clock": "a"}
+    assert harness.refused("run", issued=69.9, **run).refusal is Refusal.OVERTAKEN
+    other = {**run, "clock": "b"}
+    assert harness.refused("run", issued=70.1, **other).refusal is Refusal.OVERTAKEN
+    harness.send(harness.request("run", issued=70.1, **run))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    earlier = late_stop(harness, 0.0, clock="a", issued=70.05)
+    assert earlier.refusal is Refusal.OVERTAKEN
+    assert late_stop(harness, 9.0, id="s1", clock="a", issued=70.2).code is Code.APPLIED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
+STAND = Goal(generation=1, issuer="bob", id="g1")
+
+
+def test_a_goal_to_stand_from_a_peer_counts_as_a_stop() -> None:
+    """A robot that boots after a stop of all learns it by this goal."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.find(STAND, 10.0, may_join=False)
+    assert harness.refused("run", pattern="forward", age=11.0).refusal is Refusal.OVERTAKEN
+    harness.send(harness.request("run", pattern="forward", age=9.0))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+
+
+def test_a_latch_from_a_peer_counts_as_a_stop_after_its_reset() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.step(LatchesInput({"e1": Latch(issuer="bob", scope="swarm")}))
+    harness.advance(1.0)
+    harness.applied("reset", ids=("e1",))
+    assert harness.refused("run", pattern="forward", age=1.1).refusal is Refusal.OVERTAKEN
+    harness.send(harness.request("run", pattern="forward", age=0.9))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+
+
+def test_a_daemon_that_restarts_knows_the_last_stop() -> None:
+    before = RobotHarness(patterns=PATTERNS)
+    before.applied("stop", operator="bob")
+    harness = RobotHarness(patterns=PATTERNS, goals=before.record, instance="boot2")
+    harness.advance(1.0)
+    assert harness.refused("run", pattern="forward", age=1.1).refusal is Refusal.OVERTAKEN
+    harness.send(harness.request("run", pattern="forward", age=0.9))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING

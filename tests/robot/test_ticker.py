@@ -20,6 +20,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import RunRequest
 from swarmd.robot.actions import Actions
+from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
@@ -45,7 +46,7 @@ def do(run: PatternRun, chance: Random, now: float) -> object:
     match chance.randrange(9):
         case 0:
             since, start = now - chance.random(), chance.choice((None, now + 0.2))
-            wish, seconds = Wish(since, "alice"), chance.choice((None, 0.7))
+            wish, seconds = Wish(IssueTime(since), "alice"), chance.choice((None, 0.7))
             run.loading = Loading(1, "drive", {}, seconds, since, None, wish, start_at=start)
         case 1 if run.loading is not None:
             run.ready(Loaded(1, chance.choice((4.0, 20.0)), frozenset(), {}), now)

@@ -20,6 +20,7 @@ from swarmd.client.members import Description
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Code, Reply, State
 from swarmd.core.verbs import RunRequest
+from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.sim.cli.mcp import COMMANDS, Rehearsal, SwarmTools, make_server
@@ -172,6 +173,37 @@ def test_a_stop_during_the_rehearsal_ends_the_run(two: Swarm, stopped_by: str) -
         return
     assert failed, answer
     assert "during the rehearsal" in answer
+    assert {two.status(robot).state for robot in BOTH} == {State.STOPPED}
+
+
+@pytest.mark.integration
+def test_a_stop_waits_for_no_other_call_and_wins(
+    two: Swarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The look of the run is held, as by a robot that is missing, until the stop is carried out."""
+    has_begun, may_go_on, members = threading.Event(), threading.Event(), Operator.members
+
+    def look(operator: Operator, **options: Any) -> MembersView:
+        has_begun.set()
+        assert may_go_on.wait(CAP)
+        return members(operator, **options)
+
+    async def agent() -> dict[str, Any]:
+        async with (
+            swarmd.connect(two.name) as first,
+            client_of(make_server(SwarmTools(first), COMMANDS)) as client,
+        ):
+            monkeypatch.setattr(Operator, "members", look)
+            running = asyncio.create_task(called(client, "run", pattern="drive", seconds=60.0))
+            assert await asyncio.to_thread(has_begun.wait, CAP)
+            assert (await called(client, "stop"))[1]["applied"] == [*BOTH]
+            assert not running.done()
+            may_go_on.set()
+            return dict((await running)[1])
+
+    answer = asyncio.run(asyncio.wait_for(agent(), 4 * CAP))
+    assert answer["refused"] == [*BOTH]
+    assert {one["refusal"] for one in answer["replies"].values()} == {"overtaken"}
     assert {two.status(robot).state for robot in BOTH} == {State.STOPPED}
 
 

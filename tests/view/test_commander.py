@@ -129,7 +129,13 @@ class Noting(Hanging):
         self.requests: list[tuple[tuple[str, ...], dict[str, Any]]] = []
 
     def request(
-        self, kind: type, targets: Mapping[str, Any], *, timeout: None = None, **fields: Any
+        self,
+        kind: type,
+        targets: Mapping[str, Any],
+        *,
+        issued: float = 0.0,
+        timeout: None = None,
+        **fields: Any,
     ) -> Outcome:
         self.requests.append((tuple(targets), fields))
         return APPLIED

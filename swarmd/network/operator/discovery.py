@@ -150,7 +150,7 @@ class Discovery:
             self._on_news(robot, now)
             self.found_at = now
         if instance in self._members.lives(robot):
-            self._trips.on_echo(robot, instance, beacon.echo, now)
+            self._trips.on_echo(robot, instance, beacon.echo, now, beacon.clock)
 
     def on_member_list(self, word: MemberList, now: float) -> None:
         """Take a part of a robot's member list."""
@@ -423,6 +423,7 @@ class Discovery:
             loss=self._loss(now),
             seconds=now - self.started,
             goal_generation=max(self._generations(), default=0),
+            clock_leads=dict(self._trips.clock_leads),
         )
 
     def _generations(self) -> Iterator[int]:

@@ -49,6 +49,8 @@ class MembersView(Struct, frozen=True):
     seconds: float = 0.0  # the duration of the look
     goal_generation: int = 0  # the greatest generation of a goal that a robot shows; 0 without
     programs: frozenset[str] = frozenset()  # Zenoh programs whose tokens a robot sees; no members
+    # By robot and instance, the s by which its clock is at least ahead of the operator's clock.
+    clock_leads: Mapping[tuple[str, str], float] = {}
 
     @property
     def alive(self) -> tuple[str, ...]:
@@ -91,6 +93,16 @@ class MembersView(Struct, frozen=True):
         """
         members = ((name, self.members.get(name)) for name in names)
         return {name: member.epoch if member else None for name, member in members}
+
+    def issue_times(self, targets: Mapping[str, Epoch | None], issued: float) -> dict[str, float]:
+        """When a request was issued at the earliest, in s on the clock of each robot.
+
+        `targets`: the robots, with the epochs that the request quotes. `issued`: s on the clock of
+        the operator. Robots whose clock was not heard are left out.
+        """
+        instances = {(name, epoch.instance) for name, epoch in targets.items() if epoch}
+        leads = self.clock_leads.items()
+        return {pair[0]: max(issued + lead, 0.0) for pair, lead in leads if pair in instances}
 
     def latches(self, names: Iterable[str]) -> dict[str, Latch]:
         """The emergency stops that these robots hold, by id."""

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 from msgspec.structs import replace
 
-from swarmd.core.clock import boottime
+from swarmd.core.clock import boottime, clock_id
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import ANY
 from swarmd.core.messages import Epoch
@@ -333,9 +333,13 @@ class Operator:
         timeout: float | None = None,
         least_timeout: float = REQUEST_WAIT,
         is_ended: Callable[[], bool] = lambda: False,
+        issued: float | None = None,
         **fields: Any,
     ) -> Outcome:
         """Send a request to the robots in `targets`; repeat it to each robot without a reply.
+
+        `issued`: when the user typed, clicked or called it, in s on the clock since boot; None:
+        when the last look began. A robot that was stopped since then refuses to start a run.
 
         `kind` and `fields`: the request; all repeats have one id. `targets`: for each robot the
         epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
@@ -353,7 +357,16 @@ class Operator:
             for name, epoch in targets.items()
             if last_view.is_in_reach(name) or present_view.is_in_reach(name)
         }
-        request = self._new(kind, targets=asked, **fields)
+        if issued is None:
+            issued = boottime() if self._discovery is None else self._discovery.started
+        request = self._new(
+            kind,
+            targets=asked,
+            clock=clock_id(),
+            issued=issued,
+            issued_at=last_view.issue_times(asked, issued),
+            **fields,
+        )
         if timeout is None:
             timeout = request_timeout(last_view, least_timeout)
         outcome, linked = self._requests.send(
@@ -411,6 +424,8 @@ class Operator:
             verb=verb,
             operator=self._asker,
             scope="swarm" if select is None else "robots",
+            clock=clock_id(),
+            issued=now,
             reason=stop_reason(reason) if verb == "estop" else "",
         )
         stop, renew = self._numbered(stop)  # `renew` makes new numbers for a refused stop

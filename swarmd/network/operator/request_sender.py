@@ -11,9 +11,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
 from swarmd.core.keys import ANY, CONTROL
 from swarmd.core.messages import Code, Epoch, Refusal, Reply, ReplyHeader
-from swarmd.core.verbs import (
-    AnyRequest,
-)
+from swarmd.core.verbs import AnyRequest
 from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import Discovery
 from swarmd.network.operator.members_view import MembersView
@@ -47,14 +45,6 @@ def request_timeout(view: MembersView, least_timeout: float) -> float:
     return min(timeout, max(least_timeout, REQUEST_CAP))
 
 
-def aged(request: AnyRequest, age: float) -> AnyRequest:
-    """The request with its `age`, in s since its operator issued it.
-
-    A kind of request without the field `age` is returned as it is.
-    """
-    return replace(request, age=age) if "age" in request.__struct_fields__ else request
-
-
 class RequestSender:
     """Sends by the sessions of an operator."""
 
@@ -74,6 +64,7 @@ class RequestSender:
     ) -> tuple[Outcome, set[str]]:
         """Send a request to the robots in `asked`, and repeat it until all have replied.
 
+        Each copy gets its age when it is sent: the s since `request.issued` on the own clock.
         `targets`: all robots that the outcome is about; targets that are not in `asked` count as
         missing. `view`: the members by the last look (query of all members). Robots without a Zenoh
         link are dialled as `discovery` finds them. Sending ends after `timeout` s, or once
@@ -99,7 +90,8 @@ class RequestSender:
             # One query to all robots replaces many: robots that are no targets ignore the query.
             names = [ANY] if len(receivers) == len(asked) else sorted(receivers)
             # With the age at its arrival, so that a robot can refuse the request as too old.
-            present_request = aged(request, now - started + view.round_trip)
+            age = now - request.issued + view.round_trip
+            present_request = replace(request, age=age)
             self._query(present_request, names, time_left, acks)
             if unlinked and discovery is not None:
                 self._sessions.dial(discovery, now, only=unlinked)

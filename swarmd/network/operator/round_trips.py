@@ -10,6 +10,7 @@ QUIET_TIME = 0.1  # s that an answer takes at most beyond the round trip
 MAX_ECHOES = 256
 MAX_ROUND_TRIP = 5.0  # s: bound of the round trip
 FEW_ROBOTS = 8  # up to this number the longest round trip counts, beyond it the median
+ROUNDING_MS = 0.5  # by which a clock in whole ms may be too great
 LEAST_ASKED = 4  # solicits to an instance from which on its loss is measured
 
 
@@ -31,6 +32,8 @@ class RoundTrips:
         self._sent: dict[int, float] = {}
         self._answers: dict[tuple[str, str], _Answers] = {}
         self._trips: dict[str, float] = {}
+        # By instance, the s by which its clock is at least ahead of the operator's clock.
+        self.clock_leads: dict[tuple[str, str], float] = {}
 
     def on_solicit(self, echo: int, now: float) -> None:
         """Note that a `Solicit` with this number is sent now."""
@@ -39,10 +42,20 @@ class RoundTrips:
         if len(self._sent) > MAX_ECHOES:
             del self._sent[next(iter(self._sent))]
 
-    def on_echo(self, robot: str, instance: str, echo: int, now: float) -> None:
-        """Note a beacon of an instance; `echo`: the number of the solicit that it answers, or 0."""
+    def on_echo(self, robot: str, instance: str, echo: int, now: float, clock_ms: int = 0) -> None:
+        """Note a beacon of an instance.
+
+        `echo`: the number of the solicit that it answers, or 0. `clock_ms`: the clock of the
+        instance when it sent the answer, rounded to ms; 0 if the beacon does not show it.
+        """
         known = self._answers.setdefault((robot, instance), _Answers(self.solicits))
         sent = self._sent.get(echo)
+        if sent is not None and clock_ms:
+            # The way of the answer took some time, by which the true lead is greater.
+            lead = (clock_ms - ROUNDING_MS) / 1000.0 - now
+            self.clock_leads[robot, instance] = max(
+                lead, self.clock_leads.get((robot, instance), lead)
+            )
         if sent is not None and echo not in known.echoes:
             known.echoes.add(echo)
             trip = max(now - sent, 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.messages import Presence
+from swarmd.core.messages import Epoch, Presence
 from swarmd.network.members.membership import MAX_MEMBERS
 from swarmd.network.operator.discovery import (
     ANSWER_WAIT,
@@ -361,3 +361,19 @@ def test_loss_is_that_of_the_look(looked: Rig) -> None:
     looked.found.on_solicit(10, 2.0)
     answers_with(looked, "a", "b", echo=10, at=2.01)
     assert looked.found.result(2.5).loss == 0.0
+
+
+def test_the_time_of_issue_on_a_robots_clock_is_never_too_late() -> None:
+    """The robot's clock is 500 s ahead; its answers take 0.3 and 0.1 s, and show whole ms."""
+    discovery = Discovery(10.0)
+    discovery.on_solicit(1, 10.0)
+    discovery.on_beacon(beacon("a", echo=1, clock=510_200), ("10.0.0.1", 7440), 10.5)
+    discovery.on_solicit(2, 11.0)
+    discovery.on_beacon(beacon("a", sequence=2, echo=2, clock=511_200), ("10.0.0.1", 7440), 11.3)
+    discovery.on_beacon(beacon("b", clock=900_000), ("10.0.0.2", 7440), 11.3)  # answers nothing
+    view = discovery.result(11.4)
+    epochs = view.epochs(["a", "b", "c"])
+    assert view.issue_times(epochs, 10.0) == {"a": pytest.approx(509.9, abs=1e-3)}
+    assert view.issue_times(epochs, 10.0)["a"] <= 509.9
+    other_life = {"a": Epoch(life(2).hex(), 0)}
+    assert view.issue_times(other_life, 10.0) == {}

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from msgspec.structs import replace
 
+from swarmd.core.clock import boottime, clock_id
 from swarmd.core.messages import Code
 from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.exit_codes import PARTIAL
@@ -27,11 +30,32 @@ def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: 
         targets=targets,
         pattern="attraction",
         age=request.age,
+        clock=clock_id(),
+        issued=request.issued,
+        issued_at=request.issued_at,
     )
     [other] = swarm["b"].different_requests
     assert isinstance(other, RunRequest)
     assert replace(other, age=request.age) == request
     assert swarm["c"].requests == []
+
+
+def test_each_copy_of_a_request_counts_from_when_it_was_issued(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    """Not from the look or the first copy; an answer comes to the third copy."""
+    swarm = robots("a", answer=lambda request: Code.APPLIED if request.age > 7.9 else None)
+    issued = boottime() - 7.0
+    with Operator(settings) as operator:
+        targets = operator.members().epochs(["a"])
+        outcome = operator.request(RunRequest, targets, issued=issued, pattern="x")
+    assert outcome.line == "1 targeted, 1 applied"
+    requests = [one for one in swarm["a"].requests if isinstance(one, RunRequest)]
+    assert len(requests) > 1
+    assert {one.issued for one in requests} == {issued}
+    assert {one.clock for one in requests} == {clock_id()}
+    assert all(before.age < after.age for before, after in pairwise(requests))
+    assert requests[0].age >= 7.0
 
 
 def test_a_request_waits_for_links_that_are_not_up_when_it_begins(
