@@ -193,6 +193,11 @@ class History:
         if daemon is not None and daemon.is_up and not daemon.is_frozen:
             daemon.freeze(seconds)
 
+    def lose_base(self, robot: str, seconds: float) -> None:
+        daemon = self.swarm.robots.get(robot)
+        if daemon is not None and daemon.is_settled and daemon.is_up and not daemon.is_frozen:
+            daemon.lose_base(seconds)
+
     def slow_disk(self, robot: str, seconds: float) -> None:
         """Each write takes this long from now on."""
         daemon = self.swarm.robots.get(robot)
@@ -514,6 +519,12 @@ def _freeze_pose(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
     return step(0.0, "freeze_pose", robot=chance.choice(robots), seconds=seconds)
 
 
+def _lose_base(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    """For less and more than the hold that ends a run."""
+    seconds = chance.choice((0.3, 1.5, 2.5, 6.0))
+    return step(0.0, "lose_base", robot=chance.choice(robots), seconds=seconds)
+
+
 _Made = HistoryStep | Steps
 _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], ...] = (
     (_run, 5.0),
@@ -542,6 +553,7 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_slow_disk, 0.5),
     (_freeze, 0.8),
     (_freeze_pose, 0.6),
+    (_lose_base, 1.2),
     (_withdrawn, 0.6),
     (_burst, 1.0),
     (_undo_chain, 0.4),

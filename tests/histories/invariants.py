@@ -34,6 +34,8 @@
    place, the robot drives at most STANDING_WAY by one request of an operator.
 14. *A robot that knows a stop stands until a request that was typed later*: a run whose request (or
    goal, of a robot that joins) was typed before a stop of which the robot was told does not go on.
+15. *A base that comes back moves nothing by itself*: a robot commands no motion to a lost base, and
+   after a loss of more than LOSS_TIME only by a run that began after it.
 
 The time that a stop is on its way adds nothing to its age: no clocks are compared. So it may seem
 later than it was, by the delay of each of its hops, and never earlier: in doubt it acts. So does
@@ -74,6 +76,7 @@ LATE = 25.0  # s for which an operator repeats a stop
 HEAL_TIME = 10.0  # s
 STANDING_WAY = 0.25  # m
 ROUNDING = 0.005  # s: a stop counts its age in ms, rounded by each robot that hands it on
+LOSS_TIME = 3.5  # s: a hold ends a run after 2 s, and the daemon may stall for 1 s meanwhile
 MAX_SENT = 300  # datagrams of one robot within a second
 
 
@@ -99,6 +102,9 @@ class _Memory:
     state: State = State.IDLE
     was_running: bool = False
     runs: Cause | None = None
+    began: float = 0.0  # when its run began
+    lost: float = -1.0  # when its base was lost last
+    barred: float = -1.0  # a run that began before this may not go on: its base was lost for long
     goal: Goal | None = None
     order: tuple[Any, Any] = (None, None)  # of the goal held and of the own one
     lives: int = 1
@@ -142,6 +148,7 @@ class Invariants:
         if is_running and (not known.was_running or daemon.cause is not known.runs):
             self._check_begin(daemon, known)
             known.runs = daemon.cause
+            known.began = self._swarm.now
         elif known.was_running and not is_running:
             self._check_end(daemon)
         if is_running:
@@ -149,12 +156,28 @@ class Invariants:
         known.was_running, known.state = is_running, robot.state
 
     def on_twist(self, daemon: VirtualDaemon) -> None:
-        """Rules 10 and 13."""
+        """Rules 10, 13 and 15."""
+        known = self._of(daemon)
         if not daemon.robot.is_running:
             raise BrokenRuleError(10, f"{daemon.name} is {daemon.robot.state} and moves its base")
         if daemon.told_x is not None and daemon.told_way > STANDING_WAY:
             text = f"{daemon.name} drives {daemon.told_way:.2f} m by a pose that stands still"
             raise BrokenRuleError(13, text)
+        if not daemon.is_base_up:
+            raise BrokenRuleError(15, f"{daemon.name} commands motion to a lost base")
+        if known.was_running and known.began < known.barred:
+            ago = self._swarm.now - known.barred
+            raise BrokenRuleError(
+                15, f"{daemon.name} moves by a run of before the loss of its base {ago:.1f} s ago"
+            )
+
+    def on_base(self, daemon: VirtualDaemon) -> None:
+        """Rule 15: when the base was lost."""
+        known = self._of(daemon)
+        if not daemon.is_base_up:
+            known.lost = self._swarm.now
+        elif self._swarm.now - known.lost > LOSS_TIME:
+            known.barred = known.lost
 
     def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
         """Rules 1 and 2."""

@@ -133,6 +133,9 @@ class Judge(Protocol):
     def on_twist(self, daemon: VirtualDaemon) -> None:
         """A robot sends its base a command that is not zero."""
 
+    def on_base(self, daemon: VirtualDaemon) -> None:
+        """The base of a robot is lost, or is back."""
+
     def forget_stops(self, robot: str) -> None:
         """A robot has ended before what it obeyed was on its disk; it has acked none of that."""
 
@@ -387,6 +390,7 @@ class VirtualDaemon(Node):
         instance = swarm.random.getrandbits(48).to_bytes(6, "big")
         self.instance = instance
         self.is_up, self.is_frozen, self.is_settled = True, False, False
+        self.is_base_up = True
         self.twist, self.cause, self._causes = ZERO, None, dict[int, Cause]()
         self.hops, self.waits = {}, {}
         self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
@@ -490,6 +494,20 @@ class VirtualDaemon(Node):
                 after = RAM_PERIOD * number
                 see = partial(self._see, RAM_DISTANCE - RAM_SPEED * after, self.lives)
                 self.swarm.at(self.swarm.now + begin + after, partial(self.take, see))
+
+    def lose_base(self, seconds: float) -> None:
+        """The link of the base is lost, and comes back after `seconds`."""
+        self._on_base(self.lives, is_up=False)
+        back = partial(self._on_base, self.lives, is_up=True)
+        self.swarm.at(self.swarm.now + seconds, partial(self.take, back))
+
+    def _on_base(self, life: int, *, is_up: bool) -> None:
+        if life != self.lives or self.is_base_up == is_up:
+            return
+        self.is_base_up = is_up
+        if self.swarm.judge is not None:
+            self.swarm.judge.on_base(self)
+        self._step(DriverInput(is_up, "connected" if is_up else "lost"))
 
     def thaw(self) -> None:
         """The daemon continues: what waited comes at once, a batch in each turn of its loop."""
@@ -686,7 +704,7 @@ class VirtualDaemon(Node):
         now = self.swarm.now
         # Odometry goes on after a stop, so that the robot knows that its base rests.
         is_read = self.is_active or self._scan_at < self._moved_at + SCAN_PERIOD
-        if is_read and now - self._scan_at >= SCAN_PERIOD:
+        if is_read and self.is_base_up and now - self._scan_at >= SCAN_PERIOD:
             self._measure()
         if self.swarm.is_fenced and is_read and now - self._posed_at >= POSE_PERIOD:
             self._posed_at = now
@@ -707,7 +725,7 @@ class VirtualDaemon(Node):
         self._tick_at(self._next_tick())
 
     def _see(self, distance: float, life: int) -> None:
-        if life == self.lives:
+        if life == self.lives and self.is_base_up:
             self._measure(np.where(np.arange(len(NO_DATA)) == len(NO_DATA) // 2, distance, np.inf))
 
     def _measure(self, ranges: Array = NO_DATA) -> None:

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.events import Input, RequestInput, decode_input, encode_input
+from swarmd.core.events import DriverInput, Input, RequestInput, decode_input, encode_input
 from swarmd.core.goal import HeldGoal
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import Twist
-from swarmd.robot import fence_pose
+from swarmd.robot import fence_pose, state
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from tests.histories import swarm
@@ -148,6 +148,35 @@ def test_a_fence_that_believes_a_pose_that_stands_still_breaks_a_rule(
     )
     fault = fault_of(1, steps)
     assert (None if fault is None else fault.rule) == rule
+
+
+class ResumingRobot(Robot):
+    """A robot whose run goes on when its base is back, however long the base was lost."""
+
+    def step(self, input: Input, now: float) -> Actions | None:
+        """As `Robot.step`, but a lost base counts as connected."""
+        is_loss = isinstance(input, DriverInput) and not input.is_up
+        return super().step(DriverInput(True, "connected") if is_loss else input, now)
+
+
+@pytest.mark.parametrize(("kind", "rule"), [(Robot, None), (ResumingRobot, 15)])
+def test_a_robot_that_commands_a_lost_base_breaks_a_rule(
+    monkeypatch: pytest.MonkeyPatch, kind: type[Robot], rule: int | None
+) -> None:
+    monkeypatch.setattr(swarm, "Robot", kind)
+    loss = step(2.0, "lose_base", robot="r1", seconds=6.0)
+    fault = fault_of(2, [step(0.0, "run", by="anna"), loss, step(9.0, "stop", by="bob")])
+    assert (None if fault is None else fault.rule) == rule
+
+
+def test_a_run_that_outlives_a_long_loss_of_its_base_breaks_a_rule(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(state, "MAX_HOLD_TIME", 60.0)
+    loss = step(2.0, "lose_base", robot="r1", seconds=6.0)
+    fault = fault_of(2, [step(0.0, "run", by="anna"), loss, step(9.0, "stop", by="bob")])
+    assert fault is not None
+    assert fault.rule == 15
 
 
 def test_messages_of_a_program_beyond_the_limits_break_a_rule(
