@@ -17,6 +17,7 @@ from swarmd.core.verbs import DiskFacts, MachineFacts
 
 _ADJTIMEX_BYTES = 512  # of struct timex, with room to spare
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
+_DEVICES = Path("/sys/devices/platform")
 
 
 def measure_machine(folders: Iterable[tuple[str, Path]]) -> MachineFacts:
@@ -32,7 +33,19 @@ def measure_machine(folders: Iterable[tuple[str, Path]]) -> MachineFacts:
         wall=time.time(),
         is_synced=is_clock_synced(),
         disks=tuple(_disk(purpose, folder) for purpose, folder in folders),
+        throttled=throttled(),
     )
+
+
+def throttled(devices: Path = _DEVICES) -> int | None:
+    """The bits by which the firmware of a Raspberry Pi reports low voltage; None elsewhere.
+
+    `devices`: the folder of the platform devices in sysfs.
+    """
+    for file in devices.glob("soc*/*firmware/get_throttled"):
+        with suppress(OSError, ValueError):
+            return int(file.read_text(), 16)
+    return None
 
 
 def is_clock_synced() -> bool | None:

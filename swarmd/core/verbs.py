@@ -486,6 +486,7 @@ class MachineFacts(Struct, frozen=True, kw_only=True):
     """A machine: load of the last minute, memory in bytes, `wall` in s since 1970 (UTC).
 
     `is_synced`: whether the kernel considers the wall clock synchronised; None if unknown.
+    `throttled`: the bits of `vcgencmd get_throttled` of a Raspberry Pi; None on other machines.
     """
 
     host: Word
@@ -497,6 +498,7 @@ class MachineFacts(Struct, frozen=True, kw_only=True):
     wall: Wall
     is_synced: bool | None
     disks: Annotated[tuple[DiskFacts, ...], Meta(max_length=8)] = ()
+    throttled: Count | None = None
 
 
 class PortFacts(Struct, frozen=True, kw_only=True):

@@ -18,6 +18,7 @@ MAX_LOAD = 1.5  # of each core
 MAX_SKEW = 2.0  # s
 EXPIRES_SOON = 14 * 86400.0
 _PORT = 7440
+_UNDER_VOLTAGE, _UNDER_VOLTAGE_BEFORE = 1 << 0, 1 << 16  # bits of vcgencmd get_throttled
 THIS = "this process"
 
 
@@ -40,7 +41,23 @@ def of_machine(facts: MachineFacts) -> Iterator[Finding]:
     remedy = "end other programs: a pattern may need 256 MB"
     yield warning("memory", text, remedy, is_due=is_full)
     yield from map(_disk, facts.disks)
+    if facts.throttled is not None:
+        yield _power(facts.throttled)
     yield Finding("python", True, f"{facts.python} on {facts.host}")
+
+
+def _power(throttled: int) -> Finding:
+    """The finding of the voltage of a Raspberry Pi, by the bits of its firmware."""
+    text = "no under-voltage since the start of the machine"
+    if throttled & _UNDER_VOLTAGE_BEFORE:
+        text = "under-voltage since the start of the machine"
+    if throttled & _UNDER_VOLTAGE:
+        text = "under-voltage now: the processor is slowed, and the machine may stop"
+    is_due = bool(throttled & (_UNDER_VOLTAGE | _UNDER_VOLTAGE_BEFORE))
+    remedy = (
+        "charge the battery, or use a stronger supply and a shorter cable (vcgencmd get_throttled)"
+    )
+    return warning("power", text, remedy, is_due=is_due)
 
 
 def _disk(disk: DiskFacts) -> Finding:

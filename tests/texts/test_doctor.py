@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 from swarmd.cli.doctor import HERE, rows_of
 from swarmd.core.finding import Finding, Level, unknown
+from swarmd.core.machine import throttled
 from swarmd.core.messages import Sandbox
 from swarmd.core.verbs import DiskFacts, DoctorReply, MachineFacts, NetworkFacts, PortFacts
 from swarmd.texts.doctor import identity, of_machine, of_network, of_robot, worst
@@ -64,6 +66,32 @@ def robot(reply: DoctorReply = REPLY, **seen: object) -> Mapping[str, Level]:
         "now": NOW,
     }
     return levels(of_robot(reply, **(known | seen)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("bits", "level"),
+    [
+        ("0\n", Level.OK),
+        ("50005\n", Level.WARNING),
+        ("50000\n", Level.WARNING),
+        ("e0008\n", Level.OK),
+    ],
+)
+def test_the_under_voltage_of_a_raspberry_pi_is_a_warning(
+    tmp_path: Path, bits: str, level: Level
+) -> None:
+    """The bits are those of Raspberry Pi's documentation of get_throttled: 0 now, 16 before."""
+    file = tmp_path / "soc/soc:firmware/get_throttled"
+    file.parent.mkdir(parents=True)
+    file.write_text(bits)
+    facts = replace(MACHINE, throttled=throttled(tmp_path))
+    (power,) = (one for one in of_machine(facts) if one.subject == "power")
+    assert power.level is level
+
+
+def test_a_machine_without_that_firmware_has_no_finding_of_its_voltage(tmp_path: Path) -> None:
+    assert throttled(tmp_path) is None
+    assert "power" not in {one.subject for one in of_machine(MACHINE)}
 
 
 def test_a_robot_in_order_has_no_finding() -> None:
