@@ -12,6 +12,10 @@ A base is blocked if it stands, and has moved less than half of the way that is 
 summed over some BLOCKED_TIME s, so that commands that come and go count, too. The demanded speed is
 that of the slow base, or the command if it is slower.
 
+Odometry contradicts itself if the ways by the pose and by the twist differ, over some AGREE_TIME s,
+by more than a tolerance and a share of the path, or if the pose jumps again and again. Such
+odometry changes no motion either. A single jump is a correction of the pose or its reset to zero.
+
 A kernel (see `core/kernels.py`), since each reading of odometry and each command pass it.
 """
 
@@ -49,6 +53,15 @@ BLOCKED_TIME = cython.declare(cython.double, 1.0)
 _BLOCKED_SHARE = cython.declare(cython.double, 0.5)  # of the demanded way: less is blocked
 _LEAST_WAY = cython.declare(cython.double, 0.08)  # m (or rad) demanded in BLOCKED_TIME
 
+AGREE_TIME = cython.declare(cython.double, 5.0)
+"""Seconds in which a way fades from the sums that compare pose and twist."""
+_AGREE_SHARE = cython.declare(cython.double, 0.2)  # of the path: slip, scale, a late twist
+_TOLERANCES = 0.15, 0.5, 0.15  # m, rad and m to the left by which the ways may differ besides
+_JUMP_TIME = cython.declare(cython.double, 30.0)  # s in which a jump fades
+_JUMPS = cython.declare(cython.double, 1.5)  # faded jumps that are more than one correction
+# What a changing speed adds to a step of the pose, in tolerances per s2: 3 m/s2, 10 rad/s2.
+_BEYOND = cython.declare(cython.double, 20.0)
+
 # m/s, rad/s and m/s to the left: slower commands may not overcome the friction of a base.
 _LEAST = 0.05, 0.25, 0.05
 _BRAKING = 1.0, 3.0  # m/s2 and rad/s2 where the platform declares none
@@ -58,6 +71,7 @@ _MIN_READINGS = 4
 _COMMANDS = 16  # for which there is room at first
 _UNITS = "m/s", "rad/s", "m/s to the left"
 _WHY = "a reflex of the base, a stuck wheel, or another node drives"
+_WRONG = "one of both stands still, jumps, or has a wrong sign, scale or frame"
 
 _turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
@@ -78,8 +92,15 @@ class _Axis:
     text = cython.declare(object, visibility="readonly")  # empty while the base follows
     # The sign of the demanded motion if the base is blocked; else 0.
     blocked = cython.declare(cython.double, visibility="readonly")
+    # How pose and twist contradict each other; empty while they agree.
+    contradiction = cython.declare(object, visibility="readonly")
     _demanded_way: cython.double
     _moved_way: cython.double
+    _pose_way: cython.double
+    _twist_way: cython.double
+    _path: cython.double  # like the greater of both ways, without the signs
+    _jumps: cython.double
+    _tolerance: cython.double  # m or rad by which the ways may differ
     _least: cython.double  # the slowest command that counts
     _acceleration: cython.double  # of the slow base
     _unit: object
@@ -98,8 +119,9 @@ class _Axis:
     _outside_since: cython.double
     _outside_readings: cython.Py_ssize_t
 
-    def __init__(self, least: float, acceleration: float, unit: str) -> None:
+    def __init__(self, least: float, acceleration: float, unit: str, tolerance: float) -> None:
         self._least, self._acceleration, self._unit = least, acceleration, unit
+        self._tolerance = tolerance
         self._stamps, self._speeds = _doubles(_COMMANDS), _doubles(_COMMANDS)
         self.reset(0.0, -math.inf)
 
@@ -117,6 +139,8 @@ class _Axis:
         self._add(command, stamp)
         self._begun_at = stamp
         self._demanded_way = self._moved_way = self.blocked = 0.0
+        self._pose_way = self._twist_way = self._path = self._jumps = 0.0
+        self.contradiction = ""
         self._follow()
 
     @cython.ccall
@@ -200,6 +224,40 @@ class _Axis:
         self.blocked = sign if is_demanded and stands else 0.0
         return 0
 
+    @cython.cfunc
+    def _compare_ways(
+        self, period: cython.double, by_twist: cython.double, by_pose: cython.double
+    ) -> cython.int:
+        """Add a period to the ways by pose and twist, and set `contradiction`; see `on_reading`.
+
+        A jump of the pose is counted, and is no part of the ways.
+        """
+        twist_step: cython.double = period * by_twist
+        pose_step: cython.double = period * by_pose
+        kept: cython.double = 1.0 - period / AGREE_TIME
+        jump: cython.double = self._tolerance * (1.0 + _BEYOND * period * period)
+        self._jumps *= 1.0 - period / _JUMP_TIME
+        if fabs(pose_step) > jump + fabs(twist_step):
+            self._jumps += 1.0
+            pose_step = twist_step
+        self._pose_way = kept * self._pose_way + pose_step
+        self._twist_way = kept * self._twist_way + twist_step
+        self._path = kept * self._path + max(fabs(pose_step), fabs(twist_step))
+        self.contradiction = ""
+        if fabs(self._pose_way - self._twist_way) > self._tolerance + _AGREE_SHARE * self._path:
+            self.contradiction = (
+                f"odometry contradicts itself: by its pose {self._pose_way:.2f}, by its twist"
+                f" {self._twist_way:.2f} {self._unit.replace('/s', '')} in the last"
+                f" {AGREE_TIME:.0f} s: {_WRONG}"
+            )
+        elif self._jumps > _JUMPS:
+            self.contradiction = (
+                f"odometry contradicts itself: its pose jumps by more than {self._tolerance:.2f}"
+                f" {self._unit.replace('/s', '')}, its twist does not, in the last"
+                f" {_JUMP_TIME:.0f} s: {_WRONG}"
+            )
+        return 0
+
     @cython.ccall
     def on_reading(
         self,
@@ -208,7 +266,7 @@ class _Axis:
         by_twist: cython.double,
         by_pose: cython.double,
     ):
-        """Compare the speed of the last period with the bounds, and set `text`.
+        """Compare the speed of the last period with the bounds; set `text` and `contradiction`.
 
         The text tells how the base differs, once the base has not followed for MIN_DURATION. The
         text is empty while the base follows. The bounds are the speeds of a slow base, which
@@ -224,6 +282,7 @@ class _Axis:
         """
         i: cython.Py_ssize_t
 
+        self._compare_ways(period, by_twist, by_pose)
         # 1. The usual case, decided fast: the speed is between the last command and the slow base.
         self._move_slow_base(period, stamp)
         if stamp - self._begun_at >= WINDOW:
@@ -270,9 +329,9 @@ class FollowingMonitor:
     """Watches whether the base of one robot follows its safe commands while the robot runs.
 
     Watched are the forward speed, the turn, and the sideways speed of a base that can slide
-    (`limits.lateral`). `text`: how the base differs from its commands; empty while the base
-    follows. `blocked_bearing`: the direction in rad in which the base is blocked, ahead before
-    sideways; NaN: none.
+    (`limits.lateral`). `text`: how the base differs from its commands, or how odometry contradicts
+    itself on these axes; empty if neither. `blocked_bearing`: the direction in rad in which the
+    base is blocked, ahead before sideways; NaN: none.
     """
 
     text = cython.declare(object, visibility="readonly")
@@ -295,9 +354,9 @@ class FollowingMonitor:
             settings = msgspec.convert(given, BarrierSettings)
             braking = settings.braking_linear, settings.braking_angular
         linear, angular = (_SLOW * rate for rate in braking)
-        self._linear = _Axis(_LEAST[0], linear, _UNITS[0])
-        self._angular = _Axis(_LEAST[1], angular, _UNITS[1])
-        self._lateral = _Axis(_LEAST[2], linear, _UNITS[2])
+        self._linear = _Axis(_LEAST[0], linear, _UNITS[0], _TOLERANCES[0])
+        self._angular = _Axis(_LEAST[1], angular, _UNITS[1], _TOLERANCES[1])
+        self._lateral = _Axis(_LEAST[2], linear, _UNITS[2], _TOLERANCES[2])
         self._is_lateral = platform.limits.lateral > 0.0
         self._command, self.text = ZERO, ""
         self.blocked_bearing = NAN
@@ -322,8 +381,8 @@ class FollowingMonitor:
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading: compare the motion since the reading before, and set `text`.
 
-        After a gap in the readings or a jump of the pose the comparison begins again. A repeated
-        reading is ignored.
+        After a gap in the readings or a jump of the pose that no base can make, the comparison
+        begins again. A reading with the stamp of the reading before is ignored.
         """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp
@@ -336,10 +395,9 @@ class FollowingMonitor:
         dy: cython.double = y - self._y
         turned: cython.double = remainder(yaw - self._yaw, _turn)
         middle_yaw: cython.double = self._yaw + 0.5 * turned
-        self._has_last, self._stamp, self._x, self._y, self._yaw = True, stamp, x, y, yaw
         if had_last and period == 0.0:
             return
-
+        self._has_last, self._stamp, self._x, self._y, self._yaw = True, stamp, x, y, yaw
         # 1. Begins again after a gap in the readings, or a jump of the pose.
         jump: cython.double = max(sqrt(dx * dx + dy * dy), fabs(turned))
         if (
@@ -365,6 +423,12 @@ class FollowingMonitor:
             lateral_m: cython.double = cos_yaw * dy - sin_yaw * dx
             self._lateral.on_reading(period, stamp, twist.lateral, lateral_m / period)
             self.text = self.text or self._lateral.text
+        self.text = (
+            self.text
+            or self._linear.contradiction
+            or self._angular.contradiction
+            or self._lateral.contradiction
+        )
         self.blocked_bearing = NAN
         if self._linear.blocked:
             self.blocked_bearing = 0.0 if self._linear.blocked > 0.0 else 0.5 * _turn

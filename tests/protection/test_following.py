@@ -19,7 +19,7 @@ from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.scans import empty_scan
 from tests.support.examples import part
 from tests.support.kernel_forms import both_forms, compares_forms, interpreted
-from tests.support.robot_harness import RobotHarness
+from tests.support.robot_harness import RobotHarness, moved
 from tests.support.stub_patterns import PATTERNS
 
 KERNEL = "swarmd.protection.following"
@@ -171,8 +171,10 @@ def test_creeping_commands_that_friction_eats_are_none() -> None:
 
 
 def test_odometry_without_a_twist_is_judged_by_its_pose() -> None:
-    assert not rides(to_and_fro, seconds=15.0, has_twist=False)
-    assert rides(ahead, reflex(3.0, Twist(-0.1)), has_twist=False)
+    texts = [text for _, text in rides(to_and_fro, seconds=15.0, has_twist=False)]
+    assert all("contradicts itself" in text for text in texts)
+    found = rides(ahead, reflex(3.0, Twist(-0.1)), has_twist=False)
+    assert any("commanded 0.15 m/s, moves" in text for _, text in found)
 
 
 def test_a_push_that_is_shorter_than_the_time_is_none() -> None:
@@ -286,7 +288,7 @@ def test_a_slow_base_that_moves_and_one_that_may_creep_are_not_blocked(
 
 def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_change() -> None:
     kernel = interpreted(KERNEL, because="methods and fields of C are used")
-    axis, draw = kernel._Axis(0.05, 0.25, "m/s"), Random(1)
+    axis, draw = kernel._Axis(0.05, 0.25, "m/s", 0.15), Random(1)
     given, slow, stamp = [(0.0, 0.0)], 0.0, 0.0
     axis.reset(0.0, stamp)
     for _ in range(2000):
@@ -302,6 +304,163 @@ def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_chang
         held = [command for at, command in given if at <= begin] or [given[0][1]]
         slow += min(max(held[-1] - slow, -0.25 * period), 0.25 * period)
         assert axis._slow_speed == pytest.approx(slow, abs=1e-9)
+
+
+Sensor = Callable[[Odometry], Odometry | None]
+SLIDES = replace(BURGER, limits=replace(BURGER.limits, lateral=0.2))
+
+
+def contradictions(
+    sensor: Sensor, motion: Motion, *, seconds: float = 30.0, platform: Platform = BURGER
+) -> list[tuple[float, str]]:
+    """Times and texts of contradictions of a base that follows `motion`, 20 readings a second.
+
+    `sensor` gives the reading for the true odometry (None: it is lost).
+    """
+    monitor, pose, found = FollowingMonitor(platform), Pose(), list[tuple[float, str]]()
+    for step in range(round(seconds / TICK)):
+        now = TICK * step
+        twist = motion(now)
+        pose = moved(pose, twist, TICK)
+        monitor.on_command(twist)
+        reading = sensor(Odometry(now, pose, twist))
+        if reading is not None:
+            monitor.on_odometry(reading)
+        if "contradicts itself" in monitor.text:
+            found.append((now, monitor.text))
+    return found
+
+
+def circle(time: float) -> Twist:
+    return Twist(0.2, 0.5)
+
+
+def in_odometry_frame(one: Odometry) -> Odometry:
+    v, yaw = one.twist.linear, one.pose.yaw
+    turned = Twist(v * math.cos(yaw), one.twist.angular, v * math.sin(yaw))
+    return Odometry(one.stamp, one.pose, turned)
+
+
+def jumping(period: float) -> Sensor:
+    """The pose jumps by 0.35 m to and fro; the first jump comes after `period` s."""
+    return lambda one: Odometry(
+        one.stamp, Pose(one.pose.x + 0.35 * (int(one.stamp / period) % 2), one.pose.y), one.twist
+    )
+
+
+# Ways in the sums: 5 s times 0.2 m/s or 0.5 rad/s, times (1 - exp(-30 / 5)), so 1.00 m, 2.49 rad.
+@pytest.mark.parametrize(
+    ("sensor", "motion", "within", "last"),
+    [
+        pytest.param(
+            lambda one: Odometry(one.stamp, one.pose, ZERO),
+            ahead,
+            2.0,
+            "by its pose 0.75, by its twist 0.00 m in",
+            id="twist zero",
+        ),
+        pytest.param(
+            lambda one: Odometry(one.stamp, Pose(), one.twist),
+            ahead,
+            2.0,
+            "by its pose 0.00, by its twist 0.75 m in",
+            id="pose frozen",
+        ),
+        pytest.param(in_odometry_frame, circle, 6.0, " m in", id="twist in the frame of odometry"),
+        pytest.param(
+            lambda one: Odometry(one.stamp, one.pose, Twist(one.twist.linear, -one.twist.angular)),
+            turning,
+            1.0,
+            "by its twist -4.9",
+            id="sign of the turn",
+        ),
+        pytest.param(
+            lambda one: Odometry(one.stamp, one.pose, Twist(0.0, 0.0, -one.twist.lateral)),
+            lambda time: Twist(0.0, 0.0, 0.15),
+            1.5,
+            "m to the left in",
+            id="sign of the sideways speed",
+        ),
+        pytest.param(jumping(4.0), ahead, 8.5, "its pose jumps by more than 0.15 m", id="jumps"),
+        pytest.param(jumping(0.5), ahead, 1.5, "its pose jumps by", id="jumps often"),
+    ],
+)
+def test_odometry_that_contradicts_itself_is_told_with_the_pair_that_differs(
+    sensor: Sensor, motion: Motion, within: float, last: str
+) -> None:
+    found = contradictions(sensor, motion, platform=SLIDES)
+    assert found[0][0] <= within
+    assert any(last in text for _, text in found[-250:])
+
+
+def disturbed(seed: int, *, slip: float, noise: float, jitter: float, lost: float) -> Sensor:
+    """A sensor whose twist misses slip, with noise (m, rad; m/s, rad/s) and stamps late by jitter.
+
+    Stamps are whole numbers of 10 ms, and some are alike.
+    """
+    draw = Random(seed)
+
+    def read(one: Odometry) -> Odometry | None:
+        a, b, c, d = (draw.gauss(0.0, noise) for _ in range(4))
+        pose = Pose(one.pose.x + 0.1 * a, one.pose.y + 0.1 * b, one.pose.yaw + 0.1 * c)
+        twist = one.twist
+        measured = Twist(twist.linear / slip + d, twist.angular / slip - d, twist.lateral / slip)
+        stamp = round(one.stamp + draw.uniform(0.0, jitter), 2)
+        return None if draw.random() < lost else Odometry(stamp, pose, measured)
+
+    return read
+
+
+def reset_at(seconds: float) -> Sensor:
+    """Odometry begins again at zero at this time."""
+    kept = list[Pose]()
+
+    def read(one: Odometry) -> Odometry:
+        if one.stamp < seconds:
+            return one
+        kept.append(one.pose)
+        dx, dy, yaw = one.pose.x - kept[0].x, one.pose.y - kept[0].y, kept[0].yaw
+        turned = dx * math.cos(yaw) + dy * math.sin(yaw), dy * math.cos(yaw) - dx * math.sin(yaw)
+        return Odometry(one.stamp, Pose(*turned, one.pose.yaw - yaw), one.twist)
+
+    return read
+
+
+def slides(time: float) -> Twist:
+    return Twist(0.1 * math.sin(time), 0.4, 0.15 * math.cos(0.7 * time))
+
+
+@pytest.mark.parametrize("motion", [ahead, circle, to_and_fro, restless, waves, slides])
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        disturbed(1, slip=1.0, noise=0.0, jitter=0.0, lost=0.0),
+        disturbed(2, slip=0.98, noise=0.05, jitter=0.0, lost=0.0),
+        disturbed(3, slip=0.9, noise=0.02, jitter=0.05, lost=0.0),
+        disturbed(4, slip=1.1, noise=0.02, jitter=0.03, lost=0.3),
+        reset_at(4.0),
+    ],
+    ids=["exact", "slip 2 %, noise", "slip 10 %, uneven stamps", "lost readings", "reset"],
+)
+def test_odometry_with_slip_noise_lost_readings_or_a_reset_does_not_contradict_itself(
+    sensor: Sensor, motion: Motion
+) -> None:
+    assert contradictions(sensor, motion, platform=SLIDES) == []
+
+
+def test_a_base_that_is_pushed_by_hand_does_not_contradict_itself() -> None:
+    found = rides(lambda time: ZERO, lambda time, twist: Twist(0.4, 1.0, 0.2), platform=SLIDES)
+    assert found
+    assert not any("contradicts" in text for _, text in found)
+
+
+def test_a_contradiction_ends_by_itself() -> None:
+    def heals(one: Odometry) -> Odometry:
+        return one if one.stamp > 5.0 else Odometry(one.stamp, one.pose, ZERO)
+
+    found = contradictions(heals, ahead)
+    assert found[0][0] < 2.0
+    assert 5.0 < found[-1][0] < 12.0
 
 
 @compares_forms

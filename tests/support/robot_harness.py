@@ -64,6 +64,17 @@ def acted(robot: Robot, input: Input, now: float) -> Actions:
     return actions
 
 
+def moved(pose: Pose, twist: Twist, period: float) -> Pose:
+    """The pose after `period` s with this twist."""
+    ahead, aside = period * twist.linear, period * twist.lateral
+    yaw = pose.yaw + 0.5 * period * twist.angular
+    return Pose(
+        pose.x + ahead * math.cos(yaw) - aside * math.sin(yaw),
+        pose.y + ahead * math.sin(yaw) + aside * math.cos(yaw),
+        math.remainder(pose.yaw + period * twist.angular, math.tau),
+    )
+
+
 class RobotHarness:
     """A robot whose sensors deliver at their nominal rates while `advance` runs.
 
@@ -102,6 +113,7 @@ class RobotHarness:
         self.ended: list[str] = []
         self.scans: ScanSource = lambda seq, now: empty_scan(self.platform, seq, now)
         self.odometry: Twist | None = ZERO
+        self.pose = Pose()
         self.is_hung = False
         self._patterns = dict(patterns or {})
         self._runner = InlineRunner(lambda: PatternExecutor(self._find))
@@ -153,7 +165,8 @@ class RobotHarness:
                 wake_at = self.robot.wake_at(woken)
             self._ticks += 1
             if self.odometry is not None:
-                measured = Odometry(self.now, Pose(), self.odometry)
+                self.pose = moved(self.pose, self.odometry, TICK)
+                measured = Odometry(self.now, self.pose, self.odometry)
                 self.step(OdometryInput(measured))
             if self._ticks % per_scan == 0:
                 self.scan(self.scans(self._ticks // per_scan, self.now))
