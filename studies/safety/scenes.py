@@ -422,6 +422,7 @@ def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any
     found: dict[str, Any] = {"extends": kind, "protection": protection}
     if mode == "ghost":
         found["body"] = {"solid": 0}
+        found["scan"] = {"near": "reported"}  # a robot around the lidar hides what was seen
     return found
 
 

@@ -114,9 +114,9 @@ async def serve(settings: DaemonSettings) -> int:
     for number in (signal.SIGTERM, signal.SIGINT, *(() if is_nohup else (signal.SIGHUP,))):
         loop.add_signal_handler(number, stop.set)
     driver = make_driver(settings)
+    daemon = Daemon(settings, driver)
     if settings.network.profile == "dev" and not driver.is_simulated:
         log.warning("profile dev: %s", ONLY_HERE)
-    daemon = Daemon(settings, driver)
     await daemon.run(stop)
     return 0
 

@@ -18,6 +18,6 @@ def test_an_answer_in_the_name_of_another_robot_is_left_out(
     own, forged = LinksReply(robot="r1", links=()), LinksReply(robot="r1\x1b[2J", links=())
     answers = {"r1": encode(own), "r2": encode(forged)}
     operator: Any = SimpleNamespace(ask_all=lambda *_, **__: answers)
-    options: Any = SimpleNamespace(timeout=None)
+    options: Any = SimpleNamespace(timeout=None, began=0.0)
     assert ask_robots(options, operator, answers, LINKS) == {"r1": own}
     assert "r2: its answer is in the name of r1?[2J" in capsys.readouterr().err

@@ -349,6 +349,9 @@ def texts(value: Any) -> Iterator[str]:
 class Hostile:
     """A swarm whose robots, operators and authors of patterns write BAD wherever they can."""
 
+    def called_at(self, began: float) -> Hostile:
+        return self
+
     async def members(self) -> Any:
         row = {"name": "r1", "state": "idle", "reason": BAD, "labels": BAD, BAD: 1.0}
         return SimpleNamespace(

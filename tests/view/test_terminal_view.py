@@ -119,8 +119,8 @@ def test_keys_command_three_robots_and_answers_are_counted(swarm: Swarm) -> None
         daemons[2].thaw()
         shown.until("estop: 3 targeted, 3 applied", so_far)
 
-        shown.resize(120, 40)
         so_far = len(shown.text)
+        shown.resize(120, 40)
         shown.process.send_signal(signal.SIGWINCH)
         shown.until("┌", so_far)
         shown.press("q")
