@@ -304,8 +304,11 @@ $(VENV)/docs: $(VENV)/tools
 	@$(call install,tools,dependency-groups.docs) && $(COMPILE_PACKAGES)
 	@touch $@
 
-# The newest versions that fit, in a fresh environment; run the checks before committing them.
+# The newest versions that fit the oldest Python of a supported system, Debian 12's, in a fresh
+# environment; run the checks before committing them.
 lock:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:3] != (3, 11, 2))' || { echo \
+	  "make lock: $(PYTHON) is $$($(PYTHON) -V 2>&1); it must be 3.11.2 of Debian 12, try: make lock PYTHON=/usr/bin/python3" >&2; exit 1; }
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
 	build/lock/bin/pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
 	build/lock/bin/pip install --quiet --disable-pip-version-check '.[sim,plot]' --group dev --group docs --group mutants
