@@ -44,9 +44,9 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, fabs, floor, hypot, isnan, remainder
+    from cython.cimports.libc.math import INFINITY, NAN, fabs, floor, hypot, isnan, remainder, rint
 else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, fabs, floor, hypot, isnan, remainder
+    from swarmd.core.cython_shadow import INFINITY, NAN, fabs, floor, hypot, isnan, remainder, rint
 
 # Sectors of 4 degrees, of the sensor and of the directions around it.
 _SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
@@ -218,12 +218,8 @@ class BlindSectors:
         yaw: cython.double = pose.yaw
         turned: cython.double = remainder(yaw - before.yaw, TURN)
         is_new: cython.bint = False
-        # 1. Sectors that have lost their returns. Mostly there are no fewer than before.
-        gone: cython.Py_ssize_t = 0
-        k: cython.Py_ssize_t
-        for k in range(_SECTORS):
-            gone += isnan(self._mean[k]) and not isnan(self._mean_before[k])
-        if gone >= _least_sectors:
+        # 1. Sectors that have lost their returns: mostly too few for a look.
+        if self._count_gone(turned) >= _least_sectors:
             motion: cython.double = hypot(pose.x - before.x, pose.y - before.y)
             motion += _OTHERS_SPEED * (now - self._scan_at)
             shown = np.array([self._mean_before[k] for k in range(_SECTORS)])
@@ -243,6 +239,29 @@ class BlindSectors:
         if self._is_due(yaw, now) and self._compare_scan(ranges, pose.x, pose.y, yaw, now):
             is_new = True
         return is_new
+
+    @cython.cfunc
+    def _count_gone(self, turned: cython.double) -> cython.Py_ssize_t:
+        """How many sectors return nothing, of those that `lost_sectors` may find.
+
+        The scan before showed something in the direction of such a sector, and on both sides of it.
+        While a robot turns among others, most sectors without a return are edges of a surface.
+        `turned`: rad since the scan before.
+        """
+        k: cython.Py_ssize_t
+        count: cython.Py_ssize_t = 0
+        shift: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, rint(turned / (TURN / _SECTORS)))
+        for k in range(_SECTORS):
+            if not isnan(self._mean[k]):
+                continue
+            place: cython.Py_ssize_t = k + shift + _SECTORS
+            is_shown: cython.bint = not (
+                isnan(self._mean_before[(place - 1) % _SECTORS])
+                or isnan(self._mean_before[place % _SECTORS])
+                or isnan(self._mean_before[(place + 1) % _SECTORS])
+            )
+            count += is_shown
+        return count
 
     @cython.cfunc
     def _mark(self, is_blind, kind: cython.uchar) -> cython.bint:
