@@ -10,7 +10,7 @@ from packaging.utils import canonicalize_name
 OLDEST_PYTHON = "3.11.2"
 
 
-def test_each_pinned_version_installs_on_the_python_of_debian_12():
+def test_each_pinned_version_installs_on_the_python_of_debian_12() -> None:
     lines = Path("constraints.txt").read_text().splitlines()
     pinned = {canonicalize_name(line.split("==")[0]) for line in lines if "==" in line}
     installed = {canonicalize_name(one.metadata["Name"]): one for one in distributions()}
