@@ -41,7 +41,7 @@ help:
 	@echo "make archive   archives from which robots install without a network, in dist"
 	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
 	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
-	@echo "make reference writes all pages with the parts that are made from the code, in build/pages: commands, API, keys"
+	@echo "make reference writes the parts of pages that are made from the code: short ones where they stand, all in build/pages"
 	@echo "make names     writes tests/docs/public_names.txt again, the names and signatures on which users build"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
@@ -142,7 +142,8 @@ bringup: $(VENV)/tools
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build -q --fail-on-warning --keep-going --fresh-env -c docs -d build/doctrees . build/site
 
-# From plugins, YAML files, schemas, command lines and docstrings; git has none of it.
+# From plugins, YAML files, schemas, command lines and docstrings. Git has the short parts, which a test
+# compares with the code.
 reference: $(VENV)/tools
 	@PYTHONPATH=. $(BIN)/python docs/site/reference.py
 

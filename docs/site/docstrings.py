@@ -16,6 +16,7 @@ from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[2]
 _WIDTH = 96  # characters of a line of a signature
+_MARKUP = re.compile(r"([<*\[\]$]|(?<!\w)_|_(?!\w))")  # `_` within a word is none
 _Definition = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -61,9 +62,7 @@ def _language(code: str) -> str:
 
 def _escaped(text: str) -> str:
     parts = re.split(r"(`[^`]*`)", text)
-    return "".join(
-        part if part.startswith("`") else re.sub(r"([<*\[\]_$])", r"\\\1", part) for part in parts
-    )
+    return "".join(part if part.startswith("`") else _MARKUP.sub(r"\\\1", part) for part in parts)
 
 
 @cache

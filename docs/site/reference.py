@@ -1,7 +1,9 @@
 """The generated parts of pages: plugins, YAML files, schemas, command lines and docstrings.
 
 A page has a line with the name of a part. On the site, `conf.py` replaces this line by the part.
-`make reference` runs this file, which then writes all pages with their parts below `build/pages`.
+A short part that people read while they work is kept in its page, between two comments.
+`make reference` runs this file, which then writes the kept parts into their pages, and all pages
+with all parts below `build/pages`.
 `make names` runs this file with `--names`, which writes the file `NAMES`.
 """
 
@@ -79,6 +81,11 @@ NAMES = ROOT / "tests/docs/public_names.txt"
 _NAMED = ("api", "testing", "experiments", "python", "commands", "keys")  # parts with such names
 _EXPLAINED = ("meaning", "what", "rate, while somebody subscribes")  # columns that name nothing
 _PART = re.compile(r"^\*`make reference` makes this part, `(\w+)`, .*\*$", re.MULTILINE)
+_KEPT = re.compile(
+    r"^(<!-- `make reference` writes this part, `(\w+)`, .*-->\n)(?:.*\n)*?"
+    r"(?=<!-- end of `\2` -->$)",
+    re.MULTILINE,
+)
 _SECTION = re.compile(r"^#+ (.+)\n(?:\n```\w+\n((?:.|\n)*?)\n```)?", re.MULTILINE)
 
 
@@ -534,6 +541,11 @@ def filled(text: str) -> str:
     return _PART.sub(lambda line: part(line[1]), text)
 
 
+def kept(text: str) -> str:
+    """The text of a page in which the parts that it keeps are those of the code."""
+    return _KEPT.sub(lambda found: f"{found[1]}\n{part(found[2])}\n\n", text)
+
+
 def public_names() -> str:
     """A line with the signature or the fields of each public class, function, command and key."""
     lines = []
@@ -677,7 +689,12 @@ if __name__ == "__main__":
             *ROOT.glob("studies/**/*.md"),
             ROOT / "benchmarks/README.md",
         ):
+            text = page.read_text()
+            renewed = kept(text)
+            if renewed != text:
+                page.write_text(renewed)
+                print("written again:", page.relative_to(ROOT))
             copy = ROOT / "build/pages" / page.relative_to(ROOT)
             copy.parent.mkdir(parents=True, exist_ok=True)
-            copy.write_text(filled(page.read_text()))
+            copy.write_text(filled(renewed))
         print("the pages with their parts: build/pages, such as build/pages/docs/reference/api.md")

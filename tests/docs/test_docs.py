@@ -368,9 +368,17 @@ def test_each_verb_stands_in_a_page_that_people_write() -> None:
 
 def test_each_part_that_is_made_from_the_code_has_one_page() -> None:
     texts = "".join(page.read_text() for page in PAGES)
-    names = [line[1] for line in reference()["_PART"].finditer(texts)]
-    assert sorted(names) == sorted(reference()["PARTS"])
-    assert texts.count("*`make reference` makes this part") == len(names)
+    made = [line[1] for line in reference()["_PART"].finditer(texts)]
+    kept = [found[2] for found in reference()["_KEPT"].finditer(texts)]
+    assert sorted(made + kept) == sorted(reference()["PARTS"])
+    assert texts.count("*`make reference` makes this part") == len(made)
+    assert texts.count("\n<!-- `make reference` writes this part") == len(kept)
+
+
+def test_parts_that_pages_keep_are_those_of_the_code() -> None:
+    texts = {page: page.read_text() for page in PAGES}
+    stale = [name_of(page) for page, text in texts.items() if reference()["kept"](text) != text]
+    assert not stale, f"`make reference` writes the parts of {', '.join(stale)} again"
 
 
 def test_names_on_which_users_build_are_those_of_the_file() -> None:
