@@ -31,6 +31,17 @@ from swarmd.cli.swarmctl import VERBS as COMMANDS
 from swarmd.cli.swarmctl import cli
 from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
 from swarmd.core.keys import CONTROL, SHARED, STATE, build
+from swarmd.core.values import (
+    Detection,
+    Inputs,
+    Message,
+    Neighbor,
+    Odometry,
+    Outputs,
+    Pose,
+    Scan,
+    Twist,
+)
 from swarmd.core.verbs import VERBS
 from swarmd.network.access import robot_access
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
@@ -473,6 +484,25 @@ def api() -> Iterator[str]:
     yield from module("swarmd.api")
 
 
+def fields(kind: type) -> Iterator[str]:
+    """The fields of a value that a pattern takes or gives."""
+    bullets = _bullets(inspect.cleandoc(kind.__doc__ or ""))
+    rows = [
+        (f"`{name}`", f"`{annotation}`".replace(" | ", "` or `"), bullets[name])
+        for name, annotation in inspect.get_annotations(kind).items()
+    ]
+    yield _table(("field", "type", "meaning"), rows)
+
+
+def values() -> Iterator[str]:
+    """The values inside of inputs, each with its fields."""
+    rows = []
+    for kind in (Odometry, Pose, Neighbor, Message, Detection):
+        names = ", ".join(f"`{name}`" for name in inspect.get_annotations(kind))
+        rows.append((f"`{kind.__name__}`", names, (kind.__doc__ or "").partition("\n")[0]))
+    yield _table(("value", "fields", "meaning"), rows)
+
+
 def testing() -> Iterator[str]:
     """Contracts and rigs."""
     yield from module("swarmd.testing.pattern_contract", ["PatternContract"])
@@ -521,6 +551,11 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "commands": commands,
     "reasons": reasons,
     "keys": keys,
+    "inputs": lambda: fields(Inputs),
+    "scan": lambda: fields(Scan),
+    "values": values,
+    "outputs": lambda: fields(Outputs),
+    "twist": lambda: fields(Twist),
     "api": api,
     "testing": testing,
     "experiments": experiments,
@@ -591,11 +626,7 @@ def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
     """A table of the keys of a section: what each accepts, its default and its meaning."""
     yield f"### {where}" if where else "### The whole file"
     text = inspect.cleandoc(kind.__doc__ or "")
-    bullets = {
-        name: " ".join(meaning.split())
-        for names, meaning in re.findall(r"^- (`.+?): ((?:.|\n  )*)", text, re.MULTILINE)
-        for name in re.findall(r"`(\w+)`", names)
-    }
+    bullets = _bullets(text)
     yield prose(re.sub(r"\n*^- `(?:.|\n  )*", "", text, flags=re.MULTILINE))
     comments = _comments(kind)
     info = msgspec.inspect.type_info(kind)
@@ -613,6 +644,15 @@ def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
         yield _table(("key", "meaning", "accepted", "default"), rows)
     else:
         yield _table(("key", "accepted", "default"), [(row[0], *row[2:]) for row in rows])
+
+
+def _bullets(text: str) -> dict[str, str]:
+    """The meaning of each name in the bullets of a docstring."""
+    return {
+        name: " ".join(meaning.split())
+        for names, meaning in re.findall(r"^- (`.+?): ((?:.|\n  )*)", text, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", names)
+    }
 
 
 def _comments(kind: type) -> dict[str, str]:

@@ -28,7 +28,12 @@ else:
 
 
 class Twist(Struct, frozen=True, array_like=True, gc=False):
-    """A velocity in the base frame: linear and lateral in m/s, angular in rad/s."""
+    """A velocity in the base frame; a component that is not given is 0.
+
+    - `linear`: m/s ahead; a negative value drives backward.
+    - `angular`: rad/s counter-clockwise: a positive value turns left.
+    - `lateral`: m/s to the left, for a base that moves sideways; other bases have the limit 0.
+    """
 
     linear: float = 0.0
     angular: float = 0.0
@@ -78,10 +83,13 @@ class Pose(Struct, frozen=True, array_like=True, gc=False):
 class Scan(Struct, frozen=True, eq=False):
     """Rays of one revolution, in directions of the base frame, measured from the sensor.
 
+    - `seq`: the number of the scan, which rises.
+    - `stamp`: s at which the oldest ray was measured, on the sensor's own clock.
     - `ranges`: (n,) float64 in m: +inf no return, -inf too close to measure, NaN unknown. n may
       vary from scan to scan.
     - `bearings`: (n,) float64 in rad, 0 ahead, counter-clockwise positive.
-    - `stamp`: s at which the oldest ray was measured, on the sensor's own clock.
+    - `range_min`: the least range in m that the sensor measures, by the platform's file.
+    - `range_max`: the greatest range in m that the sensor measures, by the platform's file.
     - `ages`: (n,) s by which each ray is older than the newest ray. None in a raw scan: unknown.
       None in a conditioned scan: all rays have the same time.
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
@@ -447,10 +455,14 @@ def sensor_names(name: str, count: int) -> tuple[str, ...]:
 class Inputs(Struct, frozen=True, eq=False, array_like=True):
     """Inputs of one step of a pattern.
 
-    - `now`: s on the robot's monotonic clock. `dt`: s since the last step; 0 at the first step.
-    - `scan`: the latest conditioned scan; None before the first. `is_new_scan`: True once for each
-      scan.
-    - `messages`: received since the last step.
+    - `now`: s on the robot's monotonic clock.
+    - `dt`: s since the last step; 0 at the first step.
+    - `scan`: the latest conditioned scan; None before the first.
+    - `is_new_scan`: True once for each scan.
+    - `odometry`: the latest measured pose and twist; None before the first.
+    - `neighbors`: the robots in reach, with distance and bearing if they are sensed.
+    - `messages`: received since the last step from the same pattern on other robots.
+    - `readings`: the latest value of each further sensor by its name, such as `temperature`.
     - `ranges`: the latest conditioned scan of the platform's ring of range sensors, measured from
       the ring's own offset; None without a ring, or before the first scan.
     - `detections`: the objects that the robot recognises now; None without such a sensor, or
@@ -475,7 +487,7 @@ class Outputs(Struct, frozen=True, array_like=True):
     """Outputs of one step of a pattern.
 
     - `twist`: the requested command; None: the robot stands still.
-    - `messages`: by channel.
+    - `messages`: to the same pattern on other robots, by channel.
     - `report`: named values (state, opinion ...) that members, describe and traces show.
     - `done`: the reason why the pattern has finished; None while it goes on.
     - `grip`: True closes the gripper, False opens it, None leaves it unchanged, as does the end of

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import doctest
 import re
 import runpy
 import shlex
@@ -25,7 +26,9 @@ from swarmd.core.clock import TICK
 from swarmd.core.hazard import HazardKind
 from swarmd.core.key_table import PUBLISHED
 from swarmd.core.messages import Reason
+from swarmd.core.values import Scan
 from swarmd.drivers.crazyflie.driver import CrazyflieOptions
+from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros.options import RmwOptions, Ros1Options
 from swarmd.mission.schema import MissionFile
 from swarmd.plugins import DRIVERS
@@ -277,6 +280,17 @@ def test_files_of_a_page_are_ready_to_use(page: Path, tmp_path: Path) -> None:
             compile(text, name, "exec")
 
 
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if ">>> " in page.read_text()], ids=name_of
+)
+def test_each_session_of_python_on_a_page_prints_what_it_shows(page: Path) -> None:
+    runner, parser = doctest.DocTestRunner(verbose=False), doctest.DocTestParser()
+    for code in blocks(page, "python"):
+        runner.run(parser.get_doctest(code, {}, name_of(page), name_of(page), 0))
+    assert runner.tries
+    assert not runner.failures
+
+
 @pytest.mark.parametrize("name", platform_names())
 def test_the_page_on_sensing_lists_how_far_each_platform_must_see(name: str) -> None:
     platform = load_platform(name)
@@ -379,6 +393,16 @@ def test_parts_that_pages_keep_are_those_of_the_code() -> None:
     texts = {page: page.read_text() for page in PAGES}
     stale = [name_of(page) for page, text in texts.items() if reference()["kept"](text) != text]
     assert not stale, f"`make reference` writes the parts of {', '.join(stale)} again"
+
+
+def test_names_of_ros_stand_beside_those_of_a_scan() -> None:
+    """Each field of a LaserScan, by the definition of rosbags, and fields of ours alone."""
+    page = (ROOT / "docs" / "patterns.md").read_text()
+    rows = re.findall(r"^\| `sensor_msgs/LaserScan` \| (.+) \| (.+) \|$", page, re.MULTILINE)
+    ros, ours = (" ".join(cells) for cells in zip(*rows, strict=True))
+    fields = {*LaserScan.__annotations__} - {"__msgtype__"}
+    assert fields - {*re.findall(r"\w+", f"{ros} {ours}")} == set()
+    assert {*re.findall(r"`scan\.(\w+)", ours)} <= {*Scan.__struct_fields__}
 
 
 def test_names_on_which_users_build_are_those_of_the_file() -> None:
