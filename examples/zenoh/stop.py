@@ -1,4 +1,8 @@
-"""Stop all robots of a swarm: python examples/zenoh/stop.py meadow; with estop: latched"""
+"""Stop all robots of a swarm: python examples/zenoh/stop.py meadow tb3-01 tb3-02
+
+The robots that are named must answer; without names, each name with a token. Those that have not
+answered are named at the end. With the word estop the stop is latched.
+"""
 
 import sys
 import time
@@ -7,24 +11,42 @@ import uuid
 import msgpack
 import zenoh
 
-SWARM, VERB = sys.argv[1], "estop" if "estop" in sys.argv else "stop"
-REQUEST = {"verb": VERB, "id": uuid.uuid4().hex, "operator": "stop.py"}
-KEY = f"swarm/{SWARM}/*/control/{VERB}/anyone"
-names, missing, codes = set[str](), set[str](), dict[str, str]()
-with zenoh.open(zenoh.Config()) as session:
-    # Scouting finds robots one by one: ask for 1 s, and for 5 s while a name lacks an answer.
+LIMIT, QUIET = 5.0, 1.0  # s: at most; and without a new name, after which all count as found
+
+
+def main() -> None:
+    """Repeat the query, since robots are found one by one, until each has answered."""
+    swarm, *words = sys.argv[1:]
+    verb = "estop" if "estop" in words else "stop"
+    named = {*words} - {"estop"}
+    wanted, codes, newest = {*named}, dict[str, str](), 0.0
+    request = {"verb": verb, "id": uuid.uuid4().hex, "operator": "stop.py"}
+    key = f"swarm/{swarm}/*/control/{verb}/anyone"
     start = time.monotonic()
-    while (age := time.monotonic() - start) < 1 or (age < 5 and (missing or not names)):
-        replies = session.liveliness().get(f"swarm/{SWARM}/*")
-        names |= {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok}
-        request = b"\x01" + msgpack.packb(REQUEST | {"age": age})  # the version, and MessagePack
-        for reply in session.get(KEY, target=zenoh.QueryTarget.ALL, payload=request, timeout=1):
-            answer = msgpack.unpackb(reply.ok.payload.to_bytes()[1:]) if reply.ok else {}
-            if answer and not answer.get("is_moving") and answer["robot"] not in codes:
-                codes[answer["robot"]] = answer["code"]
-                print(answer["robot"], answer["code"], answer["text"])
-        missing = names - codes.keys()
-        time.sleep(0.1)
-for name in missing:
-    print(name, "has not stopped: out of reach, still moving, or a program")
-sys.exit(bool(missing) or {*codes.values()} != {"applied"})
+    with zenoh.open(zenoh.Config()) as session:
+        while (age := time.monotonic() - start) < LIMIT:
+            tokens = session.liveliness().get(f"swarm/{swarm}/*")
+            found = {str(token.ok.key_expr).rpartition("/")[2] for token in tokens if token.ok}
+            if not named and not found <= wanted:
+                wanted |= found
+                newest = age
+            payload = b"\x01" + msgpack.packb({**request, "age": age})  # version, MessagePack
+            every = zenoh.QueryTarget.ALL
+            for reply in session.get(key, target=every, payload=payload, timeout=1.0):
+                answer = msgpack.unpackb(reply.ok.payload.to_bytes()[1:]) if reply.ok else {}
+                if answer and not answer.get("is_moving") and answer["robot"] not in codes:
+                    codes[answer["robot"]] = answer["code"]
+                    print(answer["robot"], answer["code"], answer["text"])
+            if wanted and wanted <= codes.keys() and (named or age - newest > QUIET):
+                break
+            time.sleep(0.1)
+    missing = wanted - codes.keys()
+    for name in sorted(missing):
+        print(name, "has not answered that it stopped: out of reach, still moving, or a program")
+    if not wanted:
+        print(f"no robot of {swarm} was found")
+    sys.exit(bool(missing) or {*codes.values()} != {"applied"})
+
+
+if __name__ == "__main__":
+    main()

@@ -10,7 +10,10 @@ VERSION = b"\x01"  # the first byte of each payload; MessagePack follows
 
 
 def main() -> None:
-    """Hold the token of a program, and put an opinion twice a second."""
+    """Hold the token of a program, and put an opinion twice a second.
+
+    The first votes may reach no robot: robots are found one by one, and hear the later votes.
+    """
     swarm, program, opinion = sys.argv[1], sys.argv[2], int(sys.argv[3])
     seconds = float(sys.argv[4]) if len(sys.argv) > 4 else 10.0
     end = time.monotonic() + seconds
@@ -21,6 +24,8 @@ def main() -> None:
             vote.put(VERSION + msgpack.packb(opinion))
             time.sleep(0.5)
         token.undeclare()
+        if not any(reply.ok for reply in session.liveliness().get(f"swarm/{swarm}/*")):
+            sys.exit(f"no robot of {swarm} was found in {seconds:g} s")
 
 
 if __name__ == "__main__":

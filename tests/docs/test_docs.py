@@ -142,9 +142,13 @@ def test_the_pattern_in_the_readme_is_the_example() -> None:
 
 @pytest.mark.parametrize(
     ("page", "name"),
-    [("tutorial/2-own-behaviour.md", "beeclust.py"), ("patterns.md", "waiting_walk.py")],
+    [
+        ("tutorial/2-own-behaviour.md", "beeclust.py"),
+        ("patterns.md", "waiting_walk.py"),
+        ("zenoh.md", "zenoh/stop.py"),
+    ],
 )
-def test_the_pattern_on_the_page_is_the_example(page: str, name: str) -> None:
+def test_the_program_on_the_page_is_the_example(page: str, name: str) -> None:
     assert (ROOT / "examples" / name).read_text() in blocks(ROOT / "docs" / page, "python")
 
 
