@@ -29,7 +29,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
+.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
 .DELETE_ON_ERROR:
 
 help:
@@ -39,6 +39,7 @@ help:
 	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
 	@echo "make archive   archives from which robots install without a network, in dist"
+	@echo "make release   sdist, wheels, notes and checksums of the tag at HEAD, in dist; uploads nothing (URL=https://...)"
 	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
 	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
 	@echo "make reference writes the parts of pages that are made from the code: short ones where they stand, all in build/pages"
@@ -91,6 +92,10 @@ wheels: $(VENV)/made
 archive: wheels
 	@for machine in x86_64 aarch64; do \
 	  $(BIN)/python .ci/build-archive $$machine dist/swarmd-*_$$machine.whl $(ARGS) || exit 1; done
+
+# URL=https://FORGE/OWNER/swarmd is the address of the project on its forge; by default that of origin.
+release: $(VENV)/tools
+	@$(BIN)/python .ci/release $(URL)
 
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else). 50: the

@@ -1,0 +1,86 @@
+"""`make release`: what it refuses, and what an export of the tag gets."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parent.parent
+RELEASE = runpy.run_path(str(ROOT / ".ci" / "release"))
+
+URL = "https://forge.example/meadow/swarmd"
+CHANGES = (
+    "# Changes\n\n## 0.2.0, not released yet\n\nC\n\n## 0.1.0, 2026-11-26\n\nA\nB\n\n## 0.0.9\n"
+)
+RIGHT: dict[str, Any] = {
+    "version": "0.1.0", "url": URL, "changes": [], "changelog": CHANGES, "tags": ["x", "v0.1.0"]
+}  # fmt: skip
+
+
+def test_a_clean_tree_with_its_tag_and_its_entry_is_released() -> None:
+    assert RELEASE["refusal"](**RIGHT) == ""
+
+
+@pytest.mark.parametrize(
+    ("wrong", "subject"),
+    [
+        ({"url": ""}, "URL="),
+        ({"url": "/srv/git/swarmd"}, "/srv/git/swarmd"),
+        ({"url": "git@forge.example:meadow/swarmd"}, "URL="),
+        ({"url": "https://alice:token@forge.example/meadow/swarmd"}, "URL="),
+        ({"changes": ["README.md", "setup.py"]}, "README.md"),
+        ({"version": "0.2.0", "tags": ["v0.2.0"]}, "CHANGELOG.md"),
+        ({"version": "0.0.9", "tags": ["v0.0.9"]}, "CHANGELOG.md"),
+        ({"changelog": "# Changes\n"}, "CHANGELOG.md"),
+        ({"changelog": "## 0x1.0, 2026-11-26\n\nA\n"}, "CHANGELOG.md"),
+        ({"tags": []}, "v0.1.0"),
+        ({"tags": ["v0.1.1"]}, "v0.1.1"),
+    ],
+)
+def test_a_release_is_refused_in_one_line(wrong: dict[str, Any], subject: str) -> None:
+    why = RELEASE["refusal"](**{**RIGHT, **wrong})
+    assert subject in why
+    assert "\n" not in why
+
+
+def test_the_notes_are_the_entry_of_the_version_alone() -> None:
+    assert RELEASE["notes_of"](CHANGES, "0.1.0") == "A\nB"
+
+
+def test_metadata_names_the_address_of_the_release_alone() -> None:
+    """The repository states no address of its own, which would be an invented one."""
+    text = (ROOT / "pyproject.toml").read_text()
+    project = tomllib.loads(RELEASE["with_urls"](text, URL, "v0.1.0"))["project"]
+    assert project.pop("urls") == {
+        "Source": URL,
+        "Issues": f"{URL}/issues",
+        "Changelog": f"{URL}/blob/v0.1.0/CHANGELOG.md",
+    }
+    assert project == tomllib.loads(text)["project"]
+
+
+def test_no_link_of_the_readme_on_an_index_of_packages_is_relative() -> None:
+    text = RELEASE["with_links"]((ROOT / "README.md").read_text(), URL, "v0.1.0")
+    links = re.findall(r"\]\(([^)]*)\)", text)
+    assert f"{URL}/raw/v0.1.0/docs/figures/demo.gif" in links
+    assert f"{URL}/blob/v0.1.0/docs/safety.md" in links
+    assert "https://docs.nav2.org" in links
+    assert [link for link in links if not link.startswith("https://")] == []
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == project["version"]
+
+
+def test_the_changelog_begins_with_the_version_of_the_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    first = re.search(r"^## (\S+), ", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert first is not None
+    assert first[1] == project["version"]
