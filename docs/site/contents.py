@@ -43,7 +43,10 @@ CONTENTS = {
         *_inside("docs/reference", "commands", "patterns", "comparison", "platforms", "scenarios"),
         *_inside("docs/reference", "metrics", "python", "api", "testing", "experiments"),
     ],
-    "Changing swarmd": ["ARCHITECTURE", "CONTRIBUTING", "benchmarks/README", "CHANGELOG"],
+    "Changing swarmd": [
+        *("ARCHITECTURE", "CONTRIBUTING", "benchmarks/README", "CHANGELOG"),
+        *("SECURITY", "CODE_OF_CONDUCT"),
+    ],
 }
 """The captions of the start page, with their pages."""
 

@@ -56,6 +56,8 @@ PAGES = sorted(
         ROOT / "benchmarks/README.md",
     ]
 )
+# Of the forge alone: on the site they have no place.
+TEMPLATES = sorted((ROOT / ".github").rglob("*.md"))
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
 IMAGE = re.compile(r'<(?:img|source|video)[^>]* src="([^"]+)"')
 TARGET = re.compile(r"^make(?: [A-Z]+=\S+)* ([a-z0-9-]+)", re.MULTILINE)
@@ -113,7 +115,7 @@ def commands(page: Path, program: str = "swarmctl") -> list[list[str]]:
 
 
 def commands_of_pages(program: str) -> Iterator[tuple[Path, list[str]]]:
-    for page in PAGES:
+    for page in [*PAGES, *TEMPLATES]:
         yield from ((page, words) for words in commands(page, program))
 
 
@@ -201,6 +203,15 @@ def test_commands_are_as_swarmctl_takes_them(monkeypatch: pytest.MonkeyPatch) ->
             except click.exceptions.Exit:  # --help
                 continue
     assert wrong == []
+
+
+def test_templates_of_issues_ask_for_output_and_name_files_that_exist() -> None:
+    assert {page.name: commands(page)[0] for page in TEMPLATES} == {
+        "bug.md": ["--version"], "question.md": ["--version"], "robot.md": ["--version"]
+    }  # fmt: skip
+    named = [file for page in TEMPLATES for file in re.findall(r"[\w/]+\.md", page.read_text())]
+    assert named
+    assert [file for file in named if not (ROOT / file).is_file()] == []
 
 
 def test_each_verb_has_an_example_as_swarmctl_takes_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -411,9 +422,11 @@ def test_names_of_ros_stand_beside_those_of_a_scan() -> None:
 
 def test_names_on_which_users_build_are_those_of_the_file() -> None:
     """A name that is gone or has another signature is a line of its diff."""
+    rule = "a name of a release goes only after a minor version that warns of it: CONTRIBUTING.md"
     kept, lines = (text.splitlines() for text in (NAMES.read_text(), reference()["public_names"]()))
     gone, new = ([x for x in a if x not in b] for a, b in ((kept, lines), (lines, kept)))
-    assert lines == kept, "\n".join(["`make names` writes it again:", *gone, "is now:", *new])
+    text = "\n".join([rule, "`make names` writes the file again:", *gone, "is now:", *new])
+    assert lines == kept, text
 
 
 @pytest.mark.parametrize(
