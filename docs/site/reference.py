@@ -89,7 +89,15 @@ ROOT = Path(__file__).resolve().parents[2]
 _PLATFORM = "waffle_pi"  # for defaults that depend on the robot
 NAMES = ROOT / "tests/docs/public_names.txt"
 """The names and signatures on which users build; tests compare the file with the code."""
-_NAMED = ("api", "testing", "experiments", "python", "commands", "keys")  # parts with such names
+_NAMED = (
+    "api",
+    "testing",
+    "experiments",
+    "python",
+    "commands",
+    "keys",
+    "payloads",
+)  # parts with such names
 _EXPLAINED = ("meaning", "what", "rate, while somebody subscribes")  # columns that name nothing
 _PART = re.compile(r"^\*`make reference` makes this part, `(\w+)`, .*\*$", re.MULTILINE)
 _KEPT = re.compile(
@@ -343,6 +351,10 @@ def keys() -> Iterator[str]:
     ]
     heads = ("key", "asked", "answer", "what", "may ask")
     yield _table(heads, [*answered, *asked, *shared])
+
+
+def payloads() -> Iterator[str]:
+    """The content of each key: an example, and its fields."""
     yield "## Content"
     known: list[type] = [published.content for published in PUBLISHED.values()]
     for row in VERBS.values():
@@ -551,6 +563,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "commands": commands,
     "reasons": reasons,
     "keys": keys,
+    "payloads": payloads,
     "inputs": lambda: fields(Inputs),
     "scan": lambda: fields(Scan),
     "values": values,

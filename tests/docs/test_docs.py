@@ -353,7 +353,8 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("metrics", [f"`{name}`" for name in METRICS]),
         ("commands", ["`--interface NAME`", "`--seeds SEEDS`"]),
         ("reasons", ["`stale_scan`", "`estop`"]),
-        ("keys", [*(f"`state/{name}`" for name in PUBLISHED), "`control/run/ASKER`", "`yaw`"]),
+        ("keys", [*(f"`state/{name}`" for name in PUBLISHED), "`control/run/ASKER`"]),
+        ("payloads", ["`yaw`"]),
         ("messages_any_driver", ["`waits for its watchdog`"]),
     ],
 )
