@@ -232,7 +232,7 @@ class Lockstep:
         self._absent_count -= len(rows)
         for shell in self._present(rows):
             if shell.robot.latches:
-                self.publish_latches(shell.row, shell.robot.latches)
+                self.publish_latches(shell.row, shell.robot.aged_latches(now))
         self.exchange()
         for shell in self._present(rows):  # peers' latches arrive before any request
             for latches in list(self._peer_latches.values()):

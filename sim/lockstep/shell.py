@@ -122,7 +122,7 @@ class RobotShell:
             for name, value in actions.messages.items():
                 outputs.send_message(self.row, name, value, now)
         if actions.has_status:
-            outputs.publish_latches(self.row, self.robot.latches)
+            outputs.publish_latches(self.row, self.robot.aged_latches(now))
         if actions.replies:
             self.replies.extend(actions.replies)
 

@@ -69,6 +69,7 @@ def reset(
     # Imported here, so that the verbs of this file that stop robots start faster.
     from swarmd.client.changes import findings_of
     from swarmd.client.changes import reset as clear
+    from swarmd.texts.why import stop_text
 
     with asking(options, targets, needs_status=True) as asked:
         # A latch is an emergency stop that lasts until a reset. `latches`: those that the robots
@@ -76,9 +77,8 @@ def reset(
         robots, latches = asked.names, asked.view.latches(asked.names)
         # Say what the reset clears.
         for latch_id, latch in latches.items():
-            cause = f" ({latch.reason})" if latch.reason else ""
             stopped = "all robots" if latch.scope == "swarm" else "named robots"
-            warn(f"clears emergency stop {latch_id} of {latch.issuer} for {stopped}{cause}")
+            warn(f"clears emergency stop {latch_id} of {stopped}, {stop_text(latch)}")
         # A finding is a doubt of a robot, such as brakes that are weaker than declared.
         finding_action = "ends" if findings else "keeps (--findings ends it)"
         for robot, finding in findings_of(asked.view, robots):

@@ -532,7 +532,7 @@ class Daemon:
         return Summary(
             robot.state,
             robot.epoch.revision,
-            robot.latches,
+            robot.aged_latches(boottime()),
             robot.goal,
             pulled={kind: pulled.digest for kind, pulled in self._pulled.items()},
             wished=robot.wished,

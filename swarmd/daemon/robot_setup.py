@@ -91,7 +91,7 @@ def recording_head(
         on_low_battery=settings.on_low_battery,
         revision=robot.epoch.revision,
         generation=robot.generation,  # count of the loads of patterns so far
-        latches=robot.latches,
+        latches=robot.aged_latches(boottime()),
         cleared=tuple(robot.cleared),  # ids of latches that were reset
         goals=robot.goals,
     )

@@ -15,14 +15,18 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
+import math
 import shutil
+import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from msgspec import Struct
+from msgspec.structs import replace
 
+from swarmd.core.clock import FIRST_WALL, boottime, clock_id
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.files import sync_folder, write_fault, write_whole
@@ -86,6 +90,10 @@ class LatchFile(StateFile[LatchRecord]):
     A latch (a held emergency stop) is on disk before the stop is acknowledged. The robot stops
     before the write, so that a slow disk delays no stop. An unreadable file counts as a latch.
 
+    The ages of latches go on over a restart of the daemon by the clock of the machine. After a
+    restart of the machine they follow from the wall clock, if it is and was set and not set back;
+    else they are not known.
+
     `fault`: why a restart would lose the present latches; empty if a restart would keep them.
     """
 
@@ -93,6 +101,22 @@ class LatchFile(StateFile[LatchRecord]):
         super().__init__(folder / "latches", LatchRecord, "estopped until reset")
         self._unwritten: LatchRecord | None = None
         self.fault = ""
+
+    def read(self) -> LatchRecord:
+        """The record that was written last, with its times on the present clock of the machine."""
+        record = super().read()
+        if record.clock != clock_id():  # the machine was restarted: its clock began anew
+            shift = (record.booted or math.nan) - (_booted() or math.nan)
+            shifted = {i: at + shift for i, at in record.since.items()}
+            since = {i: at for i, at in shifted.items() if at <= boottime()}  # no NaN
+            latches = record.held.items()
+            held = {i: replace(latch, is_wall_age=i in since) for i, latch in latches}
+            record = replace(record, held=held, since=since)
+        return replace(record, clock="", booted=None)
+
+    def write(self, record: LatchRecord) -> None:
+        """Write the record with the clock of its times. OSError if that fails."""
+        super().write(replace(record, clock=clock_id(), booted=_booted()))
 
     def check(self) -> bool:
         """Write a record that failed before, else test the folder; True if `fault` changed."""
@@ -121,6 +145,15 @@ class LatchFile(StateFile[LatchRecord]):
         reason = f"{self.path.name} could not be read: {error}"
         latch = Latch(issuer="swarmd", scope="robots", reason=reason[:300])
         return LatchRecord(held={"unreadable": latch})
+
+
+def _booted() -> float | None:
+    """When the clock of the machine began, in s since 1970; None if the wall clock is not set.
+
+    Whole seconds: a record whose latches are the same is not written again.
+    """
+    wall = time.time()
+    return round(wall - boottime()) if wall >= FIRST_WALL else None
 
 
 class RecordWriter(Generic[T]):

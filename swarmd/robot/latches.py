@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping
 import msgspec
 from msgspec import Struct
 
-from swarmd.core.bounds import Name
+from swarmd.core.bounds import MAX_SECONDS, Name, Stamp, Word
 from swarmd.core.messages import Latch
 
 MAX_CLEARED = 256  # ids of reset latches that are remembered
@@ -16,11 +16,21 @@ OVERFLOW = "more"  # the id for all latches beyond MAX_HELD: a flood must not fi
 
 
 class LatchRecord(Struct, frozen=True, kw_only=True):
-    """The content of the latch file, written before an emergency stop is acknowledged."""
+    """The content of the latch file, written before an emergency stop is acknowledged.
+
+    - `held`: the latches by id. Their ages hold when the record is handed to a robot, and are None
+      in the file.
+    - `since`: by id, when the emergency stop was issued, in s on the clock `clock` (the `clock_id`
+      of the machine). Without an entry it is not known, as in the record of an older version.
+    - `booted`: when that clock began, in s since 1970 (UTC); None if the wall clock was not set.
+    """
 
     held: dict[Name, Latch] = {}
     cleared: tuple[Name, ...] = ()
     folded: tuple[Name, ...] = ()
+    since: dict[Name, Stamp] = {}
+    clock: Word = ""
+    booted: Stamp | None = None
 
 
 class Latches:
@@ -29,19 +39,32 @@ class Latches:
     A peer that missed a reset may still report the latch: a latch whose id was reset here is not
     adopted from a peer. But an estop request of an operator latches even with the id of a reset
     latch, since a stop is always obeyed.
+
+    A copy of a held latch changes nothing: no later copy rewrites who stopped the robot, or why.
     """
 
-    def __init__(self, record: LatchRecord | None = None) -> None:
+    def __init__(self, record: LatchRecord | None = None, now: float = 0.0) -> None:
+        """`record`: of an earlier process; `now`: s on the own clock."""
         record = record or LatchRecord()
-        self._held = dict(record.held)
+        held = record.held.items()
+        ages = {i: latch.age for i, latch in held}
+        self._held = {i: msgspec.structs.replace(latch, age=None) for i, latch in held}
+        # When the latches were issued, in s on the own clock; without an entry it is not known.
+        self._since = {**{i: now - a for i, a in ages.items() if a is not None}, **record.since}
         self._cleared = dict.fromkeys(record.cleared)
         # The ids of the latches that OVERFLOW stands for: a repeat of such a latch is not new.
         self._folded = dict.fromkeys(record.folded)
 
     @property
     def held(self) -> Mapping[str, Latch]:
-        """The latches that hold the robot now."""
+        """The latches that hold the robot now, without their ages."""
         return self._held
+
+    def aged(self, now: float) -> dict[str, Latch]:
+        """The latches that hold the robot, each with its age at `now`."""
+        ages = {i: min(max(now - since, 0.0), MAX_SECONDS) for i, since in self._since.items()}
+        held = self._held.items()
+        return {i: msgspec.structs.replace(latch, age=ages.get(i)) for i, latch in held}
 
     @property
     def text(self) -> str:
@@ -52,29 +75,34 @@ class Latches:
         )
         return ", ".join(dict.fromkeys(texts))
 
-    def add(self, latch_id: str, latch: Latch) -> bool:
-        """Hold a latch; True if it is new."""
-        if latch_id not in self._held and len(self._held) >= MAX_HELD:
-            is_new = latch_id not in self._folded
+    def add(self, latch_id: str, latch: Latch, now: float) -> bool:
+        """Hold a latch, whose age holds at `now`; True if it is new."""
+        is_full = len(self._held) >= MAX_HELD
+        if latch_id in self._held or (is_full and latch_id in self._folded):
+            return False
+        if is_full:
             self._folded[latch_id] = None
             while len(self._folded) > MAX_CLEARED // 2:
                 del self._folded[next(iter(self._folded))]
-            self._held[OVERFLOW] = msgspec.structs.replace(latch, scope="robots")
-            return is_new
-        is_new = latch_id not in self._held
-        self._held[latch_id] = latch
-        return is_new
+            latch_id = OVERFLOW
+            latch = msgspec.structs.replace(latch, scope="robots")
+            self._since.pop(latch_id, None)
+        self._held[latch_id] = msgspec.structs.replace(latch, age=None)
+        if latch.age is not None:
+            self._since[latch_id] = now - latch.age
+        return True
 
-    def adopt(self, latches: Mapping[str, Latch]) -> tuple[str, ...]:
+    def adopt(self, latches: Mapping[str, Latch], now: float) -> tuple[str, ...]:
         """Hold the swarm-wide latches of a peer except those reset here; returns the new ids."""
-        wanted = [
+        if OVERFLOW in self._held:  # which may stand for any latch that is not held by its own id
+            return ()
+        return tuple(
             latch_id
             for latch_id, latch in latches.items()
-            if latch.scope == "swarm" and latch_id not in self._cleared
-        ]
-        if OVERFLOW in self._held:  # which may stand for any latch that is not held by its own id
-            wanted = [latch_id for latch_id in wanted if latch_id in self._held]
-        return tuple(latch_id for latch_id in wanted if self.add(latch_id, latches[latch_id]))
+            if latch.scope == "swarm"
+            and latch_id not in self._cleared
+            and self.add(latch_id, latch, now)
+        )
 
     @property
     def cleared(self) -> Collection[str]:
@@ -93,6 +121,7 @@ class Latches:
             self._folded.clear()
         for latch_id in named:
             self._held.pop(latch_id, None)
+            self._since.pop(latch_id, None)
             self._cleared.pop(latch_id, None)
             self._cleared[latch_id] = None
         while len(self._cleared) > MAX_CLEARED:
@@ -101,5 +130,8 @@ class Latches:
     def record(self) -> LatchRecord:
         """The record for the latch file."""
         return LatchRecord(
-            held=dict(self._held), cleared=tuple(self._cleared), folded=tuple(self._folded)
+            held=dict(self._held),
+            cleared=tuple(self._cleared),
+            folded=tuple(self._folded),
+            since=dict(self._since),
         )

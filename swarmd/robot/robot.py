@@ -162,8 +162,12 @@ class Robot(Ticker):
 
     @property
     def latches(self) -> Mapping[str, Latch]:
-        """The emergency stops that hold the robot, by id."""
+        """The emergency stops that hold the robot, by id, without their ages."""
         return self._lifecycle.latches.held
+
+    def aged_latches(self, now: float) -> dict[str, Latch]:
+        """The emergency stops that hold the robot, by id, with their ages at `now` s."""
+        return self._lifecycle.latches.aged(now)
 
     @property
     def cleared(self) -> Collection[str]:

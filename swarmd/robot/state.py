@@ -190,7 +190,7 @@ class Lifecycle:
         self.born = now  # s; for the uptime
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
-        self.latches = Latches(latches)  # the emergency stops that hold the robot
+        self.latches = Latches(latches, now)  # the emergency stops that hold the robot
         self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
         self.stops = KnownStops()
         if (
@@ -615,7 +615,7 @@ class Lifecycle:
     def latch(self, latch_id: str, latch: Latch, effects: Effects) -> None:
         """Add a latch and stop, in every state."""
         effects.is_latched = True
-        if self.latches.add(latch_id, latch):
+        if self.latches.add(latch_id, latch, effects.now):
             self.raise_revision(f"{latch.issuer} (estop)")
         elif self.state_machine.state is State.ESTOPPED:
             return  # a copy of a held latch: a trial that began after the first copy continues
@@ -623,7 +623,7 @@ class Lifecycle:
 
     def adopt_latches(self, latches: Mapping[str, Latch], effects: Effects) -> None:
         """Adopt the swarm-wide latches of a peer, except latches that were reset here."""
-        new = self.latches.adopt(latches)
+        new = self.latches.adopt(latches, effects.now)
         if not new:
             return
         effects.is_latched = True

@@ -78,7 +78,7 @@ def make_status(
         since=max(now - machine.since, 0.0),
         epoch=lifecycle.epoch,
         changed_by=lifecycle.changed_by,
-        latches=dict(lifecycle.latches.held),
+        latches=lifecycle.latches.aged(now),
         labels=lifecycle.goals.labels,
         params={} if running is None else _params(running.values),
         report=_clean(lifecycle.report),

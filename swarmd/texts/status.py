@@ -22,8 +22,9 @@ from swarmd.core.messages import (
 )
 from swarmd.texts.keys import day
 from swarmd.texts.values import NOTHING, megabytes, quantity, sandbox_text, seconds, short_number
-from swarmd.texts.why import activity, obstacles
+from swarmd.texts.why import activity, obstacles, stop_text
 
+MAX_LATCH_REASON = 1000  # characters, all that a message may hold
 _LEAST_COST = 0.005  # m/s that the text names
 
 NOT_DESCRIBED: Mapping[str, Any] = MappingProxyType({})
@@ -145,8 +146,7 @@ def battery_text(battery: BatterySummary) -> str:
 
 def _latch(status: Status, latch_id: str) -> str:
     latch = status.latches[latch_id]
-    reason = f": {latch.reason}" if latch.reason else ""
-    return f"by {latch.issuer}, for {latch.scope}{reason}"
+    return f"for {latch.scope}, {stop_text(latch, MAX_LATCH_REASON)}"
 
 
 def _titled(title: str, texts: Iterable[str]) -> list[tuple[str, str]]:

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from itertools import islice
 
 from swarmd.core import codec
-from swarmd.core.messages import DecisionSummary, LimitingObstacle, Presence, Reason, State, Status
+from swarmd.core.messages import (
+    DecisionSummary,
+    Latch,
+    LimitingObstacle,
+    Presence,
+    Reason,
+    State,
+    Status,
+)
+from swarmd.core.verbs import shortened
 from swarmd.network.operator.members_view import Contact, SeenMember
-from swarmd.texts.values import NOTHING, seconds
+from swarmd.texts.values import NOTHING, printable, seconds
 
 _SAME_OBSTACLE = math.radians(10.0)
+MAX_STOPS = 3
+"""Emergency stops that a sentence or a list of problems tells; `describe` tells all."""
+_MAX_REASON = 120  # characters of the reason of an emergency stop in a sentence
 _START = "start it with `swarmctl run PATTERN {robot}`"
 
 SENTENCES = {
@@ -19,7 +32,7 @@ SENTENCES = {
     Reason.RESET: f"was reset{{detail}}; {_START}",
     Reason.OPERATOR: f"an operator stopped it{{detail}}; {_START}",
     Reason.RELOADED: f"the code of its pattern was replaced{{detail}}; {_START}",
-    Reason.ESTOP: "emergency stop{latches}; clear it with `swarmctl reset {robot}`",
+    Reason.ESTOP: "emergency stop{stops}; clear it with `swarmctl reset {robot}`",
     Reason.LOOP_STALLED: "its daemon was blocked for over 1 s{detail}; check its host, then run",
     Reason.LOAD_FAILED: "the pattern could not be loaded{detail}; correct it, then run",
     Reason.DUPLICATE_ID: "another daemon has the same id{detail}; stop one of them, then reset",
@@ -118,12 +131,11 @@ def _text_if_standing(robot: str, status: Status) -> str:
     assert reason is not None
     if reason is Reason.PROTECTION and status.decision.avoiding:
         return f"{status.decision.avoiding}{_limit(status.decision)}"
-    issuers = sorted({latch.issuer for latch in status.latches.values()})
     age = status.decision.scan_age
     return SENTENCES[reason].format(
         robot=robot,
         detail=_detail(status),
-        latches=f" by {', '.join(issuers)}" if issuers else "",
+        stops=_stops_text(status.latches.values()),
         age=f" ({seconds(age)})" if age is not None else "",
         # By how much scans are later than the platform declares.
         late=NOTHING if status.scan_delay is None else seconds(status.scan_delay.added),
@@ -131,6 +143,37 @@ def _text_if_standing(robot: str, status: Status) -> str:
         gap=_gap(status.decision),
         peer=_peer(status),
     )
+
+
+def stop_text(latch: Latch, longest: int = _MAX_REASON) -> str:
+    """Who issued an emergency stop, when and why: `by bob@desk, 12.0 s ago: smoke`.
+
+    Operators and robots wrote the texts: of the reason at most `longest` characters stay, and
+    control characters become `?`.
+    """
+    if latch.age is None:
+        when = "at a time that is not known"
+    else:
+        clock = " by the wall clock of the robot" if latch.is_wall_age else ""
+        when = f"{seconds(latch.age)} ago{clock}"
+    reason = f": {shortened(latch.reason, longest)}" if latch.reason else ", without a reason"
+    return printable(f"by {latch.issuer}, {when}{reason}")
+
+
+def _stops_text(latches: Collection[Latch]) -> str:
+    texts = [stop_text(latch) for latch in islice(latches, MAX_STOPS)]
+    if len(latches) > MAX_STOPS:
+        texts.append(f"and {len(latches) - MAX_STOPS} more")
+    return f" {'; '.join(texts)}" if texts else ""
+
+
+def standing_time(status: Status) -> float | None:
+    """For how many s the robot has its state; under emergency stops since the first was issued.
+
+    None if the time of an emergency stop is not known: a restart began the state anew.
+    """
+    ages = [latch.age for latch in status.latches.values()]
+    return max((age for age in ages if age is not None), default=None) if ages else status.since
 
 
 def _detail(status: Status) -> str:

@@ -25,7 +25,7 @@ from swarmd.network.operator.members_view import MembersView, SeenMember
 from swarmd.network.operator.operator import Operator
 from swarmd.settings.platforms import load_platform
 from swarmd.texts.status import sections
-from swarmd.texts.why import absence, why
+from swarmd.texts.why import absence, standing_time, why
 from swarmd.view.history import SPAN
 from swarmd.view.source import ShownArena, ShownRobot, limits_of, points_of, row_of
 
@@ -197,7 +197,8 @@ class LiveSource:
         # When the state began, in s on this machine's clock (`since`: s from then to the status).
         # Rounded to the same number at each call, since the server sends a row if it has changed.
         # `age`, which changes at each call, is sent apart from the rows.
-        row["at"] = round(time.monotonic() - age - status.since)
+        if (stood := standing_time(status)) is not None:
+            row["at"] = round(time.monotonic() - age - stood)
         row["labels"] = list(status.labels)
         return row
 

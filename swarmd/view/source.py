@@ -13,6 +13,7 @@ import numpy as np
 
 from swarmd.core.messages import LimitingObstacle, Reason, State, Status
 from swarmd.core.values import Array, Platform
+from swarmd.texts.values import printable
 from swarmd.texts.why import lost_base, protection_word_of
 from swarmd.view.playback import Playback
 
@@ -277,7 +278,7 @@ def _reason(status: Status) -> str:
     lost = lost_base(status) if status.reason is not Reason.DRIVER_LOST else ""
     avoiding = status.decision.avoiding if status.reason is Reason.PROTECTION else ""
     parts = (reason, avoiding, status.detail, f"base lost ({lost})" if lost else "")
-    return ": ".join(filter(None, parts)).replace(": by ", " by ")
+    return printable(": ".join(filter(None, parts)).replace(": by ", " by "))
 
 
 def json_of(value: Any) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
-from swarmd.texts.why import absence, lost_base, why
+from swarmd.texts.why import absence, lost_base, stop_text, why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.live import LiveSource
@@ -237,7 +237,7 @@ class TerminalView:
             for name in controls.targets:
                 held = statuses[name][0].latches.values() if name in statuses else ()
                 for latch in held:
-                    yield f"{name}: emergency stop by {latch.issuer}: {latch.reason or '-'}", "red"
+                    yield f"{name}: emergency stop {stop_text(latch)}", "red"
         name = controls.cursor
         member = view.members.get(name)
         if name in notes or member is None or name not in statuses:

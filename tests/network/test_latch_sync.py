@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from swarmd.core.messages import Latch
 from swarmd.network.datagram import Latches, pack, tag_of
 from swarmd.network.spread.latch_sync import LatchSync, digest_of, latch_parts
@@ -11,11 +13,10 @@ INSTANCE = b"abcdef"
 LATCH = Latch(issuer="anna", scope="swarm")
 
 
-def test_texts_in_any_script_fit_and_all_latches_are_sent() -> None:
-    held = {
-        f"e{number}": Latch(issuer="ä" * 128, scope="swarm", reason="止" * 256)
-        for number in range(33)
-    }
+@pytest.mark.parametrize(("issuer", "reason"), [("ä" * 128, "止" * 256), ("a", "")])
+def test_texts_in_any_script_fit_and_all_latches_are_sent(issuer: str, reason: str) -> None:
+    latch = Latch(issuer=issuer, scope="swarm", reason=reason, age=0.1, is_wall_age=True)
+    held = {f"e{number}": latch for number in range(33)}
     parts = list(latch_parts("r" * 63, INSTANCE, held))
     for part in parts:
         pack(TAG, part)

@@ -81,7 +81,7 @@ class FedSwarm:
             State.ESTOPPED: Reason.ESTOP,
         }
         is_running = state is State.RUNNING
-        latch = Latch(issuer="anna@desk", scope="swarm", reason="from the page")
+        latch = Latch(issuer="anna@desk", scope="swarm", reason="from the page", age=300.0)
         usual: dict[str, Any] = {
             "state": state,
             "reason": reasons.get(state),

@@ -73,5 +73,5 @@ ESTOPPED = make_member(
     "r2",
     state=State.ESTOPPED,
     reason=Reason.ESTOP,
-    latches={"e1": Latch(issuer="bob@desk", scope="swarm", reason="smoke")},
+    latches={"e1": Latch(issuer="bob@desk", scope="swarm", reason="smoke", age=12.0)},
 )

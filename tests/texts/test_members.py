@@ -13,11 +13,19 @@ from msgspec.structs import replace
 from swarmd.cli.output import print_table, terminal_width
 from swarmd.core import codec
 from swarmd.core.goal import GoalState
-from swarmd.core.messages import DecisionSummary, Health, Presence, Reason, State, StatusHeader
+from swarmd.core.messages import (
+    DecisionSummary,
+    Health,
+    Latch,
+    Presence,
+    Reason,
+    State,
+    StatusHeader,
+)
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.members import HEADER, WIDE, health, row, wide_cells
 from tests.support.goals import goal_status, make_goal, member_with, view_of
-from tests.support.statuses import make_member
+from tests.support.statuses import ESTOPPED, make_member
 
 
 def line(member: SeenMember) -> dict[str, str]:
@@ -192,3 +200,24 @@ def test_wide_shows_labels_and_goals_and_a_note_names_offers() -> None:
     latched = member_with("r3", goal_status(goal, state=GoalState.OFFERED), state=State.ESTOPPED)
     notes = [note for note in health(view_of(offered, latched)) if "offered" in note]
     assert notes[0].endswith("swarmctl resume r2 r3; first reset r3")
+
+
+def test_each_emergency_stop_is_told_once_with_its_robots() -> None:
+    assert ESTOPPED.status is not None
+    swarm_wide = ESTOPPED.status.latches
+    own = {"e2": Latch(issuer="anna", scope="robots", reason="wheel", age=3.0)}
+    view = view_of(
+        ESTOPPED, make_member("r1"), make_member("r3", latches={**own, **swarm_wide}, uptime=1.0)
+    )
+    assert [note for note in health(view) if "emergency" in note] == [
+        "emergency stop: r2, r3 (by bob@desk, 12.0 s ago: smoke)",
+        "emergency stop: r3 (by anna, 3.0 s ago: wheel)",
+    ]
+
+
+def test_a_flood_of_emergency_stops_leaves_four_lines() -> None:
+    flood = {f"e{n}": Latch(issuer="eve", scope="robots", age=float(n)) for n in range(33)}
+    notes = [n for n in health(view_of(make_member(latches=flood))) if "emergency" in n]
+    assert notes[0].endswith("(by eve, 32.0 s ago, without a reason)")
+    assert len(notes) == 4
+    assert notes[3].startswith("30 more emergency stops")

@@ -7,11 +7,20 @@ import math
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
-from swarmd.core.messages import DecisionSummary, Health, LimitingObstacle, Presence, Reason, State
+from swarmd.core.messages import (
+    DecisionSummary,
+    Health,
+    Latch,
+    LimitingObstacle,
+    Presence,
+    Reason,
+    State,
+)
 from swarmd.network.operator.members_view import Contact, SeenMember
-from swarmd.texts.why import absence, obstacles, why
-from tests.support.statuses import ESTOPPED, make_member
+from swarmd.texts.why import absence, obstacles, standing_time, stop_text, why
+from tests.support.statuses import ESTOPPED, make_member, status
 
 
 def test_there_is_a_sentence_for_every_reason() -> None:
@@ -54,8 +63,46 @@ def test_a_standing_robot_whose_base_others_drive_says_so(state: State, reason: 
 
 def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
     text = why(ESTOPPED)
-    assert "bob@desk" in text
+    assert "emergency stop by bob@desk, 12.0 s ago: smoke; " in text
     assert "`swarmctl reset r2`" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "by bob, 12.0 s ago: smoke"),
+        ({"reason": ""}, "by bob, 12.0 s ago, without a reason"),
+        ({"age": None}, "by bob, at a time that is not known: smoke"),
+        (
+            {"age": 7200.0, "is_wall_age": True},
+            "by bob, 2 h ago by the wall clock of the robot: smoke",
+        ),
+        ({"reason": "a\nb\x1b[2J\u202ec\u2066"}, "by bob, 12.0 s ago: a?b?[2J?c?"),
+        ({"issuer": "b\rob\u200f"}, "by b?ob?, 12.0 s ago: smoke"),
+        ({"reason": "<b>שלום</b>"}, "by bob, 12.0 s ago: <b>שלום</b>"),
+        ({"reason": "x" * 1000}, f"by bob, 12.0 s ago: {'x' * 117}..."),
+    ],
+)
+def test_who_when_and_why_of_an_emergency_stop_are_one_bounded_line(
+    changes: dict[str, Any], words: str
+) -> None:
+    latch = Latch(issuer="bob", scope="swarm", reason="smoke", age=12.0)
+    assert stop_text(replace(latch, **changes)) == words
+
+
+def test_a_flood_of_emergency_stops_leaves_a_sentence() -> None:
+    latch = Latch(issuer="i" * 128, scope="swarm", reason="r" * 1000, age=1.0)
+    flood = {f"e{number}": latch for number in range(33)}
+    text = why(make_member(state=State.ESTOPPED, reason=Reason.ESTOP, latches=flood))
+    assert "; and 30 more; clear it" in text
+    assert len(text) < 1000
+
+
+def test_a_state_under_emergency_stops_began_with_the_first_of_known_time() -> None:
+    latches = [Latch(issuer="bob", scope="swarm", age=age) for age in (3.0, 7.0, None)]
+    assert standing_time(status(since=2.0)) == 2.0
+    assert standing_time(status(since=2.0, latches=dict(zip("abc", latches, strict=True)))) == 7.0
+    assert standing_time(status(since=2.0, latches={"c": latches[2]})) is None
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,12 @@ def test_an_estop_is_shown_on_all_pages_until_all_have_acknowledged(
         assert page.evaluate("document.getElementById('estop-end').hidden") is True
         swarm.silent.clear()
         page.until(f"{ESTOP}.className === 'good'", "all have acknowledged")
+        ready(page, read_only, 7)  # opened later
+        page.evaluate("swarm.model.select(['tb3-001'])")
+        card = "document.getElementById('detail-why').textContent"
+        page.until(
+            f"{card}.includes('by anna, 5 min ago from the page; clear')", "who, when and why"
+        )
 
 
 def test_an_estop_can_be_ended_and_begun_again(

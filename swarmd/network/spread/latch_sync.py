@@ -24,6 +24,7 @@ STRANGERS_ASKED = 4  # strangers that are asked in one period
 MAX_PARTIAL = 64
 MAX_LATCHES = 64
 ROOM = 1200  # bytes for latches in a datagram
+OTHER_FIELDS = 70  # bytes at most of a latch beside its texts
 MAX_ISSUER, MAX_REASON = 128, 256  # bytes of the texts as they are sent
 
 
@@ -43,7 +44,7 @@ def latch_parts(robot: str, instance: bytes, latches: Mapping[str, Latch]) -> li
         if latch.scope != "swarm":
             continue
         issuer, reason = _cut(latch.issuer, MAX_ISSUER), _cut(latch.reason, MAX_REASON)
-        size = len(name) + len(issuer.encode()) + len(reason.encode()) + 40
+        size = len(name) + len(issuer.encode()) + len(reason.encode()) + OTHER_FIELDS
         if not parts or size > room:
             parts.append({})
             room = ROOM
