@@ -137,11 +137,11 @@ def map_of(scene: Scene, columns: int, rows: int) -> list[Text]:
         chosen = robot == scene.cursor or robot in scene.selected
         style = f"bold {_colour(scene, robot)}{' reverse' * chosen}"
         grid[row][column] = (_mark(number), style)
-    note = f" {scene.map_note} " if len(scene.map_note) + 2 <= columns else ""
+    note = f" {scene.map_note} " if 0 < len(scene.map_note) <= columns - 2 else ""
     return [
         Text(f"┌{'─' * columns}┐", style="dim"),
         *(_map_line(line, columns) for line in grid),
-        Text(f"└{note.ljust(columns, '─') if note else '─' * columns}┘", style="dim"),
+        Text(f"└{note.ljust(columns, '─')}┘", style="dim"),
     ]
 
 

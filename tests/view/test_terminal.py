@@ -89,6 +89,19 @@ def test_view_fits_the_terminal(width: int, height: int) -> None:
     assert ("┌" in "".join(lines)) == (height >= 24)
 
 
+def test_the_frame_of_the_map_is_whole_at_each_width() -> None:
+    robots = scene(**{f"tb3-{i:02d}": (i - 4.0, 0.0, 0.0) for i in range(1, 8)})
+    for width in range(40, 201):
+        for note in ("", "each by its own odometry", "x" * 300):
+            lines = [line.plain for line in lines_of(replace(robots, map_note=note), width, 40)]
+            (top,) = (line[line.index("┌") :] for line in lines if "┌" in line)
+            (bottom,) = (line[line.index("└") :] for line in lines if "└" in line)
+            room = len(top) - 2
+            shown_note = f" {note} " if 0 < len(note) <= room - 2 else ""
+            assert top == f"┌{'─' * room}┐"
+            assert bottom == f"└{shown_note}{'─' * (room - len(shown_note))}┘"
+
+
 def crowd(*standing: int) -> Scene:
     """Thirty robots, of which some stand and the last does not answer."""
     names = [f"tb3-{i:02d}" for i in range(1, 31)]
