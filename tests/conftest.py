@@ -25,6 +25,7 @@ from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
 from tests.support.forked_python import ForkedPython, forked_python
+from tests.support.pages import SUMMARY
 from tests.support.scheduling import NICENESS, MixedScheduling, computes, order
 
 # A machine may be busy: how long an example takes is no property. A property test draws an eighth
@@ -185,11 +186,17 @@ def pytest_runtest_makereport(
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """With --durations, show the CPU time of each folder, processes of its tests included."""
+    """Show what runs the blocks of the pages, and the CPU time of each folder with --durations.
+
+    Processes of the tests are included.
+    """
     seconds: Counter[str] = Counter()
     for reports in terminalreporter.stats.values():
         for report in reports:
-            seconds.update(dict(getattr(report, "user_properties", ())).get("cpu_spent", {}))
+            properties = dict(getattr(report, "user_properties", ()))
+            seconds.update(properties.get("cpu_spent", {}))
+            if SUMMARY in properties and report.when == "call":
+                terminalreporter.write_line(f"{SUMMARY}: {properties[SUMMARY]}")
     if terminalreporter.config.option.durations:
         terminalreporter.section(f"CPU time by folder, {seconds.total():.0f} s in all")
         for folder, spent in seconds.most_common():

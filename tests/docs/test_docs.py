@@ -289,6 +289,8 @@ def test_files_of_a_page_are_ready_to_use(page: Path, tmp_path: Path) -> None:
     for example in (ROOT / "examples").glob("*.py"):
         (tmp_path / example.name).write_text(example.read_text())
     for name, text in files(page).items():
+        if "\nmission:" in text:  # tests/mission/test_shipped.py
+            continue
         if name.endswith(".yaml"):
             assert load_scenario(tmp_path / name).robots
         else:

@@ -46,4 +46,8 @@ def test_robots_that_cannot_see_each_other_are_refused(tmp_path: Path) -> None:
 def test_each_problem_names_its_source_and_has_a_command_with_output(section: str) -> None:
     body = PAGE.partition(f"## {section}\n")[2].partition("\n## ")[0]
     assert re.search(r"\([\w-]+/[\w-]+#\d+\)", body)
-    assert re.search(r"^```\n(?:swarmctl|make) .+?^```\n```text\n", body, re.MULTILINE | re.DOTALL)
+    assert re.search(
+        r"^```\n(?:swarmctl|make) .+?^```\n(?:<!-- example -->\n)?```text\n",
+        body,
+        re.MULTILINE | re.DOTALL,
+    )
