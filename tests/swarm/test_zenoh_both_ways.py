@@ -184,6 +184,23 @@ def test_the_query_of_the_page_reaches_each_robot_and_names_an_absent_one(
     wait_until(reaches_all, "the query of the page reaches all robots")
 
 
+@pytest.mark.evidence
+def test_each_of_thirty_new_sessions_stops_all_robots_beside_another_swarm(
+    voting: Swarm, tmp_path: Path
+) -> None:
+    """The program of the page, whose session may be linked to a robot of the other swarm first."""
+    program = tmp_path / "stop.py"
+    program.write_text(next(block for block in PAGE_BLOCKS if block.startswith('"""Stop all')))
+    with contextlib.closing(Swarm(tmp_path / "other")) as other:
+        for daemon in [other.spawn(robot, other.body(robot)) for robot in ROBOTS]:
+            daemon.wait_ready()
+        for _ in range(30):
+            command = [sys.executable, str(program), voting.name, *ROBOTS]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            codes = dict(line.split()[:2] for line in done.stdout.splitlines())
+            assert codes == dict.fromkeys(ROBOTS, "applied")
+
+
 def test_a_program_hears_what_patterns_send(voting: Swarm, session: zenoh.Session) -> None:
     run(voting)
     heard = dict[str, int]()
