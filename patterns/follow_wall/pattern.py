@@ -16,7 +16,6 @@ from swarmd.api import (
     Inputs,
     NearPoints,
     Params,
-    Ray,
     Scan,
     TimedPattern,
     TopSpeed,
@@ -30,15 +29,18 @@ from swarmd.api import (
     turn_time,
 )
 
-# The sector in which the wall is looked for, from the side of the wall: 65 degrees ahead of the
-# side, for inner corners, and 65 degrees behind it, for outer ones.
-_HALF_WIDTH = math.radians(65.0)
+# The sector in which the wall is looked for, off the heading: from straight ahead, for inner
+# corners, to 65 degrees behind the side, for outer ones.
+_MIDDLE = _HALF_WIDTH = math.radians(77.5)
 # The largest angle between heading and tangent, on the way to a wall or away from it.
 _MAX_APPROACH = math.radians(50.0)
 _BRAKE = 0.3  # m before `spacing` over which the speed towards an obstacle falls to zero
 _MIN_DISTANCE = 0.1  # m: divisor in place of a smaller `distance`
 _MEMORY = 0.3  # s for which the wall counts as seen, longer than between two scans
 _SPACING_SHARE = 0.7  # of `distance`: obstacles ahead that are nearer slow the robot down
+# Of the distance from the wall, where that is less: a robot that was pushed to its wall drives on
+# until the wall ahead is the nearest surface. With 0.9 it takes longer, with 1.0 it stands there.
+_NEAR_SHARE = 0.85
 
 
 class FollowWallParams(Params, frozen=True, kw_only=True):
@@ -96,32 +98,36 @@ class FollowWall(TimedPattern[FollowWallParams]):
         most. Without a wall after the arc the robot drives straight ahead.
         """
         scan = inputs.scan
-        ray = nearest(scan, bearing=self._side * math.pi / 2.0, half_width=_HALF_WIDTH)
+        ray = nearest(scan, bearing=self._side * _MIDDLE, half_width=_HALF_WIDTH)
         if ray is not None and ray.range <= self.params.reach:
             # The states `follow`, `around` and the default `search` begin anew with each step that
             # sees the wall. So `around` begins _MEMORY s after the wall has ended.
             around = turn_time(1.5 * math.pi, self._end_turn_rate)
             self.begin(inputs.now, follow=_MEMORY, around=around)
-            return self._steer(scan, self._heading(ray))
+            offset = self.context.platform.scan.offset
+            ((distance, bearing),) = polar_from_base([[ray.range, ray.bearing]], offset)
+            return self._steer(scan, self._heading(distance, bearing), _NEAR_SHARE * distance)
         if self.state(inputs.now) == "search":
-            return self._steer(scan, 0.0)
+            return self._steer(scan, 0.0, math.inf)
         # No wall: an arc of radius `distance` around its end.
         speed = self._end_turn_rate * self.params.distance
         return Twist(speed, self._side * self._end_turn_rate)
 
-    def _heading(self, ray: Ray) -> float:
-        """The heading in rad in the base frame, along the tangent of the surface at `ray`.
+    def _heading(self, distance: float, bearing: float) -> float:
+        """The heading in rad in the base frame, along the tangent of the surface at that place.
 
         The heading is turned to the surface or away from it by the error of the distance.
         """
-        offset, wanted = self.context.platform.scan.offset, self.params.distance
-        ((distance, bearing),) = polar_from_base([[ray.range, ray.bearing]], offset)
+        wanted = self.params.distance
         error = (distance - wanted) / max(wanted, _MIN_DISTANCE)
         tangent = bearing - self._side * math.pi / 2.0
         return tangent + self._side * max(-1.0, min(1.0, error)) * _MAX_APPROACH
 
-    def _steer(self, scan: Scan | None, heading: float) -> Twist:
-        """The command along a heading in rad, slower where an obstacle is near ahead."""
+    def _steer(self, scan: Scan | None, heading: float, spacing_max: float) -> Twist:
+        """The command along a heading in rad, slower where an obstacle is near ahead.
+
+        `spacing_max`: the robot stands no farther than this before an obstacle, in m.
+        """
         params = self.params
         points = closest_points(scan, within=params.distance + 1.0).tolist()
         near_points = NearPoints(polar_from_base(points, self.context.platform.scan.offset))
@@ -130,6 +136,6 @@ class FollowWall(TimedPattern[FollowWallParams]):
             math.sin(heading),
             params.speed,
             params.turn,
-            spacing=_SPACING_SHARE * params.distance,
+            spacing=min(_SPACING_SHARE * params.distance, spacing_max),
             brake=_BRAKE,
         )
