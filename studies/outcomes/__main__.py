@@ -1,7 +1,8 @@
 """Every pattern's outcomes over many seeds: `python -m studies.outcomes [PATTERN ...]`.
 
-Prints a table. Exit code 1 if an outcome is not reached. `--keep` writes the values of each run
-beside the pattern, and the table of the pattern's page.
+Prints a table. Exit code 1 if an outcome is not reached and is not kept as missed, or if as many
+runs as are kept, on such a machine, give other values. `--keep` writes the values of each run and
+those of the short form beside the pattern, and the table of the pattern's page.
 `tests/studies/test_outcomes.py` tests a few seeds.
 """
 
@@ -12,8 +13,17 @@ import os
 import sys
 from collections.abc import Sequence
 
-from studies.outcomes.catalog import MODULES
-from studies.outcomes.outcome import HEAD, keep
+from studies.outcomes.catalog import MODULES, short_outcomes
+from studies.outcomes.outcome import (
+    HEAD,
+    Kept,
+    Outcome,
+    digits_of,
+    keep,
+    kept_outcomes,
+    other_digits,
+    renewal,
+)
 from swarmd.core.errors import SwarmError, unknown
 
 
@@ -28,15 +38,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if name not in MODULES:
             raise SwarmError(unknown("pattern with outcomes", name, MODULES))
     print(f"| pattern | {' | '.join(HEAD)} |\n|---{'|---' * len(HEAD)}|")
-    missed = 0
+    kept, problems = kept_outcomes(), 0
     for name in options.patterns or MODULES:
         outcomes = MODULES[name].outcomes(range(options.seeds), options.jobs)
         for outcome in outcomes:
             print(f"| {outcome.pattern} {outcome.row}", flush=True)
-            missed += not outcome.is_reached
+        known = kept[name].missed if name in kept else []
+        problems += sum(not o.is_reached and o.what not in known for o in outcomes)
         if options.keep:
-            keep(name, options.seeds, outcomes)
-    return 1 if missed else 0
+            keep(name, options.seeds, outcomes, short_outcomes(name))
+        elif name in kept and kept[name].seeds == options.seeds:
+            problems += report_digits(kept[name], outcomes)
+    return 1 if problems else 0
+
+
+def report_digits(kept: Kept, outcomes: Sequence[Outcome]) -> int:
+    """Print which values differ from the kept ones, with the remedy; how many outcomes differ."""
+    machine = kept.other_machine()
+    if machine is not None:
+        print(f"{kept.pattern}: digits not compared: {machine}", file=sys.stderr)
+        return 0
+    differing = other_digits(digits_of(kept.outcomes), digits_of(outcomes))
+    for text in differing:
+        print(f"{kept.pattern}: {text}; {renewal(kept.pattern)}", file=sys.stderr)
+    return len(differing)
 
 
 if __name__ == "__main__":

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+import platform
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import date
+from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 import numpy as np
 
-from swarmd.sim.experiments.provenance import made_with
+from swarmd.sim.experiments.manifest import PROCESSOR
+from swarmd.sim.experiments.provenance import git_state, made_with
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import (
     Interval,
@@ -28,6 +33,11 @@ KEPT = "outcome.json"
 """The outcomes that were kept, beside the pattern."""
 RESULTS_PART = re.compile(r"(<!-- results: .*? -->\n).*?(<!-- end of results -->)", re.DOTALL)
 """The part of a page that a study writes."""
+MACHINE = (*PROCESSOR, "processor", "libc")
+"""The keys of `Kept.made_with` that name the machine; lockstep repeats bit by bit on one."""
+SHORT_SEED = 1
+"""The seed of the short form."""
+_SHORT_COMMIT = 10
 HEAD = ("what", "wanted", "least / median / most, or of all runs (95 %)", "runs", "reached", "from")
 
 
@@ -115,29 +125,108 @@ class Outcome:
         return f"| {' | '.join(cells)} |"
 
 
+class Digits(msgspec.Struct, frozen=True):
+    """The values of an outcome; None where a value is not finite."""
+
+    what: str
+    values: tuple[float | None, ...]
+
+
 class Kept(msgspec.Struct, frozen=True):
-    """The outcomes of a pattern in a file, with the seeds and the software that gave them."""
+    """The outcomes of a pattern in a file, with the seeds and the software that gave them.
+
+    `made_with`: `software`, and the keys `day` and `commit`. `short`: the values of the short form
+    (`catalog.short_outcomes`) by the same software, by which a run of the suite shows that the
+    table is old.
+    """
 
     pattern: str
     seeds: int
     made_with: dict[str, str]
     outcomes: tuple[Outcome, ...]
+    short: tuple[Digits, ...] = ()
 
     @property
     def table(self) -> str:
         """The table of a page."""
         lines = ["| " + " | ".join(HEAD) + " |", "|---" * len(HEAD) + "|"]
-        return "\n".join([*lines, *(outcome.row for outcome in self.outcomes)])
+        rows = [outcome.row for outcome in self.outcomes]
+        if "day" in self.made_with:
+            rows += ["", "Made on {day} with commit {commit}.".format_map(self.made_with)]
+        return "\n".join([*lines, *rows])
+
+    @property
+    def missed(self) -> list[str]:
+        """The outcomes that were not reached."""
+        return [outcome.what for outcome in self.outcomes if not outcome.is_reached]
+
+    def other_machine(self) -> str | None:
+        """What differs between the machine that gave the values and this one, as text; else None.
+
+        Libraries of mathematics choose their code by processor, and Python 3.12 adds numbers in
+        another way than 3.11. So the last digits differ, and later all digits of a run.
+        """
+        here, there = software(), self.made_with
+        series = [made.get("python", "").rpartition(".")[0] for made in (here, there)]
+        differing = [key for key in MACHINE if here[key] != there.get(key)]
+        differing += ["python"] * (series[0] != series[1])
+        texts = [f"{key}: {there.get(key, 'unknown')}, here {here[key]}" for key in differing]
+        return ", ".join(texts) or None
 
 
-def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome]) -> None:
+def digits_of(outcomes: Sequence[Outcome]) -> tuple[Digits, ...]:
+    """The values of outcomes as a file has them."""
+    found = [Digits(outcome.what, outcome.values) for outcome in outcomes]
+    return msgspec.json.decode(msgspec.json.encode(found), type=tuple[Digits, ...])
+
+
+def other_digits(kept: Sequence[Digits], now: Sequence[Digits]) -> list[str]:
+    """A text for each outcome whose values differ from the kept ones in any digit."""
+    pairs = zip_longest(kept, now, fillvalue=Digits("no outcome", ()))
+    return [f"{new.what}: {new.values}, kept {old.values}" for old, new in pairs if old != new]
+
+
+def renewal(pattern: str) -> str:
+    """What renews the file and the table of a pattern, as text."""
+    return f"`python -m studies.outcomes {pattern} --keep` renews the page and {KEPT}"
+
+
+@cache
+def software() -> dict[str, str]:
+    """`made_with`, with the processor and the C library, on which last digits depend, too."""
+    return {**made_with(), "processor": _processor(), "libc": " ".join(platform.libc_ver())}
+
+
+def _processor() -> str:
+    """The first processor's vendor, family and model as Linux numbers them; else its name."""
+    file = Path("/proc/cpuinfo")
+    lines = file.read_text().splitlines() if file.exists() else []
+    pairs = [[part.strip() for part in line.split(":", 1)] for line in lines if ":" in line]
+    about = dict(reversed(pairs))
+    known = [about[key] for key in ("vendor_id", "cpu family", "model") if key in about]
+    return " ".join(known) or platform.processor()
+
+
+@cache
+def _commit() -> str:
+    """The commit of this checkout, shortened; it says so if files had changed before `keep`."""
+    state = git_state(PATTERNS.parent)
+    if state is None:
+        return "unknown"
+    return state.commit[:_SHORT_COMMIT] + ", with changes" * state.is_dirty
+
+
+def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome], short: Sequence[Outcome]) -> None:
     """Write the outcomes beside the pattern, and their table into the pattern's page.
 
-    `seeds`: the number of seeds, from 0 on. A page without the two comments of `RESULTS_PART` is
-    not changed.
+    `seeds`: the number of seeds, from 0 on. `short`: the outcomes of the short form. A page without
+    the two comments of `RESULTS_PART` is not changed.
     """
-    kept = Kept(pattern, seeds, made_with(), tuple(outcomes))
-    text = msgspec.json.encode(kept).replace(b'{"pattern"', b'\n{"pattern"')  # a line for each
+    origin = {"day": date.today().isoformat(), "commit": _commit()}
+    kept = Kept(pattern, seeds, {**software(), **origin}, tuple(outcomes), digits_of(short))
+    text = msgspec.json.encode(kept)
+    for start in (b'{"pattern"', b'{"what"', b'"short"'):  # a line for each
+        text = text.replace(start, b"\n" + start)
     (PATTERNS / pattern / KEPT).write_bytes(text.strip() + b"\n")
     page = PATTERNS / pattern / "page.md"
     page.write_text(with_results(page.read_text(), kept.table))
