@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import contextlib
-import doctest
 import re
 import runpy
 import shlex
@@ -295,17 +294,6 @@ def test_files_of_a_page_are_ready_to_use(page: Path, tmp_path: Path) -> None:
             assert load_scenario(tmp_path / name).robots
         else:
             compile(text, name, "exec")
-
-
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if ">>> " in page.read_text()], ids=name_of
-)
-def test_each_session_of_python_on_a_page_prints_what_it_shows(page: Path) -> None:
-    runner, parser = doctest.DocTestRunner(verbose=False), doctest.DocTestParser()
-    for code in blocks(page, "python"):
-        runner.run(parser.get_doctest(code, {}, name_of(page), name_of(page), 0))
-    assert runner.tries
-    assert not runner.failures
 
 
 @pytest.mark.parametrize("name", platform_names())
