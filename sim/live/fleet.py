@@ -154,7 +154,13 @@ class Fleet:
         """Start the daemon of a robot that has none."""
         words = ("--config", str(self.spec.folder / f"{robot}.yaml"))
         log = self.spec.folder / f"{robot}.log"
-        daemon = fork_main(robot, FORKED_DAEMON, words, stdout=None, stderr=log)
+        daemon = fork_main(
+            f"{robot}@{self.spec.swarm}",  # for `pkill -x`: another swarm may have a robot so named
+            FORKED_DAEMON,
+            words,
+            stdout=None,
+            stderr=log,
+        )
         self._children.append(Child(robot, daemon, log))
 
     def end_daemon(self, robot: str, *, in_order: bool) -> None:

@@ -30,6 +30,8 @@ VARYING = (
     (r"\b[\d.]+ ms\b", "DURATION"),
 )
 """What is another in each run of a living swarm, in a page and in what a command gives."""
+PROCESS = re.compile(r"\b([\w-]+)@default\b")
+"""The process of a robot of the default swarm, as `pkill -x` takes its name."""
 
 
 class Reader:
@@ -119,7 +121,9 @@ class Reader:
         """The names of robots and swarms of the page become those of this reader."""
         if not self.has_robots:
             return text
-        return text.replace("tb3", self.robots).replace("meadow", self.swarm)
+        text = text.replace("tb3", self.robots).replace("meadow", self.swarm)
+        # Linux keeps 15 characters of the name of a process.
+        return PROCESS.sub(lambda found: f"{found[1]}@{self.swarm}"[:15], text)
 
     def _shown(self, text: str) -> str:
         text = text.replace(f"{ROOT}/", "").replace(f"{self.folder}/", "")

@@ -228,8 +228,9 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
             run = swarmctl_in_time("run", "dispersion", "--all", environ={"SWARM": swarm})
             again = run_command("swarmctl", "sim", "up", "-n", "2", cwd=tmp_path, SWARM=swarm)
             # A process that it forks has its name for a moment.
-            wait_until(lambda: len(named("tb3-02", tmp_path)) == 1, "tb3-02 is there")
-            (daemon,) = named("tb3-02", tmp_path)
+            name = f"tb3-02@{swarm}"[:15]  # the kernel keeps 15 characters
+            wait_until(lambda: len(named(name, tmp_path)) == 1, "tb3-02 is there")
+            (daemon,) = named(name, tmp_path)
             os.kill(daemon, signal.SIGKILL)
             assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL (log: ")
             wait_until(lambda: count_alive() == 1, "tb3-02 is listed as failed")
