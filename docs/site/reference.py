@@ -44,6 +44,7 @@ from swarmd.core.values import (
 )
 from swarmd.core.verbs import VERBS
 from swarmd.network.access import robot_access
+from swarmd.protection.compatibility import assumed_speed, body_of, sees
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
 from swarmd.security.roster import Roster
 from swarmd.settings.platforms import (
@@ -215,6 +216,34 @@ def platforms() -> Iterator[str]:
     yield from _schema("protection.barrier", BarrierSettings)
     yield from _schema("protection.stop_zone", StopZoneSettings)
     yield from _schema("protection.presets.NAME", PotentialFieldSettings)
+
+
+def mixed() -> Iterator[str]:
+    """What protection of each platform sees, and what it assumes, of each platform as a peer."""
+    speeds = {name: assumed_speed(load_platform(name)) for name in platform_names()}
+    bodies = {name: body_of(load_platform(name)) for name in platform_names()}
+    rows = []
+    for name, own in bodies.items():
+        speed = speeds[name]
+        unseen = [f"`{peer}`" for peer, body in bodies.items() if not sees(own, body)]
+        faster = [
+            f"`{peer}`"
+            for peer, body in bodies.items()
+            if speed is not None and body.surface_speed > speed
+        ]
+        rows.append(
+            (
+                f"`{name}`",
+                f"{own.scan_plane:.3f}",
+                f"{own.lowest:.3f} to {own.highest:.3f}",
+                f"{own.surface_speed:.2f}",
+                "nothing" if speed is None else f"{speed:.2f}",
+                "any platform" if len(unseen) == len(bodies) else ", ".join(unseen) or "-",
+                ", ".join(faster) or "-",
+            )
+        )
+    heads = ("platform", "scan plane [m]", "opaque [m]", "`surface_speed` [m/s]")
+    yield _table((*heads, "assumes [m/s]", "does not see", "assumes less than the speed of"), rows)
 
 
 def words() -> Iterator[str]:
@@ -555,6 +584,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "comparison": comparison,
     "films": films,
     "platforms": platforms,
+    "mixed": mixed,
     "words": words,
     "scenarios": scenarios,
     "metrics": metrics,

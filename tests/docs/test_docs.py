@@ -67,6 +67,8 @@ EXAMPLE = "udp"  # the driver in examples/
 NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
 GROUPS = [f"swarmd.{name}" for name in ("patterns", "drivers", "emulators", "commands", "metrics")]
 SOURCE = re.compile(r"`((?:swarmd|patterns|drivers|sim|config|studies|tests)/[\w/-]+\.\w+)`")
+MEMBER = re.compile(r"`([A-Z]\w*[a-z]\w*)\.(\w+)(?:\(\))?`")
+CLASS = re.compile(r"^class (\w+)(?:\[.*?\])?(?:\((.*?)\))?:", re.MULTILINE | re.DOTALL)
 STEP = re.compile(r"^\| \d+ \| `([\w/]+\.py)` `(\w+)` \|", re.MULTILINE)
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -279,6 +281,16 @@ def test_metrics_and_requirements_exist() -> None:
     assert wrong == []
 
 
+def test_members_of_classes_that_a_page_names_exist() -> None:
+    named = [(page, *names) for page in PAGES for names in MEMBER.findall(page.read_text())]
+    wrong = [
+        f"{name_of(page)}: {kind}.{member}"
+        for page, kind, member in named
+        if not _has_member(kind, member)
+    ]
+    assert wrong == []
+
+
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if FILE.search(page.read_text())], ids=name_of
 )
@@ -338,6 +350,7 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("patterns", ["`opinions`", "`spacing`"]),
         ("comparison", ["`attraction`", "`hop_gradient`", "`voter_model`"]),
         ("platforms", [*(f"`{name}`" for name in platform_names()), "`braking_linear`"]),
+        ("mixed", [f"`{name}`" for name in platform_names()]),
         ("words", ["`run`", "`stop`", "`estop`", "`low battery`", "`lost link, daemon killed`"]),
         ("scenarios", [*(f"`{name}`" for name in scenario_names()), "`neighborhood`"]),
         ("metrics", [f"`{name}`" for name in METRICS]),
@@ -452,13 +465,37 @@ def test_the_page_of_a_lesson_has_the_targets_by_which_a_class_is_marked(
 @pytest.mark.parametrize("number", ["2", "5"])
 def test_a_class_is_marked_by_the_scenario_of_the_page(number: str, tmp_path: Path) -> None:
     (page,) = (ROOT / "docs" / "tutorial").glob(f"{number}-*.md")
-    (text,) = [text for name, text in files(page).items() if name.endswith(".yaml")]
+    text = next(text for name, text in files(page).items() if name.endswith(".yaml"))
     wanted = yaml.safe_load(text)
     (group,) = wanted["groups"].values()
     lesson = load_lessons()[number]
     assert wanted.pop("plugin_dir") == "."
     assert group.pop("pattern") == lesson.pattern
     assert lesson.scenario == wanted
+
+
+@cache
+def _classes() -> dict[str, list[tuple[list[str], str]]]:
+    """The bases of each class, and its text, by its name; two classes may have one name."""
+    found: dict[str, list[tuple[list[str], str]]] = {}
+    for folder in ("swarmd", "patterns", "drivers", "sim", "studies"):
+        for path in ROOT.glob(f"{folder}/**/*.py"):
+            text = path.read_text()
+            for match in CLASS.finditer(text):
+                end = re.compile(r"^\S", re.MULTILINE).search(text, match.end())
+                body = text[match.end() : end.start() if end else None]
+                found.setdefault(match[1], []).append((re.findall(r"\w+", match[2] or ""), body))
+    return found
+
+
+def _has_member(kind: str, member: str) -> bool:
+    """Whether a class of this name, or one of its bases, defines or sets the member."""
+    method, name = rf"^ +(?:async )?def {member}\(", rf"(?:^    |self\.){member} ?[:=]"
+    defines = re.compile(f"{method}|{name}", re.MULTILINE)
+    return any(
+        defines.search(body) or any(_has_member(base, member) for base in bases if base != kind)
+        for bases, body in _classes().get(kind, ())
+    )
 
 
 def _is_there(name: str) -> bool:
