@@ -46,6 +46,16 @@ NO_CLAIM = {
 }
 SEEDS = re.compile(r"^swarmctl exp (?:run|bench)\b.* --seeds (\d+)\b", re.MULTILINE)
 
+# What README.md quotes, and where: the first cell of a row of benchmarks/README.md.
+QUOTED = {
+    "[{0} % of a core idle, {1} % driving": "CPU, daemon and host, idle / driving",
+    "driving, {0} MB](benchmarks/README.md#last-measured)": "RSS; PSS",
+    "(swarmd: [{0}](benchmarks/README.md#last-measured))": (
+        "robot-seconds a CPU-second, 1000 robots with 24 rays"
+    ),
+    "later starts took {0} s": "`swarmctl demo` to 7 moving, without compiled files",
+}
+
 
 def prose(text: str) -> str:
     return " ".join(re.sub(r"```.*?```", "", text, flags=re.DOTALL).split())
@@ -106,3 +116,12 @@ def test_kept_outcomes_are_what_their_runs_give(pattern: str) -> None:
 def test_a_lesson_with_few_seeds_says_so(page: str) -> None:
     text = (DOCS / page).read_text()
     assert FEW in text.lower() or all(int(seeds) >= 20 for seeds in SEEDS.findall(text))
+
+
+@pytest.mark.parametrize("quote", QUOTED)
+def test_the_readme_quotes_the_newest_measurement(quote: str) -> None:
+    """The last cell of the first row of this name below *Last measured*: the newest is first."""
+    measured = (ROOT / "benchmarks/README.md").read_text().partition("\n## Last measured\n")[2]
+    row = next(line for line in measured.splitlines() if line.startswith(f"| {QUOTED[quote]} |"))
+    newest = re.findall(r"\d[\d.,]*", row.rpartition(" | ")[2])
+    assert quote.format(*newest) in (ROOT / "README.md").read_text()
