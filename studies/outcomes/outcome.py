@@ -33,8 +33,10 @@ KEPT = "outcome.json"
 """The outcomes that were kept, beside the pattern."""
 RESULTS_PART = re.compile(r"(<!-- results: .*? -->\n).*?(<!-- end of results -->)", re.DOTALL)
 """The part of a page that a study writes."""
-MACHINE = (*PROCESSOR, "processor", "libc")
-"""The keys of `Kept.made_with` that name the machine; lockstep repeats bit by bit on one."""
+MACHINE = (*PROCESSOR, "processor", "libc", "numpy", "scipy", "mujoco")
+"""The keys of `Kept.made_with` for the machine and its libraries of mathematics.
+
+Lockstep repeats bit by bit where they are equal."""
 SHORT_SEED = 1
 """The seed of the short form."""
 _SHORT_COMMIT = 10
@@ -224,12 +226,17 @@ def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome], short: Sequence[
     """
     origin = {"day": date.today().isoformat(), "commit": _commit()}
     kept = Kept(pattern, seeds, {**software(), **origin}, tuple(outcomes), digits_of(short))
-    text = msgspec.json.encode(kept)
-    for start in (b'{"pattern"', b'{"what"', b'"short"'):  # a line for each
-        text = text.replace(start, b"\n" + start)
-    (PATTERNS / pattern / KEPT).write_bytes(text.strip() + b"\n")
+    (PATTERNS / pattern / KEPT).write_bytes(as_file(kept))
     page = PATTERNS / pattern / "page.md"
     page.write_text(with_results(page.read_text(), kept.table))
+
+
+def as_file(kept: Kept) -> bytes:
+    """The contents of the file, with a line for each outcome."""
+    text = msgspec.json.encode(kept)
+    for start in (b'{"pattern"', b'{"what"', b'"short"'):
+        text = text.replace(start, b"\n" + start)
+    return text.strip() + b"\n"
 
 
 def with_results(page: str, table: str) -> str:
