@@ -17,8 +17,10 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import Duration
-from swarmd.cli.output import print_json, print_section, warn
+from swarmd.cli.output import print_json, print_section, signals_end, warn
+from swarmd.core.clock import process_start
 from swarmd.core.errors import SwarmError
+from swarmd.core.token_bucket import TokenBucket
 from swarmd.sim.cli.exp_video import film, need_film
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 from swarmd.sim.cli.world_page import page_option, world_page
@@ -71,7 +73,8 @@ def demo(
 
     SCENARIO is a name of `swarmctl exp list` or a YAML file. A scenario runs for its duration, with
     one seed. The demo leaves summary.json, trajectories.png, the trace and all logs in
-    runs/<time>/. Exit code 0 only if every robot ran to the end and no two robots touched.
+    runs/<time>/. Ctrl-C and SIGTERM end the run early, also with a summary. Exit code 0 only if
+    every robot ran to the end and no two robots touched.
     """
     # 1. Check the options before any process starts. `world`: the values of `fleet_options`, such
     #    as scenario, platform and plugin_dir.
@@ -96,11 +99,16 @@ def demo(
 
     # 3. The run, its report, and the film of its trace.
     is_live = sys.stdout.isatty() and not (headless or is_json)
-    summary = perform(spec, settings, is_live=is_live, page=page)
-    report(summary, folder, is_json=is_json)
-    if video is not None:
-        _film_trace(folder / "trace.npz", video, _title(summary), is_quiet=is_json)
-    ctx.exit(0 if summary.is_good else 1)
+    try:
+        with signals_end():  # SIGTERM also ends the processes
+            summary = perform(spec, settings, is_live=is_live, page=page)
+            report(summary, folder, is_json=is_json)
+            if video is not None and not summary.signal:
+                _film_trace(folder / "trace.npz", video, _title(summary), is_quiet=is_json)
+    except (SwarmError, OSError, KeyboardInterrupt, SystemExit):
+        warn(f"what was kept is in {folder}/")
+        raise
+    ctx.exit(128 + summary.signal if summary.signal else 0 if summary.is_good else 1)
 
 
 def _checked_parameters(
@@ -175,10 +183,9 @@ def perform(
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.demo_run import DemoRun
-    from swarmd.sim.live.fleet import Fleet, end_on_signals, started_at
+    from swarmd.sim.live.fleet import Fleet
     from swarmd.sim.live.link import WorldView
 
-    end_on_signals()  # SIGTERM also ends the processes
     assert spec.trace is not None  # `demo` has set it; the summary is measured on the trace
     warn(f"Starting a world and {len(spec.robots)} daemons; logs are in {spec.folder}/")
     with (
@@ -189,9 +196,8 @@ def perform(
         _screen(is_live, served_page.addresses if served_page is not None else ()) as draw_scene,
     ):
         run = DemoRun(settings, fleet, operator, world, draw_scene)
-        # `started_at()`: the start of this process. The summary counts the time until motion from
-        # this start.
-        summary = run.perform(spec.trace, started_at(), warn)
+        # The summary counts the time until motion from the start of this process.
+        summary = run.perform(spec.trace, process_start(), warn)
         if served_page is not None:
             served_page.reason = (
                 f"The demo has ended; its robots have stopped. Results: {spec.folder.parent}/"
@@ -227,14 +233,33 @@ def report(summary: DemoSummary, folder: Path, *, is_json: bool) -> None:
         raise SwarmError(f"{text}; make room there, or run the demo in another folder") from error
 
 
+def progress_lines(clock: Callable[[], float] = time.monotonic) -> Callable[[Scene], None]:
+    """A function that prints a line on stderr for a scene, once in TELL_PERIOD s by `clock`.
+
+    The line has the title of the scene, and the count of robots in each state.
+    """
+    from swarmd.sim.live.starting import TELL_PERIOD
+
+    pace = TokenBucket(1.0 / TELL_PERIOD, 1.0)
+
+    def tell(scene: Scene) -> None:
+        if pace.take(1.0, clock()):
+            states = {robot: status.state.value for robot, status in scene.statuses.items()}
+            words = [states.get(robot, "silent") for robot in scene.poses]
+            counts = (f"{words.count(word)} {word}" for word in sorted(set(words)))
+            warn(f"{scene.title}; {', '.join(counts)}")
+
+    return tell
+
+
 @contextmanager
 def _screen(is_live: bool, addresses: Sequence[str]) -> Iterator[Callable[[Scene], None]]:
-    """Yield a function that draws a scene: as a live view of the terminal, or nothing at all.
+    """Yield a function that shows a scene: as a live view of the terminal, or as lines on stderr.
 
     `is_live`: the function draws. `addresses`: web addresses of a page, shown below the view.
     """
     if not is_live:
-        yield lambda scene: None
+        yield progress_lines()
         return
     from rich.console import Console as Terminal
     from rich.live import Live

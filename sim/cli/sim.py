@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from swarmd.cli.options import CommonOptions, VerbGroup
-from swarmd.cli.output import print_section, warn
+from swarmd.cli.output import print_section, signals_end, warn
 from swarmd.client.network_options import DEFAULT_SWARM
 from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
@@ -95,12 +95,11 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     """
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
-    from swarmd.sim.live.fleet import Fleet, end_on_signals
+    from swarmd.sim.live.fleet import Fleet
     from swarmd.sim.live.simulated_swarm import check_free
     from swarmd.sim.live.starting import await_robots, statuses_of
 
-    end_on_signals()
-    with Operator(NetworkSettings(swarm=spec.swarm)) as operator:
+    with signals_end(), Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         check_free(operator, spec, "swarmctl sim up --swarm NAME")
         with Fleet(spec) as fleet, world_page(fleet, page):
             statuses = statuses_of(await_robots(operator, fleet, warn))
@@ -119,11 +118,10 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
     Prints the driver and its options that a daemon needs to drive a robot of this world.
     """
     from swarmd.settings.yamlfile import text_of
-    from swarmd.sim.live.fleet import Fleet, daemon_config, end_on_signals
+    from swarmd.sim.live.fleet import Fleet, daemon_config
 
-    end_on_signals()
     spec = dataclasses.replace(spec, absent=frozenset(spec.robots))
-    with Fleet(spec) as fleet, world_page(fleet, page):
+    with signals_end(), Fleet(spec) as fleet, world_page(fleet, page):
         config = daemon_config(spec, next(iter(spec.robots)), fleet.ready)
         names = list(spec.robots)
         shown = {key: config[key] for key in ("platform", "driver", "driver_options")}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from swarmd.cli.output import warn
+from swarmd.cli.output import signals_end, warn
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 
 if TYPE_CHECKING:
@@ -67,10 +67,9 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
     """
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
-    from swarmd.sim.live.fleet import Fleet, end_on_signals
+    from swarmd.sim.live.fleet import Fleet
     from swarmd.sim.live.starting import await_robots
 
-    end_on_signals()
     swarm = f"tour-{secrets.token_hex(4)}"
     spec = fleet_for(swarm, folder, **world)
     # Sockets and member lists of the processes lie in `folder`, which the caller removes.
@@ -79,8 +78,12 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
     click.echo(
         f"Starting a simulated swarm of {count} robots, as `swarmctl sim up -n {count}` does."
     )
-    with Operator(NetworkSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
-        await_robots(operator, fleet)
+    with (
+        signals_end(),  # SIGTERM also ends the processes
+        Operator(NetworkSettings(swarm=swarm)) as operator,
+        Fleet(spec) as fleet,
+    ):
+        await_robots(operator, fleet, warn)
         for number, step in enumerate(steps(tuple(spec.robots)), 1):
             click.echo(
                 f"\n{number}. {step.text}\n$ swarmctl {' '.join(step.words)}", nl=not is_waiting

@@ -6,6 +6,7 @@ uses the true state of the world only for the live view and the summary.
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,11 +16,12 @@ from pathlib import Path
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.messages import State, Status
+from swarmd.core.processes import noted_signals
 from swarmd.core.verbs import ParamRequest, ResetRequest, RunRequest
 from swarmd.network.operator.operator import Operator, StopVerb
 from swarmd.network.operator.outcome import Outcome
 from swarmd.sim.live import starting
-from swarmd.sim.live.fleet import Fleet
+from swarmd.sim.live.fleet import WORLD, Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.recording import StatusLog
 from swarmd.sim.live.state import WorldState
@@ -195,6 +197,7 @@ class DemoRun:
         self._watcher = WorldWatcher(world)
         self._robots = tuple(fleet.spec.robots)
         self._log = StatusLog()
+        self._signals: list[int] = []  # that have ended the run early
 
     def perform(
         self, trace: Path, began: float, tell: Callable[[str], object] | None = None
@@ -218,38 +221,47 @@ class DemoRun:
         # 2. Events, until the recording is complete.
         self._timeline = LiveTimeline(later_events, self._fleet, self._operator, self._world)
         before = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
-        self._follow(before, start.time)
+        try:
+            self._follow(before, start.time)
+            faults = [f"{signal.Signals(one).name} ended the run early" for one in self._signals]
+        except SwarmError as error:
+            self._fleet.check(WORLD)  # without the world there is no summary
+            faults = [str(error)]
         real_s = time.monotonic() - recording_began
+        end = self._world.ask("finish").state  # it records on after an early end
 
-        # 3. The end: statuses, the trace, a stop of all robots.
+        # 3. The end: statuses, and a stop of all robots.
         after = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
-        end = self._world.ask("finish").state
         stop_outcome = self._timeline.send_stop("stop", self._fleet.robots)
-        real_time_factor = end.recorded / real_s
-        return self._summary(trace, began, real_time_factor, started, before, after, stop_outcome)
+        if stop_outcome.exit_code:
+            faults.append(starting.why_not("stop", stop_outcome))
+        return self._summary(trace, began, end.recorded / real_s, started, before, after, faults)
 
     def _follow(self, statuses: dict[str, Status], since: float) -> None:
-        """Carry out events and show the robots until the recording is complete.
+        """Carry out events and show the robots until the recording is complete or a signal comes.
 
         `statuses`: of the robots at the start. `since`: the simulated time in s of the start;
         states with an earlier time are ignored, since they may belong to an earlier recording.
         """
         state = self._watcher.wait(since=since)
         next_query = 0.0
-        while state.is_recording and state.recorded < self._settings.seconds:
-            self._timeline.apply(state.recorded)
-            self._log.add_present(state.recorded, self._fleet.robots)
-            if time.monotonic() >= next_query:
-                self._fleet.check()
-                statuses = starting.statuses_of(self._operator.members(timeout=STATUS_PERIOD))
-                self._log.add(state.recorded, statuses)
-                self._on_scene(self._scene(state, statuses))
-                next_query = time.monotonic() + STATUS_PERIOD
-            try:
-                state = self._watcher.wait(since=state.time)
-            except NetworkError:
-                self._fleet.check()  # an error that names the cause, if the world has ended
-                raise
+        with noted_signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP) as self._signals:
+            while (
+                not self._signals and state.is_recording and state.recorded < self._settings.seconds
+            ):
+                self._timeline.apply(state.recorded)
+                self._log.add_present(state.recorded, self._fleet.robots)
+                if time.monotonic() >= next_query:
+                    self._fleet.check()
+                    statuses = starting.statuses_of(self._operator.members(timeout=STATUS_PERIOD))
+                    self._log.add(state.recorded, statuses)
+                    self._on_scene(self._scene(state, statuses))
+                    next_query = time.monotonic() + STATUS_PERIOD
+                try:
+                    state = self._watcher.wait(since=state.time)
+                except NetworkError:
+                    self._fleet.check()  # an error that names the cause, if the world has ended
+                    raise
 
     def _scene(self, state: WorldState, statuses: Mapping[str, Status]) -> Scene:
         settings = self._settings
@@ -273,22 +285,20 @@ class DemoRun:
         started: starting.Started,
         before: Mapping[str, Status],
         after: Mapping[str, Status],
-        stop_outcome: Outcome,
+        faults: list[str],
     ) -> DemoSummary:
         """The summary of the demo; adds states and reports of robots to the trace file.
 
         `began`: s on the clock since boot, the start of the user's command. `started`: the robots
         that run the first patterns. `before`, `after`: statuses at the start and at the end.
-        `stop_outcome`: of the stop at the end.
+        `faults`: what ended the run early, and of the stop at the end.
         """
         spec = self._fleet.spec
         trace = self._log.merged_into(load_trace(trace_path))
         trace.save(trace_path)
         platforms = {platform.name: platform for platform in spec.platforms().values()}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
-        problems = self._problems(started, before, after, numbers.contacts)
-        if stop_outcome.exit_code:
-            problems.append(starting.why_not("stop", stop_outcome))
+        problems = faults + self._problems(started, before, after, numbers.contacts)
         all_moved_at = self._watcher.all_moved_at
         return DemoSummary(
             pattern=self._settings.pattern,
@@ -303,6 +313,7 @@ class DemoRun:
             kernels=" / ".join(sorted({status.kernels for status in after.values()})) or "-",
             numbers=numbers,
             problems=tuple(problems),
+            signal=next(iter(self._signals), 0),
             scenario=spec.scenario.scenario.name if spec.scenario else "",
             events=tuple(self._timeline.done),
             reports={name: dict(status.report) for name, status in after.items()},

@@ -21,7 +21,6 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any, Literal
 
 import msgspec
@@ -268,22 +267,6 @@ def _detections(spec: FleetSpec, robot: str) -> dict[str, bool]:
     name, live = spec.robots[robot], spec.scenario
     platform = load_platform(name) if live is None else live.scenario.robots[robot]
     return {DETECTIONS: True} if DETECTIONS in platform.sensors else {}
-
-
-def started_at() -> float:
-    """The start of this process on the clock of `swarmd.core.clock`, to 10 ms."""
-    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
-    return int(fields[19]) / os.sysconf("SC_CLK_TCK")
-
-
-def end_on_signals() -> None:
-    """Make SIGTERM and SIGHUP end this process through its `finally` blocks."""
-
-    def leave(number: int, frame: FrameType | None) -> None:
-        raise SystemExit(128 + number)
-
-    signal.signal(signal.SIGTERM, leave)
-    signal.signal(signal.SIGHUP, leave)
 
 
 def _start_world(arguments: Iterable[str], folder: Path) -> Child:

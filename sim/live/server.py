@@ -13,17 +13,16 @@ import gc
 import logging
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 
 from msgspec import DecodeError, json
 from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.keys import check_id
-from swarmd.core.processes import die_with_parent
+from swarmd.core.processes import die_with_parent, noted_signals
 from swarmd.core.values import Value
 from swarmd.plugins import load_emulator
 from swarmd.settings.driver_options import stops_after
@@ -53,8 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s"
     )
     try:
-        with _stop_signals() as is_over:
-            _serve(_read_options(given.options), is_over)
+        with noted_signals(signal.SIGTERM, signal.SIGINT) as signals:
+            _serve(_read_options(given.options), lambda: bool(signals))
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
@@ -69,24 +68,6 @@ def _read_options(text: str) -> WorldOptions:
         return json.decode(text, type=WorldOptions)
     except DecodeError as error:
         raise ConfigError(f"options of the world: {error}") from error
-
-
-@contextmanager
-def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Yield a function that is True after SIGTERM or SIGINT; restores the handlers at the end."""
-    received: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-
-    old_handlers = {
-        number: signal.signal(number, on_signal) for number in (signal.SIGTERM, signal.SIGINT)
-    }
-    try:
-        yield lambda: bool(received)
-    finally:
-        for number, handler in old_handlers.items():
-            signal.signal(number, handler)
 
 
 def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:

@@ -66,6 +66,7 @@ class DemoSummary:
     kernels: str  # the code that decided, as the robots reported it
     numbers: Numbers
     problems: tuple[str, ...]  # empty if all robots ran to the end and no two touched
+    signal: int = 0  # the number of the signal that ended the run early; 0: none
     scenario: str = ""
     events: tuple[DoneEvent, ...] = ()  # those after the start
     reports: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)  # the last, by robot

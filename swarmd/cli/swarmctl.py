@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -237,9 +238,11 @@ def run_cli(
         return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
-    except SystemExit:
+    except SystemExit as end:
         # Click replaces `sys.stdout` if its pipe is closed, such as by `| head`, and only then.
         is_closed_pipe = sys.stdout is not stdout_at_start
+        if not is_closed_pipe and end.code in (128 + signal.SIGTERM, 128 + signal.SIGHUP):
+            return _fail(f"ended by {signal.Signals(end.code - 128).name}", end.code, words)
         if not is_closed_pipe:
             raise
         sys.stdout = stdout_at_start

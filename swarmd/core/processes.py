@@ -37,6 +37,21 @@ def die_with_parent(parent: int) -> None:
         sys.exit(0)
 
 
+@contextmanager
+def noted_signals(*numbers: int) -> Iterator[list[int]]:
+    """Yield a list to which each of these signals is added; restores the handlers at the end."""
+    received: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: received.append(number))
+        for number in numbers
+    }
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def keep_from_tracing() -> None:
     """Deny other processes of this user to trace this process, or read its memory or environment.
 

@@ -107,10 +107,9 @@ class LatchFile(StateFile[LatchRecord]):
         record = super().read()
         if record.clock != clock_id():  # the machine was restarted: its clock began anew
             shift = (record.booted or math.nan) - (_booted() or math.nan)
-            shifted = {i: at + shift for i, at in record.since.items()}
-            since = {i: at for i, at in shifted.items() if at <= boottime()}  # no NaN
-            latches = record.held.items()
-            held = {i: replace(latch, is_wall_age=i in since) for i, latch in latches}
+            times = record.since.items()
+            since = {i: at + shift for i, at in times if at + shift <= boottime()}  # no NaN
+            held = {i: replace(one, is_wall_age=i in since) for i, one in record.held.items()}
             record = replace(record, held=held, since=since)
         return replace(record, clock="", booted=None)
 

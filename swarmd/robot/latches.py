@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 
-import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from swarmd.core.bounds import MAX_SECONDS, Name, Stamp, Word
 from swarmd.core.messages import Latch
@@ -47,10 +47,10 @@ class Latches:
         """`record`: of an earlier process; `now`: s on the own clock."""
         record = record or LatchRecord()
         held = record.held.items()
-        ages = {i: latch.age for i, latch in held}
-        self._held = {i: msgspec.structs.replace(latch, age=None) for i, latch in held}
+        self._held = {i: replace(latch, age=None) for i, latch in held}
         # When the latches were issued, in s on the own clock; without an entry it is not known.
-        self._since = {**{i: now - a for i, a in ages.items() if a is not None}, **record.since}
+        self._since = {i: now - latch.age for i, latch in held if latch.age is not None}
+        self._since |= record.since
         self._cleared = dict.fromkeys(record.cleared)
         # The ids of the latches that OVERFLOW stands for: a repeat of such a latch is not new.
         self._folded = dict.fromkeys(record.folded)
@@ -63,8 +63,7 @@ class Latches:
     def aged(self, now: float) -> dict[str, Latch]:
         """The latches that hold the robot, each with its age at `now`."""
         ages = {i: min(max(now - since, 0.0), MAX_SECONDS) for i, since in self._since.items()}
-        held = self._held.items()
-        return {i: msgspec.structs.replace(latch, age=ages.get(i)) for i, latch in held}
+        return {i: replace(latch, age=ages.get(i)) for i, latch in self._held.items()}
 
     @property
     def text(self) -> str:
@@ -85,9 +84,9 @@ class Latches:
             while len(self._folded) > MAX_CLEARED // 2:
                 del self._folded[next(iter(self._folded))]
             latch_id = OVERFLOW
-            latch = msgspec.structs.replace(latch, scope="robots")
+            latch = replace(latch, scope="robots")
             self._since.pop(latch_id, None)
-        self._held[latch_id] = msgspec.structs.replace(latch, age=None)
+        self._held[latch_id] = replace(latch, age=None)
         if latch.age is not None:
             self._since[latch_id] = now - latch.age
         return True

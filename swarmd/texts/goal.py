@@ -13,7 +13,7 @@ from swarmd.core.messages import Presence, State, Status
 from swarmd.core.record import LABEL
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.values import NOTHING, number
-from swarmd.texts.why import absence
+from swarmd.texts.why import absence, stops_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +163,7 @@ def _reason(status: Status, wanted: KnownGoal) -> str:
     """Why a robot does not do what its goal wants; empty if it does."""
     goals, goal = status.goal, wanted.goal
     if status.state is State.ESTOPPED:
-        issuers = ", ".join(sorted({latch.issuer for latch in status.latches.values()}))
-        return f"estopped by {issuers or 'an operator'}"
+        return f"estopped{stops_text(status.latches.values())}"
     if status.state is State.FAULTED:
         return f"faulted: {status.reason} {status.detail}".rstrip()
     if goals is None or goals.own is None or goals.own.digest != wanted.digest:

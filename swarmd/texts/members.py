@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from swarmd.core import codec
 from swarmd.core.goal import GoalState
-from swarmd.core.messages import Latch, Presence, State, Status
+from swarmd.core.messages import Presence, State, Status
 from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.keys import key_warnings
 from swarmd.texts.values import NOTHING, number, seconds
-from swarmd.texts.why import MAX_STOPS, activity, stop_text
+from swarmd.texts.why import activity, stop_text
 
 if TYPE_CHECKING:
     from swarmd.core.values import Scalar
@@ -82,7 +82,7 @@ def health(view: MembersView) -> Iterator[str]:
     if view.programs:
         yield f"programs: {', '.join(sorted(view.programs))}"
     yield from _missing(view, alive)
-    yield from _emergency_stops(statuses)
+    yield from _emergency_stops(view, statuses)
     yield from _reported_faults(statuses)
     yield from incompatible(statuses)
     yield from offered(statuses)
@@ -128,17 +128,14 @@ def _reported_faults(statuses: Iterable[Status]) -> Iterator[str]:
         yield f"an emergency stop would not outlive a restart: {', '.join(names)} ({text})"
 
 
-def _emergency_stops(statuses: Iterable[Status]) -> Iterator[str]:
-    """A line for each emergency stop, with the robots that it holds; the oldest MAX_STOPS."""
-    held: dict[str, tuple[Latch, list[str]]] = {}
-    for status in statuses:
-        for latch_id, latch in status.latches.items():
-            held.setdefault(latch_id, (latch, []))[1].append(status.robot)
-    oldest = sorted(held.values(), key=lambda one: -(one[0].age or 0.0))
-    for latch, names in oldest[:MAX_STOPS]:
-        yield f"emergency stop: {', '.join(names)} ({stop_text(latch)})"
-    if len(oldest) > MAX_STOPS:
-        yield f"{len(oldest) - MAX_STOPS} more emergency stops; `swarmctl describe` tells all"
+def _emergency_stops(view: MembersView, statuses: Sequence[Status]) -> Iterator[str]:
+    """A line for each emergency stop, with the robots that it holds.
+
+    A robot holds a bounded number of them (`MAX_HELD` in robot/latches.py).
+    """
+    for latch_id, latch in view.latches(view.alive).items():
+        names = ", ".join(status.robot for status in statuses if latch_id in status.latches)
+        yield f"emergency stop: {names} ({stop_text(latch)})"
 
 
 def _by_text(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:

@@ -24,7 +24,6 @@ from swarmd.texts.keys import day
 from swarmd.texts.values import NOTHING, megabytes, quantity, sandbox_text, seconds, short_number
 from swarmd.texts.why import activity, obstacles, stop_text
 
-MAX_LATCH_REASON = 1000  # characters, all that a message may hold
 _LEAST_COST = 0.005  # m/s that the text names
 
 NOT_DESCRIBED: Mapping[str, Any] = MappingProxyType({})
@@ -146,7 +145,7 @@ def battery_text(battery: BatterySummary) -> str:
 
 def _latch(status: Status, latch_id: str) -> str:
     latch = status.latches[latch_id]
-    return f"for {latch.scope}, {stop_text(latch, MAX_LATCH_REASON)}"
+    return f"for {latch.scope}, {stop_text(latch)}"
 
 
 def _titled(title: str, texts: Iterable[str]) -> list[tuple[str, str]]:

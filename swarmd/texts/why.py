@@ -23,7 +23,7 @@ from swarmd.texts.values import NOTHING, printable, seconds
 _SAME_OBSTACLE = math.radians(10.0)
 MAX_STOPS = 3
 """Emergency stops that a sentence or a list of problems tells; `describe` tells all."""
-_MAX_REASON = 120  # characters of the reason of an emergency stop in a sentence
+_MAX_REASON = 256  # characters of the reason of an emergency stop, as operators may send
 _START = "start it with `swarmctl run PATTERN {robot}`"
 
 SENTENCES = {
@@ -135,7 +135,7 @@ def _text_if_standing(robot: str, status: Status) -> str:
     return SENTENCES[reason].format(
         robot=robot,
         detail=_detail(status),
-        stops=_stops_text(status.latches.values()),
+        stops=stops_text(status.latches.values()),
         age=f" ({seconds(age)})" if age is not None else "",
         # By how much scans are later than the platform declares.
         late=NOTHING if status.scan_delay is None else seconds(status.scan_delay.added),
@@ -145,22 +145,19 @@ def _text_if_standing(robot: str, status: Status) -> str:
     )
 
 
-def stop_text(latch: Latch, longest: int = _MAX_REASON) -> str:
+def stop_text(latch: Latch) -> str:
     """Who issued an emergency stop, when and why: `by bob@desk, 12.0 s ago: smoke`.
 
-    Operators and robots wrote the texts: of the reason at most `longest` characters stay, and
-    control characters become `?`.
+    Operators and robots wrote the texts: a long reason is cut, and control characters become `?`.
     """
-    if latch.age is None:
-        when = "at a time that is not known"
-    else:
-        clock = " by the wall clock of the robot" if latch.is_wall_age else ""
-        when = f"{seconds(latch.age)} ago{clock}"
-    reason = f": {shortened(latch.reason, longest)}" if latch.reason else ", without a reason"
+    clock = " by the wall clock of the robot" if latch.is_wall_age else ""
+    when = "at an unknown time" if latch.age is None else f"{seconds(latch.age)} ago{clock}"
+    reason = f": {shortened(latch.reason, _MAX_REASON)}" if latch.reason else ", without a reason"
     return printable(f"by {latch.issuer}, {when}{reason}")
 
 
-def _stops_text(latches: Collection[Latch]) -> str:
+def stops_text(latches: Collection[Latch]) -> str:
+    """The `stop_text` of each of the oldest MAX_STOPS, after a blank; empty without any."""
     texts = [stop_text(latch) for latch in islice(latches, MAX_STOPS)]
     if len(latches) > MAX_STOPS:
         texts.append(f"and {len(latches) - MAX_STOPS} more")

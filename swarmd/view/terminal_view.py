@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
-from swarmd.texts.why import absence, lost_base, stop_text, why
+from swarmd.texts.why import absence, lost_base, stops_text, why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.live import LiveSource
@@ -235,9 +235,8 @@ class TerminalView:
         controls = self._controls
         if controls.mode is Mode.RESET:
             for name in controls.targets:
-                held = statuses[name][0].latches.values() if name in statuses else ()
-                for latch in held:
-                    yield f"{name}: emergency stop {stop_text(latch)}", "red"
+                if name in statuses and (held := statuses[name][0].latches.values()):
+                    yield f"{name}: emergency stop{stops_text(held)}", "red"
         name = controls.cursor
         member = view.members.get(name)
         if name in notes or member is None or name not in statuses:

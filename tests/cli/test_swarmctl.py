@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
+from swarmd.cli.output import signals_end
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, main, run_cli
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
@@ -355,3 +356,13 @@ def test_threads_of_zenoh_do_not_keep_the_process(
         main(["mebers"])
     assert (left, ended.value.code) == ([2] if has_zenoh else [], 2)
     assert "'members'" in capsys.readouterr().err
+
+
+def test_a_verb_that_sigterm_ends_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    @click.command()
+    def waits() -> None:
+        with signals_end():
+            signal.raise_signal(signal.SIGTERM)
+
+    assert run_cli(waits, [], "swarmctl", exit_code_of) == 143
+    assert capsys.readouterr() == ("", "error: ended by SIGTERM\n")

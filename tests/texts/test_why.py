@@ -72,7 +72,7 @@ def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
     [
         ({}, "by bob, 12.0 s ago: smoke"),
         ({"reason": ""}, "by bob, 12.0 s ago, without a reason"),
-        ({"age": None}, "by bob, at a time that is not known: smoke"),
+        ({"age": None}, "by bob, at an unknown time: smoke"),
         (
             {"age": 7200.0, "is_wall_age": True},
             "by bob, 2 h ago by the wall clock of the robot: smoke",
@@ -80,7 +80,7 @@ def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
         ({"reason": "a\nb\x1b[2J\u202ec\u2066"}, "by bob, 12.0 s ago: a?b?[2J?c?"),
         ({"issuer": "b\rob\u200f"}, "by b?ob?, 12.0 s ago: smoke"),
         ({"reason": "<b>שלום</b>"}, "by bob, 12.0 s ago: <b>שלום</b>"),
-        ({"reason": "x" * 1000}, f"by bob, 12.0 s ago: {'x' * 117}..."),
+        ({"reason": "x" * 1000}, f"by bob, 12.0 s ago: {'x' * 253}..."),
     ],
 )
 def test_who_when_and_why_of_an_emergency_stop_are_one_bounded_line(
@@ -95,7 +95,7 @@ def test_a_flood_of_emergency_stops_leaves_a_sentence() -> None:
     flood = {f"e{number}": latch for number in range(33)}
     text = why(make_member(state=State.ESTOPPED, reason=Reason.ESTOP, latches=flood))
     assert "; and 30 more; clear it" in text
-    assert len(text) < 1000
+    assert len(text) < 1400
 
 
 def test_a_state_under_emergency_stops_began_with_the_first_of_known_time() -> None:

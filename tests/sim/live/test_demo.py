@@ -15,13 +15,15 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import SwarmError
-from swarmd.core.messages import Presence
+from swarmd.core.messages import Presence, State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.sim.cli.demo import report
+from swarmd.sim.cli.demo import progress_lines, report
 from swarmd.sim.live.summary import DemoSummary, Numbers
+from swarmd.view.scene import Area, Scene
 from tests.sim.conftest import Refusal
 from tests.support.processes import CAP, run_command, unique_swarm, wait_until
+from tests.support.statuses import status
 from tests.support.swarmctl import swarmctl_in_time
 
 SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
@@ -68,6 +70,8 @@ def test_a_pattern_that_fails_is_a_problem_in_a_plain_summary(tmp_path: Path) ->
     assert "\x1b" not in done.stdout
     assert "problem: tb3-01" in done.stderr
     assert "problem: tb3-02" in done.stderr
+    assert "clumsy, 2 waffle_pi: 0 of 1 s, " in done.stderr
+    assert "\x1b" not in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -122,6 +126,50 @@ def summary() -> DemoSummary:
     )
 
 
+def test_without_a_screen_a_demo_tells_its_states_every_five_seconds(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    now = iter((10.0, 14.9, 15.0, 19.0))
+    tell = progress_lines(lambda: next(now))
+    names = ("r1", "r2", "r3")
+    statuses = {"r1": status("r1"), "r2": status("r2", state=State.ESTOPPED)}
+    for number in range(4):
+        poses = dict.fromkeys(names, (0.0, 0.0, 0.0))
+        tell(Scene(f"drive: {number} of 60 s\x1b[2J", Area((1.0, 1.0)), poses, statuses))
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.splitlines() == [
+        "drive: 0 of 60 s?[2J; 1 estopped, 1 running, 1 silent",
+        "drive: 2 of 60 s?[2J; 1 estopped, 1 running, 1 silent",
+    ]
+
+
+@pytest.mark.evidence
+@pytest.mark.integration
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_demo_in_a_pipe_ends_with_its_summary_and_folder(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    command = [SWARMCTL, "demo", "-n", "2"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, stdout=pipe, stderr=pipe, text=True, cwd=tmp_path, start_new_session=True
+    ) as process:
+        assert process.stderr is not None
+        lines = iter(process.stderr.readline, "")
+        running = next(line for line in lines if line.endswith("; 2 running\n"))
+        os.killpg(process.pid, number)
+        out, errors = process.communicate(timeout=CAP)
+    assert running.startswith("attraction, 2 waffle_pi: 0 of 60 s, ")
+    assert process.returncode == 128 + number
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert out.startswith("Summary\n")
+    assert f"  results               runs/{folder.name}/" in out.splitlines()
+    assert f"problem: {number.name} ended the run early\n" in errors
+    assert (folder / "trace.npz").exists()
+    assert "\x1b" not in out + errors
+
+
 def test_a_full_disk_does_not_cost_the_summary(
     tmp_path: Path, summary: DemoSummary, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,7 +209,13 @@ def test_ctrl_c_at_the_start_of_a_demo_is_one_line(tmp_path: Path, wait: float) 
     told = [
         line for line in errors.splitlines() if line and not line.startswith("Starting a world")
     ]
-    assert (process.returncode, out, told) == (130, "", ["error: interrupted"])
+    kept = [line for line in told if line.startswith("what was kept is in runs/")]
+    if out:  # robots were running
+        assert out.startswith("Summary\n")
+        assert any(line.startswith("problem: SIGINT ended") for line in told)
+    else:
+        assert told == [*kept, "error: interrupted"]
+    assert process.returncode == 130
     logs = [path / "logs" for path in (tmp_path / "runs").glob("*")]
     wait_until(lambda: not any(named("", one) for one in logs), "no process is left")
     wait_until(lambda: not children_of_session(process.pid), "no process of the group is left")

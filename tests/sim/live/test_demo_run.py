@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
@@ -15,13 +19,17 @@ from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.members_view import MembersView, SeenMember
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
-from swarmd.sim.live.demo_run import WorldWatcher
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.live.demo_run import DemoRun, DemoSettings, WorldWatcher
+from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.starting import Started, know_each_other, start_pattern
 from swarmd.sim.live.state import WorldState
+from swarmd.sim.live.summary import DemoSummary
 from swarmd.sim.scenarios.scenario import ScheduledEvent
+from swarmd.view.scene import Scene
 from tests.support.statuses import make_member
-from tests.support.traces import world_state
+from tests.support.traces import trace_of, world_state
 
 ROBOTS = ("a", "b", "c")
 RUN = ScheduledEvent(at=0.0, action="run", robots=ROBOTS, pattern="drive")
@@ -180,3 +188,90 @@ def test_a_demo_starts_without_the_libraries_that_only_its_world_or_its_view_nee
     code = "import sys, swarmd.sim.live.demo_run; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"mujoco", "scipy", "matplotlib", "rich"} & set(done.stdout.split())
+
+
+class ShortDemo:
+    """Fleet, operator and world of a demo of two robots, which `end` ends early at 0.1 s."""
+
+    robots = ("r0", "r1")
+
+    def __init__(self, trace: Path, end: Callable[[], object]) -> None:
+        platforms = dict.fromkeys(self.robots, load_platform("burger"))
+        self.spec = SimpleNamespace(
+            **{"robots": platforms, "folder": trace.parent, "swarm": "s", "all_hear_all": False},
+            **{"platforms": lambda: platforms, "arena": "6x6", "layout": "row", "seed": 0},
+            scenario=None,
+        )
+        self.trace, self.end = trace, end
+        self.is_world_dead = False
+        self.stopped: list[str] = []
+        self._take: Callable[[WorldState], None] = lambda state: None
+
+    def perform(self) -> DemoSummary:
+        run = ScheduledEvent(at=0.0, action="run", robots=self.robots, pattern="drive")
+        settings = DemoSettings(events=(run,), seconds=60.0, pattern="drive", platform="burger")
+        fleet, operator, world = cast(Fleet, self), cast(Operator, self), cast(WorldView, self)
+        return DemoRun(settings, fleet, operator, world, self.show).perform(self.trace, 0.0)
+
+    def show(self, scene: Scene) -> None:
+        self.end()
+        self._take(state(0.2, 0.0, 1.0))
+
+    def check(self, *names: str) -> None:
+        if self.is_world_dead:
+            raise SwarmError("the world was killed")
+
+    def members(self, timeout: float = 0.0) -> MembersView:
+        return MembersView({robot: make_member(robot) for robot in self.robots})
+
+    def request(self, kind: type, targets: Collection[str], **fields: Any) -> Outcome:
+        applied = {r: Reply(id="1", robot=r, code=Code.APPLIED) for r in targets}
+        return Outcome(applied, missing=())
+
+    def send_stop(self, verb: str) -> Outcome:
+        self.stopped.append(verb)
+        return Outcome({}, missing=())
+
+    def watch(self, handler: Callable[[WorldState], None]) -> None:
+        self._take = handler
+
+    def ask(self, action: str) -> Any:
+        if action == "start":
+            self._take(state(0.1, 0.0, 1.0))
+            return SimpleNamespace(state=state(0.0, 0.0, 1.0))
+        trace_of(np.arange(12.0).reshape(2, 2, 3)).save(self.trace)
+        return SimpleNamespace(state=state(0.1, 0.0, 1.0))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_demo_with_a_stop_and_a_summary(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    before = signal.getsignal(number)
+    demo = ShortDemo(tmp_path / "trace.npz", lambda: signal.raise_signal(number))
+    summary = demo.perform()
+    assert summary.signal == number
+    assert summary.problems[0] == f"{number.name} ended the run early"
+    assert summary.numbers.seconds == 0.1
+    assert demo.stopped == ["stop"]
+    assert signal.getsignal(number) is before
+
+
+def test_a_fault_of_a_robot_costs_no_summary_and_that_of_the_world_is_the_error(
+    tmp_path: Path,
+) -> None:
+    def fail() -> None:
+        raise SwarmError("r1 was killed")
+
+    demo = ShortDemo(tmp_path / "trace.npz", fail)
+    summary = demo.perform()
+    assert (summary.signal, summary.problems[0]) == (0, "r1 was killed")
+    assert demo.stopped == ["stop"]
+
+    def end_world() -> None:
+        demo.is_world_dead = True
+        raise SwarmError("the world is silent")
+
+    demo.end = end_world
+    with pytest.raises(SwarmError, match="the world was killed"):
+        demo.perform()
