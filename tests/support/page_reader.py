@@ -48,6 +48,7 @@ class Reader:
         self.robots = f"r{self.swarm[-7:]}"
         self.module = types.ModuleType("snippets")
         self._started = contextlib.ExitStack()
+        self.module.__dict__["keep_open"] = self._started.enter_context
         programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         self.environ = {"HOME": str(folder / "home"), "SWARM": self.swarm, "PATH": programs}
         (folder / "home").mkdir()
@@ -56,11 +57,13 @@ class Reader:
             (folder / name).write_text(text)
 
     def __enter__(self) -> Self:
+        sys.modules[self.module.__name__] = self.module  # where structs look their names up
         if self.has_robots:
             self._start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        del sys.modules[self.module.__name__]
         self._started.close()
 
     def run(self, command: str) -> tuple[str, ...]:
@@ -93,8 +96,7 @@ class Reader:
         A snippet may be a session of the interpreter, with what its expressions give.
         """
         source = self._own(source)
-        modules = mock.patch.dict(sys.modules, {self.module.__name__: self.module})
-        with contextlib.chdir(self.folder), mock.patch.dict(os.environ, self.environ), modules:
+        with contextlib.chdir(self.folder), mock.patch.dict(os.environ, self.environ):
             if source.lstrip().startswith(">>>"):
                 _check_session(source, self.module.__dict__, page)
             else:
