@@ -38,6 +38,7 @@ DEFINITIONS = (
     *(f"docs/tutorial/{name}.md" for name in ("2-own-behaviour", "3-statistics", "5-protection")),
 )
 """Pages whose snippets define patterns, metrics or tests, and run in `make test`."""
+BEES = (ROOT / "examples" / "beeclust.py").read_text()
 GIVEN: Mapping[str, Mapping[str, str]] = {
     "docs/from_ros2swarm.md": {
         "attraction_pattern.yaml": """\
@@ -52,6 +53,12 @@ GIVEN: Mapping[str, Mapping[str, str]] = {
     max_translational_velocity: 0.26
     max_rotational_velocity: 1.82
 """
+    },
+    "docs/tutorial/teachers.md": {
+        "handed-in/anna/beeclust.py": BEES,
+        "handed-in/ben/beeclust.py": BEES.replace("return Twist(linear=self", "Twist(linear=self"),
+        "handed-in/dora/beeclust.py": BEES.replace("= 120.0", "= 5.0"),
+        "handed-in/eva/bee.py": BEES,
     },
 }
 """Files that a page expects of its reader and does not show."""

@@ -53,7 +53,7 @@ class Reader:
         self.environ = {"HOME": str(folder / "home"), "SWARM": self.swarm, "PATH": programs}
         (folder / "home").mkdir()
         for name, text in files.items():
-            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(text)
 
     def __enter__(self) -> Self:
