@@ -98,7 +98,8 @@ def demo(
         spec = replace(spec, absent=fleet.scenario.scenario.absent)
 
     # 3. The run, its report, and the film of its trace.
-    is_live = sys.stdout.isatty() and not (headless or is_json)
+    has_screen = sys.stdout is not None and sys.stdout.isatty()
+    is_live = has_screen and not (headless or is_json)
     try:
         with signals_end():  # SIGTERM also ends the processes
             summary = perform(spec, settings, is_live=is_live, page=page)
@@ -209,14 +210,22 @@ def report(summary: DemoSummary, folder: Path, *, is_json: bool) -> None:
     """Print the summary of a demo, then write summary.json and trajectories.png to `folder`.
 
     Problems of the run are printed on stderr. Printing comes first, so that the user has the
-    summary also if the disk is full. SwarmError if a file cannot be written.
+    summary also if the disk is full; the files are written also if the reader of a pipe has gone.
+    SwarmError if a file cannot be written.
     """
-    if is_json:
-        print_json("Demo", {**summary.as_json(), "folder": str(folder)})
-    else:
-        print_section("Summary", [*summary.lines(), ("results", f"{folder}/")])
-    for problem in summary.problems:
-        warn(f"problem: {problem}")
+    try:
+        if is_json:
+            print_json("Demo", {**summary.as_json(), "folder": str(folder)})
+        else:
+            print_section("Summary", [*summary.lines(), ("results", f"{folder}/")])
+    finally:
+        for problem in summary.problems:
+            warn(f"problem: {problem}")
+        _keep(summary, folder)
+
+
+def _keep(summary: DemoSummary, folder: Path) -> None:
+    """Write summary.json and trajectories.png."""
     try:
         (folder / "summary.json").write_text(json.dumps(summary.as_json(), indent=2) + "\n")
         if find_spec("matplotlib") is None:

@@ -295,7 +295,11 @@ class DemoRun:
         """
         spec = self._fleet.spec
         trace = self._log.merged_into(load_trace(trace_path))
-        trace.save(trace_path)
+        try:
+            trace.save(trace_path)
+        except OSError as error:  # a full disk: the trace of the world alone is kept
+            why = error.strerror or error
+            faults = [*faults, f"the trace has no states and reports of robots: {why}"]
         platforms = {platform.name: platform for platform in spec.platforms().values()}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
         problems = faults + self._problems(started, before, after, numbers.contacts)

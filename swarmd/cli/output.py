@@ -69,7 +69,7 @@ def print_table(
 
 def line_width() -> int | None:
     """The columns of the terminal; None for a file or a pipe, whose lines are not cut."""
-    return terminal_width() if sys.stdout.isatty() else None
+    return terminal_width() if sys.stdout is not None and sys.stdout.isatty() else None
 
 
 def terminal_width() -> int:
@@ -135,7 +135,8 @@ def _cell(text: str, width: int, is_coloured: bool) -> str:
 
 def need_terminal(verb: str, instead: str) -> None:
     """Raise UsageError without a terminal, or with a terminal without a cursor."""
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+    streams = (sys.stdin, sys.stdout)  # None: it was closed before the start
+    if not all(stream is not None and stream.isatty() for stream in streams):
         raise click.UsageError(f"{verb} needs a terminal; {instead}")
     if os.environ.get("TERM", "dumb") == "dumb":
         raise click.UsageError(f"{verb} needs a terminal whose cursor moves (TERM); {instead}")

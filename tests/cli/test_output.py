@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import sys
 
+import click
 import pytest
 
 from swarmd.cli.output import (
     has_colour,
     line_width,
+    need_terminal,
     print_json,
     print_line,
     print_section,
@@ -46,6 +49,14 @@ def test_lines_are_cut_on_a_terminal_alone(
     monkeypatch.setenv("COLUMNS", "90")
     monkeypatch.setattr("sys.stdout.isatty", lambda: is_terminal)
     assert line_width() == (90 if is_terminal else None)
+
+
+def test_without_standard_output_there_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("stdin", "stdout"):  # closed before the start, such as by `>&-`
+        monkeypatch.setattr(sys, name, None)
+    assert line_width() is None
+    with pytest.raises(click.UsageError, match="needs a terminal"):
+        need_terminal("view", "")
 
 
 def test_an_empty_section_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -70,7 +71,8 @@ def test_a_pattern_that_fails_is_a_problem_in_a_plain_summary(tmp_path: Path) ->
     assert "\x1b" not in done.stdout
     assert "problem: tb3-01" in done.stderr
     assert "problem: tb3-02" in done.stderr
-    assert "clumsy, 2 waffle_pi: 0 of 1 s, " in done.stderr
+    # A loaded machine may take a second from the recording's start to the first line.
+    assert re.search(r"^clumsy, 2 waffle_pi: [01] of 1 s, ", done.stderr, re.MULTILINE)
     assert "\x1b" not in done.stderr
 
 
@@ -160,7 +162,8 @@ def test_a_demo_in_a_pipe_ends_with_its_summary_and_folder(
         running = next(line for line in lines if line.endswith("; 2 running\n"))
         os.killpg(process.pid, number)
         out, errors = process.communicate(timeout=CAP)
-    assert running.startswith("attraction, 2 waffle_pi: 0 of 60 s, ")
+    # On a loaded machine the first lines may have a robot that is silent.
+    assert re.match(r"attraction, 2 waffle_pi: \d+ of 60 s, ", running)
     assert process.returncode == 128 + number
     (folder,) = (tmp_path / "runs").iterdir()
     assert out.startswith("Summary\n")
@@ -177,6 +180,19 @@ def test_a_full_disk_does_not_cost_the_summary(
     with pytest.raises(SwarmError, match="No space left on device"):
         report(summary, tmp_path, is_json=False)
     assert capsys.readouterr().out.startswith("Summary\n")
+
+
+def test_a_reader_that_has_gone_does_not_cost_the_files(
+    tmp_path: Path, summary: DemoSummary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr("swarmd.sim.cli.demo.print_section", fail)
+    monkeypatch.setattr("swarmd.sim.cli.demo.find_spec", lambda name: None)
+    with pytest.raises(BrokenPipeError):
+        report(summary, tmp_path, is_json=False)
+    assert (tmp_path / "summary.json").exists()
 
 
 def test_without_matplotlib_only_the_picture_is_missing(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import subprocess
 import sys
@@ -27,6 +28,7 @@ from swarmd.sim.live.starting import Started, know_each_other, start_pattern
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.live.summary import DemoSummary
 from swarmd.sim.scenarios.scenario import ScheduledEvent
+from swarmd.sim.trace import Trace, load_trace
 from swarmd.view.scene import Scene
 from tests.support.statuses import make_member
 from tests.support.traces import trace_of, world_state
@@ -255,6 +257,22 @@ def test_a_signal_ends_a_demo_with_a_stop_and_a_summary(
     assert summary.numbers.seconds == 0.1
     assert demo.stopped == ["stop"]
     assert signal.getsignal(number) is before
+
+
+def test_a_full_disk_costs_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(trace: Trace, path: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def load(path: Path) -> Trace:
+        trace = load_trace(path)
+        monkeypatch.setattr(Trace, "save", fail)  # the world has written its own
+        return trace
+
+    monkeypatch.setattr("swarmd.sim.live.demo_run.load_trace", load)
+    demo = ShortDemo(tmp_path / "trace.npz", lambda: signal.raise_signal(signal.SIGINT))
+    summary = demo.perform()
+    assert summary.numbers.seconds == 0.1
+    assert any("No space left on device" in problem for problem in summary.problems)
 
 
 def test_a_fault_of_a_robot_costs_no_summary_and_that_of_the_world_is_the_error(
