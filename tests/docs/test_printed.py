@@ -182,6 +182,23 @@ def test_each_block_is_compared_run_or_marked(
     none_of([HINT, *faults] if faults else [])
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "```console\n$ swarmctl members\n```\n",
+        "```text \nNAME  STATE\n```\n",
+        "```text title\nNAME  STATE\n```\n",
+        "````text\nNAME  STATE\n````\n",
+        "~~~\nNAME  STATE\n~~~\n",
+        "> ```text\n> NAME  STATE\n> ```\n",
+        "```text\nNAME  STATE\n```\n",
+        "```\nNAME  STATE\n```\n",
+    ],
+)
+def test_a_block_that_nothing_runs_is_a_fault(text: str) -> None:
+    assert blocks_of("page.md", text).faults[0].startswith("page.md:")
+
+
 def with_printed(*, short: bool) -> list[str]:
     return [page for page in pages() if printed_of(page, short=short)]
 

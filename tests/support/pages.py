@@ -22,6 +22,9 @@ BLOCK = re.compile(
     r"^(?P<mark> *<!-- example -->\n)? *```(?P<language>\w*)\n(?P<text>.*?)^ *```$",
     re.MULTILINE | re.DOTALL,
 )
+FENCE = re.compile(r"^(?:[> ]*~~~|> *```| *````| *```(?!\w*$)).*$", re.MULTILINE)
+"""A fence that `BLOCK` does not find."""
+LANGUAGES = ("", "bash", "ini", "json", "python", "text", "toml", "yaml")
 FILE = re.compile(r"# (\w+\.(?:py|yaml))\n")
 PROGRAMS = re.compile(
     "babeld|batctl|cargo|colcon|cp|dask|done|export|for|git|ip|make|mkdir|modprobe|pip|pkill|podman"
@@ -98,8 +101,13 @@ def blocks_of(page: str, text: str) -> Blocks:
         for match in BLOCK.finditer(text)
     ]
     printed, faults = list[Printed](), list[str]()
+    for fence in FENCE.finditer(text):
+        line = text.count("\n", 0, fence.start()) + 1
+        faults.append(f"{page}:{line}: a block begins with ``` and a language: {fence[0]!r}")
     commands = ""
     for one in found:
+        if one.language not in LANGUAGES:
+            faults.append(f"{page}:{one.line}: nothing runs a block of {one.language!r}")
         if one.kind == "session":
             printed += _session(one)
         elif one.kind == "output" and not commands:
