@@ -20,7 +20,6 @@ ROOT = Path(__file__).resolve().parents[2]
 SHORT = (
     "swarmctl exp bench doorway --pattern foraging",
     "swarmctl exp check-mission",
-    "swarmctl exp run mixed",
     "swarmctl import",
     "swarmctl mission check",
     "swarmctl plugin check",
