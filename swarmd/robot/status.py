@@ -21,13 +21,14 @@ from swarmd.core.messages import (
     WallsStandSummary,
 )
 from swarmd.core.values import Platform, Scalar
+from swarmd.core.verbs import shortened
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import MOVING_WALL, Decision, WayState
 from swarmd.protection.protection import Protection
 from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotSettings
-from swarmd.robot.state import Lifecycle
+from swarmd.robot.state import MAX_TEXT, Lifecycle
 
 if TYPE_CHECKING:
     from swarmd.robot.ticker import DutyCycle
@@ -112,6 +113,8 @@ def _detail(lifecycle: Lifecycle, sensors: Sensors, reason: Reason | None, now: 
         return _loading_text(loading, now)
     if reason in (Reason.NO_POSE, Reason.HAZARD, Reason.INVALID_SCAN) and lifecycle.is_running:
         return sensors.hold_text(reason, now)[:MAX_VALUE]
+    if lifecycle.latches.held:  # a reset may have cleared others since the change of state
+        return shortened(lifecycle.latches.text, MAX_TEXT)
     return lifecycle.state_machine.detail
 
 

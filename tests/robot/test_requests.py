@@ -414,6 +414,17 @@ def test_a_robot_that_stands_says_at_once_that_it_has_stopped() -> None:
     assert not reply.is_moving
 
 
+def test_a_robot_names_no_emergency_stop_that_was_reset() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.ask("estop", id="e1", reason="smoke")
+    harness.ask("estop", id="e2", reason="cable")
+    assert "smoke" in harness.status.detail
+    assert "cable" in harness.status.detail
+    harness.ask("reset", ids=("e1",))
+    assert "smoke" not in harness.status.detail
+    assert "cable" in harness.status.detail
+
+
 def test_latch_on_disk_holds_the_next_instance() -> None:
     harness = started()
     harness.send(harness.request("estop", id="e1"))
