@@ -100,6 +100,7 @@ class LatchFile(StateFile[LatchRecord]):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder / "latches", LatchRecord, "estopped until reset")
         self._unwritten: LatchRecord | None = None
+        self._booted: float | None = None  # as written last
         self.fault = ""
 
     def read(self) -> LatchRecord:
@@ -115,7 +116,10 @@ class LatchFile(StateFile[LatchRecord]):
 
     def write(self, record: LatchRecord) -> None:
         """Write the record with the clock of its times. OSError if that fails."""
-        super().write(replace(record, clock=clock_id(), booted=_booted()))
+        booted = _booted()
+        if booted is None or self._booted is None or abs(booted - self._booted) > 1:
+            self._booted = booted  # else a time near half a second rounds to one or the other
+        super().write(replace(record, clock=clock_id(), booted=self._booted))
 
     def check(self) -> bool:
         """Write a record that failed before, else test the folder; True if `fault` changed."""

@@ -33,6 +33,18 @@ def test_unchanged_record_is_not_written_again(tmp_path: Path) -> None:
     assert LatchFile(tmp_path / "deep" / "down").read() == record
 
 
+def test_a_second_that_rounds_to_the_next_writes_no_record_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = LatchFile(tmp_path)
+    inodes = list[int]()
+    for booted in (1e9, 1e9 + 1, 1e9, 1e9 + 3600):
+        monkeypatch.setattr(store, "_booted", lambda booted=booted: booted)
+        assert file.store(LatchRecord())
+        inodes.append(file.path.stat().st_ino)
+    assert inodes[0] == inodes[1] == inodes[2] != inodes[3], "a clock that was set is written"
+
+
 def test_a_record_of_an_older_version_holds_without_a_time(tmp_path: Path) -> None:
     held = {"e1": {"issuer": "anna", "scope": "swarm", "reason": "smoke"}}
     old = {"held": held, "cleared": ["e0"], "folded": []}
