@@ -85,6 +85,8 @@ _STEADY_TURN = cython.declare(cython.double, 0.1)  # rad in a scan: its rays fit
 _BLOCKED_WIDTH = 2  # sectors without a return on each side of the direction of the command
 _SILENCE = 2.0  # s without a return in these sectors
 _BLOCKED_REACH = SECTORS // 4  # sectors on each side that are blind then
+# m beyond `range_min`: beside silent sectors, a surface so near goes on into the blind zone.
+_BESIDE_NEAR = 0.05
 
 
 @cython.cclass
@@ -276,14 +278,20 @@ class BlindSectors:
 
         `bearing`: rad, of the command that the base does not follow. Nothing changes if a ray in
         this direction had a return in the last _SILENCE s, since a pusher may have come into the
-        blind zone, or if hardly a ray of the sensor has one: a base that is stuck in the open says
-        nothing of its sensor. Else all sectors within a quarter of a turn that return nothing are
-        blind.
+        blind zone, or if a surface beside the silent sectors goes on into the blind zone, as that
+        of a box that the robot pushes: protection sees it beside. Nor does anything change if
+        hardly a ray of the sensor has a return: a base that is stuck in the open says nothing of
+        its sensor. Else all sectors within a quarter of a turn that return nothing are blind.
         """
         if np.isnan(self._means).sum() > SECTORS - LEAST_SECTORS:
             return
         beside = np.arange(-_BLOCKED_REACH, _BLOCKED_REACH + 1)
         sectors = (_sector_of(bearing) + beside) % SECTORS
+        around = self._means[sectors]
+        right, left = (one[~np.isnan(one)] for one in np.split(around, [_BLOCKED_REACH]))
+        nearest_beside = min((*np.flip(right)[:1], *left[:1]), default=INFINITY)
+        if nearest_beside <= self._range_min + _BESIDE_NEAR:
+            return
         is_silent = self._returned_array <= now - _SILENCE
         is_empty = (np.isnan(self._means) & self._has_rays & is_silent)[sectors]
         doubted = np.zeros(SECTORS, np.bool_)

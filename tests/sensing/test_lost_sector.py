@@ -216,6 +216,21 @@ def test_a_direction_that_returned_something_just_before_is_not_doubted() -> Non
     assert sectors.text
 
 
+@pytest.mark.parametrize("turn", [-0.4, 0.0, 0.4])
+def test_a_box_that_the_robot_pushes_is_no_doubt_of_the_sensor(turn: float) -> None:
+    """Its front is too near to be measured ahead, and returns something on one side at least."""
+    along = SPEC.bearings - turn
+    front = 0.8 * SPEC.range_min / np.maximum(np.cos(along), 1e-9)
+    box = np.where(front < SPEC.range_min, math.inf, front)
+
+    def at_box(time: float, pose: Pose) -> Array:
+        return np.where(np.cos(along) > 0.5, box, in_room(time, pose))
+
+    sectors = after(at_box, at_rest)
+    sectors.on_blocked(0.0, 2.3)
+    assert not sectors.text
+
+
 def test_a_new_run_ends_the_doubt_of_a_blocked_base_and_no_other() -> None:
     sectors = after(dead_front, at_rest)
     sectors.on_blocked(0.0, 2.3)
