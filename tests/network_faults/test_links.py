@@ -46,7 +46,12 @@ def test_an_operator_on_the_computer_of_a_robot_stops_that_robot_too(swarm: Fiel
         assert not {*answer.json["replies"]} & {*ROBOTS[1:]}
     swarm.field.heal()
     swarm.await_states(NEAR, "estopped")
-    assert [len(one["status"]["latches"]) for one in swarm.members(NEAR).values()] == [2] * 4
+
+    def are_all_held_by_both() -> bool:
+        held = [len(one["status"]["latches"]) for one in swarm.members(NEAR).values()]
+        return held == [2] * len(ROBOTS)
+
+    wait_until(are_all_held_by_both, "each robot holds both emergency stops")
     assert swarm.ctl("r01", "reset", "--all", "--yes").code == 0
     swarm.await_states(NEAR, "idle")
 

@@ -312,7 +312,8 @@ def test_the_driver_hands_over_what_the_drone_measures() -> None:
 
     async def story(harness: DriverHarness) -> None:
         sink = harness.sink
-        await harness.until(lambda: bool(sink.taken["readings"]), publishing=True)
+        kinds = ("readings", "scan", "odometry", "pose")
+        await harness.until(lambda: all(sink.taken[kind] for kind in kinds), publishing=True)
         assert sink.scans[-1].ranges.tolist() == pytest.approx([1.0, 1.5, np.inf, 1.2])
         odometry = sink.odometries[-1]
         pose, twist = odometry.pose, odometry.twist
