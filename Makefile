@@ -185,7 +185,7 @@ network-scale: $(VENV)/tools
 	@$(COMPILE) tests
 	@$(BIN)/python -m benchmarks.network_scale $(ARGS)
 
-# The tables and figures of docs/paper.md, in build/paper: 640 runs, half an hour on two cores.
+# The tables and figures of docs/paper.md, in build/paper: 1100 runs, half an hour on two cores.
 paper: $(VENV)/tools
 	@$(BIN)/python -m studies.paper $(ARGS)
 

@@ -4,67 +4,84 @@ Experiment 2 is `python -m studies.paper exp2 [OUT]`.
 
 Runs every scenario with two laws of attraction, the original equations (`paper`) and ours
 (`settling`), under our protection (the barrier) and with both visibilities of robots to lidars.
-Runs the original equations also under the original protection, as published. Writes the tables and
-figures of docs/paper.md to OUT. Runs that OUT already holds are not repeated. `--draw` runs nothing
-and draws the runs in OUT.
+Runs the original equations also under the original protection, as published. The control in
+every table is the same run with robots that do not move (`still`). Writes the tables and figures of
+docs/paper.md to OUT. Runs that OUT already holds are not repeated. `--draw` runs nothing and draws
+the runs in OUT.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.table import markdown
-from studies import paper_exp2
+from studies import ideal_search, paper_exp2, paper_states
 from studies.paper_exp2 import out_of, results_of
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import median_interval, summarize, wilson
-from swarmd.sim.metrics import aggregation
+from swarmd.sim.metrics import aggregation, window
 from swarmd.sim.plots.figures import Look, compared_over_time
 from swarmd.sim.plots.select import typical_first
 from swarmd.sim.plots.theme import save
 from swarmd.sim.plots.trajectories import trajectories_figure
 from swarmd.sim.trace import Trace
 
-SCENARIOS = ("burger", "waffle_pi", "jackal", "hardware")
-TURTLEBOTS = SCENARIOS[:2]
+TURTLEBOTS = ("burger", "waffle_pi")
+GATHERING = (*TURTLEBOTS, "jackal")
+HARDWARE = ("hardware", "hardware_free")
 VISIBILITIES = ("body", "real")
 ORIGINAL = "original"
 """Law `paper` under protection mode `potential_field`."""
+STILL = "still"
+"""Robots that do not move. Runs with visibility `real` would be the same, so there are none."""
 DRAWN = ("settling", ORIGINAL)
 
 SEEDS = range(20)
 FRESH = range(500, 520)
 """Seeds with which no parameter was chosen."""
+HARDWARE_SEEDS = range(6000, 6040)
+"""Likewise, for both starts of the hardware experiment."""
 
 PLAN = (
     ("settling", SEEDS, TURTLEBOTS),
+    ("settling", HARDWARE_SEEDS, HARDWARE),
     ("paper", SEEDS, TURTLEBOTS),
-    ("settling", SEEDS, SCENARIOS[2:]),
-    ("settling", FRESH, TURTLEBOTS),
-    ("paper", SEEDS, SCENARIOS[2:]),
-    ("settling", FRESH, SCENARIOS[2:]),
-    (ORIGINAL, SEEDS, SCENARIOS),
+    ("paper", HARDWARE_SEEDS, HARDWARE),
+    (STILL, HARDWARE_SEEDS, HARDWARE),
+    (STILL, SEEDS, GATHERING),
+    ("settling", SEEDS, ("jackal",)),
+    ("settling", FRESH, GATHERING),
+    ("paper", SEEDS, ("jackal",)),
+    (ORIGINAL, SEEDS, GATHERING),
+    (ORIGINAL, HARDWARE_SEEDS, HARDWARE),
 )
+MDC = "mean_distance_to_centroid"
 MDC_SOON = 0.86
 MDC_LATE = {"burger": 0.65, "waffle_pi": 0.75}
 """Upper bounds in m of the mean distance to the centroid after 30 s and at the end."""
+ENOUGH = 6
+"""Robots of seven: the authors lost one."""
 
+Runs = Mapping[tuple[str, str, bool], Results]
+"""By scenario, law, and whether the seeds are FRESH."""
 Column = tuple[str, Callable[[Results, str, str], str]]
 
 
-def changes(name: str, law: str) -> Mapping[str, str]:
+def changes(name: str, law: str) -> Mapping[str, str | float]:
     """The overrides that select a law."""
+    if law == STILL:
+        return {"groups.all.parameters.speed": 0.0, "groups.all.parameters.turn": 0.0}
     if law != ORIGINAL:
         return {"groups.all.parameters.law": law}
-    platform = "waffle_pi" if name == "hardware" else name
+    platform = "waffle_pi" if name in HARDWARE else name
     mode = {f"platforms.{platform}.protection.mode": "potential_field"}
     return {"groups.all.parameters.law": "paper", **mode}
 
@@ -82,10 +99,21 @@ def share(values: NDArray[np.bool_]) -> str:
 
 
 def median(values: Array) -> str:
-    """The median of `values` (n,) as a text, with its interval."""
-    around = median_interval(values)
-    text = f"{np.median(values):.2f}"
-    return f"{text} ({around.low:.2f}-{around.high:.2f})" if around else text
+    """The median of `values` (n,) as a text, with its interval and the number of missing values."""
+    known = values[~np.isnan(values)]
+    if len(known) == 0:
+        return "-"
+    around = median_interval(known)
+    text = f"{np.median(known):.2f}"
+    text += f" ({around.low:.2f}-{around.high:.2f})" if around else ""
+    return text if len(known) == len(values) else f"{text}, {len(values) - len(known)} without"
+
+
+def is_progress(results: Results, variant: str) -> NDArray[np.bool_]:
+    """(runs,) whether the mean distance to the centroid is not above that at the start."""
+    start = results.metric(f"{MDC}_start", variant)
+    progress: NDArray[np.bool_] = results.metric(f"{MDC}_end", variant) <= start
+    return progress
 
 
 def _median(metric: str) -> Callable[[Results, str, str], str]:
@@ -103,7 +131,7 @@ def _met(results: Results, variant: str, name: str, when: str, bound: float) -> 
 
     Jackals start too close to each other, and spread.
     """
-    values = results.metric(f"mean_distance_to_centroid_{when}", variant)
+    values = results.metric(f"{MDC}_{when}", variant)
     return share(values <= bound) if name in TURTLEBOTS else "-"
 
 
@@ -112,20 +140,49 @@ def _contacts(results: Results, variant: str, _: str) -> str:
     return f"{int(values.sum())} in {np.count_nonzero(values)}"
 
 
+PROGRESS: tuple[Column, ...] = (
+    ("MDC at start [m]", _median(f"{MDC}_start")),
+    ("at 120 s [m]", _median(f"{MDC}_end")),
+    ("not above start", lambda r, v, _: share(is_progress(r, v))),
+)
+
+
+def _stopped(results: Results, variant: str, _: str) -> str:
+    """The number of robots that do not run at the end, such as after invalid scans."""
+    states = [trace.state for trace in traces_of(results, variant)]
+    ends = np.array([state[-1] for state in states if state is not None])
+    return f"{np.count_nonzero(ends != 'running')} of {ends.size}"
+
+
 CLUSTER: tuple[Column, ...] = (
     ("one cluster at end", _share("one_cluster_at_end", lambda v: v == 1.0)),
     ("for 90 % of last 60 s", _share("time_in_one_cluster_late", lambda v: v >= 0.9)),
-    ("MDC at 30 s [m]", _median("mean_distance_to_centroid_30s")),
-    ("<= 0.86", lambda r, v, n: _met(r, v, n, "30s", MDC_SOON)),
-    ("late MDC [m]", _median("mean_distance_to_centroid_late")),
+    *PROGRESS,
+    ("MDC <= 0.86 at 30 s", lambda r, v, n: _met(r, v, n, "30s", MDC_SOON)),
+    ("late MDC [m]", _median(f"{MDC}_late")),
     ("within bound", lambda r, v, n: _met(r, v, n, "late", MDC_LATE.get(n, 0.0))),
 )
 BEHAVIOUR: tuple[Column, ...] = (
     ("contacts", _contacts),
+    ("stopped robots", _stopped),
+    ("way of a robot [m]", _median("path_length")),
     ("late speed / v_max", _median("mean_speed_late_share")),
     ("late protection duty", _median("protection_duty_late")),
     ("nearest neighbour [m]", _median("nearest_neighbor_median_late")),
-    ("half MDC after [s]", lambda r, v, n: _gather_time(r.metric("gather_time", v))),
+    ("half MDC after [s]", lambda r, v, _: _gather_time(r.metric("gather_time", v))),
+)
+TOGETHER: tuple[Column, ...] = (
+    *PROGRESS,
+    ("six linked at 120 s", lambda r, v, _: share(is_together(r, v))),
+    ("both", lambda r, v, _: share(is_together(r, v) & is_progress(r, v))),
+    ("late largest group", lambda r, v, _: median(late_largest_group(r, v))),
+    ("way of a robot [m]", _median("path_length")),
+    ("contacts", _contacts),
+)
+TABLES = (
+    ("Gathering", CLUSTER, GATHERING),
+    ("Contacts, rest and time", BEHAVIOUR, (*GATHERING, *HARDWARE)),
+    ("Hardware", TOGETHER, HARDWARE),
 )
 
 
@@ -138,71 +195,77 @@ def _gather_time(values: Array) -> str:
     return f"{'-' if middle is None else f'{middle:.2f}'}, {never} never"
 
 
-def groups_of_three(trace: Trace, link: float, by: float = 10.0) -> bool:
-    """Whether before `by` s all but one robot are in groups of three or more."""
-    labels = aggregation.clusters(trace, link)[trace.t - trace.t[0] <= by + 1e-9]
-    sizes = (labels[:, :, None] == labels[:, None, :]).sum(axis=2)
-    return bool(((sizes >= 3).sum(axis=1) >= len(trace.ids) - 1).any())
+def is_together(results: Results, variant: str) -> NDArray[np.bool_]:
+    """(runs,) whether six robots or more are linked, within 1.0 m of the next, at the end."""
+    together: NDArray[np.bool_] = results.metric("largest_cluster", variant) >= ENOUGH
+    return together
 
 
-def hardware_rows(results: Results) -> Iterator[tuple[str, list[str]]]:
-    """Rows of the table that checks the paper's statements on its hardware experiment.
-
-    Robots within a link of 1.0 m or 0.8 m of each other are in one group.
-    """
-    for visibility in VISIBILITIES:
-        variant = variant_of(visibility)
-        runs = [run for run in results.runs if run.variant.name == variant]
-        traces = [results.traces[run.id] for run in runs]
-        for link in (1.0, 0.8):
-            most = [(trace, aggregation.largest_cluster(trace, link)) for trace in traces]
-            after = [size[trace.t - trace.t[0] > 10.0].max() for trace, size in most]
-            late = [size[trace.t >= trace.t[-1] - 60.0].mean() for trace, size in most]
-            yield (
-                f"{visibility}, {link:g} m",
-                [
-                    share(np.array([groups_of_three(trace, link) for trace in traces])),
-                    share(np.array(after) >= 6),
-                    share(np.array([size[-1] >= 6 for _, size in most])),
-                    median(np.array(late)),
-                    _contacts(results, variant, ""),
-                ],
-            )
+def traces_of(results: Results, variant: str) -> list[Trace]:
+    """The traces of the runs of a variant."""
+    return [results.traces[run.id] for run in results.runs if run.variant.name == variant]
 
 
-HARDWARE = ("", "groups of three by 10 s", "six together after 10 s", "at most one lost at 120 s",
-            "late largest group", "contacts")  # fmt: skip
+def late_largest_group(results: Results, variant: str) -> Array:
+    """(runs,) the mean size of the largest group of linked robots in the last 60 s."""
+    lates = [window.late(trace) for trace in traces_of(results, variant)]
+    return np.array(
+        [aggregation.largest_cluster(trace, paper_states.LINK).mean() for trace in lates]
+    )
 
 
-def tables(by_run: Mapping[tuple[str, str, bool], Results]) -> str:
-    """All tables, of the runs that exist."""
+def label(name: str, variant: str, law: str, is_fresh: bool) -> str:
+    """The name of a row."""
+    visibility = "" if law == STILL else f", {variant.partition('=')[2]}"
+    return f"{name}{visibility}, {law}{', fresh' if is_fresh else ''}"
+
+
+def tables(by_run: Runs) -> str:
+    """All tables, of the runs that exist, and the ideal search."""
     parts = []
-    for title, columns, names in (
-        ("Gathering", CLUSTER, SCENARIOS[:3]),
-        ("Contacts, rest and time", BEHAVIOUR, SCENARIOS),
-    ):
+    for title, columns, names in TABLES:
         rows = [
-            [f"{name}, {visibility}, {law}{', fresh' if is_fresh else ''}"]
-            + [cell(results, variant_of(visibility), name) for _, cell in columns]
-            for (name, law, is_fresh), results in by_run.items()
-            if name in names
-            for visibility in VISIBILITIES
-            if results.seeds(variant_of(visibility))
+            [label(name, variant, law, is_fresh)]
+            + [cell(results, variant, name) for _, cell in columns]
+            for name in names
+            for (scenario, law, is_fresh), results in by_run.items()
+            if scenario == name
+            for variant in results.variants
+            if results.seeds(variant)
         ]
         parts += [f"## {title}", markdown([["", *(head for head, _ in columns)], *rows])]
-    rows = [
-        [f"{row}, {law}{', fresh' if is_fresh else ''}", *cells]
-        for (name, law, is_fresh), results in by_run.items()
-        if name == "hardware"
-        for row, cells in hardware_rows(results)
-    ]
-    return "\n\n".join([*parts, "## Hardware", markdown([HARDWARE, *rows])]) + "\n"
+    searches = []
+    for rule, most_moving in ideal_search.RULES.items():
+        times = ideal_search.search_times(HARDWARE_SEEDS, most_moving)
+        middle = np.median(times)
+        text = f"{middle:.1f}" if np.isfinite(middle) else "-"
+        searches.append([rule, share(np.isfinite(times)), text])
+    head = ["", "six together within 120 s", "median time [s]"]
+    return "\n\n".join([*parts, "## Ideal search", markdown([head, *searches])]) + "\n"
 
 
-def draw(by_run: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
+def causes(by_run: Runs, out: Path) -> str:
+    """The table of states of law settling in the hardware arena; draws their figure."""
+    by_row: dict[str, paper_states.Counts] = {}
+    runs: dict[str, int] = {}
+    for name in HARDWARE:
+        results = by_run.get((name, "settling", False))
+        if results is None:
+            continue
+        for variant in results.variants:
+            traces = traces_of(results, variant)
+            row = label(name, variant, "settling", False)
+            by_row[row], runs[row] = paper_states.counts_of(traces), len(traces)
+    if not by_row:
+        return ""
+    save(paper_states.state_figure(by_row), out / "paper_hardware_states.png")
+    return f"\n## States\n\n{markdown(paper_states.state_rows(by_row, runs))}\n"
+
+
+def draw(by_run: Runs, out: Path) -> None:
     """The figures: the distance to the centroid over time, and a typical run of each law."""
     out.mkdir(parents=True, exist_ok=True)
-    metric = "mean_distance_to_centroid_late"
+    metric = f"{MDC}_late"
     for name in TURTLEBOTS:
         sides = {
             f"{law}, {visibility}": Side(law, by_run[name, law, False], variant_of(visibility))
@@ -238,11 +301,11 @@ def main(arguments: Sequence[str]) -> None:
                 f"paper_exp1_{name}",
                 seeds,
                 set=changes(name, law),
-                sweep={"lidar_visibility": list(VISIBILITIES)},
+                sweep={"lidar_visibility": list(VISIBILITIES[: 1 if law == STILL else 2])},
             )
             if results:
                 by_run[name, law, seeds is FRESH] = results
-    (out / "tables.md").write_text(tables(by_run))
+    (out / "tables.md").write_text(tables(by_run) + causes(by_run, out / "figures"))
     draw(by_run, out / "figures")
 
 

@@ -7,14 +7,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from studies.paper import ORIGINAL, changes
+from studies.paper import ORIGINAL, STILL, changes
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.scenarios.scenariofile import load_scenario
 
 SEEDS = (0, 1, 2)
 NAMES = ("burger", "waffle_pi")
 VISIBILITIES = ("body", "real")
 LATE_BOUND = {"burger": 0.65, "waffle_pi": 0.75}
+MDC = "mean_distance_to_centroid"
 ALTERED = {"burger": 0.05, "waffle_pi": 0.25}
 """Waffle Pis kept 0.15 before protection computed the stop from a command. Now it reduces a turn by
 quarters if the turn would swing a corner, 0.25 m from the axle, past a neighbour. The medians of 40
@@ -93,3 +95,22 @@ def test_the_original_law_under_the_original_protection_never_rests() -> None:
     ours, original = runs("burger", "body"), runs("burger", "body", ORIGINAL)
     for metric in ("mean_speed_late_share", "protection_duty_late"):
         assert original[metric].min() > 2.0 * ours[metric].max()
+
+
+@pytest.mark.parametrize("name", ["waffle_pi", "jackal", "hardware_free"])
+def test_the_control_never_moves_whatever_lidars_see(name: str) -> None:
+    for visibility in VISIBILITIES:
+        found = runs(name, visibility, STILL, seeds=(0,), duration=6.0)
+        assert found["path_length"] == 0.0
+        assert found[f"{MDC}_end"] == found[f"{MDC}_start"]
+        assert found["robot_contacts"] + found["arena_contacts"] == 0.0
+
+
+def test_no_two_robots_are_linked_at_the_free_start() -> None:
+    scenario = load_scenario("paper_exp1_hardware_free")
+    assert {platform.name for platform in scenario.robots.values()} == {"waffle_pi"}
+    assert (scenario.arena.length, scenario.arena.width, scenario.duration) == (6.6, 4.8, 120)
+    for seed in range(10):
+        places = scenario.starts(seed)[:, :2]
+        one, other = np.triu_indices(len(places), 1)
+        assert np.hypot(*(places[one] - places[other]).T).min() > 1.0

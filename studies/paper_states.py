@@ -1,0 +1,122 @@
+"""The states in which robots of the hardware arena spend their time and lose their last link.
+
+A robot loses its last link when it was within LINK of some robot, and then is so of no robot for
+HOLD. The law `settling` gives its state at this moment, though the other robot may be the one that
+drives away. The range of the robots may be less than LINK. Then a robot is already searching at
+this moment, and its origin is its last state before the search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import cycle
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.core.values import Array
+from swarmd.sim.metrics import aggregation
+from swarmd.sim.plots.theme import VARIANT_COLOURS, new_figure, tidy
+from swarmd.sim.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LINK = 1.0
+"""m, between axle centres."""
+HOLD = 1.0
+"""s; without it, a robot at the distance LINK would lose its link again and again."""
+ORDER = ("search", "gather", "settled", "roll", "lead")
+"""The order of known states in tables and figures. Other states follow by name."""
+
+SEARCH = ORDER[0]
+KINDS = ("time", "losses", "origins")
+
+Counts = Mapping[str, Array]
+"""(3,) instants in a state, losses in it, and losses of which it is the origin, by state."""
+
+
+def losses(trace: Trace) -> NDArray[np.bool_]:
+    """(T, n) whether the robot loses its last link at this instant."""
+    is_linked = aggregation.nearest_neighbors(trace) <= LINK
+    is_lost = np.zeros_like(is_linked)
+    is_lost[1:] = is_linked[:-1] & ~is_linked[1:]
+    for instant, robot in np.argwhere(is_lost):
+        span = trace.t <= trace.t[instant] + HOLD
+        is_lost[instant, robot] = not is_linked[instant:, robot][span[instant:]].any()
+    return is_lost
+
+
+def origins(states: NDArray[np.str_], is_lost: NDArray[np.bool_]) -> list[str]:
+    """The last state before the search of each loss; SEARCH if there is none.
+
+    `states`, `is_lost`: (T, n).
+    """
+    found = []
+    for instant, robot in np.argwhere(is_lost):
+        others = [state for state in states[: instant + 1, robot] if state not in ("", SEARCH)]
+        found.append(str(others[-1]) if others else SEARCH)
+    return found
+
+
+def counts_of(traces: Iterable[Trace]) -> dict[str, Array]:
+    """The counts of all runs; instants without a report do not count."""
+    found: dict[str, Array] = {}
+    for trace in traces:
+        states, is_lost = trace.words["state"], losses(trace)
+        first = origins(states, is_lost)
+        for state in {*np.unique(states[states != ""]).tolist(), *first}:
+            is_in = states == state
+            counts = is_in.sum(), (is_in & is_lost).sum(), first.count(state)
+            found[state] = found.get(state, 0) + np.array(counts, dtype=np.float64)
+    return found
+
+
+def shares(counts: Counts) -> dict[str, Array]:
+    """The shares (3,) of all instants, losses and origins, by state; 0 without losses."""
+    totals = np.maximum(sum(counts.values(), np.zeros(3)), 1.0)
+    return {state: some / totals for state, some in counts.items()}
+
+
+def states_of(by_row: Mapping[str, Counts]) -> list[str]:
+    """The states of all rows, in the order of ORDER."""
+    found = {state for counts in by_row.values() for state in counts}
+    known = [state for state in ORDER if state in found]
+    return [*known, *sorted(found - set(known))]
+
+
+def state_rows(by_row: Mapping[str, Counts], runs: Mapping[str, int]) -> list[list[str]]:
+    """The rows of the table with its head: percent of KINDS in each state.
+
+    `runs`: the number of runs of each row.
+    """
+    states = states_of(by_row)
+    rows = [[" / ".join(KINDS), "losses a run", *states]]
+    for row, counts in by_row.items():
+        lost = sum(some[1] for some in counts.values()) / runs[row]
+        some = [shares(counts).get(state, np.zeros(3)) for state in states]
+        rows.append([row, f"{lost:.1f}", *(" / ".join(f"{a:.0%}" for a in cell) for cell in some)])
+    return rows
+
+
+def state_figure(by_row: Mapping[str, Counts]) -> Figure:
+    """A bar of each of KINDS for each row: its shares by state."""
+    figure = new_figure(8.0, 0.9 + 0.85 * len(by_row))
+    axes = figure.subplots()
+    states = states_of(by_row)
+    heights = [row + side for row in range(len(by_row)) for side in (-0.27, 0.0, 0.27)]
+    names = [f"{row}, {kind}" for row in by_row for kind in KINDS]
+    left: Array = np.zeros(len(heights))
+    for state, colour in zip(states, cycle(VARIANT_COLOURS), strict=False):
+        some = [shares(counts).get(state, np.zeros(3)) for counts in by_row.values()]
+        widths = 100.0 * np.array(some).reshape(-1)
+        axes.barh(heights, widths, 0.24, left=left, color=colour, label=state)
+        left = left + widths
+    axes.set_yticks(heights, names)
+    axes.invert_yaxis()
+    axes.set(xlabel="share of the time, of lost last links, and of their origins [%]")
+    axes.set_xlim(0.0, 100.0)
+    tidy(axes)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(states), frameon=False)
+    return figure
