@@ -119,6 +119,13 @@ def test_the_lidar_ignores_walls_and_objects_out_of_range() -> None:
     )
 
 
+def test_a_wall_as_far_as_the_robots_that_count_is_no_robot() -> None:
+    """Cut off at 0.6 m, the nearest part of the wall would be as narrow as a robot."""
+    scan = scan_of(BURGER, room=6.0, pose=Pose(0.0, -2.44))
+    found = robot_centers(scan, reach=0.6, width=0.5, offset=(0.0, 0.0))
+    assert len(found) == 0
+
+
 @pytest.mark.parametrize("turn", [math.pi - 0.03, 0.0, math.pi + 0.03])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_center_of_a_half_hidden_robot_is_found(side: float, turn: float) -> None:
