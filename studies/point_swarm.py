@@ -118,6 +118,7 @@ class PointSwarm:
         sense: Sense | None = None,
         see: See | None = None,
     ) -> None:
+        self._pattern = pattern
         self._rng = np.random.default_rng([seed, 0x706F696E])
         self._links, self._reach, self._torus, self._hearers = links, reach, torus, hearers
         self._ends, self._air, self._sense, self._see = ends or {}, air, sense, see
@@ -197,9 +198,7 @@ class PointSwarm:
         point.report = stepped.outputs.report
         twist = stepped.outputs.twist
         self._base[row], self._since[row] = poses[row], now
-        asked = (0.0, 0.0) if twist is None else (twist.linear, twist.angular)
-        for axis, (speed, limit) in enumerate(zip(asked, self._limits, strict=True)):
-            self._twist[row, axis] = max(-limit, min(speed, limit))
+        self._twist[row] = obeyed(self._pattern, twist, self._limits)
         for channel, value in stepped.outputs.messages.items():
             self._sent += 1
             self._send(Message(point.name, channel, value, 0.0), near, now)
@@ -263,6 +262,17 @@ def each(work: Callable[[T], R], items: Sequence[T], jobs: int = 1) -> list[R]:
 def at_places(places: Sequence[tuple[float, float]] | Array) -> Array:
     """Poses (n, 3) at places (n, 2), all with yaw 0."""
     return np.column_stack([np.asarray(places, float), np.zeros(len(places))])
+
+
+def obeyed(pattern: str, twist: Twist | None, limits: tuple[float, float]) -> tuple[float, float]:
+    """The speed in m/s and the turn rate in rad/s that a base takes from a robot of any `pattern`.
+
+    `studies/outcomes/still.py` replaces it for robots that never move.
+    """
+    linear, angular = limits
+    if twist is None:
+        return 0.0, 0.0
+    return max(-linear, min(twist.linear, linear)), max(-angular, min(twist.angular, angular))
 
 
 def _load(pattern: str, name: str, params: Mapping[str, Value], seed: int) -> _Point:

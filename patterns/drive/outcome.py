@@ -37,7 +37,12 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
         still.append(max(float(np.hypot(*(path[-1] - path[late]))) for path in paths.values()))
         left.append(number(clearance(trace)))
         around = _path(trace, "circle") - (0.0, CIRCLE)
-        circle.append(float(np.abs(np.hypot(*around.T) / CIRCLE - 1.0).max()))
+        # A robot that stands is on the circle, too.
+        circle.append(
+            float(np.abs(np.hypot(*around.T) / CIRCLE - 1.0).max())
+            if np.ptp(around[:, 0]) >= CIRCLE
+            else np.inf
+        )
     return [
         at_most(NAME, "most aside of its line [m]", 0.05, aside, "geometry"),
         at_most(NAME, "relative error of the speed", 0.05, off, _SPEEDS),

@@ -48,7 +48,7 @@ def outcomes(
         fall_label = f"the group: items of {largest} robots / of {best}"
         fall = ratio_of(group_rates[largest], group_rates[best])
         robot_rates = [mean_rates[size] / size for size in sizes]
-        steps = [larger / smaller for smaller, larger in itertools.pairwise(robot_rates)]
+        steps = [more / less if less else np.nan for less, more in itertools.pairwise(robot_rates)]
         step_label = "a robot: items of a size / of that before"
         of_groups.append(at_most(NAME, fall_label, FALL, fall, _SOURCE))
         of_groups.append(at_most(NAME, step_label, 1.0, steps, _SOURCE))

@@ -116,7 +116,12 @@ def _named(track: Track) -> float:
 def settled(places: Array) -> float:
     """The largest difference in m between a gap and the policy's gap, just before the leader's end.
 
-    `places`: (T, n, 2) in m, the robots in the order of the chain.
+    `places`: (T, n, 2) in m, the robots in the order of the chain. inf if the last robot stands,
+    since the gaps at the start are near the policy's.
     """
     apart = np.diff(places[int(len(places) * 55 / 90)], axis=0)
-    return float(np.abs(np.hypot(*apart.T) - STANDSTILL - HEADWAY * SPEED).max())
+    return (
+        float(np.abs(np.hypot(*apart.T) - STANDSTILL - HEADWAY * SPEED).max())
+        if np.ptp(places[:, -1, 0]) >= STANDSTILL
+        else np.inf
+    )

@@ -127,7 +127,7 @@ def _judge(track: Track, targets: Array, setting: _Setting) -> Search:
     search_s = search_s[search_s > 0.0]  # without the targets in sight at the start
     is_found = np.isfinite(search_s)
     step = np.diff(place, axis=0)
-    speed = float(np.hypot(step[..., 0], step[..., 1]).sum()) / SECONDS / setting.robots
+    speed = np.hypot(step[..., 0], step[..., 1]).sum() / SECONDS / setting.robots
     law = SIDE**2 / (2.0 * setting.robots * setting.sight * speed)
     minute = place[120:] - place[:-120]  # 120 samples of 0.5 s
     displaced = float(np.hypot(minute[..., 0], minute[..., 1]).mean())

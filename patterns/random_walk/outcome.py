@@ -50,11 +50,11 @@ def of_random_search(trace: Trace) -> float:
     """The covered floor as a share of the floor that a random search with an equal path covers.
 
     Random search covers the share 1 - exp(-w L / A) of the floor A: w is the search width, twice
-    0.5 m, and L the length of the paths of all robots.
+    0.5 m, and L the length of the paths of all robots. NaN without any path.
     """
     path = np.hypot(*np.moveaxis(np.diff(trace.pose[..., :2], axis=0), -1, 0)).sum()
     expected = FLOOR * (1.0 - math.exp(-2.0 * COVER * float(path) / FLOOR))
-    return number(covered_area(trace)) / expected
+    return number(covered_area(trace)) / expected if expected else math.nan
 
 
 def one_sidedness(traces: Sequence[Trace]) -> float:

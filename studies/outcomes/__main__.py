@@ -2,7 +2,8 @@
 
 Prints a table. Exit code 1 if an outcome is not reached and is not kept as missed, or if as many
 runs as are kept, on such a machine, give other values. `--keep` writes the values of each run and
-those of the short form beside the pattern, and the table of the pattern's page.
+those of the short form beside the pattern, and the table of the pattern's page. `--still` prints
+the rows that robots that never move reach, too (studies/outcomes/still.py); exit code 0.
 `tests/studies/test_outcomes.py` tests a few seeds.
 """
 
@@ -13,6 +14,7 @@ import os
 import sys
 from collections.abc import Sequence
 
+from studies.outcomes import still
 from studies.outcomes.catalog import MODULES, short_outcomes
 from studies.outcomes.outcome import (
     HEAD,
@@ -31,12 +33,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m studies.outcomes", description=__doc__)
     parser.add_argument("patterns", nargs="*", metavar="PATTERN", help="default: all")
     parser.add_argument("--seeds", type=int, default=20, help="runs of each setting [20]")
-    parser.add_argument("--keep", action="store_true", help="write patterns/PATTERN/outcome.json")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--keep", action="store_true", help="write patterns/PATTERN/outcome.json")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
+    form.add_argument("--still", action="store_true", help="the control: robots that never move")
     options = parser.parse_args(arguments)
     for name in options.patterns:
         if name not in MODULES:
             raise SwarmError(unknown("pattern with outcomes", name, MODULES))
+    if options.still:
+        print(still.report(options.patterns or list(MODULES), options.seeds, options.jobs))
+        return 0
     print(f"| pattern | {' | '.join(HEAD)} |\n|---{'|---' * len(HEAD)}|")
     kept, problems = kept_outcomes(), 0
     for name in options.patterns or MODULES:
