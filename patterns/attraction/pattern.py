@@ -5,9 +5,10 @@ attractive potential field over all returns of the lidar, always at full speed. 
 settle, and walls attract more than robots.
 
 Law "settling" is ours. An object attracts if it may be a robot: not wider than `object_width`, and
-not partly hidden by a nearer object. The attraction grows with the distance, as in the paper. Near
-obstacles limit only the speed towards them, so that the robot slides past. The robot rests once the
-attraction is small.
+not partly hidden by a nearer object. The attraction grows with the distance, as in the paper, and
+beyond all bounds at `range`, so that a robot between two others keeps the farther one in sight.
+Near obstacles limit only the speed towards them, so that the robot slides past. The robot rests
+once the attraction is small.
 
 Attraction alone would leave a row unchanged, since the robots of a row hide one another. So a robot
 may roll: move along the outside of the group until three robots are adjacent, as atoms do on a
@@ -15,17 +16,24 @@ crystal. A robot rolls from time to time if fewer than three robots are adjacent
 sight or send messages. If all robots in sight lie in a line, the robot rolls before it settles. The
 time until the next roll doubles with each roll, so that the swarm comes to rest. The robot starts
 with the first time again when it sees more robots than ever before. A robot with few robots in
-sight finally leads: it drives away to search for the rest of the swarm.
+sight finally leads: it drives away to search for the rest of the swarm. A robot that rolls or leads
+keeps the robots in sight that it sees.
+
+Robots that search, and groups with robots out of sight, drive to the middle of the free space
+around them. In a room they meet there, also if `range` is short. In the open there is no middle.
 
 Limits: a robot within about 0.2 m of a wall is taken for a part of the wall, a pillar counts as a
-robot, and groups farther apart than `range` meet only by chance.
+robot, and groups farther apart than `range` meet only by chance where there are no walls.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Sequence
 from typing import Annotated, NamedTuple, TypeAlias
+
+import numpy as np
 
 from swarmd.api import (
     ZERO,
@@ -60,9 +68,15 @@ _MIN_SIDE_SINE = 0.3
 # s: duration of a roll.
 _ROLL_TIME = 8.0
 # With so few robots in sight the rest of the swarm may be lost: the robot leads (drives away to
-# search) for so many s, at this share of full speed.
+# search) for so many s.
 _FEW_ROBOTS = 2
-_LEAD_TIME, _LEAD_SPEED = 12.0, 0.6
+_LEAD_TIME = 12.0
+# Per m: how much stronger the way to the middle of the free space is than the heading of a search.
+_MIDDLE_GAIN = 6.0
+# rad on each side of a robot whose rays say nothing of the free space.
+_MARGIN = 0.05
+# Share of full speed at which a group that may be incomplete drives to the middle, at most.
+_GROUP_SPEED = 0.35
 # The time at rest before a try doubles with each try. s before the first roll (drive around the
 # group); s from which on the robot leads instead, if few robots are in sight; s from which on the
 # robot tries no more.
@@ -72,7 +86,7 @@ _MAX_REST_TIME = 40.0
 # While searching the heading drifts by up to so many rad, for so many s.
 _MAX_DRIFT = 0.4
 _DRIFT_TIMES = (2.0, 5.0)
-# Beyond this share of `range` the lidar sees only parts of an object, such as a wall.
+# Beyond this share of its range the lidar sees only parts of an object, such as a wall.
 _MAX_RANGE_SHARE = 0.95
 
 Vector: TypeAlias = tuple[float, float]
@@ -100,7 +114,7 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
     spacing: Annotated[
         float,
         about(
-            "distance from the axle to a neighbour at which its pull ends",
+            "distance from the axle to a neighbour at which its pull ends; at most range - brake",
             ge=0.05,
             le=20.0,
             unit="m",
@@ -116,8 +130,8 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
             ge=0.0,
             le=5.0,
             unit="m",
-            source="ours: a twentieth of the protection threshold",
-            derived=of_threshold(0.05),
+            source="ours: 0.15 times the protection threshold: swarms are denser and rest",
+            derived=of_threshold(0.15),
         ),
     ]
     brake: Annotated[
@@ -142,9 +156,10 @@ class _Surroundings(NamedTuple):
     robots: list[tuple[float, float]]  # range and bearing of each fully visible robot
     seen: int  # number of robots in sight: those of `robots`, and partly hidden robots
     adjacent: int  # number of robots of `robots` that are near
-    pull: Vector  # the sum of all attraction, at most 1 long
+    pull: Vector  # the sum of all attraction and of the way to the middle, at most 1 long
     free: float  # length of the pull that is left once it keeps clear of `points`
     is_line: bool  # all robots lie on one line through this robot
+    middle: Vector  # towards the middle of the free space, where few robots are in sight; else 0
 
     @property
     def nearest(self) -> tuple[float, float]:
@@ -156,14 +171,41 @@ def _range(robot: tuple[float, float]) -> float:
     return robot[0]
 
 
-def _may_be_lost(view: _Surroundings, received: int) -> bool:
-    """True if few robots are in sight, and further robots may be out of sight.
+def _may_be_lost(seen: int, received: int) -> bool:
+    """True if few robots are in sight (`seen`), and further robots may be out of sight.
 
     `received`: the number of robots that are heard. If robots are heard, but no more than are in
     sight, no further robot is assumed.
     """
-    are_all_in_sight = 0 < received <= view.seen
-    return view.seen <= _FEW_ROBOTS and not are_all_in_sight
+    are_all_in_sight = 0 < received <= seen
+    return seen <= _FEW_ROBOTS and not are_all_in_sight
+
+
+def _limited(x: float, y: float) -> Vector:
+    """The vector (x, y), at most 1 long."""
+    length = max(1.0, math.hypot(x, y))
+    return x / length, y / length
+
+
+def to_middle(scan: Scan, robots: Sequence[tuple[float, ...]]) -> Vector:
+    """A vector in m towards the middle of the free space around a lidar, 0 in the open.
+
+    The mean of range times direction over all rays, less the mean range times the mean direction: a
+    lidar that does not look all around has its rays on one side. No return counts as `range_max`.
+    In the middle of a round room the vector is 0, beside it half as long as the way there.
+
+    `robots`: range in m, bearing in rad and width in m of each, whose rays are left out.
+    """
+    ranges = np.clip(scan.ranges, scan.range_min, scan.range_max)
+    is_known = ~np.isnan(ranges)
+    for distance, bearing, width, *_ in robots:
+        half = math.atan2(0.5 * width, distance) + _MARGIN
+        is_known &= np.cos(scan.bearings - bearing) < math.cos(half)
+    if not is_known.any():
+        return 0.0, 0.0
+    weights = (ranges[is_known] - ranges[is_known].mean()) / np.count_nonzero(is_known)
+    bearings = scan.bearings[is_known]
+    return float(weights @ np.cos(bearings)), float(weights @ np.sin(bearings))
 
 
 def _is_incomplete(view: _Surroundings, received: int) -> bool:
@@ -173,7 +215,7 @@ def _is_incomplete(view: _Surroundings, received: int) -> bool:
     """
     are_more_heard = received > view.seen
     are_some_apart = view.adjacent < len(view.robots)
-    has_more = are_more_heard or are_some_apart or _may_be_lost(view, received)
+    has_more = are_more_heard or are_some_apart or _may_be_lost(view.seen, received)
     return view.adjacent < _MIN_ADJACENT and has_more
 
 
@@ -206,7 +248,7 @@ class Attraction(FieldPattern[AttractionParams]):
         """Change the state (search, gather, settled, roll or lead); the command of the state."""
         now, received = inputs.now, len(inputs.neighbors)
         if self._view is None or self._view.scan is not scan:
-            self._view = self._look(scan)
+            self._view = self._look(scan, received)
         view = self._view
         is_in_line = received > view.seen and view.is_line
         state = self._next_state(view, now, received, is_in_line)
@@ -214,73 +256,99 @@ class Attraction(FieldPattern[AttractionParams]):
             self.state, self._since = state, now
         if state == "settled":
             return ZERO
-        if state == "search":
-            return self._follow(view, self._wander(now))
-        if state == "lead":
-            (x, y), (back_x, back_y) = self._wander(now), self._toward(view)
-            return self._follow(view, (_LEAD_SPEED * x - back_x, _LEAD_SPEED * y - back_y))
+        if state in ("search", "lead"):
+            return self._follow(view, self._in_sight(view.robots, *self._explore(view, now)))
         return self._follow(view, self._around(view) if state == "roll" else view.pull)
 
-    def _look(self, scan: Scan) -> _Surroundings:
-        """The robots and near surfaces in a scan, and the pull of the robots."""
+    @property
+    def _spacing(self) -> float:
+        """`spacing`, so far within `range` that a robot which drifts away is still in sight."""
+        params = self.params
+        return min(params.spacing, max(params.range - params.brake, 0.0))
+
+    def _look(self, scan: Scan, received: int) -> _Surroundings:
+        """The robots and near surfaces in a scan, and the pull of the robots.
+
+        `received`: the number of robots that are heard.
+        """
         params = self.params
         offset = self.context.platform.scan.offset
-        spacing = params.spacing - params.slack
-        reach = spacing + params.brake + math.hypot(*offset)
+        spacing = self._spacing - params.slack
+        reach = params.spacing + params.brake + math.hypot(*offset)
         surfaces = closest_points(scan, within=reach).tolist()
         points = NearPoints(polar_from_base(surfaces, offset))
-        robots, seen = self._robots(scan)
-        robots = polar_from_base(robots, offset)
-        near = _ADJACENT_SPACINGS * params.spacing
+        objects = self._objects(scan)
+        seen = len(objects)
+        robots = polar_from_base([(one[0], one[1]) for one in objects if one[4]], offset)
+        middle = to_middle(scan, objects) if seen <= _FEW_ROBOTS else (0.0, 0.0)
+        near = _ADJACENT_SPACINGS * self._spacing
         adjacent, axis = 0, 0j
         for distance, bearing in robots:
             adjacent += distance < near
             axis += cmath.rect(1.0, 2.0 * bearing)  # doubled: ahead and behind are one line
         pull = self._pull(robots)
+        if robots and _may_be_lost(seen, received):
+            x, y = _limited(_MIDDLE_GAIN * middle[0], _MIDDLE_GAIN * middle[1])
+            x, y = pull[0] + _GROUP_SPEED * x, pull[1] + _GROUP_SPEED * y
+            pull = _limited(*self._in_sight(robots, x, y))
         free = math.hypot(*points.keep_clear(*pull, spacing=spacing, brake=params.brake))
         is_line = abs(axis) > _MIN_ALIGNMENT * len(robots)
-        return _Surroundings(scan, points, robots, seen, adjacent, pull, free, is_line)
+        return _Surroundings(scan, points, robots, seen, adjacent, pull, free, is_line, middle)
 
     def _follow(self, view: _Surroundings, vector: Vector) -> Twist:
         """The command along `vector` (base frame, share of full speed), clear of near surfaces."""
         params = self.params
         points = view.points
-        spacing, brake = params.spacing - params.slack, params.brake
+        is_searching = self.state in ("search", "lead")
+        # Nearer to a wall protection may hold the robot before it turns away.
+        spacing = params.spacing if is_searching else self._spacing - params.slack
+        brake = params.brake
         x, y = points.keep_clear(*vector, spacing=spacing, brake=brake)
-        if self.state in ("search", "lead") and math.hypot(x, y) < _MIN_SEARCH_SPEED:
+        if is_searching and math.hypot(x, y) < _MIN_SEARCH_SPEED:
             return Twist(angular=math.copysign(0.5 * params.turn, self._drift))
         may_back = points.nearest < spacing
         return points.steer(
             x, y, params.speed, params.turn, spacing=spacing, brake=brake, may_back=may_back
         )
 
-    def _robots(self, scan: Scan) -> tuple[list[tuple[float, float]], int]:
-        """Range and bearing of each visible robot, and the number with those partly hidden."""
-        params = self.params
-        objects = clusters(scan, within=params.range).objects
-        furthest = _MAX_RANGE_SHARE * params.range
-        robots, seen = [], 0
-        for distance, bearing, width, _, is_free in objects:
-            if width <= params.object_width and distance <= furthest:
-                seen += 1
-                if is_free:
-                    robots.append((distance, bearing))
-        return robots, seen
+    def _objects(self, scan: Scan) -> list[tuple[float, float, float, int, bool]]:
+        """The objects of a scan that may be robots, as in `RayClusters`."""
+        # Cut at `range`, a wall would be as narrow as a robot.
+        objects = clusters(scan, within=scan.range_max).objects
+        furthest = min(self.params.range, _MAX_RANGE_SHARE * scan.range_max)
+        widest = self.params.object_width
+        return [one for one in objects if one[2] <= widest and one[0] <= furthest]
 
     def _pull(self, robots: list[tuple[float, float]]) -> Vector:
         """The sum of the attraction of all robots: a vector in the base frame, at most 1 long.
 
-        The attraction of a robot is 0 at `spacing` and grows with its range.
+        The attraction of a robot is 0 at `spacing` and grows with its range, near `range` beyond
+        all bounds, as potentials do that keep robots connected (Ji and Egerstedt, "Distributed
+        coordination control of multiagent systems while preserving connectedness", 2007).
         """
-        spacing, brake = self.params.spacing, self.params.brake
+        spacing, brake, reach = self._spacing, self.params.brake, self.params.range
         x = y = 0.0
         for distance, bearing in robots:
             if distance > spacing:
-                weight = (distance - spacing) / brake
+                left = 1.0 - min(distance / reach, _MAX_RANGE_SHARE)
+                weight = (distance - spacing) / (brake * left)
                 x += weight * math.cos(bearing)
                 y += weight * math.sin(bearing)
-        length = max(1.0, math.hypot(x, y))
-        return x / length, y / length
+        return _limited(x, y)
+
+    def _in_sight(self, robots: list[tuple[float, float]], x: float, y: float) -> Vector:
+        """The vector (x, y), limited so that it leads no farther than `range` from `robots`.
+
+        As `keep_clear` with the opposite sign: the component away from a robot is at most 1 at the
+        range `range` - `brake`, and 0 at `range`.
+        """
+        for distance, bearing in robots:
+            ahead, left = math.cos(bearing), math.sin(bearing)
+            most = max(self.params.range - distance, 0.0) / self.params.brake
+            excess = -(x * ahead + y * left) - most
+            if excess > 0.0:
+                x, y = x + excess * ahead, y + excess * left
+        return x, y
 
     def _next_state(self, view: _Surroundings, now: float, received: int, is_in_line: bool) -> str:
         """The next state: search, gather, settled, roll or lead.
@@ -311,7 +379,7 @@ class Attraction(FieldPattern[AttractionParams]):
         is_settled = self.state == "settled" and not is_pulled
         tries_again = is_settled and self._rest_time < _MAX_REST_TIME
         if (rolls_in_line or tries_again) and in_state_s > self._rest_time:
-            if self._rest_time > _LEAD_REST_TIME and _may_be_lost(view, received):
+            if self._rest_time > _LEAD_REST_TIME and _may_be_lost(view.seen, received):
                 return self._try("lead", view)
             if rolls_in_line or is_incomplete:
                 return self._try("roll", view)
@@ -329,18 +397,21 @@ class Attraction(FieldPattern[AttractionParams]):
             self._side = -math.copysign(1.0, turn) if abs(turn) > _MIN_SIDE_SINE else self._side
         return state
 
-    def _toward(self, view: _Surroundings) -> Vector:
-        """A vector towards the nearest robot, 0 beyond twice `spacing`."""
-        near, bearing = view.nearest
-        weight = min(max(2.0 - near / self.params.spacing, 0.0), 1.0)
-        return weight * math.cos(bearing), weight * math.sin(bearing)
-
     def _around(self, view: _Surroundings) -> Vector:
-        """A vector around the nearest robot plus the pull of all robots, at most 1 long."""
+        """A vector around the nearest robot plus the pull of all robots, at most 1 long.
+
+        It keeps all robots in sight.
+        """
         ahead = view.nearest[1] + self._side * math.pi / 2.0
         x, y = math.cos(ahead) + view.pull[0], math.sin(ahead) + view.pull[1]
-        length = max(1.0, math.hypot(x, y))
-        return x / length, y / length
+        return _limited(*self._in_sight(view.robots, *_limited(x, y)))
+
+    def _explore(self, view: _Surroundings, now: float) -> Vector:
+        """A unit vector to the middle of the free space; in the open and near the middle, ahead."""
+        (ahead, left), (x, y) = self._wander(now), view.middle
+        x, y = ahead + _MIDDLE_GAIN * x, left + _MIDDLE_GAIN * y
+        length = math.hypot(x, y)
+        return (x / length, y / length) if length else (1.0, 0.0)
 
     def _wander(self, now: float) -> Vector:
         """A unit vector ahead, with a random drift that changes from time to time."""

@@ -6,12 +6,14 @@ import math
 from collections.abc import Iterator, Mapping
 from itertools import groupby
 from types import MappingProxyType
+from typing import cast
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.values import Inputs, Neighbor, Scalar, Scan, Twist, Value
-from swarmd.patterns.attraction.pattern import Attraction
+from swarmd.patterns.attraction.pattern import Attraction, to_middle
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure
@@ -21,8 +23,8 @@ from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
 
 WAFFLE = load_platform("waffle_pi")
-BESIDE = Disc(0.72, 0.0)
-"""A robot at the distance at which the pull ends."""
+BESIDE = Disc(0.66, 0.0)
+"""A robot 0.56 m from the axle: nearer than `spacing`, by less than `slack`."""
 
 
 class TestAttraction(PatternContract):
@@ -77,12 +79,11 @@ def test_turns_towards_a_robot_at_its_side_without_driving(side: float) -> None:
 
 
 def test_slows_down_as_it_comes_near() -> None:
-    speeds = [requested(scan_of(WAFFLE, [Disc(x, 0.0)])).linear for x in (2.0, 0.95, 0.85)]
+    speeds = [requested(scan_of(WAFFLE, [Disc(x, 0.0)])).linear for x in (2.0, 0.9, 0.85)]
     assert speeds[0] > speeds[1] > speeds[2] > 0.0
 
 
 def test_comes_to_rest_at_its_spacing() -> None:
-    # Its nearest point is 0.62 m from the axle; the spacing is 0.613 m.
     scan = scan_of(WAFFLE, [BESIDE])
     assert requested(scan) == Twist()
     assert state(scan) == "settled"
@@ -125,7 +126,7 @@ def test_keeps_away_from_a_wall_beside_it_while_it_searches() -> None:
 
 
 def test_a_wall_segment_between_two_robots_is_not_a_robot() -> None:
-    gate = [Disc(0.69, 0.2, 0.1), Disc(0.69, -0.2, 0.1)]
+    gate = [Disc(0.63, 0.2, 0.1), Disc(0.63, -0.2, 0.1)]
     behind = scan_of(WAFFLE, gate, room=4.0)
     assert requested(behind) == requested(scan_of(WAFFLE, gate)) == Twist()
 
@@ -168,7 +169,7 @@ def test_it_leads_away_from_the_others() -> None:
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_rolls_around_the_nearest_and_away_from_the_second(side: float) -> None:
-    second = Disc(0.76 * math.cos(1.0), side * 0.76 * math.sin(1.0))
+    second = Disc(0.7 * math.cos(1.0), side * 0.7 * math.sin(1.0))
     far = Disc(1.9 * math.cos(0.5), side * 1.9 * math.sin(0.5))
     scan = scan_of(WAFFLE, [BESIDE, second, far])
     rolling = [twist for twist, state in steps(*[scan] * 40) if state == "roll"]
@@ -179,7 +180,7 @@ def test_rolls_around_the_nearest_and_away_from_the_second(side: float) -> None:
 def test_three_adjacent_robots_are_enough() -> None:
     # One far off draws it between two of them.
     angles = (-1.0, 0.0, 1.0)
-    rim = [Disc(0.72 * math.cos(a), 0.72 * math.sin(a)) for a in angles]
+    rim = [Disc(0.66 * math.cos(a), 0.66 * math.sin(a)) for a in angles]
     far = Disc(1.9 * math.cos(0.5), 1.9 * math.sin(0.5))
     assert "roll" not in states_on(scan_of(WAFFLE, [*rim, far]), 60.0, heard=6)
     assert "roll" in states_on(scan_of(WAFFLE, [rim[1], rim[2], far]), 60.0, heard=6)
@@ -191,6 +192,53 @@ def test_leaves_a_line_early_if_messages_come_from_more_robots() -> None:
     assert "roll" not in states_on(line, 1.0, heard=2)
     corner = scan_of(WAFFLE, [Disc(0.0, 1.2), Disc(1.0, 0.0)])
     assert "roll" not in states_on(corner, 1.0, heard=6)
+
+
+def test_the_middle_of_a_room_is_where_its_walls_are_farther() -> None:
+    # The right wall is 0.5 m away, the left one 3.5 m: no return counts as the range of 3.5 m.
+    right = scan_of(WAFFLE, [Disc(0.0, -100.5, 100.0)])
+    x, y = to_middle(right, [])
+    assert abs(x) < 0.05
+    assert y > 0.5
+    assert to_middle(scan_of(WAFFLE), []) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_robots_do_not_move_the_middle() -> None:
+    near = scan_of(WAFFLE, [Disc(0.5, 0.0, 0.1)])
+    assert math.hypot(*to_middle(near, [(0.4, 0.0, 0.2)])) < 0.02 < math.hypot(*to_middle(near, []))
+
+
+def test_a_scan_of_unknown_rays_has_no_middle() -> None:
+    scan = scan_of(WAFFLE)
+    blind = structs.replace(scan, ranges=np.full_like(scan.ranges, math.nan))
+    assert to_middle(blind, []) == (0.0, 0.0)
+
+
+def test_a_robot_between_two_keeps_the_farther_one_in_sight() -> None:
+    """With a range of 0.8 m a pull of 0.17 m outweighs one of 0.11 m by more than their ratio."""
+    far, near = Disc(0.0, 0.77, 0.1), Disc(0.0, -0.71, 0.1)
+    pattern = cast("Attraction", Subject(Attraction, WAFFLE, {"range": 0.8}).make())
+    pattern.step(Inputs(0.0, 0.0, scan_of(WAFFLE, [far, near])))
+    view = pattern._view
+    assert view is not None
+    # (0.67 - 0.5) / (1 - 0.67 / 0.8) - (0.61 - 0.5) / (1 - 0.61 / 0.8) = 0.58, over 0.3 m of brake:
+    # full speed. The nearer one then limits the speed: (0.8 - 0.61) / 0.3.
+    assert view.pull[1] == pytest.approx(0.633, abs=0.005)
+
+
+@pytest.mark.parametrize("distance", [0.55, 0.7, 0.79])
+def test_it_leaves_no_robot_that_it_sees(distance: float) -> None:
+    pattern = cast("Attraction", Subject(Attraction, WAFFLE, {"range": 0.8}).make())
+    x, y = pattern._in_sight([(distance, 0.0)], -1.0, 0.5)
+    # The brake is 0.3 m: full speed away from a robot at 0.5 m, none at 0.8 m.
+    assert (x, y) == (pytest.approx(-(0.8 - distance) / 0.3), 0.5)
+
+
+def test_a_short_range_is_wider_than_the_spacing() -> None:
+    """A robot at 0.55 m, nearer than `spacing`, still pulls where the range is only 0.8 m."""
+    scan = scan_of(WAFFLE, [Disc(0.75, 0.0)])
+    twist = requested(scan, range=0.8)
+    assert twist.linear > requested(scan).linear
 
 
 def test_changed_parameters_apply_to_the_present_scan() -> None:
