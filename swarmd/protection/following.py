@@ -10,7 +10,8 @@ node that drives look alike.
 
 A base is blocked if it stands, and has moved less than half of the way that is demanded. The way is
 summed over some BLOCKED_TIME s, so that commands that come and go count, too. The demanded speed is
-that of the slow base, or the command if it is slower.
+that of the slow base, or the command if it is slower; zero while the command reverses the slow base.
+Motion in the other direction does not count: most bases reverse faster than the slow base.
 
 Odometry contradicts itself if the ways by the pose and by the twist differ, over some AGREE_TIME s,
 by more than a tolerance and a share of the path, or if the pose jumps again and again. Such
@@ -208,14 +209,18 @@ class _Axis:
     ) -> cython.int:
         """Add a period to the demanded and the moved way, and set `blocked`; see `on_reading`."""
         demanded: cython.double = self._slow_speed
-        if fabs(self._command) < fabs(demanded):
+        if demanded * self._command < 0.0:  # it shall reverse: no way is demanded meanwhile
+            demanded = 0.0
+        elif fabs(self._command) < fabs(demanded):
             demanded = self._command
         # Of the two measured speeds, the one that is further in the demanded direction.
         sign: cython.double = copysign(1.0, demanded)
         moved: cython.double = sign * max(sign * by_twist, sign * by_pose)
         kept: cython.double = 1.0 - period / BLOCKED_TIME
         self._demanded_way = kept * self._demanded_way + period * demanded
-        self._moved_way = kept * self._moved_way + period * moved
+        # Motion against the demanded direction ends a command before, faster than the slow base.
+        counts: cython.bint = demanded * moved > 0.0
+        self._moved_way = kept * self._moved_way + (period * moved if counts else 0.0)
         sign = copysign(1.0, self._demanded_way)
         needed: cython.double = _BLOCKED_SHARE * fabs(self._demanded_way)
         is_demanded: cython.bint = needed >= _BLOCKED_SHARE * _LEAST_WAY

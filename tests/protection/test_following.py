@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Callable
 from dataclasses import replace
 from random import Random
@@ -234,18 +235,24 @@ def test_every_platform_is_watched(name: str) -> None:
 
 
 def blocked_bearings(
-    command: Motion, share: Callable[[float], float], *, seconds: float = 8.0, lateral: float = 0.0
+    command: Motion,
+    share: Callable[[float], float],
+    *,
+    seconds: float = 8.0,
+    lateral: float = 0.0,
+    rate: float = 0.25,
 ) -> list[tuple[float, float]]:
     """Times at which the base is blocked, with the direction; it moves a share of each command.
 
-    The base has the acceleration of the slow base, a quarter of the declared braking.
+    `rate`: m/s^2, the acceleration of the base; by default that of the slow base, a quarter of the
+    declared braking.
     """
     platform = replace(BURGER, limits=replace(BURGER.limits, lateral=lateral))
     monitor, found, x, y, v, u = FollowingMonitor(platform), [], 0.0, 0.0, 0.0, 0.0
     for step in range(round(seconds / TICK)):
         now = TICK * step
-        v += min(max(command(now).linear - v, -0.0125), 0.0125)
-        u += min(max(command(now).lateral - u, -0.0125), 0.0125)
+        v += min(max(command(now).linear - v, -rate * TICK), rate * TICK)
+        u += min(max(command(now).lateral - u, -rate * TICK), rate * TICK)
         monitor.on_command(command(now))
         x += TICK * v * share(now)
         y += TICK * u * share(now)
@@ -284,6 +291,31 @@ def test_a_slow_base_that_moves_and_one_that_may_creep_are_not_blocked(
     command: Motion, share: float
 ) -> None:
     assert blocked_bearings(command, lambda time: share) == []
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("rate", [0.25, 0.5, 1.0, 2.5])
+def test_a_base_that_reverses_again_and_again_is_not_blocked(seed: int, rate: float) -> None:
+    """Commands of 0.22 m/s back and forth, each for 0.2 to 2 s, as the paper's equations give."""
+    draw, ends, now = Random(seed), list[float](), 0.0
+    while now < 30.0:
+        now += draw.uniform(0.2, 2.0)
+        ends.append(now)
+
+    def command(time: float) -> Twist:
+        return Twist(0.22 * (-1.0) ** bisect(ends, time))
+
+    assert blocked_bearings(command, lambda time: 1.0, seconds=30.0, rate=rate) == []
+
+
+@pytest.mark.parametrize("back", [0.3, 0.6])
+def test_a_base_that_stands_between_reversals_is_blocked_ahead(back: float) -> None:
+    def command(time: float) -> Twist:
+        return Twist(0.22 if time % 2.5 < 2.5 - back else -0.22)
+
+    found = blocked_bearings(command, lambda time: float(time < 4.0), seconds=12.0, rate=2.5)
+    assert found
+    assert {bearing for _, bearing in found} == {0.0}
 
 
 def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_change() -> None:
