@@ -10,8 +10,8 @@ node that drives look alike.
 
 A base is blocked if it stands, and has moved less than half of the way that is demanded. The way is
 summed over some BLOCKED_TIME s, so that commands that come and go count, too. The demanded speed is
-that of the slow base, or the command if it is slower; zero while the command reverses the slow base.
-Motion in the other direction does not count: most bases reverse faster than the slow base.
+that of the slow base, or the command if it is slower. It is zero while the command reverses the
+slow base. Motion in the other direction does not count: most bases reverse faster than that.
 
 Odometry contradicts itself if the ways by the pose and by the twist differ, over some AGREE_TIME s,
 by more than a tolerance and a share of the path, or if the pose jumps again and again. Such
