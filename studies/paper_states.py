@@ -1,9 +1,9 @@
 """The states in which robots of the hardware arena spend their time and lose their last link.
 
-A robot loses its last link when it was within LINK of some robot, and then is so of no robot for
-HOLD. The law `settling` gives its state at this moment, though the other robot may be the one that
-drives away. The range of the robots may be less than LINK. Then a robot is already searching at
-this moment, and its origin is its last state before the search.
+A robot loses its last link if it was within LINK of a robot, and then is farther than LINK from all
+robots for HOLD. The robot that drives away may be the other one: a loss counts for both, each with
+its own state. If the range of the robots is less than LINK, a robot searches before it loses the
+link. The origin of a loss is the last state of the robot before it searched.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def losses(trace: Trace) -> NDArray[np.bool_]:
 
 
 def origins(states: NDArray[np.str_], is_lost: NDArray[np.bool_]) -> list[str]:
-    """The last state before the search of each loss; SEARCH if there is none.
+    """The origin of each loss: the last state that is not SEARCH; SEARCH without one.
 
     `states`, `is_lost`: (T, n).
     """
