@@ -47,7 +47,7 @@ DRAWN = ("settling", ORIGINAL)
 SEEDS = range(20)
 FRESH = range(500, 520)
 """Seeds with which no parameter was chosen."""
-HARDWARE_SEEDS = range(6000, 6040)
+HARDWARE_SEEDS = range(8000, 8040)
 """Likewise, for both starts of the hardware experiment."""
 
 PLAN = (

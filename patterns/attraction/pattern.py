@@ -76,7 +76,7 @@ _MIDDLE_GAIN = 6.0
 # rad on each side of a robot whose rays say nothing of the free space.
 _MARGIN = 0.05
 # Share of full speed at which a group that may be incomplete drives to the middle, at most.
-_GROUP_SPEED = 0.35
+_GROUP_SPEED = 0.5
 # The time at rest before a try doubles with each try. s before the first roll (drive around the
 # group); s from which on the robot leads instead, if few robots are in sight; s from which on the
 # robot tries no more.
