@@ -35,7 +35,6 @@ from swarmd.core.verbs import RunRequest
 from swarmd.driver_api.hw_codec import decode_scan, encode_scan
 from swarmd.pattern_host.wire import decode_command, encode_command
 from swarmd.protection.decision import NO_PERMIT, DecisionContext, Permit
-from swarmd.protection.protection import Protection
 from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
@@ -45,6 +44,7 @@ from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of, trembling
 from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode
+from tests.support.protection import Commander
 
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
 REQUESTED = Twist(0.2, 0.1)
@@ -127,7 +127,7 @@ class Decider:
     """Protection in simulated time: each call is a scan period later."""
 
     def __init__(self, platform: Platform, scans: Sequence[Scan]) -> None:
-        self._protection, self._scans = Protection(platform), cycle(scans)
+        self._protection, self._scans = Commander(platform), cycle(scans)
         self._taken = self._age = 0.0
 
     def scan(self) -> None:
@@ -175,7 +175,7 @@ class Moving:
     def __init__(
         self, platform: Platform, scans: Sequence[Scan], twist: Twist, permit: Permit = NO_PERMIT
     ) -> None:
-        self._sensors, self._protection = Sensors(platform), Protection(platform)
+        self._sensors, self._protection = Sensors(platform), Commander(platform)
         self._permit = permit
         self._sensors.on_driver(True, "")
         # No ages: those of the platform's sweep count.

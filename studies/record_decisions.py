@@ -14,7 +14,7 @@ from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Platform, Scan, TouchZone, Twist
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.modes import is_barrier, make_arbiter
+from swarmd.protection.modes import is_barrier, make_mode
 from swarmd.sim.lockstep.lockstep import Lockstep
 from tests.support import decision_corpus as corpus
 
@@ -49,25 +49,25 @@ FURTHEST = 4.0  # m: returns beyond constrain no robot
 
 
 class Recording:
-    """An arbiter that records its inputs; all else is that of `arbiter`."""
+    """A mode that records its inputs; all else is that of `mode`."""
 
-    def __init__(self, arbiter: Barrier) -> None:
+    def __init__(self, mode: Barrier) -> None:
         self.events: list[corpus.Event] = []
-        self._arbiter = arbiter
+        self._mode = mode
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._arbiter, name)
+        return getattr(self._mode, name)
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Note the scan."""
         self.events.append(corpus.scan_event(scan, FURTHEST, context))
-        self._arbiter.observe(scan, geometry, context)
+        self._mode.observe(scan, geometry, context)
 
     def decide(
         self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """Note the request."""
-        decision = self._arbiter.decide(requested, context, command=command, touch=touch)
+        decision = self._mode.decide(requested, context, command=command, touch=touch)
         event = corpus.Event(corpus.rounded(context), [], corpus.short(requested))
         event.command, event.is_active = corpus.short(command), decision.is_active
         self.events.append(event)
@@ -81,16 +81,16 @@ def stream_of(scene: Scene, seed: int) -> corpus.Stream:
     for shell, platform in zip(run.shells, run.world.platforms, strict=True):
         assert shell is not None
         protection = shell.robot._protection
-        if is_barrier(protection._arbiter):
-            recording = Recording(protection._arbiter)
-            protection._arbiter = recording
+        if is_barrier(protection._mode):
+            recording = Recording(protection._mode)
+            protection._mode = recording
             recordings.append((platform, recording))
     run.advance(SECONDS)
     best = max(recordings, key=lambda one: limited(busiest(one[1].events)))
     platform = best[0]
     settings = dict(platform.protection["barrier"])
     stream = corpus.Stream(scene.name, kind_of(platform), settings, busiest(best[1].events))
-    for event, decision in corpus.decided(stream, make_arbiter(corpus.platform_of(stream))):
+    for event, decision in corpus.decided(stream, make_mode(corpus.platform_of(stream))):
         event.twist, event.is_active = decision.twist, decision.is_active
     return stream
 

@@ -52,7 +52,7 @@ EXCEPTIONS: dict[tuple[str, str], str] = {
 MOST_STATEMENTS = 67_000
 # Modules in the import closure of each module, and keys of all files; SLACK above them is a fault.
 CLOSURES = {
-    "swarmd.protection.arbiter": 63,
+    "swarmd.protection.protection": 47,
     "swarmd.robot.robot": 100,
     "swarmd.network.peer": 35,
     "swarmd.api": 34,  # what the author of a pattern imports
@@ -62,7 +62,7 @@ SLACK = 1.05
 # The public names, which are imported when they are used, and where type checkers find them.
 SURFACE = "swarmd/__init__.py"
 # Packages that take the time as an argument, and read no clock.
-PURE = ("robot", "protection", "kit", "mission", "sensing", "calibration")
+PURE = ("robot", "protection", "steering", "kit", "mission", "sensing", "calibration")
 CLOCKS = ("time", "datetime", "asyncio", "swarmd.core.clock.boottime")
 # Layers of `swarmd/`, from the ground up. A module imports its own package and lower layers only.
 LAYERS: tuple[tuple[str, ...], ...] = (
@@ -72,6 +72,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("sensing", "driver_api", "network"),
     ("plugins", "texts"),
     ("kit", "protection"),
+    ("steering",),
     ("api",),
     ("recording",),
     ("settings", "robot"),
@@ -159,6 +160,14 @@ def test_executable_statements_stay_below_their_ceiling() -> None:
 @pytest.mark.parametrize("module", CLOSURES)
 def test_what_one_must_know_of_a_module_does_not_grow(module: str) -> None:
     assert 0.5 < len(import_closure(module)) / CLOSURES[module] <= SLACK
+
+
+def test_protection_knows_nothing_of_steering() -> None:
+    """Neither by an import nor by a kernel that is loaded by its name."""
+    known = import_closure("swarmd.protection.protection")
+    assert "swarmd.protection.barrier" in known
+    assert not [module for module in known if module.startswith("swarmd.steering")]
+    assert "swarmd.steering.recovery" in import_closure("swarmd.robot.robot")
 
 
 def test_configuration_keys_do_not_grow() -> None:

@@ -1,4 +1,4 @@
-"""Collisions of a trace and the robot at fault, from MuJoCo's contacts and not from the arbiter.
+"""Collisions of a trace and the robot at fault, from MuJoCo's contacts and not from protection.
 
 A collision is a contact of two robots, at least one of them protected. A contact counts once for
 each second that it lasts. A protected robot is at fault if its own surface moved towards the other

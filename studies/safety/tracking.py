@@ -18,10 +18,10 @@ from benchmarks.table import markdown
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Array, Odometry, Platform, Scan
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.tracks import Surroundings, Track
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.world import World
+from swarmd.steering.tracks import Surroundings, Track
 
 REACH = 2.5  # m, of true tracks
 COMPARED = 1.5  # m within which tracks are compared
@@ -132,10 +132,10 @@ def replace_trackers(run: Lockstep, kind: Any) -> list[Any]:
     made = []
     for row, shell in enumerate(run.shells):
         assert shell is not None
-        protection = shell.robot._protection
-        if protection._tracker is not None:
-            protection._tracker = kind(protection._tracker, run.world, row)
-            made.append(protection._tracker)
+        steering = shell.robot._steering
+        if steering._tracker is not None:
+            steering._tracker = kind(steering._tracker, run.world, row)
+            made.append(steering._tracker)
     return made
 
 

@@ -27,7 +27,7 @@ from swarmd.network.settings import ONLY_HERE
 from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import assumed_speed, body_of, findings
 from swarmd.protection.fence_settings import FenceSettings
-from swarmd.protection.modes import make_arbiter, narrowest_passage
+from swarmd.protection.modes import make_mode, narrowest_passage
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.settings import DaemonSettings
@@ -84,7 +84,7 @@ def _platform_text(settings: DaemonSettings) -> str:
 
 def _check_passage(settings: DaemonSettings) -> list[Finding]:
     """The narrowest passages of mode `barrier`; other modes have none."""
-    passage = narrowest_passage(make_arbiter(settings.platform))
+    passage = narrowest_passage(make_mode(settings.platform))
     return [] if passage is None else [Finding("passes", True, passage_text(passage))]
 
 

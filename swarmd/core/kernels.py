@@ -46,7 +46,6 @@ from typing import Any
 
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.kit._points": ("swarmd.kit.points",),
-    "swarmd.protection._arbiter": ("swarmd.protection.arbiter",),
     "swarmd.protection._assumption_monitor": ("swarmd.protection.assumption_monitor",),
     "swarmd.protection._barrier": (
         "swarmd.protection.buffers",
@@ -70,9 +69,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.protection._blind_zone": ("swarmd.protection.blind_zone",),
     "swarmd.protection._fence_stops": ("swarmd.protection.fence_stops",),
     "swarmd.protection._following": ("swarmd.protection.following",),
-    "swarmd.protection._openings": ("swarmd.protection.openings",),
-    "swarmd.protection._tracks": ("swarmd.protection.tracks",),
-    "swarmd.protection._velocity_obstacles": ("swarmd.protection.velocity_obstacles",),
+    "swarmd.protection._protection": ("swarmd.protection.protection",),
     "swarmd.robot._ticker": (
         "swarmd.robot.effects",
         "swarmd.robot.pattern_run",
@@ -94,6 +91,10 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.sensing.scan_layout",
         "swarmd.sensing.scan_features",
     ),
+    "swarmd.steering._openings": ("swarmd.steering.openings",),
+    "swarmd.steering._steering": ("swarmd.steering.steering",),
+    "swarmd.steering._tracks": ("swarmd.steering.tracks",),
+    "swarmd.steering._velocity_obstacles": ("swarmd.steering.velocity_obstacles",),
     "swarmd.sim.world._base": ("swarmd.sim.world.base",),
     "swarmd.sim.world._ray_caster": ("swarmd.sim.world.ray_caster",),
 }

@@ -182,7 +182,7 @@ class LimitingObstacle(Struct, frozen=True, gc=False):
 
 
 class DecisionSummary(Struct, frozen=True, kw_only=True):
-    """The arbiter's latest decision.
+    """The latest decision of protection.
 
     - `rows`: the obstacles that constrain the command, the tightest first.
     - `is_recovering`: the judged command came from recovery, which leads around an obstacle, not

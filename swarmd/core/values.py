@@ -113,6 +113,13 @@ MAX_STEP, MAX_SPEED = 0.5, 10.0
 """m and m/s, rad and rad/s: two readings of odometry farther apart have no common frame."""
 
 
+MAX_EXTRAPOLATION = 0.15
+"""Seconds for which the last measured twist is extrapolated: three odometry periods."""
+
+HISTORY = 40
+"""Readings of odometry that are kept."""
+
+
 MAX_COORDINATE = 1e9
 """m, rad, m/s and rad/s: a reading of odometry beyond is garbage, and has no difference either."""
 
@@ -389,7 +396,7 @@ class Platform:
     """One kind of robot, from its file in config/platforms.
 
     - `footprint`: (k, 2) convex polygon, counter-clockwise, in the base frame in m.
-    - `protection`: the settings of the arbiter. `mode`: the protection mode. `avoidance`: `orca` or
+    - `protection`: its settings. `mode`: the protection mode. `avoidance`: `orca` or
       `none`. `barrier`, `stop_zone`: mappings with the settings of these modes; None: not given.
       `preset`: the name of the settings of mode `potential_field`. All further keys, such as
       `threshold`, are these settings.

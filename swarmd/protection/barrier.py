@@ -45,7 +45,7 @@ from swarmd.protection.buffers import view
 from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion
-from swarmd.protection.decision import DecisionContext, ModeDecision, MovedWall
+from swarmd.protection.decision import Clearance, DecisionContext, ModeDecision, MovedWall
 from swarmd.protection.envelope import Creeping
 from swarmd.protection.feasible_set import FeasibleSet
 from swarmd.protection.footprint import ScanGeometry
@@ -54,7 +54,6 @@ from swarmd.protection.obstacles import NO_NUMBERS, NO_ROWS, NearObstacles
 from swarmd.protection.outline import Outline
 from swarmd.protection.passage import Room
 from swarmd.protection.projection import Projection
-from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.standing_walls import StandingWalls
 from swarmd.protection.stopping import Speeds, StopCheck
@@ -81,7 +80,7 @@ _make_decision = cython.declare(object, ModeDecision)  # a C name: no lookup in 
 @cython.final
 @cython.cclass
 class Barrier:
-    """The arbiter of mode `barrier`. Units: m, s, rad."""
+    """Mode `barrier`. Units: m, s, rad."""
 
     mode = "barrier"
 

@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from swarmd.core.values import MAX_SPEED, MAX_STEP, Pose
+from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP, Pose
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.buffers import doubles, maximum
-from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython

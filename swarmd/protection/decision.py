@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
 
+from swarmd.core.avoided import Avoided
 from swarmd.core.messages import LimitingObstacle, Reason
 from swarmd.core.values import Array, Odometry, Pose, TouchZone, Twist
 
@@ -71,8 +71,16 @@ class DecisionContext(Struct, frozen=True, gc=False):
         return np.array([(disc.x, disc.y) for disc in self.near], np.float64).reshape(-1, 2)
 
 
+class Clearance(NamedTuple):
+    """Free room in m from the axle that a corridor needs."""
+
+    ahead: float
+    beside: float  # to each side
+    body: float = 0.0  # the part of `beside` that the outline takes
+
+
 class Permit(Struct, frozen=True):
-    """What the running pattern permits protection to do and to allow."""
+    """What the running pattern permits steering to do, and protection to allow."""
 
     may_recover: bool = False
     """recovery may move a blocked robot"""
@@ -111,48 +119,15 @@ class ModeDecision(Struct, frozen=True, gc=False):
     rows: tuple[LimitingObstacle, ...] = ()
 
 
-class WayState(Enum):
-    """The state of right of way before an opening; right_of_way.py has the transitions."""
+class Steered(Struct, frozen=True, gc=False):
+    """What steering asks in place of a request, and why."""
 
-    NONE = ""  # no opening on the way
-    GO = "go"  # drives to the place at which it lines up
-    APPROACH = "approach"  # lined up before that place
-    LINE = "line"  # lined up, drives into the opening
-    WAIT = "wait"  # stands for others
-    ASIDE = "aside"  # clears the way of others
-    IN = "in"  # in the opening
-    BACK = "back"  # backs out
-
-
-_AT_OPENING = {
-    WayState.GO: "drives to an opening",
-    WayState.APPROACH: "drives to an opening",
-    WayState.LINE: "drives to an opening",
-    WayState.WAIT: "gives way at an opening",
-    WayState.ASIDE: "gives way at an opening",
-    WayState.IN: "passes an opening",
-    WayState.BACK: "backs out of an opening",
-}
-
-
-class Avoided(Struct, frozen=True):
-    """The object that avoidance leads the robot past, or the opening that the robot is to pass."""
-
-    bearing: float
-    """rad, of the middle"""
-    distance: float
-    """m, from the axle to the middle"""
-    way: WayState = WayState.NONE
-    """The state before an opening; NONE for an object."""
-
-    @property
-    def text(self) -> str:
-        """Such as `avoiding an object at -30 deg` or `gives way at an opening, 0.8 m`."""
-        if self.way is WayState.NONE:
-            return f"avoiding an object at {round(math.degrees(self.bearing))} deg"
-        text = _AT_OPENING[self.way]
-        is_inside = self.way in (WayState.IN, WayState.BACK)
-        return text if is_inside else f"{text}, {self.distance:.1f} m"
+    twist: Twist
+    """the candidate that the mode judges like any request; the request itself: not replaced"""
+    is_recovering: bool = False
+    """the candidate leads a blocked robot"""
+    avoided: Avoided | None = None
+    """what the candidate leads past; None: nothing"""
 
 
 class Decision(Struct, frozen=True, gc=False):
@@ -178,10 +153,10 @@ class Decision(Struct, frozen=True, gc=False):
     scan_seq: int
     """number of the scan; -1 without a scan"""
     is_recovering: bool = False
-    """recovery replaced the requested command before the mode judged the command"""
+    """steering led a blocked robot before the mode judged the command"""
     speed_share: float = 1.0
     """the share of the mode's command that the driver gets; below 1 after a violated assumption"""
     avoided: Avoided | None = None
-    """why avoidance or right of way changed the command; None if neither did"""
+    """what steering led the robot past; None: nothing"""
     is_fenced: bool = False
     """the fence changed the command"""

@@ -27,13 +27,12 @@ from msgspec import Struct
 
 from swarmd.core.clock import TICK
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Platform, Pose, Twist
+from swarmd.core.values import MAX_EXTRAPOLATION, Array, Platform, Pose, Twist
 from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.protection.compatibility import radius_of
 from swarmd.protection.decision import Anchor, DecisionContext
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.protection.settings import ODOMETRY_SHARE, BarrierSettings
-from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION
 
 _kernel = load_kernel("swarmd.protection.fence_stops")
 

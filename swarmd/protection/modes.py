@@ -16,9 +16,8 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import LimitingObstacle, NarrowestPassage
 from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
-from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.decision import Clearance, DecisionContext, ModeDecision
 from swarmd.protection.footprint import Footprint, ScanGeometry
-from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import StopZoneSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
 
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 _LEAST_LENGTH = 1e-9  # of a field: a shorter one has no direction
 
 
-class Arbiter(Protocol):
+class Mode(Protocol):
     """One protection mode. `Protection` calls it only when no hold forbids motion."""
 
     mode: str
@@ -80,7 +79,7 @@ class PotentialField:
     of the pattern's command.
 
     This mode differs from the source in three ways. A return below range_min counts as a return at
-    range_min; in the source, as no return. The arbiter clips the command to the limits. The returns
+    range_min; in the source, as no return. Protection clips the command to the limits. The returns
     of a ring of range sensors make a second field of the same weight, without forward bias. A
     single return of a ring is enough, since such returns are rare and near.
     """
@@ -195,29 +194,29 @@ class StopZone:
 
 
 def make_barrier(platform: Platform) -> Barrier:
-    """The arbiter of mode `barrier`, compiled or interpreted."""
+    """The mode `barrier`, compiled or interpreted."""
     barrier: Barrier = load_kernel("swarmd.protection.barrier").Barrier(platform)
     return barrier
 
 
-MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
+MODES: Mapping[str, Callable[[Platform], Mode]] = MappingProxyType(
     {"barrier": make_barrier, "potential_field": PotentialField, "stop_zone": StopZone, "off": Off}
 )
-"""The arbiter of each mode."""
+"""The class of each mode."""
 
 
-def narrowest_passage(arbiter: Arbiter) -> NarrowestPassage | None:
+def narrowest_passage(mode: Mode) -> NarrowestPassage | None:
     """What mode `barrier` lets the robot through; None for the other modes."""
-    return arbiter.narrowest_passage() if is_barrier(arbiter) else None
+    return mode.narrowest_passage() if is_barrier(mode) else None
 
 
-def is_barrier(arbiter: Arbiter) -> TypeGuard[Barrier]:
-    """True for the arbiter of mode `barrier`."""
-    return arbiter.mode == "barrier"
+def is_barrier(mode: Mode) -> TypeGuard[Barrier]:
+    """True for the mode `barrier`."""
+    return mode.mode == "barrier"
 
 
-def make_arbiter(platform: Platform) -> Arbiter:
-    """The arbiter of the mode in the platform file; ConfigError if there is no such mode."""
+def make_mode(platform: Platform) -> Mode:
+    """The mode in the platform file; ConfigError if there is no such mode."""
     mode = str(platform.protection.get("mode", "barrier"))
     if mode not in MODES:
         raise ConfigError(f"platform {platform.name}: {unknown('protection mode', mode, MODES)}")

@@ -21,8 +21,8 @@ from swarmd.protection.closing_speed import (
     reciprocal_cap,
 )
 from swarmd.protection.constraints import SIDE_ANGLE
+from swarmd.protection.decision import Clearance
 from swarmd.protection.outline import Chunk, Outline
-from swarmd.protection.recovery import Clearance
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython

@@ -1,14 +1,402 @@
-"""`Protection`, compiled or interpreted: its source is the kernel arbiter.py."""
+"""Protection: the only path from a requested command to the command that the driver gets.
+
+In every mode, `Protection` enforces the platform's limits and stops the robot under a hold. A
+`Mode` (modes.py) judges the request, or what steering (`swarmd/steering/`) asks in its place.
+`robot/input_ages.py` decides when old scans or old odometry hold the robot.
+
+A kernel (see `core/kernels.py`), since each input that can change the command passes it. Other
+modules load it, compiled or interpreted.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from swarmd.core.kernels import load_kernel
+from swarmd.core.messages import NarrowestPassage, Reason
+from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
+from swarmd.protection.decision import (
+    NO_PERMIT,
+    Clearance,
+    Decision,
+    DecisionContext,
+    ModeDecision,
+    Permit,
+    Steered,
+)
+from swarmd.protection.fence import Fence, FenceView
+from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.footprint import Footprint, ScanGeometry
+from swarmd.protection.modes import is_barrier, make_mode, narrowest_passage
 
-if TYPE_CHECKING:
-    from swarmd.protection.arbiter import Protection
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Collection
+
+    import cython
 else:
-    Protection = load_kernel("swarmd.protection.arbiter").Protection
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import fabs
+else:
+    from swarmd.core.cython_shadow import fabs
 
-__all__ = ["Protection"]
+# m/s or rad/s: what rounding leaves of a zero command
+_ZERO_TOLERANCE = cython.declare(cython.double, 1e-9)
+_NO_POINTS = np.empty((0, 2))
+# C names: to look up a name of the module takes a tenth of the time of a decision.
+_zero = cython.declare(object, ZERO)
+_make_decision = cython.declare(object, Decision)
+_no_scan = cython.declare(object, Reason.NO_SCAN)
+_driver_lost = cython.declare(object, Reason.DRIVER_LOST)
+
+
+@cython.cfunc
+def _is_finite(twist) -> cython.bint:
+    """True if no speed of a Twist is NaN or infinite."""
+    linear: cython.double = twist.linear
+    angular: cython.double = twist.angular
+    lateral: cython.double = twist.lateral
+    return linear * 0.0 + angular * 0.0 + lateral * 0.0 == 0.0  # NaN * 0 and inf * 0 are NaN
+
+
+@cython.cfunc
+def _is_nearly_zero(twist) -> cython.bint:
+    """True if each speed of a Twist is zero, up to _ZERO_TOLERANCE."""
+    linear: cython.double = twist.linear
+    angular: cython.double = twist.angular
+    lateral: cython.double = twist.lateral
+    return (
+        fabs(linear) <= _ZERO_TOLERANCE
+        and fabs(angular) <= _ZERO_TOLERANCE
+        and fabs(lateral) <= _ZERO_TOLERANCE
+    )
+
+
+@cython.cclass
+class Protection:
+    """Decides on the safe command of one robot, in every state and mode.
+
+    The stored state follows from the calls alone, so that a recording can be replayed.
+
+    Attributes:
+        events: texts that the caller has yet to log.
+        following: the monitor of whether the base of a running robot follows the safe commands.
+        moved_at: the time in s of the last safe command that was not zero; -inf without such one.
+        mode_command: the last command of the mode, before a violated assumption reduces it.
+    """
+
+    events = cython.declare(list, visibility="readonly")
+    following = cython.declare(object, visibility="readonly")
+    moved_at = cython.declare(cython.double, visibility="readonly")
+    mode_command = cython.declare(object, visibility="readonly")
+    _limits: object
+    _mode = cython.declare(object, visibility="public")
+    _monitor = cython.declare(object, visibility="public")
+    _fence: object  # None without a fence
+    _footprint: object
+    _geometry: object
+    _latency: cython.double
+    _has_walls: cython.bint  # walls that have stood are assumed to stand on
+    _is_running: cython.bint
+    _has_compared: cython.bint  # `following` has had a reading since its reset
+    _scan_seq: cython.Py_ssize_t  # of the last scan; -1 before the first
+    _scan: object  # the last conditioned scan; None before the first
+    _scan_points: object  # (k, 2) returns of the scan within a reach; None: not computed yet
+    _min_gap: object  # m from the outline to the nearest return of the last scan; None without one
+    _ring_context: object  # the context of `_ring_points`
+    _ring_points: object  # (k, 2) returns of the ring, m in the base frame; None without one
+    _safe: object  # the last safe command, which is in force until the next decision
+    _requested: object
+    _clipped_request: object  # `_requested` within the limits
+    # The last decision without a hold. The decision is repeated for the same case in the same
+    # context, in which each mode decides the same. A scan or odometry ends the context.
+    _last_context: object  # None: no decision may be repeated
+    _last_case: tuple  # of `decide`
+    _last_decision: object
+
+    def __init__(self, platform: Platform, fence: FenceSettings | None = None) -> None:
+        self._limits = platform.limits
+        self._fence = None if fence is None else Fence(fence, platform)
+        self._mode = make_mode(platform)
+        self._footprint = Footprint(platform.footprint)
+        self._geometry = ScanGeometry(platform.scan)
+        monitors = load_kernel("swarmd.protection.assumption_monitor")
+        # Of the modes only barrier assumes anything.
+        self._monitor = monitors.AssumptionMonitor(platform) if is_barrier(self._mode) else None
+        self.following = load_kernel("swarmd.protection.following").FollowingMonitor(platform)
+        self._latency = platform.scan.latency
+        self._has_walls = is_barrier(self._mode) and self._mode.has_walls
+        self.events, self._scan_seq, self.moved_at = [], -1, -math.inf
+        self._safe = self.mode_command = self._clipped_request = ZERO
+
+    @property
+    def passage(self) -> NarrowestPassage | None:
+        """The narrowest widths that the mode lets the robot through; None except for `barrier`."""
+        return narrowest_passage(self._mode)
+
+    def clearance(self, speed: float) -> Clearance | None:
+        """The free room that the mode needs to drive at `speed` m/s; None: it has no such bound."""
+        clearance: Clearance | None = self._mode.clearance(speed)
+        return clearance
+
+    def wall_patience(self, now: float) -> float:
+        """s until walls that are near have stood; 0 without such walls."""
+        return self._mode.wall_patience(now) if self._has_walls else 0.0
+
+    def observe(self, scan: Scan, context: DecisionContext) -> None:
+        """Take in a conditioned scan."""
+        self._scan_seq, self._scan, self._last_context = scan.seq, scan, None
+        self._scan_points = None
+        mode, geometry = self._mode, self._geometry
+        mode.observe(scan, geometry, context)
+        if is_barrier(mode):  # which has looked at all returns
+            self._min_gap = mode.min_gap
+            moved = mode.moved_wall
+            if moved is not None and self._is_running:
+                self.events.append(self._monitor.on_moved_wall(scan.stamp, moved))
+            if self._has_walls:
+                self._monitor.end_wall_doubt(scan.stamp)
+                mode.trust_walls(self._monitor.trusts_walls)
+        else:
+            self._min_gap = self._footprint.min_gap(scan, geometry)
+        if self._monitor is not None and self._is_running:
+            ages = scan.ages  # numpy's max takes four times as long
+            oldest = 0.0 if ages is None or not len(ages) else float(ages[ages.argmax()])
+            delay = self._latency + context.scan_delay + oldest
+            if text := self._monitor.on_scan(scan.stamp, self._min_gap, delay):
+                self.events.append(text)
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """Take in a reading, which the monitors use."""
+        if self._monitor is not None:
+            text = self._monitor.on_odometry(odometry)
+            if text:
+                self.events.append(text)
+        if self._is_running:
+            self._has_compared = True
+            self.following.on_odometry(odometry)
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """The assumptions that were found violated, each with its evidence."""
+        return () if self._monitor is None else self._monitor.findings
+
+    @property
+    def not_following(self) -> str:
+        """A text on how the base differs from its commands, or responds late; empty if neither."""
+        text = self.following.text
+        return text if text or self._monitor is None else self._monitor.late
+
+    def forget_findings(self, findings: Collection[str]) -> None:
+        """End these findings: they do not slow the robot until the monitor raises them again."""
+        if self._monitor is not None:
+            self._monitor.forget(findings)
+            self._mode.trust_walls(self._monitor.trusts_walls)
+
+    def decide(
+        self,
+        requested: Twist | None,
+        context: DecisionContext,
+        is_running: cython.bint,
+        hold: Reason | None,
+        permit: Permit = NO_PERMIT,
+        steered: Steered | None = None,
+    ) -> Decision:
+        """The safe command for a requested command, with its reasons.
+
+        The command is exactly zero outside `running`, under any hold and before the first scan. The
+        platform's limits apply to the request, so that a mode can rely on them, and to the result.
+
+        Args:
+            requested: the command of the pattern in m/s and rad/s; None: zero.
+            context: the time, and the inputs with their ages.
+            is_running: the robot is in the state `running`.
+            hold: the reason of a hold, which zeroes the command; None without a hold.
+            permit: what the pattern permits, of which protection reads its touch zone.
+            steered: what steering asks in place of the request; None: the request.
+        """
+        touch, self._is_running = permit.touch, is_running
+        self._take_ring(context)
+        clipped = self.clip(requested)
+        if is_running and hold is None and context.scan_age is None:
+            hold = _no_scan
+        # 1. Base and commands are not compared if the base need not follow: while the robot does
+        # not run, if its driver is lost, or if an object in a touch zone may stop the base.
+        if self._has_compared and (not is_running or hold is _driver_lost or touch is not None):
+            self._has_compared = False
+            self.following.reset()
+        # 2. Decides zero outside `running` and under a hold.
+        if not is_running or hold is not None:
+            return self._decision(clipped, _zero, False, (), hold, context, steered)
+        # 3. Steering may ask a candidate in place of the request. One that equals the request, but
+        # is another object, is a replacement, too.
+        candidate = clipped if steered is None else steered.twist
+        is_replaced: cython.bint = candidate is not clipped
+        # 4. For the same case in the same context each mode decides the same.
+        is_recovering = steered is not None and steered.is_recovering
+        case = clipped, candidate, is_replaced != 0, is_recovering, touch
+        if context is self._last_context and case == self._last_case:
+            return self._last_decision
+        # 5. The mode limits the candidate, within the fence.
+        mode_request = self._limits.clip(candidate) if is_replaced else candidate
+        is_fenced: cython.bint = False
+        if self._fence is not None:
+            decision, is_fenced = self._fenced(mode_request, context, touch)
+        else:
+            decision = self._mode.decide(mode_request, context, self._safe, touch)
+        twist = decision.twist
+        is_active: cython.bint = is_replaced or decision.is_active
+        if not _is_finite(twist):
+            twist, is_active = _zero, True
+        # 6. Reports the decision, and stores it for step 4.
+        reason = None
+        if _is_nearly_zero(twist):
+            reason = Reason.PROTECTION if is_active else Reason.NO_REQUESTED_COMMAND
+        last = self._last_decision = self._decision(
+            clipped, twist, is_active, decision.rows, reason, context, steered, is_fenced
+        )
+        self._last_context, self._last_case = context, case
+        return last
+
+    @cython.ccall
+    def clip(self, requested):
+        """The request (Twist or None) within the limits; zero without a finite request.
+
+        Most requests are judged more than once, so the result is stored.
+        """
+        if requested is not self._requested:
+            self._requested, self._clipped_request = requested, _zero
+            if requested is not None and requested.is_finite:
+                self._clipped_request = self._limits.clip(requested)
+        return self._clipped_request
+
+    def permitted(
+        self, context: DecisionContext, touch: TouchZone | None, requested: Twist
+    ) -> Twist:
+        """What the mode would permit of any requested command in the situation of `context`."""
+        if self._fence is not None:
+            decision, _ = self._fenced(self._limits.clip(requested), context, touch)
+            return decision.twist
+        return self._mode.decide(self._limits.clip(requested), context, self._safe, touch).twist
+
+    def _fenced(self, request, context, touch):
+        """The decision of the mode within the fence, and whether the fence changed a command.
+
+        The fence limits the request, and then the command of a mode that changed the request. The
+        second limit reduces all speeds by one share: the result still satisfies the constraints of
+        the mode, since these are convex and permit zero.
+        """
+        fence, command = self._fence, self._safe
+        asked = fence.limit(request, context, command)
+        decision = self._mode.decide(asked, context, command, touch)
+        twist = decision.twist
+        if twist is not asked:
+            twist = fence.limit(twist, context, command, is_even=True)
+        if asked is request and twist is decision.twist:
+            return decision, False
+        return ModeDecision(twist, True, decision.rows), True
+
+    def fence_view(self, context: DecisionContext) -> FenceView | None:
+        """The place of the robot against its fence; None without a fence or a usable pose."""
+        return None if self._fence is None else self._fence.view(context)
+
+    def points(self, context: DecisionContext, reach: float) -> Array:
+        """(k, 2) returns in m in the base frame: of scan and fence within `reach` m, and the ring.
+
+        The last scan's; `reach` is the same in each call.
+        """
+        if self._scan is None:
+            return _NO_POINTS
+        points = self._scan_points
+        if points is None:  # up to 35 decisions a second ask, between two scans for the same points
+            points = self._geometry.points(self._scan, reach)
+            self._scan_points = points
+        self._take_ring(context)
+        if self._ring_points is not None:
+            points = np.concatenate((points, self._ring_points))
+        if self._fence is not None:
+            points = np.concatenate((points, self._fence.points(context, reach)))
+        return points
+
+    @cython.cfunc
+    def _take_ring(self, context):
+        """Take in the ring's returns of a context."""
+        if context is not self._ring_context:
+            self._ring_points = context.near_points if context.near else None
+            self._ring_context = context
+
+    @cython.cfunc
+    def _decision(
+        self,
+        clipped_request: object,
+        twist: object,
+        is_active: cython.bint,
+        rows: tuple,
+        reason: object,
+        context: object,
+        steered: object,
+        is_fenced: cython.bint = False,
+    ):
+        """The Decision for the command `twist` of the mode; tells the monitors the safe command.
+
+        Clips the command, and reduces it to `speed_share` after a violated assumption.
+
+        Args:
+            clipped_request: the request within the limits, for the report.
+            twist: the command of the mode in m/s and rad/s.
+            is_active: the mode or steering changed the request.
+            rows: the limiting obstacles.
+            reason: why the command is zero; None if the robot moves.
+            context: the time, and the ages of the inputs.
+            steered: what steering asked, for the report; None: nothing.
+            is_fenced: the fence changed the command.
+        """
+        # 1. Clips the command of the mode. To save time, the request and zero are not clipped: they
+        # are within the limits.
+        is_within_limits: cython.bint = twist is clipped_request or twist is _zero
+        safe = twist if is_within_limits else self._limits.clip(twist)
+        self.mode_command = safe
+        # 2. Reduces the command to the share that the driver gets. A share of a permitted command
+        # is permitted: the constraints of the mode are convex, and permit zero.
+        monitor = self._monitor
+        share: cython.double = 1.0 if monitor is None else monitor.speed_share
+        if share < 1.0:
+            safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
+        # 3. Tells the monitors, and stores the command.
+        if monitor is not None:
+            text = monitor.on_command(safe)
+            if text:
+                self.events.append(text)
+        self.following.on_command(safe)
+        if safe is not _zero and (safe.linear != 0.0 or safe.angular != 0.0 or safe.lateral != 0.0):
+            self.moved_at = context.now
+        self._safe = safe
+        # No earlier decision may be repeated, since its command is not `_safe` any more. `decide`
+        # permits to repeat this decision, if it was made without a hold.
+        self._last_context = None
+        return _make_decision(
+            self._mode.mode,
+            clipped_request,
+            safe,
+            reason,
+            is_active or share < 1.0,
+            rows,
+            self._least_gap(),
+            context.scan_age,
+            self._scan_seq,
+            steered is not None and steered.is_recovering,
+            share,
+            None if steered is None else steered.avoided,
+            is_fenced != 0,
+        )
+
+    @cython.cfunc
+    def _least_gap(self):
+        """m from the outline to the nearest return of scan and ring; None without a return."""
+        if self._ring_points is None:
+            return self._min_gap
+        ring_gap = float(self._footprint.gaps(self._ring_points).min())
+        return ring_gap if self._min_gap is None else min(self._min_gap, ring_gap)

@@ -25,11 +25,10 @@ from collections import deque
 
 from msgspec import Struct
 
-from swarmd.core.values import Odometry, Pose, SharedPose
+from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, Odometry, Pose, SharedPose
 from swarmd.protection.decision import Anchor
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.protection.settings import ODOMETRY_SHARE
-from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
 CONFIRMATIONS = 3
 """Poses in a row, after the first pose of a new place, that agree each with the pose before."""

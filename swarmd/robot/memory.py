@@ -58,11 +58,11 @@ MAX_SIZE = 1 << 22
 """Parts of all values, nested parts included: a bound on the time that a comparison takes."""
 _MAX_KEY = 64  # parts of a dict key or a set member: a bound on the time that its hash takes
 
-_PACKAGES = ("swarmd.robot.", "swarmd.protection.", "swarmd.sensing.")
+_PACKAGES = ("swarmd.robot.", "swarmd.protection.", "swarmd.sensing.", "swarmd.steering.")
 _VALUES = frozenset(
     f"swarmd.core.{name}"
     for name in (
-        *("arrival_delay", "events", "goal", "hazard", "host_messages", "messages"),
+        *("arrival_delay", "avoided", "events", "goal", "hazard", "host_messages", "messages"),
         *("message_limits", "pattern_manifest", "record", "token_bucket", "values", "verbs"),
     )
 )

@@ -37,7 +37,6 @@ from swarmd.core.goal import GoalState
 from swarmd.core.host_messages import CancelTrial, KillHost, SetParams, StartTrial, TrialDone
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
-from swarmd.protection.protection import Protection
 from swarmd.robot.goal_handler import GoalHandler, fault_of
 from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import PendingParams, Trial, Wish, load_command
@@ -45,6 +44,7 @@ from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
+    from swarmd.protection.protection import Protection
     from swarmd.robot.effects import Effects
 
 TRIAL_TIMEOUT = 10.0

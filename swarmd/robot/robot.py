@@ -34,7 +34,6 @@ from swarmd.core.messages import (
 )
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
 from swarmd.protection.decision import Decision
-from swarmd.protection.protection import Protection
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.message_limits import EventLimit
@@ -46,10 +45,14 @@ from swarmd.robot.status import decision_summary, make_status, status_reason
 from swarmd.robot.timeouts import STATUS_PERIOD
 
 if TYPE_CHECKING:
+    from swarmd.protection.protection import Protection
     from swarmd.robot.effects import Effects
     from swarmd.robot.pattern_run import PatternRun
     from swarmd.robot.ticker import DutyCycle, Ticker
+    from swarmd.steering.steering import Steering
 else:
+    Protection = load_kernel("swarmd.protection.protection").Protection
+    Steering = load_kernel("swarmd.steering.steering").Steering
     PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
     _kernel = load_kernel("swarmd.robot.ticker")
     DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker
@@ -91,7 +94,8 @@ class Robot(Ticker):
         self._sensors = Sensors(
             platform, settings.accepts, tells_pose=settings.tells_pose, fence=settings.fence
         )
-        self._protection = Protection(platform, f"{seed}/{id}", settings.fence)
+        self._protection = Protection(platform, settings.fence)
+        self._steering = Steering(platform, self._protection, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
         self._lifecycle = Lifecycle(identity, earlier.latches, earlier.goals, now)
         # The counts continue, so that no request or answer to an earlier process seems new.
@@ -407,7 +411,7 @@ class Robot(Ticker):
 
     def tracks(self, now: float) -> Tracks | None:
         """The nearest tracks of moving objects, for viewers; None without avoidance."""
-        tracks = self._protection.tracks(self._sensors.context(now))
+        tracks = self._steering.tracks(self._sensors.context(now))
         if tracks is None:
             return None
         near = sorted(tracks, key=lambda track: math.hypot(track.x, track.y))[:MAX_TRACKS]

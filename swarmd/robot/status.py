@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from swarmd.core.avoided import WayState
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.host_messages import ParamSources
 from swarmd.core.messages import (
@@ -23,14 +24,14 @@ from swarmd.core.messages import (
 from swarmd.core.values import Platform, Scalar
 from swarmd.core.verbs import shortened
 from swarmd.protection.compatibility import barrier_settings
-from swarmd.protection.decision import MOVING_WALL, Decision, WayState
-from swarmd.protection.protection import Protection
+from swarmd.protection.decision import MOVING_WALL, Decision
 from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotSettings
 from swarmd.robot.state import MAX_TEXT, Lifecycle
 
 if TYPE_CHECKING:
+    from swarmd.protection.protection import Protection
     from swarmd.robot.ticker import DutyCycle
 
 MAX_REPORTED = 20

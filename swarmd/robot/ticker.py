@@ -86,6 +86,7 @@ class Ticker:
     _kept_goals = cython.declare(object, visibility="public")
     _requests = cython.declare(object, visibility="public")
     _protection = cython.declare(object, visibility="public")
+    _steering = cython.declare(object, visibility="public")
     _duty = cython.declare(DutyCycle, visibility="public")
     _last_tick = cython.declare(cython.double, visibility="public")
     _due_at = cython.declare(cython.double, visibility="public")
@@ -287,7 +288,9 @@ class Ticker:
             text = blind or "all sectors return something again"
             self._lifecycle.log(f"scan: {text}", now)
         if effects.is_new_scan:
-            protection.observe(sensors.scan, InputAges.context(sensors, now))
+            context = InputAges.context(sensors, now)
+            protection.observe(sensors.scan, context)
+            self._steering.observe(sensors.scan, context)
             if protection.events:
                 self._log_protection(now)
         return self._settled_after(effects)
@@ -308,6 +311,7 @@ class Ticker:
         self._look_at_stamps(now)
         if sensors.odometry is odometry:
             protection.on_odometry(odometry)
+            self._steering.on_odometry(odometry)
             if protection.events:
                 self._log_protection(now)
             text = protection.not_following
@@ -330,9 +334,9 @@ class Ticker:
         running = self._run.running
         context = InputAges.context(self._sensors, now)
         if running is None:
-            decision = self._protection.decide(None, context, False, hold)
+            decision = self._steering.decide(None, context, False, hold)
         else:
-            decision = self._protection.decide(
+            decision = self._steering.decide(
                 running.requested,
                 context,
                 self._machine.state is _RUNNING,

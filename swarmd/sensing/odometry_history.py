@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.values import MAX_COORDINATE, MAX_SPEED, MAX_STEP, Odometry
+from swarmd.core.values import (
+    HISTORY,
+    MAX_COORDINATE,
+    MAX_EXTRAPOLATION,
+    MAX_SPEED,
+    MAX_STEP,
+    Odometry,
+)
 from swarmd.sensing.angles import TURN
 from swarmd.sensing.scan_delay import ScanDelay
 
@@ -19,12 +26,6 @@ if cython.compiled:
     from cython.cimports.libc.math import NAN, cos, fabs, hypot, isfinite, remainder, sin
 else:
     from swarmd.core.cython_shadow import NAN, cos, fabs, hypot, isfinite, remainder, sin
-
-MAX_EXTRAPOLATION = 0.15
-"""Seconds for which the last measured twist is extrapolated: three odometry periods."""
-
-HISTORY = 40
-"""Readings that are kept."""
 
 _READINGS = cython.declare(cython.Py_ssize_t, HISTORY)
 _MAX_EXTRAPOLATION = cython.declare(cython.double, MAX_EXTRAPOLATION)

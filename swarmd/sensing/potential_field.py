@@ -85,7 +85,7 @@ def field_twist(vector: Array, linear_max: float, angular_max: float) -> Twist:
     """The command of the paper for a field: full speed, only the direction varies.
 
     With the unit vector u: linear = linear_max * u_x, angular = angular_max * asin(u_y); so
-    `|angular|` reaches 1.57 * angular_max (the arbiter clips it), and for a vector that points
+    `|angular|` reaches 1.57 * angular_max (protection clips it), and for a vector that points
     backwards the robot drives backwards. A zero or non-finite vector gives a zero twist.
     """
     x, y = float(vector[0]), float(vector[1])

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     )
     from swarmd.sensing.delay_by_stamps import delay_by_stamps
     from swarmd.sensing.deskew import Deskewer
-    from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION, OdometryHistory
+    from swarmd.sensing.odometry_history import OdometryHistory
     from swarmd.sensing.scan_delay import TOLERANCE, ScanDelay
 else:
     BlindSectors = load_kernel("swarmd.sensing.blind_sector").BlindSectors
@@ -29,16 +29,12 @@ else:
     MIN_DISTINCT_RETURNS = _conditioning.MIN_DISTINCT_RETURNS
     delay_by_stamps = load_kernel("swarmd.sensing.delay_by_stamps").delay_by_stamps
     Deskewer = load_kernel("swarmd.sensing.deskew").Deskewer
-    _odometry_history = load_kernel("swarmd.sensing.odometry_history")
-    OdometryHistory = _odometry_history.OdometryHistory
-    HISTORY, MAX_EXTRAPOLATION = _odometry_history.HISTORY, _odometry_history.MAX_EXTRAPOLATION
+    OdometryHistory = load_kernel("swarmd.sensing.odometry_history").OdometryHistory
     _scan_delay = load_kernel("swarmd.sensing.scan_delay")
     ScanDelay, TOLERANCE = _scan_delay.ScanDelay, _scan_delay.TOLERANCE
 
 __all__ = [
     "COMPARED_SCANS",
-    "HISTORY",
-    "MAX_EXTRAPOLATION",
     "MAX_REPEATS",
     "MIN_DISTINCT_RETURNS",
     "TOLERANCE",

@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.clock import STALL_TIMEOUT
-from swarmd.core.values import MAX_SPEED, MAX_STEP
+from swarmd.core.values import MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP
 from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.protection.settings import ODOMETRY_SHARE
 from swarmd.robot import fence_pose, timeouts
 from swarmd.robot.hazard_holds import CLEAR_TIME
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT
-from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION
 
 DOCS = Path(__file__).parents[2] / "docs"
 TEXTS = [(DOCS / name).read_text() for name in ("safety.md", "configuration.md")]

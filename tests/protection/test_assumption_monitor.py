@@ -14,12 +14,12 @@ import pytest
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
 from swarmd.protection.decision import DecisionContext, MovedWall
-from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.examples import part
 from tests.support.filter_sim import FilterSim, box, under_barrier
 from tests.support.kernel_forms import both_forms, compares_forms, interpreted, long_run
+from tests.support.protection import Protection
 from tests.support.restless_bases import RestlessBases, noisy
 
 if TYPE_CHECKING:

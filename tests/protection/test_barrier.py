@@ -20,11 +20,11 @@ from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import DecisionContext, Permit, ToldObstacle
 from swarmd.protection.footprint import Footprint, ScanGeometry
-from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
 from tests.support.barrier_parts import closing_cap, outline_of, separation
 from tests.support.filter_sim import decided, outline_point, under_barrier
+from tests.support.protection import Protection
 
 TICK = 0.05
 PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]

@@ -7,10 +7,10 @@ import pytest
 
 from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.decision import Decision, DecisionContext
-from swarmd.protection.protection import Protection
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.platforms import with_mode
+from tests.support.protection import Protection
 
 SPEED = 0.2
 AHEAD = Twist(SPEED)

@@ -1,4 +1,4 @@
-"""Two robots in MuJoCo, whose contacts judge independently of the arbiter."""
+"""Two robots in MuJoCo, whose contacts judge independently of protection."""
 
 from __future__ import annotations
 

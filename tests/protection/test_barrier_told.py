@@ -25,7 +25,6 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.decision import DecisionContext, ToldObstacle
-from swarmd.protection.protection import Protection
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.examples import part
@@ -40,6 +39,7 @@ from tests.support.filter_sim import (
     under_barrier,
 )
 from tests.support.kernel_forms import long_run
+from tests.support.protection import Protection
 
 TICK = 0.05
 NO_FAULT = 0.02  # m/s: a slower contact is not a fault of the robot

@@ -22,7 +22,7 @@ from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.modes import Arbiter
+from swarmd.protection.modes import Mode
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.barrier_parts import (
@@ -341,7 +341,7 @@ def driving(twist: Twist, seconds: float) -> Odometry:
 
 
 def decided_by(
-    barrier: Arbiter, platform: Platform, returns: Sequence[tuple[int, int, float]], twist: Twist,
+    barrier: Mode, platform: Platform, returns: Sequence[tuple[int, int, float]], twist: Twist,
     age: float, sweep: float = 0.0,
 ) -> Twist:  # fmt: skip
     """The decision on a request to go on at the same twist, `age` s after a scan.

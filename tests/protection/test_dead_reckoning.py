@@ -6,9 +6,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from swarmd.core.values import ZERO, Odometry, Pose, Twist
+from swarmd.core.values import MAX_EXTRAPOLATION, ZERO, Odometry, Pose, Twist
 from swarmd.protection.binding_range import REACTION_TIME
-from swarmd.sensing.scan_pipeline import MAX_EXTRAPOLATION
 from tests.support.barrier_parts import DeadReckoning
 
 SPEED = st.floats(-1, 1)

@@ -17,11 +17,11 @@ from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose
 from swarmd.protection.decision import Anchor, DecisionContext
 from swarmd.protection.fence import Fence, fence_fault
 from swarmd.protection.fence_settings import FenceSettings, polygon_fault
-from swarmd.protection.protection import Protection
 from swarmd.robot.fence_pose import CONFIRM_TIME, CONFIRMATIONS, FencePose
 from swarmd.settings.platforms import load_platform
 from tests.support.examples import examples
 from tests.support.numpy_fence import NumpyFence
+from tests.support.protection import Protection
 
 TICK = 0.05
 TIMEOUT = 0.5
@@ -302,7 +302,7 @@ def a_scan() -> Scan:
 @pytest.mark.parametrize("mode", ["barrier", "stop_zone", "potential_field", "off"])
 def test_the_fence_acts_in_every_mode(mode: str) -> None:
     context = context_at(1.83, 0.0, 0.0)
-    free, fenced = (Protection(in_mode(BURGER, mode), "", made) for made in (None, SQUARE))
+    free, fenced = (Protection(in_mode(BURGER, mode), made) for made in (None, SQUARE))
     for one in (free, fenced):
         one.observe(a_scan(), context)
     asked = Twist(0.2, 0.5)

@@ -15,11 +15,11 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, TouchZone, Twist
 from swarmd.protection.decision import DecisionContext, Permit
 from swarmd.protection.following import DELAY, MIN_DURATION, WINDOW
-from swarmd.protection.protection import Protection
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.scans import empty_scan
 from tests.support.examples import part
 from tests.support.kernel_forms import both_forms, compares_forms, interpreted
+from tests.support.protection import Protection
 from tests.support.robot_harness import RobotHarness, moved
 from tests.support.stub_patterns import PATTERNS
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from swarmd.core.values import ZERO, Platform, Pose, Scan, Twist
 from swarmd.protection.decision import Decision, DecisionContext
-from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import FilterSim, box, decided
 from tests.support.platforms import with_mode
+from tests.support.protection import Protection
 
 WAFFLE, BURGER = load_platform("waffle_pi"), load_platform("burger")
 FIELD, ZONE = with_mode(WAFFLE, "potential_field"), with_mode(BURGER, "stop_zone")

@@ -18,10 +18,10 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext, MovedWall
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.protection import Protection
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import under_barrier
 from tests.support.kernel_forms import both_forms
+from tests.support.protection import Protection
 
 FORMS = both_forms("swarmd.protection.barrier")
 KERNELS = [pytest.param(form, id=name) for form, name in zip(FORMS, ("text", "used"), strict=True)]
@@ -551,7 +551,7 @@ def test_wrong_odometry_is_no_wall_that_moves(kernel: Any, step: float, off: Pos
 def test_two_moving_walls_are_a_finding_until_it_ends() -> None:
     protection = Protection(BURGER)
     robot = Robot(FORMS[1])
-    robot.barrier = protection._arbiter
+    robot.barrier = protection._mode
     events: list[str] = []
 
     def run(scene: Scene, begin: float, seconds: float) -> None:

@@ -20,6 +20,7 @@ from mcap_ros2.decoder import DecoderFactory
 from msgspec import structs
 from msgspec.structs import replace
 
+from swarmd.core.avoided import Avoided
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import (
     CodeInput,
@@ -38,7 +39,7 @@ from swarmd.core.events import (
 from swarmd.core.host_messages import Stepped
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Scan, SharedPose, Twist
-from swarmd.protection.decision import Avoided, Decision
+from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages
 from swarmd.recording.cdr import CdrWriter, Message
 from swarmd.recording.limits import FileLimits

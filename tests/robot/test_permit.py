@@ -22,9 +22,9 @@ from swarmd.api import (
 )
 from swarmd.core.host_messages import Loaded, PatternFailed
 from swarmd.core.messages import Reason, State
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
-from swarmd.protection.protection import Protection
+from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
 from swarmd.testing.scans import Disc, scan_of
+from tests.support.protection import Protection
 from tests.support.robot_harness import RobotHarness
 
 ZONE = TouchZone(0.0, math.radians(20.0), 0.1)
@@ -93,9 +93,10 @@ class RecordingProtection(Protection):
         is_running: bool,
         hold: Reason | None,
         permit: Permit = NO_PERMIT,
+        steered: Steered | None = None,
     ) -> Decision:
         self.permit = permit
-        return super().decide(requested, context, is_running, hold, permit)
+        return super().decide(requested, context, is_running, hold, permit, steered)
 
 
 @pytest.fixture(autouse=True)

@@ -18,8 +18,7 @@ from swarmd.core.messages import Reason, State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.decision import Decision
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.modes import make_arbiter, narrowest_passage
-from swarmd.protection.protection import Protection
+from swarmd.protection.modes import make_mode, narrowest_passage
 from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
@@ -27,6 +26,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan, scan_from
 from tests.support.examples import examples
 from tests.support.platforms import with_mode
+from tests.support.protection import Protection
 from tests.support.range_ring import RING_DEG, ring_scan, ring_spec, with_ring
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state
@@ -127,7 +127,7 @@ def test_a_robot_with_a_ring_creeps_past_nothing() -> None:
     """A return of the ring is a disc, whose side that may touch the robot is not known."""
     widths = []
     for platform in (load_platform("burger"), BURGER):
-        passage = narrowest_passage(make_arbiter(platform))
+        passage = narrowest_passage(make_mode(platform))
         assert passage is not None
         widths.append(passage.door)
     assert widths[1] > widths[0] + 0.01
@@ -324,9 +324,7 @@ class History:
     def __init__(self, platform: Platform) -> None:
         self.platform, self.geometry = platform, ScanGeometry(platform.scan)
         lidar = replace(platform, ranges=None)
-        self.both, self.lidar, self.ring = (
-            make_arbiter(one) for one in (platform, lidar, platform)
-        )
+        self.both, self.lidar, self.ring = (make_mode(one) for one in (platform, lidar, platform))
         self.is_barrier = platform.protection["mode"] == "barrier"
         self.sensors = Sensors(platform)
         self.now, self.seq, self.pose, self.command = 5.0, 0, Pose(), ZERO
@@ -380,13 +378,13 @@ class History:
             self.both.decide(requested, context, command=self.command, touch=None).twist
         )
         ring = {"near": (), "told": context.near} if self.is_barrier else {}
-        for arbiter, told in (
+        for mode, told in (
             (self.lidar, msgspec.structs.replace(context, near=())),
             (self.ring, msgspec.structs.replace(context, **ring)),
         ):
-            permitted = arbiter.decide(safe, told, command=self.command, touch=None).twist
+            permitted = mode.decide(safe, told, command=self.command, touch=None).twist
             if not self.is_barrier:
-                alone = arbiter.decide(requested, told, command=self.command, touch=None).twist
+                alone = mode.decide(requested, told, command=self.command, touch=None).twist
                 assert abs(safe.linear) <= abs(alone.linear) + 1e-9
                 assert abs(safe.angular) <= abs(alone.angular) + 1e-9
             else:

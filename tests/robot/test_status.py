@@ -10,12 +10,13 @@ import pytest
 from msgspec import structs
 from msgspec.structs import replace
 
+from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, ReadingsInput
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Status
 from swarmd.core.values import Neighbor, Scan, Twist
-from swarmd.protection.decision import Avoided, Decision, WayState
+from swarmd.protection.decision import Decision
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.status import MAX_ROWS
 from swarmd.robot.status import _avoided as avoided_text

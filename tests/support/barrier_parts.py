@@ -26,12 +26,12 @@ interpreted_kernel = kernel_forms.interpreted(
 
 
 def part(name: str) -> Any:
-    """The module of a part, interpreted like the arbiter."""
+    """The module of a part, interpreted like the mode."""
     return import_module(f"swarmd.protection.{name}")
 
 
 def interpreted(platform: Platform = BURGER, **settings: object) -> Any:
-    """An interpreted arbiter of mode `barrier`, whose private parts Python reaches."""
+    """An interpreted mode of mode `barrier`, whose private parts Python reaches."""
     return interpreted_kernel.Barrier(under_barrier(platform, **settings))
 
 
@@ -131,7 +131,7 @@ def outline_of(corners: Array, lidar: Point = (0.0, 0.0)) -> Any:
 
 
 class DeadReckoning:
-    """The poses that an arbiter computes from odometry."""
+    """The poses that a mode computes from odometry."""
 
     def __init__(self) -> None:
         self._reckoning = interpreted(braking_linear=1.0, braking_angular=3.0)._feasible.reckoning

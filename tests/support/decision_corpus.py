@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from swarmd.core.values import Odometry, Platform, Scan, Twist
 from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.modes import Arbiter
+from swarmd.protection.modes import Mode
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import under_barrier
@@ -58,8 +58,8 @@ def platform_of(stream: Stream) -> Platform:
     return under_barrier(load_platform(stream.kind), **stream.settings)
 
 
-def decided(stream: Stream, barrier: Arbiter) -> Iterator[tuple[Event, ModeDecision]]:
-    """The decisions of an arbiter that is given the events."""
+def decided(stream: Stream, barrier: Mode) -> Iterator[tuple[Event, ModeDecision]]:
+    """The decisions of a mode that is given the events."""
     platform = platform_of(stream)
     geometry = ScanGeometry(platform.scan)
     for seq, event in enumerate(stream.events):

@@ -34,10 +34,10 @@ from swarmd.protection.decision import (
     Permit,
     ToldObstacle,
 )
-from swarmd.protection.protection import Protection
 from swarmd.robot.sensors import Sensors
 from swarmd.testing.scans import trembling
 from tests.support.kernel_forms import both_forms
+from tests.support.protection import Commander, Protection
 
 DT = 0.01
 TICK = 0.05
@@ -71,7 +71,7 @@ def decided(
     protections, begin = [Protection(platform)], 10.0
     if platform.protection["mode"] == "barrier" and FORMS[0] is not FORMS[1]:
         protections.append(Protection(platform))
-        protections[1]._arbiter = FORMS[0].Barrier(platform)
+        protections[1]._mode = FORMS[0].Barrier(platform)
     first = Odometry(begin, HERE, ZERO)
     later = Odometry(begin + age, HERE, ZERO)
     decisions: list[Decision] = []
@@ -200,7 +200,8 @@ class FilterSim:
         self.pose, self.twist, self.time = HERE, ZERO, 0.0
         self.has_lidar = self.has_odometry = True
         self.pushed = 0.0, 0.0
-        self.protection, self.sensors = Protection(platform), Sensors(platform)
+        self.commander, self.sensors = Commander(platform), Sensors(platform)
+        self.protection = self.commander.protection
         self.sensors.on_driver(True, "a simulation")
         settings = platform.protection["barrier"] or {"braking_linear": 1.0, "braking_angular": 3.0}
         self._braking = braking or (settings["braking_linear"], settings["braking_angular"])
@@ -276,7 +277,7 @@ class FilterSim:
         if self._step % round(TICK / DT) == 0 and self.has_odometry:
             odometry = self.odometry()
             self.sensors.on_odometry(odometry, self.time)
-            self.protection.on_odometry(odometry)
+            self.commander.on_odometry(odometry)
 
     def _roll(self, begins: bool) -> None:
         """Measure the rays of this step: the last ones of a sweep, then the first of the next."""
@@ -306,11 +307,11 @@ class FilterSim:
             _, scan = self._coming.pop(0)
             is_new = self.sensors.on_scan(scan, self.time)
             if is_new and self.sensors.scan is not None:
-                self.protection.observe(self.sensors.scan, self.sensors.context(self.time))
+                self.commander.observe(self.sensors.scan, self.sensors.context(self.time))
         return is_new
 
     def _decide(self, requested: Twist, permit: Permit) -> Decision:
-        decision = self.protection.decide(
+        decision = self.commander.decide(
             requested,
             self.sensors.context(self.time),
             is_running=True,

@@ -15,6 +15,7 @@ WINGS: Mapping[str, tuple[str, ...]] = {
         *("swarmd/driver_api", "swarmd/kit", "swarmd/mission", "swarmd/network"),
         *("swarmd/pattern_host", "swarmd/plugins", "swarmd/protection", "swarmd/recording"),
         *("swarmd/robot", "swarmd/security", "swarmd/sensing", "swarmd/settings"),
+        "swarmd/steering",
         "swarmd/testing",
     ),
     "operator": (

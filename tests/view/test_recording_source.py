@@ -11,12 +11,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import OdometryInput, ScanInput
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE
-from swarmd.protection.decision import Avoided, Decision, WayState
+from swarmd.protection.decision import Decision
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.limits import FileLimits

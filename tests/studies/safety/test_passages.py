@@ -8,7 +8,7 @@ import pytest
 from studies.safety.judge import collisions
 from studies.safety.passages import Passage, passage_scenario
 from swarmd.core.messages import NarrowestPassage
-from swarmd.protection.modes import make_arbiter, narrowest_passage
+from swarmd.protection.modes import make_mode, narrowest_passage
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import simulate_run
 from tests.support.filter_sim import under_barrier
@@ -16,9 +16,7 @@ from tests.support.filter_sim import under_barrier
 
 def burger() -> NarrowestPassage:
     """The narrowest passage of a Burger among obstacles that are seen whole."""
-    found = narrowest_passage(
-        make_arbiter(under_barrier(load_platform("burger"), unseen_extent=0.0))
-    )
+    found = narrowest_passage(make_mode(under_barrier(load_platform("burger"), unseen_extent=0.0)))
     assert found is not None
     return found
 

@@ -20,8 +20,8 @@ from studies.safety.tracking import (
 )
 from swarmd.core.values import Odometry, Scan
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.tracks import Surroundings, Track
 from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.steering.tracks import Surroundings, Track
 
 DENSE = scenario(Scene("goals", "burger", "body", "orca", duration=6.0))
 

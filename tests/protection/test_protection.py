@@ -16,16 +16,22 @@ from msgspec import structs
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, TouchZone, Twist
-from swarmd.protection.decision import Decision, DecisionContext, ModeDecision, Permit, ToldObstacle
+from swarmd.protection.decision import (
+    Clearance,
+    Decision,
+    DecisionContext,
+    ModeDecision,
+    Permit,
+    ToldObstacle,
+)
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.protection import Protection
-from swarmd.protection.recovery import Clearance
-from swarmd.protection.right_of_way import RightOfWay
 from swarmd.protection.settings import Mode
 from swarmd.settings.settings import load_platform
+from swarmd.steering.right_of_way import RightOfWay
 from swarmd.testing.scans import scan_from
 from tests.support.kernel_forms import both_forms, compares_forms, interpreted
 from tests.support.platforms import with_mode
+from tests.support.protection import Commander, Protection
 
 WAFFLE, BURGER = load_platform("waffle_pi"), load_platform("burger")
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone", "off")
@@ -140,8 +146,8 @@ def test_command_at_rounding_level_counts_as_zero() -> None:
     assert reasons == {Reason.PROTECTION}
 
 
-class FixedArbiter:
-    """An arbiter that returns a fixed command."""
+class FixedMode:
+    """A mode that returns a fixed command."""
 
     mode = "fixed"
 
@@ -164,7 +170,7 @@ class FixedArbiter:
 def safe_command(twist: Twist) -> tuple[Twist, Reason | None]:
     """The safe command and its reason."""
     protection = Protection(BURGER)
-    protection._arbiter = FixedArbiter(twist)
+    protection._mode = FixedMode(twist)
     context = DecisionContext(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
     decision = protection.decide(Twist(0.1), context, is_running=True, hold=None)
     return decision.safe, decision.reason
@@ -182,15 +188,15 @@ def test_command_of_an_arbiter_is_clipped_to_the_limits() -> None:
 def test_a_case_is_judged_once_until_something_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same command in the same context; a scan, another command or a hold ends it."""
     protection = Protection(with_mode(load_platform("waffle_pi"), "off"))
-    arbiter, judged = protection._arbiter, list[Twist]()
-    judge = arbiter.decide
+    mode, judged = protection._mode, list[Twist]()
+    judge = mode.decide
 
     def counted(requested: Twist, *args: Any, **more: Any) -> ModeDecision:
         judged.append(requested)
         decision: ModeDecision = judge(requested, *args, **more)
         return decision
 
-    monkeypatch.setattr(arbiter, "decide", counted)
+    monkeypatch.setattr(mode, "decide", counted)
     context = DecisionContext(1.0, 0.0)
 
     def decided(twist: Twist, at: DecisionContext, hold: Reason | None = None) -> Decision:
@@ -210,21 +216,22 @@ def test_a_case_is_judged_once_until_something_changes(monkeypatch: pytest.Monke
 
 def test_right_of_way_gets_the_last_reading_before_avoidance_began_and_all_since() -> None:
     """Else it would not see a jump of the pose between the two, which moves all openings."""
-    kernel = interpreted("swarmd.protection.arbiter", because="it replaces a private part")
+    kernel = interpreted("swarmd.steering.steering", because="it replaces a private part")
     readings: list[float] = []
 
     class Way(RightOfWay):
         def on_odometry(self, odometry: Odometry) -> None:
             readings.append(odometry.stamp)
 
-    protection = kernel.Protection(with_mode(WAFFLE, "barrier"))
-    protection._right_of_way = Way(Clearance(1.0, 0.3), WAFFLE.limits, "")
+    platform = with_mode(WAFFLE, "barrier")
+    steering = kernel.Steering(platform, Protection(platform))
+    steering._right_of_way = Way(Clearance(1.0, 0.3), WAFFLE.limits, "")
     permits = (False, False, True, True, False, False)  # avoidance
     for stamp, avoids in enumerate(permits):
-        protection.on_odometry(Odometry(float(stamp), Pose(), ZERO))
+        steering.on_odometry(Odometry(float(stamp), Pose(), ZERO))
         context = DecisionContext(float(stamp), 0.0)
         permit = Permit(may_recover=True, avoids=avoids)
-        protection.decide(ZERO, context, is_running=True, hold=None, permit=permit)
+        steering.decide(ZERO, context, is_running=True, hold=None, permit=permit)
     assert readings == [2.0, 3.0, 4.0, 5.0]
 
 
@@ -235,7 +242,8 @@ def test_compiled_and_interpreted_code_decide_the_same(mode: Mode, avoidance: st
     platform = with_mode(WAFFLE, mode)
     platform = replace(platform, protection={**platform.protection, "avoidance": avoidance})
     draw = Random(3)
-    ones = [kernel.Protection(platform) for kernel in both_forms("swarmd.protection.arbiter")]
+    kernels = map(both_forms, ("swarmd.protection.protection", "swarmd.steering.steering"))
+    ones = [Commander(platform, forms) for forms in zip(*kernels, strict=True)]
     now, pose, twist = 10.0, Pose(), ZERO
     requested: Twist | None = None
     permit, seen = Permit(), set[tuple[Reason | None, bool, bool]]()
@@ -261,8 +269,9 @@ def test_compiled_and_interpreted_code_decide_the_same(mode: Mode, avoidance: st
                     one.decide(requested, context, is_running=is_running, hold=hold, permit=permit)
                 )
         assert decisions[:2] == decisions[2:]
-        assert (ones[0].findings, ones[0].events) == (ones[1].findings, ones[1].events)
-        assert ones[0].following.text == ones[1].following.text
+        first, second = (one.protection for one in ones)
+        assert (first.findings, first.events) == (second.findings, second.events)
+        assert first.following.text == second.following.text
         twist = decisions[0].safe
         seen.add((decisions[0].reason, decisions[0].is_active, decisions[0].is_recovering))
     assert len(seen) >= (3 if mode == "off" else 4)

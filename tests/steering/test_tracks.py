@@ -13,14 +13,14 @@ from msgspec.structs import astuple
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext, ToldObstacle
-from swarmd.protection.tracks import Surroundings
 from swarmd.settings.platforms import load_platform
+from swarmd.steering.tracks import Surroundings
 from tests.support.kernel_forms import both_forms, compares_forms
 
 if TYPE_CHECKING:
-    from swarmd.protection.tracks import Tracker
+    from swarmd.steering.tracks import Tracker
 else:
-    Tracker = load_kernel("swarmd.protection.tracks").Tracker
+    Tracker = load_kernel("swarmd.steering.tracks").Tracker
 
 BURGER = load_platform("burger")
 BEARINGS = BURGER.scan.bearings
@@ -246,7 +246,7 @@ def test_the_order_of_the_rays_changes_nothing(order: str) -> None:
 @pytest.mark.parametrize("own", [Twist(0.2), Twist(0.05, 0.8)], ids=["drives", "turns"])
 def test_compiled_and_interpreted_code_find_the_same_tracks(own: Twist, lost: float) -> None:
     found = []
-    for kernel in both_forms("swarmd.protection.tracks"):
+    for kernel in both_forms("swarmd.steering.tracks"):
         discs: list[tuple[Way, float]] = [
             (crossing, 0.1),
             (lambda t: (0.6, 0.5 - 0.1 * t), 0.15),

@@ -26,9 +26,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct
 
-from swarmd.core.values import Array, Odometry, Platform, Pose, Scan
+from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, Array, Odometry, Platform, Pose, Scan
 from swarmd.protection.decision import DecisionContext
-from swarmd.sensing.scan_pipeline import HISTORY, MAX_EXTRAPOLATION
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython

@@ -21,20 +21,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
-from swarmd.protection.decision import Avoided, DecisionContext, WayState
-from swarmd.protection.recovery import Allows, Clearance, Points
-from swarmd.protection.tracks import Surroundings, Track
+from swarmd.protection.decision import Clearance, DecisionContext
+from swarmd.steering.recovery import Allows, Points
+from swarmd.steering.tracks import Surroundings, Track
 
 if TYPE_CHECKING:
-    from swarmd.protection.openings import SIGHTINGS, Opening, Openings, gap_middle
-    from swarmd.protection.tracks import pose_after
+    from swarmd.steering.openings import SIGHTINGS, Opening, Openings, gap_middle
+    from swarmd.steering.tracks import pose_after
 else:
-    _kernel = load_kernel("swarmd.protection.openings")
+    _kernel = load_kernel("swarmd.steering.openings")
     SIGHTINGS, Openings = _kernel.SIGHTINGS, _kernel.Openings
     gap_middle = _kernel.gap_middle
-    pose_after = load_kernel("swarmd.protection.tracks").pose_after
+    pose_after = load_kernel("swarmd.steering.tracks").pose_after
 
 _TURNING = 0.6  # rad/s: scans during a faster turn are not exact enough to show openings
 

@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Limits, Twist
-from swarmd.protection.recovery import Clearance
-from swarmd.protection.tracks import Surroundings, Track
+from swarmd.protection.decision import Clearance
+from swarmd.steering.tracks import Surroundings, Track
 
 if TYPE_CHECKING:
-    from swarmd.protection.velocity_obstacles import (
+    from swarmd.steering.velocity_obstacles import (
         most_violated,
         nearest,
         track_lines,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         width_between,
     )
 else:
-    _kernel = load_kernel("swarmd.protection.velocity_obstacles")
+    _kernel = load_kernel("swarmd.steering.velocity_obstacles")
     most_violated, nearest = _kernel.most_violated, _kernel.nearest
     track_lines, wall_lines = _kernel.track_lines, _kernel.wall_lines
     width_between = _kernel.width_between

@@ -12,22 +12,22 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from swarmd.core.avoided import WayState
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Limits, Platform, Pose, Twist
-from swarmd.protection.avoidance import Avoidance
-from swarmd.protection.decision import Permit, WayState
-from swarmd.protection.recovery import Clearance
-from swarmd.protection.tracks import Surroundings, Track
+from swarmd.protection.decision import Clearance, Permit
 from swarmd.settings.settings import load_platform
+from swarmd.steering.avoidance import Avoidance
+from swarmd.steering.tracks import Surroundings, Track
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
 from tests.support.kernel_forms import both_forms, compares_forms, long_run
 
 if TYPE_CHECKING:
-    from swarmd.protection.velocity_obstacles import Line, excess, most_violated, nearest
+    from swarmd.steering.velocity_obstacles import Line, excess, most_violated, nearest
 else:
-    kernel = load_kernel("swarmd.protection.velocity_obstacles")
+    kernel = load_kernel("swarmd.steering.velocity_obstacles")
     Line, excess, most_violated, nearest = (
         kernel.Line,
         kernel.excess,
@@ -178,7 +178,7 @@ def test_compiled_and_interpreted_code_give_the_same_lines_and_velocities(
     wanted: tuple[float, float],
 ) -> None:
     walls, found = np.array(places).reshape(-1, 2), []
-    for module in both_forms("swarmd.protection.velocity_obstacles"):
+    for module in both_forms("swarmd.steering.velocity_obstacles"):
         lines = module.wall_lines(walls, 0.1, *wanted, 0.12, 0.5, 0.8)
         fixed = len(lines)
         tracks = tuple(Track(7, *disc, 0.05) for disc in discs)
@@ -253,20 +253,20 @@ def test_a_hold_ends_no_tracks_of_a_run_that_avoids() -> None:
     sim = FilterSim(BURGER, [pole(0.1, Pose(1.0))])
     sim.run(AHEAD, 2.0, Permit(may_recover=True, avoids=True))
     context = sim.sensors.context(sim.time)
-    before = sim.protection.tracks(context)
+    before = sim.commander.steering.tracks(context)
     assert before
-    sim.protection.decide(AHEAD, context, True, Reason.STALE_SCAN)
-    assert sim.protection.tracks(context) == before
-    sim.protection.decide(AHEAD, context, True, None, Permit(may_recover=False, avoids=True))
-    assert sim.protection.tracks(context) is None
+    sim.commander.decide(AHEAD, context, True, Reason.STALE_SCAN)
+    assert sim.commander.steering.tracks(context) == before
+    sim.commander.decide(AHEAD, context, True, None, Permit(may_recover=False, avoids=True))
+    assert sim.commander.steering.tracks(context) is None
 
 
 def test_a_robot_that_does_not_run_keeps_no_tracks() -> None:
     sim = FilterSim(AVOIDING, [pole(0.1, Pose(1.0))])
     context = sim.sensors.context(sim.time)
-    assert sim.protection.tracks(context) is None
+    assert sim.commander.steering.tracks(context) is None
     sim.run(AHEAD, 2.0, Permit(may_recover=True))
     context = sim.sensors.context(sim.time)
-    assert sim.protection.tracks(context)
-    sim.protection.decide(AHEAD, context, False, None, Permit(may_recover=True))
-    assert sim.protection.tracks(context) is None
+    assert sim.commander.steering.tracks(context)
+    sim.commander.decide(AHEAD, context, False, None, Permit(may_recover=True))
+    assert sim.commander.steering.tracks(context) is None

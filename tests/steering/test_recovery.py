@@ -12,9 +12,9 @@ import pytest
 from swarmd.core.clock import TICK
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Twist
-from swarmd.protection.decision import DecisionContext, Permit
-from swarmd.protection.recovery import NO_OTHERS, Clearance, Others, Recovery
+from swarmd.protection.decision import Clearance, DecisionContext, Permit
 from swarmd.settings.settings import load_platform
+from swarmd.steering.recovery import NO_OTHERS, Others, Recovery
 from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
 from tests.support.kernel_forms import long_run
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from swarmd.core.avoided import WayState
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Pose, Scan, Twist
-from swarmd.protection.decision import DecisionContext, WayState
-from swarmd.protection.recovery import Clearance
-from swarmd.protection.right_of_way import RightOfWay
-from swarmd.protection.tracks import Surroundings, Track
+from swarmd.protection.decision import Clearance, DecisionContext
+from swarmd.steering.right_of_way import RightOfWay
+from swarmd.steering.tracks import Surroundings, Track
 
 BASE, ROOM = Limits(0.22, 2.84), Clearance(0.5, 0.18, 0.09)
 AHEAD = Twist(0.22)

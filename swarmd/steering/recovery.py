@@ -21,13 +21,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from random import Random
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from msgspec import Struct
 
 from swarmd.core.values import ZERO, Array, Limits, Pose, Twist
-from swarmd.protection.decision import DecisionContext
+from swarmd.protection.decision import Clearance, DecisionContext
 
 _BLOCKED_SHARE = 0.5  # a robot with less than this share of the requested speed is blocked
 _MOVE_BLOCKED_TIME = 0.1  # s of blocked motion before recovery begins
@@ -67,14 +67,6 @@ _BEARINGS = np.radians(np.arange(-180.0, 180.0, 10.0))
 
 Points: TypeAlias = Callable[[], Array]
 Allows: TypeAlias = Callable[[Twist], Twist]
-
-
-class Clearance(NamedTuple):
-    """Free room in m from the axle that a corridor needs."""
-
-    ahead: float
-    beside: float  # to each side
-    body: float = 0.0  # the part of `beside` that the outline takes
 
 
 class Others(Struct, frozen=True, gc=False):

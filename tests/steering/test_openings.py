@@ -18,9 +18,9 @@ from tests.support.examples import examples
 from tests.support.kernel_forms import both_forms, compares_forms
 
 if TYPE_CHECKING:
-    from swarmd.protection.openings import Openings
+    from swarmd.steering.openings import Openings
 else:
-    Openings = load_kernel("swarmd.protection.openings").Openings
+    Openings = load_kernel("swarmd.steering.openings").Openings
 
 BEARINGS = np.radians(np.arange(-180.0, 180.0))
 HALF, BODY = 0.18, 0.09  # m, of a door in the middle of a wall at x = 0, and of a robot
@@ -164,7 +164,7 @@ def test_the_order_of_rays_does_not_matter(order: NDArray[np.intp]) -> None:
     assert known(other) == known(in_order) != []
 
 
-@pytest.mark.parametrize("form", both_forms("swarmd.protection.openings"))
+@pytest.mark.parametrize("form", both_forms("swarmd.steering.openings"))
 @given(st.lists(st.tuples(MOVES, MOVES), max_size=12), MOVES, MOVES, MOVES)
 @settings(max_examples=examples(30))
 def test_the_middle_of_a_gap(
@@ -196,7 +196,7 @@ def test_any_scans_give_the_same_compiled_and_interpreted(
     lost: float,
     tracks: list[tuple[float, float, float]],
 ) -> None:
-    both = [kernel.Openings(BODY) for kernel in both_forms("swarmd.protection.openings")]
+    both = [kernel.Openings(BODY) for kernel in both_forms("swarmd.steering.openings")]
     for seed, (dx, dy, turn) in enumerate(moves):
         pose = Pose(NEAR.x + dx, NEAR.y + dy, NEAR.yaw + turn)
         for one in both:

@@ -1,0 +1,195 @@
+"""Steering: asks protection for another command where the request leads nowhere.
+
+Right of way, avoidance and recovery may replace a request by a candidate, one after the other.
+Protection judges the candidate like any request, so steering may be wrong: it cannot weaken
+protection, and protection imports nothing of it.
+
+A kernel (see `core/kernels.py`), since each request passes it. Other modules load it, compiled or
+interpreted.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from swarmd.core.avoided import Avoided
+from swarmd.core.kernels import load_kernel
+from swarmd.core.messages import Reason
+from swarmd.core.values import Odometry, Platform, Scan, Twist
+from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
+from swarmd.steering.avoidance import Avoidance
+from swarmd.steering.recovery import NO_OTHERS, Allows, Others, Points, Recovery
+from swarmd.steering.right_of_way import RightOfWay
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+
+    from swarmd.protection.protection import Protection
+    from swarmd.steering.tracks import Track
+else:
+    from swarmd.core import cython_shadow as cython
+
+_CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
+
+
+@cython.cclass
+class Steering:
+    """Asks `protection` for the command of one robot. A mode without clearances is not steered.
+
+    The stored state follows from the calls alone, so that a recording can be replayed. `seed` seeds
+    the random choices of recovery and right of way.
+    """
+
+    _protection: object
+    _offset: object
+    _recovery: object  # None: this robot is not steered
+    _is_recovering: cython.bint
+    _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
+    _avoidance: object
+    _tracker = cython.declare(object, visibility="public")
+    _avoids: cython.bint  # as the platform says
+    _is_avoiding: cython.bint  # as the permit says
+    _has_avoided: cython.bint  # right of way may know openings
+    _odometry: object  # the last reading; None without one
+    _right_of_way: object
+
+    def __init__(self, platform: Platform, protection: Protection, seed: str = "") -> None:
+        self._protection, self._offset = protection, platform.scan.offset
+        clearance = protection.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
+        if clearance is not None:
+            self._recovery = Recovery(clearance, platform.limits, seed)
+            self._avoids = platform.protection.get("avoidance", "none") == "orca"
+            self._avoidance = Avoidance(clearance, platform.limits)
+            self._tracker = load_kernel("swarmd.steering.tracks").Tracker(platform)
+            self._right_of_way = RightOfWay(clearance, platform.limits, seed)
+
+    def observe(self, scan: Scan, context: DecisionContext) -> None:
+        """Take in a conditioned scan."""
+        if self._is_avoiding:
+            # Right of way reads the tracks of its last command, which the next scan changes.
+            self._right_of_way.observe(scan, self._offset, context)
+            self._tracker.observe(scan, context)
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """Take in a reading: tracks and right of way use it."""
+        if self._is_avoiding:
+            self._tracker.on_odometry(odometry)
+        self._odometry = odometry
+        if self._has_avoided:  # a hold may end avoidance for a while
+            self._right_of_way.on_odometry(odometry)
+
+    def tracks(self, context: DecisionContext) -> tuple[Track, ...] | None:
+        """The tracks that avoidance uses; None while avoidance is off."""
+        return self._tracker.surroundings(context).tracks if self._is_avoiding else None
+
+    def decide(
+        self,
+        requested: Twist | None,
+        context: DecisionContext,
+        is_running: cython.bint,
+        hold: Reason | None,
+        permit: Permit = NO_PERMIT,
+    ) -> Decision:
+        """The decision of protection on the request, or on what steering asks in its place.
+
+        Arguments as those of `Protection.decide`; `permit` says what of steering the pattern
+        permits.
+        """
+        protection = self._protection
+        if self._recovery is None:
+            return protection.decide(requested, context, is_running, hold, permit)
+        # A hold of a running robot comes without the pattern's permit, so such a hold leaves
+        # avoidance as it is.
+        if hold is None or not is_running:
+            self._switch_avoidance(is_running, permit)
+        clipped = candidate = protection.clip(requested)
+        if not is_running or hold is not None or context.scan_age is None:
+            self._end_recovery()
+        elif permit.may_recover:
+            candidate = self._candidate(clipped, context, permit.touch)
+        steered = None
+        if self._is_avoiding or self._is_recovering or candidate is not clipped:
+            avoided = self._avoided(context) if self._is_avoiding else None
+            steered = Steered(candidate, self._is_recovering != 0, avoided)
+        return protection.decide(requested, context, is_running, hold, permit, steered)
+
+    @cython.cfunc
+    def _switch_avoidance(self, is_running: cython.bint, permit):
+        """Switch avoidance on or off by the permit."""
+        may_avoid = self._avoids if permit.avoids is None else permit.avoids
+        is_avoiding: cython.bint = is_running and permit.may_recover and may_avoid
+        if is_avoiding == self._is_avoiding:
+            return
+        self._is_avoiding = is_avoiding
+        if not self._has_avoided and self._odometry is not None:
+            self._right_of_way.on_odometry(self._odometry)
+        self._has_avoided = True
+        self._tracker.reset()  # objects have moved meanwhile
+        self._avoidance.reset()
+        self._right_of_way.reset()
+
+    @cython.cfunc
+    def _end_recovery(self):
+        """Reset recovery, avoidance and right of way, if they have decided since the last hold."""
+        if self._may_recover:
+            self._may_recover = self._is_recovering = False
+            self._recovery.reset()
+            self._avoidance.reset()
+            self._right_of_way.reset()
+
+    @cython.cfunc
+    def _candidate(self, clipped, context, touch):
+        """The command by which right of way, avoidance or recovery replaces a clipped request.
+
+        The result is the object `clipped` if the request is not replaced.
+        """
+        protection, recovery = self._protection, self._recovery
+        self._may_recover = True
+        allows = partial(protection.permitted, context, touch)
+        points = partial(protection.points, context, recovery.lookahead)
+        passing_request, others = self._pass_others(clipped, context, allows, points)
+        patience = protection.wall_patience(context.now)
+        if patience > 0.0:  # recovery waits longer while near walls are about to have stood
+            others = replace(others, patience=patience)
+        candidate = recovery.replacement(
+            passing_request, protection.mode_command, context, points, others, allows
+        )
+        self._is_recovering = recovery.is_active
+        return candidate
+
+    def _pass_others(
+        self, requested: Twist, context: DecisionContext, allows: Allows, points: Points
+    ) -> tuple[Twist, Others]:
+        """The command that leads past openings and moving objects, and `Others` for recovery.
+
+        The command is `requested` if no opening and no object is in the way. `Others` tells
+        recovery what right of way and avoidance have done. Right of way decides first. Avoidance
+        then decides, unless right of way is in a state that settles the command, or a recovery is
+        under way. `allows` gives what protection permits of any request, `points` the returns.
+        """
+        avoidance, recovery = self._avoidance, self._recovery
+        if not self._is_avoiding:
+            return requested, NO_OTHERS
+        around = self._tracker.surroundings(context)
+        right_of_way = self._right_of_way
+        requested = right_of_way.command(requested, context, around, allows, points)
+        if right_of_way.is_settled:
+            avoidance.avoiding = None
+            return requested, Others(requested, is_settled=True)
+        if recovery.has_taken_over:
+            avoidance.avoiding = None
+            return requested, NO_OTHERS
+        last = self._protection.mode_command
+        passing = avoidance.command(requested, last, context.now, around)
+        return passing, Others(requested, avoidance.are_near, avoidance.avoiding is not None)
+
+    def _avoided(self, context: DecisionContext) -> Avoided | None:
+        """The track or the opening because of which the command was replaced; None without."""
+        track = self._avoidance.avoiding
+        if track is None:
+            return None if self._is_recovering else self._right_of_way.passed(context)
+        return Avoided(math.atan2(track.y, track.x), math.hypot(track.x, track.y))

@@ -1,0 +1,53 @@
+"""Protection and steering, compiled or interpreted, as robots load them, and both together."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from swarmd.core.kernels import load_kernel
+from swarmd.core.messages import Reason
+from swarmd.core.values import Odometry, Platform, Scan, Twist
+from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
+
+if TYPE_CHECKING:
+    from swarmd.protection.protection import Protection
+    from swarmd.steering.steering import Steering
+else:
+    Protection = load_kernel("swarmd.protection.protection").Protection
+    Steering = load_kernel("swarmd.steering.steering").Steering
+
+__all__ = ["Commander", "Protection", "Steering"]
+
+
+class Commander:
+    """Protection and steering of a robot, fed as by the robot.
+
+    `kernels`: the modules of protection and steering; None: as robots load them.
+    """
+
+    def __init__(self, platform: Platform, kernels: tuple[Any, Any] | None = None) -> None:
+        protection = Protection if kernels is None else kernels[0].Protection
+        steering = Steering if kernels is None else kernels[1].Steering
+        self.protection: Protection = protection(platform)
+        self.steering: Steering = steering(platform, self.protection)
+
+    def observe(self, scan: Scan, context: DecisionContext) -> None:
+        """A conditioned scan."""
+        self.protection.observe(scan, context)
+        self.steering.observe(scan, context)
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """A reading."""
+        self.protection.on_odometry(odometry)
+        self.steering.on_odometry(odometry)
+
+    def decide(
+        self,
+        requested: Twist | None,
+        context: DecisionContext,
+        is_running: bool,
+        hold: Reason | None,
+        permit: Permit = NO_PERMIT,
+    ) -> Decision:
+        """The decision of protection on what steering asks."""
+        return self.steering.decide(requested, context, is_running, hold, permit)
