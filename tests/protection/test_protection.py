@@ -177,11 +177,11 @@ def safe_command(twist: Twist) -> tuple[Twist, Reason | None]:
 
 
 @pytest.mark.parametrize("twist", [Twist(math.nan), Twist(0.1, math.inf), Twist(0.1, -math.inf)])
-def test_non_finite_command_of_an_arbiter_becomes_zero(twist: Twist) -> None:
+def test_non_finite_command_of_a_mode_becomes_zero(twist: Twist) -> None:
     assert safe_command(twist) == (ZERO, Reason.PROTECTION)
 
 
-def test_command_of_an_arbiter_is_clipped_to_the_limits() -> None:
+def test_command_of_a_mode_is_clipped_to_the_limits() -> None:
     assert safe_command(Twist(-9.0, 9.0, 9.0)) == (Twist(-0.22, 2.84, 0.0), None)
 
 
