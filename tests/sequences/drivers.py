@@ -236,6 +236,11 @@ class Walk:
         """What the driver told."""
         return self.harness.sink
 
+    def _rests(self) -> bool:
+        """A drone has landed: in the air it would land first, and end this run."""
+        rig = self.harness.rig
+        return not isinstance(rig, MotorRig) or rig.is_at_rest()
+
     async def run(self) -> None:
         """The daemon commands motion, which a base that is there gets as it was sent last."""
         self.speed = 0.3 - self.speed  # another one each time
@@ -264,7 +269,7 @@ class Walk:
         def stands() -> bool:
             self.harness.driver.send(ZERO, 2, 2, is_stopped=True)
             taken.extend(self.harness.rig.commands())
-            return bool(taken) and taken[-1].is_zero
+            return bool(taken) and taken[-1].is_zero and self._rests()
 
         if not self.is_attached:
             self.harness.driver.send(ZERO, 2, 2, is_stopped=True)
@@ -294,9 +299,8 @@ class Walk:
             self.is_attached = True
         was_lost = not self.sink.is_up
         rig, loop = self.harness.rig, asyncio.get_running_loop()
-        rests = rig.is_at_rest if isinstance(rig, MotorRig) else lambda: True
         if was_lost:
-            await self.harness.until(rests)
+            await self.harness.until(self._rests)
         await self.harness.until(lambda: self.sink.is_up, publishing=True)
         if not was_lost:
             return
@@ -306,7 +310,7 @@ class Walk:
 
         def has_stood() -> bool:
             self.harness.driver.send(ZERO, 5, 5, is_stopped=True)
-            if not rests() or not all(twist.is_zero for twist in rig.commands()):
+            if not self._rests() or not all(twist.is_zero for twist in rig.commands()):
                 raise BrokenRuleError("a base that came back moves")
             return loop.time() >= end
 
