@@ -108,6 +108,8 @@ class GoalHandler:
         elif request.digest not in ("", own.digest.hex()):
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, f"it has {own.goal.text}")
         elif self._goals.state in (GoalState.RUNNING, GoalState.LOADING):
+            # A late copy of this request must not start a run after the present run has ended.
+            lifecycle.raise_revision(f"{request.operator} (resume {own.goal.pattern})")
             lifecycle.applied(effects, request, f"runs {own.goal.pattern} already")
         elif why := self._goals.refusal_to_resume(effects.now):
             text = f"{own.goal.text}: {why}; run it anew"

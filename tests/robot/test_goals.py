@@ -511,6 +511,18 @@ def test_a_stop_that_is_older_than_the_held_goal_makes_none() -> None:
     assert told(harness).held.goal.generation == 7  # type: ignore[union-attr]
 
 
+def test_a_copy_of_a_resume_that_found_a_run_starts_none_after_its_end() -> None:
+    harness = ready()
+    run(harness, goal(6, seconds=1.0))
+    resume = harness.request("resume")
+    assert harness.answer(resume).code is Code.APPLIED  # it runs already
+    harness.advance(1.5)
+    assert harness.status.state is State.IDLE
+    assert harness.answer(resume).refusal is Refusal.STALE_EPOCH
+    harness.advance(0.5)
+    assert harness.twist.is_zero
+
+
 def test_a_standing_goal_that_is_found_ends_a_run() -> None:
     harness = ready()
     run(harness, goal(6))
