@@ -2,7 +2,7 @@
 
 A history is a list of steps. A step waits `gap` s, then something is typed by an operator, or
 happens to a robot or to the network. After the last step all is healed and started, and ten seconds
-after the last command has ended rule 4 is checked::
+after the last command has ended the rule `agreement` is checked::
 
     replay(4, [
         step(0.0, "run", by="anna", on_join="run", valid=60.0),
@@ -16,17 +16,13 @@ nothing, so that each part of a history is a history.
 
 from __future__ import annotations
 
-import logging
 import math
 import random
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from swarmd.core.errors import CoreFault
-from tests.histories.invariants import HEAL_TIME, BrokenRuleError, Invariants
+from tests.histories.invariants import HEAL_TIME, BrokenRuleError, Invariants, no_exception
 from tests.histories.operators import Command, VirtualOperator
 from tests.histories.swarm import DELAY, DISK_TIME, JOIN_TICK, Disk, VirtualDaemon, VirtualSwarm
 
@@ -35,37 +31,6 @@ PROGRAM = "teacher"
 STEPS = 12
 LONGEST_COMMAND = 90.0  # s
 BOOT_TIME = 2.0  # s until all robots are ready
-
-
-class _Errors(logging.Handler):
-    """Keeps the error that a log has a traceback of."""
-
-    error: BaseException | None = None
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if record.exc_info and record.levelno >= logging.ERROR:
-            self.error = self.error or record.exc_info[1]
-
-
-@contextmanager
-def _no_exception() -> Iterator[None]:
-    """Rule 11, in this block."""
-    errors, logger = _Errors(), logging.getLogger("swarmd")
-    logger.addHandler(errors)
-    try:
-        yield
-        if errors.error is not None:
-            raise errors.error
-    except BrokenRuleError:
-        raise
-    except (Exception, CoreFault) as error:
-        cause = error.__cause__ if isinstance(error, CoreFault) else error
-        if isinstance(cause, BrokenRuleError):  # within a request
-            raise cause from None
-        text = "".join(traceback.format_exception(cause or error))
-        raise BrokenRuleError(11, text) from error
-    finally:
-        logger.removeHandler(errors)
 
 
 @dataclass(frozen=True)
@@ -103,21 +68,21 @@ class History:
             name: VirtualOperator(self.swarm, name, number)
             for number, name in enumerate(OPERATORS, 1)
         }
-        with _no_exception():
+        with no_exception():
             for number in range(count):
                 self.swarm.boot(f"r{number + 1}")
             self.swarm.advance(BOOT_TIME)
 
     def carry_out(self, one: HistoryStep) -> None:
         """Wait, then let the step happen."""
-        with _no_exception():
+        with no_exception():
             self.swarm.advance(one.gap)
             getattr(self, one.name)(**one.args)
 
     def end(self) -> None:
-        """Heal all and start all, wait, and check rule 4."""
+        """Heal all and start all, wait, and check the rule `agreement`."""
         self.heal()
-        with _no_exception():
+        with no_exception():
             for robot in self.swarm.robots.values():
                 robot.disk_time, robot.told_x = DISK_TIME, None
                 robot.thaw() if robot.is_frozen else None
@@ -582,7 +547,7 @@ def script(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> str:
 
 
 def shrink(
-    count: int, steps: Sequence[HistoryStep], rule: int, seed: int = 1, tries: int = 400
+    count: int, steps: Sequence[HistoryStep], rule: str, seed: int = 1, tries: int = 400
 ) -> tuple[int, Steps]:
     """A shorter history that breaks the same rule: fewer steps, robots and seconds.
 

@@ -1,58 +1,58 @@
-"""What holds at each step of every history of a swarm.
+"""What holds at each step of every history of a swarm, and of every sequence of one robot.
 
-1. *No robot moves after a counted stop.* A robot that answers a stop or an emergency stop with
-   `applied` stands at that moment and loads nothing. It moves again only by a request that an
-   operator sent after the robot had obeyed that stop, or by a goal with `on_join: run` that was set
-   later than the stop. A robot refuses no stop that was issued later than its run began.
-2. *An answer of success is true.* `applied` to a run or resume: the pattern runs. To a reset: the
-   robot is not estopped, and the named latches are gone. To a goal: the robot holds it or a greater
-   one. To labels: it has them.
-3. *No robot moves by a goal that is too old.* A robot that joins does so within the goal's `valid`
-   and `seconds`, counted from the moment at which its operator set it (AGE_SHIFT beside it), and
-   the goal is later than each stop, emergency stop and reset that the robot has obeyed, in this
-   life and in the earlier ones whose disk it has kept; and than each stop of all robots that was
-   obeyed by the robot from which it learned of the goal.
-4. *Ten seconds after all is healed the robots agree.* All hold the same goal and the same
-   swarm-wide latches. A robot is estopped exactly if it holds a latch. A robot runs its own goal,
-   or was asked for a run without one after it came.
-5. *No run ends without a cause*: its end has a reason, and a line among the robot's events. A
-   stop ends no run that was asked for after it was issued, and makes no goal to stand that follows
-   a goal which was set later. (Of two goals, the greater one ends the run of the other.)
-6. *No latch is lost.* A latch goes with a reset that names it, or with the disk. *None comes
-   back*: what was reset is held again only by the operator's own copy of the emergency stop, or by
-   an older disk.
-7. *What is over is not handed on*: a robot relays no stop beyond its minute, no emergency stop that
-   it has reset, and no stop of all that is older than the run of all whose goal it holds.
-8. *No storms*: a robot sends at most MAX_SENT datagrams within a second.
-9. *Goals never go back*: the order of the goal that a robot holds, and of its own one, never falls
-   within one life.
-10. *A robot commands its base in `running` alone*: zero in each other state.
-11. *No exception*: no code of a robot, a peer or an operator raises one, or logs one as an error.
-12. *A message of a program is none of a robot*: no robot takes one in the name of a robot that it
-   knows, or more of a sender on a channel within a second than the limits allow.
-13. *A pose that stands still moves no robot far*: while the tracker of a fenced robot tells one
-   place, the robot drives at most STANDING_WAY by one request of an operator.
-14. *A robot that knows a stop stands until a request that was typed later*: a run whose request (or
-   goal, of a robot that joins) was typed before a stop of which the robot was told does not go on.
-15. *A base that comes back moves nothing by itself*: a robot commands no motion to a lost base, and
-   after a loss of more than LOSS_TIME only by a run that began after it.
+`RULES` has the rules: each with its name, a sentence for people, and the functions that judge
+histories. The judges of sequences (`tests/sequences`) carry these names, too. What the sentences
+leave open:
+
+- `stopped`: a robot that answers a stop or an emergency stop with `applied` stands at that moment
+  and loads nothing. It moves again only by a request that an operator sent after the robot had
+  obeyed that stop, or by a goal with `on_join: run` that was set later than the stop. A robot
+  refuses no stop that was issued later than its run began.
+- `answer`: `applied` to a run or resume: the pattern runs. To a reset: the robot is not estopped,
+  and the named latches are gone. To a goal: the robot holds it or a greater one. To labels: it has
+  them.
+- `old_goal`: a robot that joins does so within the goal's `valid` and `seconds`, counted from the
+  moment at which its operator set it (AGE_SHIFT beside it), and the goal is later than each stop,
+  emergency stop and reset that the robot has obeyed, in this life and in the earlier ones whose
+  disk it has kept; and than each stop of all robots that was obeyed by the robot from which it
+  learned of the goal.
+- `agreement`: all hold the same goal and the same swarm-wide latches. A robot is estopped exactly
+  if it holds a latch. A robot runs its own goal, or was asked for a run without one after it came.
+- `cause`: the end has a reason, and a line among the robot's events. A stop ends no run that was
+  asked for after it was issued, and makes no goal to stand that follows a goal which was set later.
+  (Of two goals, the greater one ends the run of the other.)
+- `latch`: a latch goes with a reset that names it, or with the disk. What was reset is held again
+  only by the operator's own copy of the emergency stop, or by an older disk.
+- `handed_on`: a robot relays no stop beyond its minute, no emergency stop that it has reset, and no
+  stop of all that is older than the run of all whose goal it holds.
+- `storm`: at most MAX_SENT datagrams.
+- `program`: no robot takes a message in the name of a robot that it knows, or more of a sender on a
+  channel within a second than the limits allow.
+- `still_pose`: at most STANDING_WAY by one request of an operator.
+- `lost_base`: after a loss of more than LOSS_TIME only a run that began after it moves the robot.
 
 The time that a stop is on its way adds nothing to its age: no clocks are compared. So it may seem
 later than it was, by the delay of each of its hops, and never earlier: in doubt it acts. So does
 that of a Zenoh program by the time for which its query waits in a daemon that stalls, since a query
 has no stamp of its arrival. A request may seem earlier than it was, by the way of the beacon by
-which its operator knows the clock of the robot. Rules 5 and 7 count these times (`_unseen_by`,
-`_unseen_age`).
+which its operator knows the clock of the robot. The rules `cause` and `handed_on` count these times
+(`_unseen_by`, `_unseen_age`).
 
 A robot that starts with an empty or an older disk has forgotten what it obeyed: it counts as a new
-robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
+robot for the rules `stopped` and `old_goal`, and is bound by what its peers tell before it is
+ready.
 """
 
 from __future__ import annotations
 
+import logging
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from swarmd.core.errors import CoreFault
 from swarmd.core.goal import Goal, GoalState
 from swarmd.core.message_limits import CHANNEL_BURST, CHANNEL_RATE
 from swarmd.core.messages import Code, Reason, Reply, State
@@ -69,7 +69,9 @@ from swarmd.core.verbs import (
 from swarmd.network.datagram import Datagram, Stop
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_relay import LIFETIME
-from tests.histories.swarm import MOST_DELAY, Cause, VirtualDaemon, VirtualSwarm
+
+if TYPE_CHECKING:  # the sequences of one robot need no network
+    from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
 
 AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
 LATE = 25.0  # s for which an operator repeats a stop
@@ -77,13 +79,16 @@ HEAL_TIME = 10.0  # s
 STANDING_WAY = 0.25  # m
 ROUNDING = 0.005  # s: a stop counts its age in ms, rounded by each robot that hands it on
 LOSS_TIME = 3.5  # s: a hold ends a run after 2 s, and the daemon may stall for 1 s meanwhile
+HISTORIES = 10_200
+"""Random histories: 100 in `make test`, the others in `make evidence`."""
 MAX_SENT = 300  # datagrams of one robot within a second
 
 
 class BrokenRuleError(AssertionError):
-    """A rule does not hold; `rule`: its number."""
+    """A rule does not hold; `rule`: its name in `RULES`."""
 
-    def __init__(self, rule: int, text: str) -> None:
+    def __init__(self, rule: str, text: str) -> None:
+        assert rule in RULES, f"{rule} is no rule"
         super().__init__(f"rule {rule}: {text}")
         self.rule = rule
 
@@ -133,7 +138,7 @@ class Invariants:
     # Steps
 
     def on_event(self, daemon: VirtualDaemon) -> None:
-        """Rules 1, 3, 5, 6, 9 and 14."""
+        """Rules `stopped`, `old_goal`, `cause`, `latch`, `order` and `later_run`."""
         known = self._of(daemon)
         robot = daemon.robot
         self._check_order(daemon, known)
@@ -156,23 +161,26 @@ class Invariants:
         known.was_running, known.state = is_running, robot.state
 
     def on_twist(self, daemon: VirtualDaemon) -> None:
-        """Rules 10, 13 and 15."""
+        """Rules `zero`, `still_pose` and `lost_base`."""
         known = self._of(daemon)
         if not daemon.robot.is_running:
-            raise BrokenRuleError(10, f"{daemon.name} is {daemon.robot.state} and moves its base")
+            raise BrokenRuleError(
+                "zero", f"{daemon.name} is {daemon.robot.state} and moves its base"
+            )
         if daemon.told_x is not None and daemon.told_way > STANDING_WAY:
             text = f"{daemon.name} drives {daemon.told_way:.2f} m by a pose that stands still"
-            raise BrokenRuleError(13, text)
+            raise BrokenRuleError("still_pose", text)
         if not daemon.is_base_up:
-            raise BrokenRuleError(15, f"{daemon.name} commands motion to a lost base")
+            raise BrokenRuleError("lost_base", f"{daemon.name} commands motion to a lost base")
         if known.was_running and known.began < known.barred:
             ago = self._swarm.now - known.barred
             raise BrokenRuleError(
-                15, f"{daemon.name} moves by a run of before the loss of its base {ago:.1f} s ago"
+                "lost_base",
+                f"{daemon.name} moves by a run of before the loss of its base {ago:.1f} s ago",
             )
 
     def on_base(self, daemon: VirtualDaemon) -> None:
-        """Rule 15: when the base was lost."""
+        """The rule `lost_base`: when the base was lost."""
         known = self._of(daemon)
         if not daemon.is_base_up:
             known.lost = self._swarm.now
@@ -180,7 +188,7 @@ class Invariants:
             known.barred = known.lost
 
     def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
-        """Rules 1 and 2."""
+        """Rules `stopped` and `answer`."""
         robot, known, now = daemon.robot, self._of(daemon), self._swarm.now
         if isinstance(request, StopRequest | EstopRequest):
             known.told = max(known.told, self._issued[request.id])
@@ -191,7 +199,7 @@ class Invariants:
             if robot.is_running or daemon.is_active:
                 what = "runs" if robot.is_running else "loads a pattern"
                 raise BrokenRuleError(
-                    1,
+                    "stopped",
                     f"{daemon.name} answers `{request.verb}` {request.id} with `applied`"
                     f" ({reply.text}) and {what}",
                 )
@@ -202,7 +210,7 @@ class Invariants:
             late = 0.0 if cause is None else self._wanted(cause) - issued
             if is_ended and late > AGE_SHIFT + self._unseen_by(daemon, request.id):
                 raise BrokenRuleError(
-                    5,
+                    "cause",
                     f"the run of {daemon.name} is ended by a stop that was issued"
                     f" {late:.1f} s before it",
                 )
@@ -211,35 +219,45 @@ class Invariants:
             if request.targets is None:
                 known.stopped_all = max(known.stopped_all, issued)
         elif isinstance(request, RunRequest | ResumeRequest) and not robot.is_running:
-            raise BrokenRuleError(2, f"{daemon.name} answers `{request.verb}` and does not run")
+            raise BrokenRuleError(
+                "answer", f"{daemon.name} answers `{request.verb}` and does not run"
+            )
         elif isinstance(request, ResetRequest):
             if known.state not in (State.IDLE, State.RUNNING):
                 known.reset = now
             if robot.state in (State.ESTOPPED, State.FAULTED) or robot.latches:
-                raise BrokenRuleError(2, f"{daemon.name} answers `reset` and is {robot.state}")
+                raise BrokenRuleError(
+                    "answer", f"{daemon.name} answers `reset` and is {robot.state}"
+                )
         elif isinstance(request, GoalRequest):
             held = robot.goal
             if held is None or held.goal.order < request.goal.order:
-                raise BrokenRuleError(2, f"{daemon.name} answers `goal` and does not hold it")
+                raise BrokenRuleError(
+                    "answer", f"{daemon.name} answers `goal` and does not hold it"
+                )
         elif isinstance(request, LabelRequest) and robot.labels != (request.labels or ()):
-            raise BrokenRuleError(2, f"{daemon.name} answers `label` and has other labels")
+            raise BrokenRuleError("answer", f"{daemon.name} answers `label` and has other labels")
 
     def on_send(self, daemon: VirtualDaemon, body: Datagram) -> None:
-        """Rules 7 and 8."""
+        """Rules `handed_on` and `storm`."""
         known = self._of(daemon)
         if self._swarm.now - known.since >= 1.0:
             known.since, known.sent = self._swarm.now, 0
         known.sent += 1
         if known.sent > MAX_SENT:
             kind = type(body).__name__
-            raise BrokenRuleError(8, f"{daemon.name} sends a storm, of {kind} and others")
+            raise BrokenRuleError("storm", f"{daemon.name} sends a storm, of {kind} and others")
         if not isinstance(body, Stop):
             return
         robot, name, issued = daemon.robot, daemon.name, self._issued[body.id]
         if self._swarm.now - issued > LIFETIME + LATE:
-            raise BrokenRuleError(7, f"{name} hands on a {body.verb} of {body.age / 1e3:.0f} s")
+            raise BrokenRuleError(
+                "handed_on", f"{name} hands on a {body.verb} of {body.age / 1e3:.0f} s"
+            )
         if body.verb == "estop" and body.id in robot.cleared and body.id not in robot.latches:
-            raise BrokenRuleError(7, f"{name} hands on the estop {body.id}, which was reset")
+            raise BrokenRuleError(
+                "handed_on", f"{name} hands on the estop {body.id}, which was reset"
+            )
         held = robot.goal
         if body.verb != "stop" or body.targets is not None or held is None:
             return
@@ -247,22 +265,26 @@ class Invariants:
         shift = AGE_SHIFT + self._unseen_age(body.hops - 1)
         if is_run_of_all and self._issued[held.goal.id] > issued + shift:
             raise BrokenRuleError(
-                7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
+                "handed_on", f"{name} hands on a stop of all, which is older than {held.goal.text}"
             )
 
     def on_program(self, daemon: VirtualDaemon, sender: str) -> None:
-        """Rule 12."""
+        """The rule `program`."""
         if sender in self._swarm.robots and daemon.knows(sender):
-            raise BrokenRuleError(12, f"{daemon.name} takes a message in the name of {sender}")
+            raise BrokenRuleError(
+                "program", f"{daemon.name} takes a message in the name of {sender}"
+            )
         taken = self._taken.setdefault((daemon.name, daemon.lives, sender), [])
         taken.append(self._swarm.now)
         most = CHANNEL_BURST + CHANNEL_RATE
         recent = [at for at in taken if self._swarm.now - at < 1.0]
         if len(recent) > most:
-            raise BrokenRuleError(12, f"{daemon.name} takes {len(recent)} messages of {sender}")
+            raise BrokenRuleError(
+                "program", f"{daemon.name} takes {len(recent)} messages of {sender}"
+            )
 
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
-        """Rule 3: what the robot that hands a goal on has obeyed."""
+        """The rule `old_goal`: what the robot that hands a goal on has obeyed."""
         giver = self._robots.get(source)
         self._given = found.goal.id, -1.0 if giver is None else giver.stopped_all
 
@@ -274,12 +296,13 @@ class Invariants:
         cause, name = daemon.cause, daemon.name
         assert cause is not None
         if known.held:
-            raise BrokenRuleError(1, f"{name} runs with the latches {sorted(known.held)}")
+            raise BrokenRuleError("stopped", f"{name} runs with the latches {sorted(known.held)}")
         if cause.request is not None:
             asked = self._issued.get(cause.request.id)
             if cause.at < known.obeyed or (asked is not None and asked < known.stopped):
                 raise BrokenRuleError(
-                    1, f"{name} runs by `{cause.request.verb}` of before the stop that it obeyed"
+                    "stopped",
+                    f"{name} runs by `{cause.request.verb}` of before the stop that it obeyed",
                 )
             known.stopped = known.reset = -1.0  # an operator wants it to run again
             return
@@ -290,19 +313,19 @@ class Invariants:
         limit = min(goal.valid or 0.0, goal.seconds or 1e9)
         if goal.on_join != "run" or age > limit + AGE_SHIFT:
             raise BrokenRuleError(
-                3, f"{name} joins {goal.text}, {age:.1f} s old, valid for {goal.valid} s"
+                "old_goal", f"{name} joins {goal.text}, {age:.1f} s old, valid for {goal.valid} s"
             )
         for what, at in (("stop", known.stopped), ("reset", known.reset)):
             if issued < at - AGE_SHIFT:
                 raise BrokenRuleError(
-                    3,
+                    "old_goal",
                     f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
                     f" {what} that it obeyed",
                 )
         given, stopped_all = self._given
         if given == goal.id and issued < stopped_all - AGE_SHIFT:
             raise BrokenRuleError(
-                3,
+                "old_goal",
                 f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
                 " the stop of all that its giver obeyed",
             )
@@ -314,7 +337,7 @@ class Invariants:
         if early > ROUNDING:
             what = "joined goal" if cause.request is None else f"`{cause.request.verb}`"
             raise BrokenRuleError(
-                14,
+                "later_run",
                 f"{daemon.name} runs by a {what} that was typed {early:.2f} s before a stop that"
                 " it knows",
             )
@@ -326,7 +349,7 @@ class Invariants:
         late = self._issued[request.id] - self._wanted(cause)
         if late > AGE_SHIFT:
             raise BrokenRuleError(
-                1,
+                "stopped",
                 f"{daemon.name} refuses the stop {request.id}, which is {late:.1f} s later than"
                 " its run, and goes on",
             )
@@ -344,22 +367,24 @@ class Invariants:
 
         The time counts from a request, which may seem too early by one way.
         """
-        return (hops + 2) * MOST_DELAY * self._swarm.slowest
+        return (hops + 2) * self._swarm.most_delay * self._swarm.slowest
 
     def _check_order(self, daemon: VirtualDaemon, known: _Memory) -> None:
         robot = daemon.robot
         order = tuple(one and one.order for one in (robot.goal, robot.goals.own))
         for before, now in zip(known.order, order, strict=True):
             if before is not None and (now is None or now < before):
-                raise BrokenRuleError(9, f"{daemon.name} goes back from goal {before} to {now}")
+                raise BrokenRuleError(
+                    "order", f"{daemon.name} goes back from goal {before} to {now}"
+                )
         known.order = order[0], order[1]
 
     def _check_end(self, daemon: VirtualDaemon) -> None:
         reason = daemon.robot.status(self._swarm.now).reason
         if reason is None:
-            raise BrokenRuleError(5, f"the run of {daemon.name} ends without a reason")
+            raise BrokenRuleError("cause", f"the run of {daemon.name} ends without a reason")
         if not self._is_logged(daemon, *Reason):
-            raise BrokenRuleError(5, f"no line tells why {daemon.name} ends: {reason}")
+            raise BrokenRuleError("cause", f"no line tells why {daemon.name} ends: {reason}")
 
     def _is_logged(self, daemon: VirtualDaemon, *reasons: Reason) -> bool:
         """True if the robot has recorded an event with one of these reasons just now."""
@@ -377,7 +402,7 @@ class Invariants:
         shift = AGE_SHIFT + self._unseen_by(daemon, goal.id)
         if late > shift and not isinstance(found, GoalRequest):
             raise BrokenRuleError(
-                5,
+                "cause",
                 f"{daemon.name} makes {goal.text} of a stop that was issued {late:.1f} s"
                 f" before {before.text}",
             )
@@ -386,12 +411,16 @@ class Invariants:
         lost, new = known.held - held, held - known.held
         cleared = set(daemon.robot.cleared)
         if not lost <= cleared:
-            raise BrokenRuleError(6, f"{daemon.name} lost the latches {sorted(lost - cleared)}")
+            raise BrokenRuleError(
+                "latch", f"{daemon.name} lost the latches {sorted(lost - cleared)}"
+            )
         request = daemon.event
         is_direct = isinstance(request, EstopRequest) and not request.is_relayed
         back = new & known.cleared
         if back and not is_direct:
-            raise BrokenRuleError(6, f"{daemon.name} holds {sorted(back)} again, which were reset")
+            raise BrokenRuleError(
+                "latch", f"{daemon.name} holds {sorted(back)} again, which were reset"
+            )
         for id in new:
             issued = self._issued.get(id, self._swarm.now)
             known.stopped = max(known.stopped, issued)
@@ -401,13 +430,13 @@ class Invariants:
         known.held, known.cleared = held, cleared
 
     def check_healed(self) -> None:
-        """Rule 4, ten seconds after all is healed."""
+        """The rule `agreement`, ten seconds after all is healed."""
         alive = [one for one in self._swarm.robots.values() if one.is_up]
         goals = {one.name: one.robot.goal for one in alive}
         contents = {name: None if held is None else held.content for name, held in goals.items()}
         if len(set(contents.values())) > 1:
             texts = {n: "none" if g is None else g.goal.text for n, g in goals.items()}
-            raise BrokenRuleError(4, f"the robots hold different goals: {texts}")
+            raise BrokenRuleError("agreement", f"the robots hold different goals: {texts}")
         for one in alive:
             self._check_state(one)
         self._check_spread(alive)
@@ -415,9 +444,11 @@ class Invariants:
     def _check_state(self, one: VirtualDaemon) -> None:
         robot, name = one.robot, one.name
         if (robot.state is State.ESTOPPED) != bool(robot.latches):
-            raise BrokenRuleError(4, f"{name} is {robot.state} with {len(robot.latches)} latches")
+            raise BrokenRuleError(
+                "agreement", f"{name} is {robot.state} with {len(robot.latches)} latches"
+            )
         if not one.is_settled:
-            raise BrokenRuleError(4, f"{name} is not ready")
+            raise BrokenRuleError("agreement", f"{name} is not ready")
         if not robot.is_running:
             return
         status = robot.status(self._swarm.now).goal
@@ -426,7 +457,7 @@ class Invariants:
             return
         if cause.goal_id != own.goal.id or status.state is not GoalState.RUNNING:
             raise BrokenRuleError(
-                4, f"{name} runs {cause.goal_id}, and its goal is {own.goal.text}"
+                "agreement", f"{name} runs {cause.goal_id}, and its goal is {own.goal.text}"
             )
 
     def _check_spread(self, alive: list[VirtualDaemon]) -> None:
@@ -436,7 +467,9 @@ class Invariants:
                     continue
                 for other in alive:
                     if id not in other.robot.latches and id not in other.robot.cleared:
-                        raise BrokenRuleError(6, f"{other.name} lacks the latch {id} of {one.name}")
+                        raise BrokenRuleError(
+                            "latch", f"{other.name} lacks the latch {id} of {one.name}"
+                        )
 
     def _of(self, daemon: VirtualDaemon) -> _Memory:
         known = self._robots.get(daemon.name)
@@ -448,3 +481,139 @@ class Invariants:
             known.was_running, known.runs, known.goal = False, None, None
             known.order = (None, None)
         return known
+
+
+class _Errors(logging.Handler):
+    """Keeps the error that a log has a traceback of."""
+
+    error: BaseException | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.exc_info and record.levelno >= logging.ERROR:
+            self.error = self.error or record.exc_info[1]
+
+
+@contextmanager
+def no_exception() -> Iterator[None]:
+    """Judge the rule `exception` in this block."""
+    errors, logger = _Errors(), logging.getLogger("swarmd")
+    logger.addHandler(errors)
+    try:
+        yield
+        if errors.error is not None:
+            raise errors.error
+    except BrokenRuleError:
+        raise
+    except (Exception, CoreFault) as error:
+        cause = error.__cause__ if isinstance(error, CoreFault) else error
+        if isinstance(cause, BrokenRuleError):  # within a request
+            raise cause from None
+        text = "".join(traceback.format_exception(cause or error))
+        raise BrokenRuleError("exception", text) from error
+    finally:
+        logger.removeHandler(errors)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A row of `RULES`. `sentence`: for people, in docs/safety.md.
+
+    `functions`: those that judge histories; empty: only sequences (`tests/sequences`) are judged.
+    """
+
+    name: str
+    sentence: str
+    functions: tuple[Callable[..., object], ...] = ()
+
+
+_ROWS = (
+    Rule(
+        "stopped",
+        "A robot that acknowledged a stop stands until a request that was typed later.",
+        (Invariants.on_reply, Invariants._check_begin, Invariants._check_refused),
+    ),
+    Rule(
+        "later_run",
+        "A robot that knows of a stop, also by others, does not go on with a run whose request was"
+        " typed before that stop.",
+        (Invariants._check_told,),
+    ),
+    Rule(
+        "late",
+        "Nothing late starts motion: no copy of a request, no older request, no late report of the"
+        " pattern host.",
+    ),
+    Rule(
+        "zero",
+        "Outside the state `running` a robot commands zero.",
+        (Invariants.on_twist,),
+    ),
+    Rule(
+        "answer",
+        "An answer counts only what is known: success means that it has happened, and rest that the"
+        " base was measured at rest.",
+        (Invariants.on_reply,),
+    ),
+    Rule(
+        "latch",
+        "An emergency stop is held until a reset that names it, and by nothing else it ends; what"
+        " was reset does not come back by others.",
+        (Invariants._check_latches, Invariants._check_spread),
+    ),
+    Rule(
+        "lost_base",
+        "A base or link that comes back moves nothing by itself.",
+        (Invariants.on_twist,),
+    ),
+    Rule(
+        "hold",
+        "While there is a reason to stand a robot commands zero; a run that stood for 2 s is over,"
+        " and so is one that a lift or a low battery ended.",
+    ),
+    Rule(
+        "old_goal",
+        "No robot joins a goal that is too old, or older than a stop or reset that it has obeyed.",
+        (Invariants._check_begin, Invariants.on_found),
+    ),
+    Rule(
+        "cause",
+        "No run ends without a cause that the robot names.",
+        (Invariants._check_end, Invariants._check_goal, Invariants.on_reply),
+    ),
+    Rule(
+        "exception",
+        "No code of a robot, a peer or an operator raises an exception, or logs one as an error.",
+        (no_exception,),
+    ),
+    Rule(
+        "agreement",
+        "Ten seconds after all is healed the robots agree.",
+        (Invariants.check_healed,),
+    ),
+    Rule(
+        "handed_on",
+        "What is over is not handed on.",
+        (Invariants.on_send,),
+    ),
+    Rule(
+        "storm",
+        "A robot sends at most 300 datagrams within a second.",
+        (Invariants.on_send,),
+    ),
+    Rule(
+        "order",
+        "The goal of a robot never goes back to an earlier one.",
+        (Invariants._check_order,),
+    ),
+    Rule(
+        "program",
+        "No robot takes a message of a program as one of a robot, or more than the limits allow.",
+        (Invariants.on_program,),
+    ),
+    Rule(
+        "still_pose",
+        "A pose that stands still moves no fenced robot farther than 25 cm.",
+        (Invariants.on_twist,),
+    ),
+)
+RULES: Mapping[str, Rule] = {rule.name: rule for rule in _ROWS}

@@ -236,6 +236,7 @@ class VirtualSwarm:
 
     def __init__(self, seed: int, *, is_secured: bool = False, is_fenced: bool = False) -> None:
         self.now = 1000.0
+        self.most_delay = MOST_DELAY
         self.is_secured, self.is_fenced = is_secured, is_fenced
         self.random = random.Random(seed)
         self.cuts: set[tuple[str, str]] = set()

@@ -1,8 +1,8 @@
 """Random histories of real daemons, of the same kinds as those of `tests/histories`.
 
-The bodies show whether a robot moves after a stop that was counted (rule 1 of
+The bodies show whether a robot moves after a stop that was counted (rule `stopped` of
 `tests/histories/invariants.py`), and the statuses whether the robots agree ten seconds after all is
-healed (rule 4).
+healed (rule `agreement`).
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class RealHistory:
             shutil.copytree(self._folder / "state", self._old)
 
     def check_standing(self) -> None:
-        """Rule 1."""
+        """The rule `stopped`."""
         moved = self._swarm.moved() & self.standing
         assert not moved, f"{sorted(moved)} move after a stop that was counted"
 
