@@ -29,7 +29,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
+.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite sequences
 .DELETE_ON_ERROR:
 
 help:
@@ -50,6 +50,7 @@ help:
 	@echo "make budget    each budget beside a short measurement, in two minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
+	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; an hour of two cores"
 	@echo "make evidence  long tests, then the five studies below; hours on two cores"
 	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
 	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; six minutes of a core"
@@ -126,6 +127,11 @@ evidence: $(VENV)/tools
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "evidence or hypothesis" \
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
 	@$(MAKE) --no-print-directory ARGS= outcomes paper voting tuning safety
+
+# Every sequence up to a length, judged by the rules of docs/safety.md; the same command resumes.
+# ARGS="robot events --depth 5" goes further, for some CPU-hours.
+sequences: kernels
+	@$(BIN)/python -m tests.sequences $(ARGS)
 
 check: static docs wheel bringup
 

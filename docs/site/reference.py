@@ -85,6 +85,8 @@ from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
 from swarmd.sim.world.scalar_fields import Field
 from swarmd.texts.values import short_number
 from swarmd.texts.why import SENTENCES
+from tests.histories.invariants import HISTORIES, RULES
+from tests.sequences.figures import read_figures
 
 ROOT = Path(__file__).resolve().parents[2]
 _PLATFORM = "waffle_pi"  # for defaults that depend on the robot
@@ -244,6 +246,36 @@ def mixed() -> Iterator[str]:
         )
     heads = ("platform", "scan plane [m]", "opaque [m]", "`surface_speed` [m/s]")
     yield _table((*heads, "assumes [m/s]", "does not see", "assumes less than the speed of"), rows)
+
+
+def rules() -> Iterator[str]:
+    """The rules of the tests, with the numbers of sequences and histories that judged each.
+
+    Then the searches through sequences.
+    """
+    figures = read_figures()
+    searches = [
+        (subject, name, found)
+        for subject, by_name in figures.items()
+        for name, found in by_name.items()
+    ]
+    rows = []
+    for rule in RULES.values():
+        count = sum(found.judged.get(rule.name, 0) for _, _, found in searches)
+        histories = f"{HISTORIES:,}" if rule.functions else "-"
+        rows.append((f"`{rule.name}`", rule.sentence, f"{count:,}" if count else "-", histories))
+    yield _table(("rule", "what holds", "sequences", "histories"), rows)
+    found_rows = [
+        (
+            f"{subject}, {name}",
+            f"{found.actions}",
+            f"{found.depth}",
+            f"{found.sequences:,}",
+            f"{found.violations:,}",
+        )
+        for subject, name, found in searches
+    ]
+    yield _table(("search", "actions", "longest", "sequences", "break a rule"), found_rows)
 
 
 def words() -> Iterator[str]:
@@ -585,6 +617,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "films": films,
     "platforms": platforms,
     "mixed": mixed,
+    "rules": rules,
     "words": words,
     "scenarios": scenarios,
     "metrics": metrics,

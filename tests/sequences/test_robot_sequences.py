@@ -1,0 +1,143 @@
+"""Every short sequence of commands and events on the real robot, and the faults that are found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.histories.invariants import RULES
+from tests.sequences.__main__ import main
+from tests.sequences.robot import ALPHABETS, Alphabet
+from tests.sequences.robot_faults import FAULTS, Fault
+from tests.sequences.robot_rules import JUDGES
+from tests.sequences.robot_world import ACTIONS, RobotWorld
+from tests.sequences.search import Head, Search, Tally
+
+# By hand: 8 + 64 + 512; and 24 first actions, of which six are hazards, that leave 19 of them.
+SEQUENCES = {"commands": 584, "events": 24 + 18 * 24 + 6 * 19}
+TESTED = {
+    "commands": {"zero", "stopped", "later_run", "late", "answer", "latch", "cause", "exception"},
+    "events": {
+        *("zero", "stopped", "later_run", "answer", "latch", "cause", "exception"),
+        *("lost_base", "hold", "old_goal"),
+    },
+}
+
+
+@pytest.mark.parametrize("name", ALPHABETS)
+def test_no_short_sequence_breaks_a_rule(name: str) -> None:
+    alphabet = ALPHABETS[name]
+    total = Search(RobotWorld, alphabet.choices, alphabet.short).run()
+    assert total.violations == []
+    assert total.sequences == SEQUENCES[name]
+    assert {*total.judged} == TESTED[name]
+
+
+def test_each_rule_is_judged_and_each_judge_has_a_rule() -> None:
+    judged = {judge.rule for judge in JUDGES}
+    assert judged <= RULES.keys()
+    assert {name for name, rule in RULES.items() if not rule.functions} <= judged
+    assert judged | {"exception"} == TESTED["commands"] | TESTED["events"]
+
+
+def test_the_alphabets_have_all_actions() -> None:
+    assert {name for one in ALPHABETS.values() for name in one.actions} == ACTIONS.keys()
+    assert {name: len(one.actions) for name, one in ALPHABETS.items()} == {
+        "commands": 8,
+        "events": 18,
+    }
+
+
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
+def test_the_shortest_sequence_that_shows_a_fault_is_found(
+    monkeypatch: pytest.MonkeyPatch, fault: Fault
+) -> None:
+    """Among those of the actions of the sequence and of two others."""
+    fault.plant(monkeypatch.setattr)
+    wanted = {"run", "clock_set", *(label.partition(":")[0] for label in fault.shortest)}
+    alphabet = Alphabet(tuple(name for name in ACTIONS if name in wanted), 0, 0)
+    found = Search(RobotWorld, alphabet.choices, len(fault.shortest)).shortest()
+    assert found is not None
+    assert (found.rule, found.labels) == (fault.rule, fault.shortest)
+
+
+def test_the_faults_break_all_rules_that_are_judged() -> None:
+    assert {fault.rule for fault in FAULTS.values()} == {judge.rule for judge in JUDGES}
+
+
+def test_a_fault_of_the_code_is_one_of_its_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(world: RobotWorld) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(RobotWorld, "copies", broken)
+    tally = Tally()
+    assert Search(RobotWorld, lambda labels: (), 0).replay(("run", "copy"), tally) == 2
+    assert [(one.rule, one.labels) for one in tally.violations] == [("exception", ("run", "copy"))]
+
+
+def test_a_replay_tells_what_is_broken_by_its_status(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["robot", "--replay", "run,stop"]) == 0
+    FAULTS["keep_run"].plant(monkeypatch.setattr)
+    assert main(["robot", "--replay", "run,stop"]) == 1
+    assert "--replay run,stop" in capsys.readouterr().out
+
+
+def test_an_unknown_subject_is_refused() -> None:
+    assert main(["robots"]) == 2
+
+
+class _Counter:
+    """A world that counts its actions, and breaks a rule at the third `a`."""
+
+    def __init__(self) -> None:
+        self._seen = ""
+
+    def act(self, label: str) -> None:
+        self._seen += label
+        assert self._seen.count("a") < 3, "three"
+
+    @property
+    def tested(self) -> frozenset[str]:
+        return frozenset({"zero"} if "a" in self._seen else ())
+
+    @property
+    def outcome(self) -> str:
+        return self._seen[-1]
+
+
+class TestSearch:
+    """The search itself, on a world of two letters."""
+
+    search = Search(_Counter, lambda labels: "ab", 4)
+
+    def test_it_visits_each_sequence_once_and_continues_none_that_breaks_a_rule(self) -> None:
+        """By hand: 2 + 4 + 8 sequences, then two for each of the 7 without a fault."""
+        total = self.search.run()
+        assert total.sequences == 2 + 4 + 8 + 2 * 7
+        broken = sorted("".join(one.labels) for one in total.violations)
+        assert broken == ["aaa", "aaba", "abaa", "baaa"]
+        assert total.judged == {"zero": (1 + 3 + 6 + 10)}
+        assert sum(total.outcomes.values()) == total.sequences - len(broken)
+
+    def test_it_goes_on_after_the_units_of_its_file(self, tmp_path: Path) -> None:
+        file, head = tmp_path / "units", Head("letters", 4, "1")
+        whole = self.search.run(file=file, head=head)
+        lines = file.read_bytes().splitlines(keepends=True)
+        assert len(lines) == 1 + 2 + 4
+        file.write_bytes(b"".join(lines[:4]) + lines[4][:20])
+        heard: list[int] = []
+        again = self.search.run(file=file, head=head, tell=lambda done, _: heard.append(done))
+        assert (again.sequences, again.judged) == (whole.sequences, whole.judged)
+        assert heard == [66, 83, 100]
+        self.search.run(
+            file=file, head=Head("letters", 4, "2"), tell=lambda done, _: heard.append(done)
+        )
+        assert len(heard) == 3 + 6
+
+    def test_the_shortest_is_the_first_one(self) -> None:
+        found = self.search.shortest()
+        assert found is not None
+        assert found.labels == ("a", "a", "a")
