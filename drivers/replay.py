@@ -239,7 +239,8 @@ def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]
     for message in recorded.messages:
         kind = _SCANS.get(message.topic)
         try:
-            input = reader.read(message)
+            recorded_input = reader.read(message)
+            input = None if recorded_input is None else recorded_input.input
             if recorded.fault and kind is not None and not reader.has_geometry(message.topic):
                 rounded = messages.message_on(message.topic, message.kind, message.payload)
                 input = kind(messages.scan_of(rounded, message.sequence, None))

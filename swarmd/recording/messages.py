@@ -59,15 +59,17 @@ OWN = {
     ),
     "Text": "std_msgs/Header header\nstring json",
     "Bytes": "std_msgs/Header header\nuint8[] data",
+    "Input": "std_msgs/Header header\nfloat64 now\nuint8[] data",
 }
 """The definitions of `swarmd_msgs`. NaN: not measured. `Text`: a value as JSON.
-`Bytes`: MessagePack that only a replay reads."""
+`Bytes`, `Input`: MessagePack that only a replay reads. `now`: s on the robot's clock."""
 
 
 _TYPES: Mapping[str, str] = {
     **{kind.__struct_config__.tag: TEXT for kind in get_args(SensorInput)},  # but for those below
     "status": TEXT,
-    **dict.fromkeys(("input", "memory"), "swarmd_msgs/msg/Bytes"),
+    "input": "swarmd_msgs/msg/Input",
+    "memory": "swarmd_msgs/msg/Bytes",
     **dict.fromkeys(("scan", "ranges"), LASER_SCAN),
     **dict.fromkeys(("scan/geometry", "ranges/geometry"), "swarmd_msgs/msg/ScanGeometry"),
     "odometry": ODOMETRY,
@@ -276,6 +278,15 @@ def text_message(json: str, stamp: float) -> Message:
 def bytes_message(data: bytes, stamp: float) -> Message:
     """Bytes in MessagePack that only a replay reads."""
     return CdrWriter().header(stamp, "").array(data).as_message("Bytes")
+
+
+def input_message(data: bytes, now: float, stamp: float) -> Message:
+    """The bytes of an input that the robot got at `now` s on its clock.
+
+    `now` is the float itself: the time of a message in ns is rounded, and one last bit of `now` may
+    change a last bit of a command.
+    """
+    return CdrWriter().header(stamp, "").doubles(now).array(data).as_message("Input")
 
 
 def log_message(text: str, robot: str, stamp: float) -> Message:

@@ -105,12 +105,12 @@ class Converter:
         try:
             input = events.decode_input(entry.data)
         except CodecError:  # a value exceeds its bound; a replay reports such an input
-            self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
+            self._write(entry, INPUT, messages.input_message(entry.data, entry.at, stamp))
             return
         if isinstance(input, events.ScanInput | events.RangesInput):
             self._scan(entry, input, stamp)
             return
-        self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
+        self._write(entry, INPUT, messages.input_message(entry.data, entry.at, stamp))
         self._for_viewers(entry, input, stamp)
 
     def _for_viewers(self, entry: frames.InputEntry, input: events.Input, stamp: float) -> None:
@@ -157,7 +157,7 @@ class Converter:
             self._write(entry, topic + GEOMETRY, messages.geometry_message(scan))
             data = events.encode_input(type(input)(frames.without_geometry(scan)))
         self._scans[topic] = scan
-        self._write(entry, INPUT, messages.bytes_message(data, stamp))
+        self._write(entry, INPUT, messages.input_message(data, entry.at, stamp))
         self._write(entry, topic, messages.scan_message(scan), scan.seq)
 
 

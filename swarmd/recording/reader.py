@@ -309,8 +309,8 @@ def _map(body: memoryview, place: int) -> Mapping[str, str]:
 def clock_of(about: Mapping[str, str], at: int) -> float:
     """The time on the robot's clock in s for the time `at` (ns) in its recording.
 
-    The result is equal to the bit to the value of `boottime` in the run, so that each deadline
-    falls into the same tick. `about`: the texts of the file. ConfigError if these texts do not give
+    The result is within 1 ns of the value of `boottime` in the run; an input has the value itself
+    (`inputs.TimedInput`). `about`: the texts of the file. ConfigError if these texts do not give
     the clock; texts have no checksum.
     """
     try:

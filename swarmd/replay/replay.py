@@ -195,7 +195,7 @@ class Replay:
         elif message.topic == "/decision":
             self._compare(messages.message_on(message.topic, message.kind, message.payload), now)
         elif input is not None:
-            self._step(input, now)
+            self._step(*input)
 
     def _step(self, input: Input, now: float) -> None:
         if isinstance(input, RequestInput):

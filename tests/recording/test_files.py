@@ -307,7 +307,7 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
         "/readings": "swarmd_msgs/msg/Readings",
         "/driver": "swarmd_msgs/msg/DriverState",
         "/memory": "swarmd_msgs/msg/Bytes",
-        "/input": "swarmd_msgs/msg/Bytes",
+        "/input": "swarmd_msgs/msg/Input",
         "/code": "swarmd_msgs/msg/Text",
         "/duplicate": "swarmd_msgs/msg/Text",
         "/roster": "swarmd_msgs/msg/Text",

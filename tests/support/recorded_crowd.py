@@ -1,0 +1,78 @@
+"""A crowd in lockstep, each robot recorded to a folder of its own, in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+from msgspec import structs
+
+from swarmd.core.events import Input
+from swarmd.recording import frames
+from swarmd.recording.head import RecordingHead
+from swarmd.recording.limits import FileLimits
+from swarmd.recording.process import Converter
+from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from tests.support.clocked_crowd import clocked_crowd
+from tests.support.recorded_stories import FileRecorder, head_at
+from tests.support.robot_harness import RobotHarness
+
+WALL = 1.7e9  # s since 1970 when the world begins
+
+
+class RecordedCrowd:
+    """Records each life of each robot from its first input on: `folder/tb3-01/tb3-01-00001.mcap`.
+
+    `active`: by robot, the count of inputs after which protection was active. `lives`: by robot.
+    """
+
+    def __init__(self, folder: Path, layers: Mapping[str, Mapping[str, Any]]) -> None:
+        self.active: dict[str, int] = {}
+        self.lives: dict[str, int] = {}
+        self._folder, self._layers = folder, layers
+        self.recorders: dict[tuple[str, str], FileRecorder] = {}  # by robot and instance
+
+    def take(self, robot: Robot, input: Input, now: float) -> Actions | None:
+        """Record an input of a robot, and step the robot."""
+        instance = robot._lifecycle.identity.instance
+        if (robot.id, instance) not in self.recorders:
+            self._begin(robot, instance, now)
+        actions = self.recorders[robot.id, instance].step(robot, input, now)
+        self.active[robot.id] += robot.decision.is_active
+        return actions
+
+    def _begin(self, robot: Robot, instance: str, now: float) -> None:
+        recorder = FileRecorder(self._folder / robot.id)
+        about = self._head(robot, instance).texts()
+        folder = str(self._folder / robot.id)
+        begin = frames.Begin(now, folder, robot.id, about, WALL + now, FileLimits())
+        recorder._converter, recorder.began, recorder._is_memory_due = Converter(begin), now, True
+        self.recorders[robot.id, instance] = recorder
+        self.lives[robot.id] = self.lives.get(robot.id, 0) + 1
+        self.active.setdefault(robot.id, 0)
+
+    def _head(self, robot: Robot, instance: str) -> RecordingHead:
+        story = SimpleNamespace(robot=robot, epoch=robot.epoch, on_low_battery=None)
+        head = head_at(cast("RobotHarness", story))
+        layers = {name: (("scenario", values),) for name, values in self._layers.items()}
+        return structs.replace(head, instance=instance, clock=f"clock of {robot.id}", layers=layers)
+
+    def finish(self) -> None:
+        """Finish all files."""
+        for recorder in self.recorders.values():
+            recorder.finish()
+
+
+def recorded_crowd(
+    folder: Path, scenario: dict[str, Any], seed: int, seconds: float, uptime: float
+) -> RecordedCrowd:
+    """Run and record a crowd; the clocks of all robots show `uptime` s at the beginning."""
+    recorded = RecordedCrowd(folder, scenario.get("parameters", {}))
+    with clocked_crowd(scenario_of(scenario), seed, recorded.take, uptime=uptime) as run:
+        run.advance(seconds)
+    recorded.finish()
+    return recorded
