@@ -198,10 +198,10 @@ class Replay:
             self._step(*input)
 
     def _step(self, input: Input, now: float) -> None:
-        if isinstance(input, RequestInput):
+        if isinstance(input, RequestInput) and not self._recalls:
             request = input.request
             if isinstance(request, StopRequest) and now - request.age < (self._begin or 0.0):
-                return  # a late copy of a request that was executed before the recording began
+                return  # a new robot does not know which requests were executed before
         if isinstance(input, HostInput) and isinstance(input.event, Stepped):
             self._compare_requested(input.event, now)
         with np.errstate(all="ignore"):  # a damaged memory may contain any numbers

@@ -148,6 +148,19 @@ def test_late_copies_of_stops_from_before_the_recording_change_no_replay(tmp_pat
     assert min(events) >= 1.7e18  # ns: the wall time at which the recording began
 
 
+def test_a_stop_that_was_on_its_way_when_the_recording_began_is_repeated(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.run("drive", speed=0.1)
+    story.recorder.begin(story.robot)
+    story.robot.advance(0.5)
+    story.robot.ask("stop", age=1.0)
+    story.robot.advance(1.0)
+    assert story.robot.robot.state is State.STOPPED
+    parity = story.replayed()
+    assert parity.safe.count > 20
+    assert parity.safe.is_equal
+
+
 @pytest.mark.parametrize("has_ring", [False, True])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_recording_begun_at_any_time_is_repeated_to_the_bit(
