@@ -23,7 +23,7 @@ import numpy as np
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
 from swarmd.core.events import HostInput, Input, RequestInput
-from swarmd.core.host_messages import KillHost, Load, Loaded, SentEvent, StartTrial, Stepped
+from swarmd.core.host_messages import KillHost, Load, Loaded, StartTrial, Stepped
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Platform, Twist
@@ -129,7 +129,7 @@ class Replay:
         self._steps_pattern = not recalls
         self._loader = PatternLoader({})
         self._executor = PatternExecutor(self._loader)
-        self._steps: deque[SentEvent] = deque()  # answers of the replayed pattern, oldest first
+        self._steps: deque[Stepped] = deque()  # answers of the replayed pattern, oldest first
         self._inputs = InputReader()
         self._begin: float | None = None  # time of the first message, s
         self.safe, self.requested = Compared(), Compared()
@@ -217,8 +217,11 @@ class Replay:
                 " a loss: what patterns request is compared from the next run on"
             )
             return
-        own = self._steps.popleft() if self._steps else None
-        if isinstance(own, Stepped):
+        # A step of an earlier load that the recorded host never answered, since it was killed.
+        while self._steps and self._steps[0].generation < event.generation:
+            self._steps.popleft()
+        if self._steps and self._steps[0].generation == event.generation:
+            own = self._steps.popleft()
             replayed, recorded = own.outputs.twist or ZERO, event.outputs.twist or ZERO
             self.requested.add(replayed, recorded, now - (self._begin or now))
         else:
@@ -235,7 +238,6 @@ class Replay:
             return
         if isinstance(command, Load):
             self._loader.begin(self._origins)
-            self._steps.clear()
         event = self._executor.handle(command)  # type: ignore[arg-type]
         if isinstance(command, Load) and event is not None and not isinstance(event, Loaded):
             self._note(f"the pattern {command.pattern} does not load here: {event}")

@@ -161,6 +161,24 @@ def test_a_stop_that_was_on_its_way_when_the_recording_began_is_repeated(tmp_pat
     assert parity.safe.is_equal
 
 
+def test_a_step_that_is_answered_after_the_next_load_is_compared(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.recorder.begin(story.robot)
+    story.run("random_walk")
+    story.robot.is_hung = True
+    story.robot.sent.clear()
+    while not story.robot.sent:
+        story.robot.advance(0.05)
+    (step,) = story.robot.sent
+    story.robot.ask("run", pattern="drive", params={"speed": 0.1})
+    story.robot.host_answers(step)
+    story.robot.is_hung = False
+    story.robot.host_answers(story.robot.sent[-1])
+    story.robot.advance(2.0)
+    assert story.robot.robot.state is State.RUNNING
+    assert_equal(story.replayed(), 60)
+
+
 @pytest.mark.parametrize("has_ring", [False, True])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_recording_begun_at_any_time_is_repeated_to_the_bit(
