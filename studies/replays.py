@@ -61,7 +61,7 @@ class RecordedSwarm(Swarm):
             file.write(text_of({"recording": recording, **self._more}))
         return command
 
-    def ask(self, verb: type, robots: Sequence[str], **words: Any) -> None:
+    def ask(self, verb: Any, robots: Sequence[str], **words: Any) -> None:
         """Request something of robots; a refusal is part of the recording."""
         self.operator.request(verb, self.operator.members().epochs(robots), **words)
 

@@ -291,7 +291,8 @@ def rerun(
     from swarmd.sim.experiments import rerun as rerunning
     from swarmd.sim.experiments.pool import STEP_TIMEOUT
 
-    for line in rerunning.warnings(folder, is_trusted=is_trusted):
+    known_differences = rerunning.warnings(folder, is_trusted=is_trusted)
+    for line in known_differences:
         warn(f"warning: {line}; results may differ")
     with signals_end(SIGTERM), progress() as on_progress:
         # The first difference of each run by the run's name; "" for an identical run.
@@ -308,7 +309,9 @@ def rerun(
             {"run": run, "identical": not difference, "why": difference}
             for run, difference in difference_by_run.items()
         ]
-        print_json("Rerun", {"folder": str(folder), "runs": listed})
+        print_json(
+            "Rerun", {"folder": str(folder), "differences": known_differences, "runs": listed}
+        )
     else:
         rows = [
             (run, f"differs: {difference}" if difference else "identical")
@@ -318,6 +321,9 @@ def rerun(
     identical_runs = [run for run, difference in difference_by_run.items() if not difference]
     is_complete = len(identical_runs) == len(difference_by_run)
     warn(f"{len(identical_runs)} of {len(difference_by_run)} runs are identical")
+    if not is_complete:
+        nothing = "nothing that the manifest names has changed, so something else has"
+        warn(f"likely cause: {next(iter(known_differences), nothing)}")
     ctx.exit(_exit_code(len(identical_runs), is_complete=is_complete))
 
 

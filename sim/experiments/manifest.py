@@ -24,8 +24,15 @@ from swarmd.sim.metrics.reported import PREFIXES
 
 NAME = "manifest.json"
 FORMAT = 1
-PROCESSOR = ("machine", "simd", "blas")
-"""The keys of `made_with` that depend on the processor, which changes last bits at most."""
+PROCESSOR = ("machine", "processor", "simd", "libm", "libc", "blas")
+"""The keys of `made_with` that depend on the machine, which changes last bits at most."""
+_CAUSES = ("code", "kernels", "mujoco", "numpy", "scipy", "python", "libm", "simd", "blas")
+"""Keys of `made_with`, the likeliest cause of other results first; others are hardly a cause."""
+_TEXTS = {
+    "code": "swarmd's code has changed",
+    "libm": "the C library's mathematical functions give other last bits here",
+    "simd": "the processor is another, with other instructions for numpy",
+}
 
 
 class _Format(msgspec.Struct):
@@ -206,17 +213,16 @@ def differences(old: Manifest, new: Manifest) -> Iterator[str]:
 
 
 def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
-    """A text for each difference of versions, code and plugins; each may change results."""
-    names = sorted({*old.made_with, *new.made_with})
-    for name in names:
-        was, now = old.made_with.get(name, "unknown"), new.made_with.get(name, "unknown")
-        if was != now and name in ("code", "simd"):
-            yield {"code": "swarmd's code has changed", "simd": "the processor is another"}[name]
-        elif was != now:
-            yield f"{name} was {was}, now {now}"
+    """A text for each difference of versions, code, plugins and machine, likeliest cause first."""
     for name in sorted({*old.plugins, *new.plugins}):
         if old.plugins.get(name) != new.plugins.get(name):
             yield f"plugin {name} has changed"
+    others = sorted({*old.made_with, *new.made_with} - set(_CAUSES))
+    for name in (*_CAUSES, *others):
+        was, now = old.made_with.get(name, "unknown"), new.made_with.get(name, "unknown")
+        if was != now:
+            is_known = name in old.made_with and name in _TEXTS
+            yield _TEXTS[name] if is_known else f"{name} was {was}, now {now}"
 
 
 def _report_units(plan: Plan) -> dict[str, str]:

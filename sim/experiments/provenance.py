@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import platform
+import struct
 import subprocess
 from collections.abc import Iterable, Iterator, Set
+from contextlib import suppress
 from importlib.machinery import all_suffixes
 from importlib.metadata import version
 from pathlib import Path
@@ -26,6 +29,7 @@ The folders of others may have these names, too, and are then imported: they are
 
 _SUFFIXES = tuple(all_suffixes())  # of source, compiled code and extension modules
 _GIT_SECONDS = 10.0
+_LIBM_ARGUMENTS = 400
 
 
 class GitState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,8 +43,8 @@ def made_with() -> dict[str, str]:
     """Versions of the software and processor features that results depend on, by name.
 
     `code` is the digest of swarmd's sources. `simd`: the instruction sets that numpy uses on this
-    processor; they change the last bits of results. `blas`: OPENBLAS_CORETYPE, which overrides
-    OpenBLAS's own choice by processor.
+    processor; they change the last bits of results. `libm`: `digest_of_libm`. `blas`:
+    OPENBLAS_CORETYPE, which overrides OpenBLAS's own choice by processor.
     """
     import mujoco
     import numpy as np
@@ -54,11 +58,39 @@ def made_with() -> dict[str, str]:
         "scipy": version("scipy"),
         "msgspec": msgspec.__version__,
         "kernels": describe_kernels(),
+        "libc": " ".join(platform.libc_ver()).strip() or "unknown",
+        "libm": digest_of_libm(),
         "machine": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
         "simd": " ".join((*simd.get("baseline", ()), *simd.get("found", ()))),
         "blas": os.environ.get("OPENBLAS_CORETYPE") or "as the processor is",
         "code": digest_of_code(Path(swarmd.__file__).parent),
     }
+
+
+def digest_of_libm() -> str:
+    """8 hex digits of what the C library's mathematical functions give for fixed arguments.
+
+    The C library has variants of these functions for processors with and without FMA, which give
+    other last bits, and chooses by the processor and by GLIBC_TUNABLES. The digest shows a choice
+    whatever made it.
+    """
+    arguments = [0.0137 * k for k in range(1, _LIBM_ARGUMENTS)]
+    functions = (math.sin, math.cos, math.tan, math.atan, math.exp, math.log)
+    values = [function(x) for function in functions for x in arguments]
+    values += [math.atan2(x, 1.7) for x in arguments]
+    values += [math.pow(x, 1.3) for x in arguments]
+    return hashlib.sha256(struct.pack(f"<{len(values)}d", *values)).hexdigest()[:8]
+
+
+def _processor(facts: Path = Path("/proc/cpuinfo")) -> str:
+    """The name of the processor; unknown if the system does not tell."""
+    with suppress(OSError):
+        for line in facts.read_text().splitlines():
+            key, _, value = line.partition(":")
+            if key.strip() == "model name":
+                return value.strip()
+    return "unknown"
 
 
 def digest_of_code(folder: Path) -> str:

@@ -10,6 +10,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import (
@@ -30,8 +32,9 @@ from swarmd.sim.trace import Trace
 
 
 def warnings(folder: Path, *, is_trusted: bool = False) -> list[str]:
-    """A text for each difference between the manifest's software and the present software.
+    """A text for each difference between the manifest's software and machine and the present ones.
 
+    The likeliest cause of other results is first.
     ConfigError if `folder` is no experiment. ConfigError also if a Python file that the manifest
     names is new, has changed or has never been run by this user, unless `is_trusted`.
     """
@@ -84,6 +87,46 @@ def trace_differences(a: Trace, b: Trace) -> list[str]:
     return [name for name in names if _bits(getattr(a, name)) != _bits(getattr(b, name))]
 
 
+def first_difference(a: Trace, b: Trace) -> str:
+    """The first instant at which two traces differ, with the fields that differ then.
+
+    Such as `first at 3.40 s: safe, gap of tb3-02`: the robot is the first one in the first field.
+    Empty if no field by instant and robot differs.
+    """
+    count = min(len(a.t), len(b.t))
+    # By field: the bytes that differ (count, bytes of an instant).
+    differing = {}
+    of_b = _by_instant(b)
+    for name, was in _by_instant(a).items():
+        now = of_b.get(name)
+        if now is not None and (now.dtype, now.shape[1:]) == (was.dtype, was.shape[1:]):
+            differing[name] = _octets(was[:count]) != _octets(now[:count])
+    instants = {
+        name: int(rows.any(axis=1).argmax()) for name, rows in differing.items() if rows.any()
+    }
+    if not instants:
+        return ""
+    first = min(instants.values())
+    names = [name for name, instant in instants.items() if instant == first]
+    row = differing[names[0]][first]
+    robot = a.ids[int(row.argmax()) * len(a.ids) // len(row)]
+    return f"first at {a.t[first]:.2f} s: {', '.join(names)} of {robot}"
+
+
+def _by_instant(trace: Trace) -> dict[str, NDArray[Any]]:
+    """The (T, n, ...) arrays of a trace by name: what robots do, then where they are."""
+    names = ("requested", "safe", "gap", "bound", "state", "reason", "active", "pose")
+    arrays = {name: getattr(trace, name) for name in names}
+    arrays |= {f"report:{name}": values for name, values in trace.report.items()}
+    arrays |= {f"reading:{name}": values for name, values in trace.readings.items()}
+    return {name: values for name, values in arrays.items() if values is not None}
+
+
+def _octets(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """The bytes of (T, ...) values as (T, bytes of an instant)."""
+    return np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1)
+
+
 def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
     """The manifest of the same runs, with the present software.
 
@@ -119,7 +162,7 @@ def _difference(
     except SwarmError:  # not kept, removed or damaged: the metrics alone are compared
         return f"metrics: {differing_metrics}" if differing_metrics else ""
     if differing_fields := ", ".join(trace_differences(*traces)):
-        return f"trace: {differing_fields}"
+        return "; ".join(filter(None, (f"trace: {differing_fields}", first_difference(*traces))))
     return f"metrics of the same trace: {differing_metrics}" if differing_metrics else ""
 
 

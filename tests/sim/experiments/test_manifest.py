@@ -42,8 +42,9 @@ def test_comes_back_as_it_was_and_gives_the_same_runs(manifest: Manifest, tmp_pa
 
 def test_says_what_it_was_made_with(manifest: Manifest, duo: Path) -> None:
     made = manifest.made_with
-    names = "swarmd python numpy mujoco scipy msgspec kernels machine simd blas code"
-    assert set(made) == set(names.split())
+    names = "swarmd python numpy mujoco scipy msgspec kernels code"
+    machine = "machine processor libc libm simd blas"
+    assert set(made) == {*names.split(), *machine.split()}
     assert all(made.values())
     assert list(manifest.plugins) == [f"{duo.parent}/plugins/moody.py"]
     assert manifest.git["scenario"] is None
@@ -99,7 +100,10 @@ def test_what_is_no_manifest_is_one_line(tmp_path: Path, data: bytes | None) -> 
         ({"variants": []}, "the scenario's contents"),
         ({"made_with": {"numpy": "1.0"}}, "numpy"),
         ({"made_with": {"code": "1.0"}}, "swarmd's code"),
-        ({"made_with": {"simd": "1.0"}}, "the processor"),
+        ({"made_with": {"simd": "1.0"}}, "instructions for numpy"),
+        ({"made_with": {"libm": "0"}}, "the C library's mathematical functions"),
+        ({"made_with": {"libc": "glibc 2.1"}}, ", now glibc 2.1"),
+        ({"made_with": {"processor": "Z80"}}, ", now Z80"),
         ({"made_with": {"new": "1.0"}}, "new was unknown, now 1.0"),
     ],
 )
@@ -110,6 +114,20 @@ def test_differences_are_reported(
         changes = {"made_with": {**manifest.made_with, **changes["made_with"]}}
     (found,) = differences(manifest, msgspec.structs.replace(manifest, **changes))
     assert subject in found
+
+
+def test_the_likeliest_cause_of_other_results_comes_first(manifest: Manifest) -> None:
+    changed = dict.fromkeys(("blas", "libm", "machine", "mujoco", "code"), "x")
+    new = msgspec.structs.replace(manifest, made_with={**manifest.made_with, **changed}, plugins={})
+    found = [text.split()[0] for text in differences(manifest, new)]
+    assert found == ["plugin", "swarmd's", "mujoco", "the", "blas", "machine"]
+
+
+def test_what_an_older_manifest_does_not_tell_is_unknown(manifest: Manifest) -> None:
+    told = {name: text for name, text in manifest.made_with.items() if name != "libm"}
+    old = msgspec.structs.replace(manifest, made_with=told)
+    (found,) = differences(old, manifest)
+    assert found == f"libm was unknown, now {manifest.made_with['libm']}"
 
 
 @pytest.mark.parametrize("value", [float("inf"), float("nan"), {1, 2}, object()])

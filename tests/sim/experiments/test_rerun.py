@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.experiments.rerun import rerun, trace_differences, warnings
+from swarmd.sim.experiments.rerun import first_difference, rerun, trace_differences, warnings
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.experiments.trust import check_code
@@ -60,7 +60,7 @@ def test_each_other_bit_is_reported_even_without_the_scenario(
     before = stamps(results.folder)
     assert again(results, tmp_path) == {
         "s0000": "",
-        "s0001": "trace: pose",
+        "s0001": f"trace: pose; first at 0.60 s: pose of {trace.ids[0]}",
         "s0002": "metrics of the same trace: minimum_gap",
         "s0003": "metrics: minimum_gap",
     }
@@ -154,3 +154,20 @@ def test_traces_differ_in_values_types_and_words(results: Results) -> None:
         (dataclasses.replace(trace, report={"x": trace.t}), ["report"]),
     ):
         assert trace_differences(trace, other) == names
+
+
+def test_the_first_instant_that_differs_is_told_with_its_fields_and_robot(results: Results) -> None:
+    trace = results.traces[0]
+    assert trace.requested is not None
+    pose, safe, requested = trace.pose.copy(), trace.safe.copy(), trace.requested.copy()
+    pose[4, 1, 2] = np.nextafter(pose[4, 1, 2], np.inf)
+    safe[6, 0, 0] += 1.0
+    requested[4, 0, 1] = -0.0 if requested[4, 0, 1] == 0.0 else -requested[4, 0, 1]
+    other = dataclasses.replace(trace, pose=pose, safe=safe)
+    assert first_difference(trace, other) == f"first at {trace.t[4]:.2f} s: pose of {trace.ids[1]}"
+    other = dataclasses.replace(other, requested=requested)
+    both = f"first at {trace.t[4]:.2f} s: requested, pose of {trace.ids[0]}"
+    assert first_difference(trace, other) == both
+    shorter = dataclasses.replace(other, t=trace.t[:4], pose=pose[:4], safe=safe[:4])
+    assert first_difference(trace, dataclasses.replace(shorter, requested=requested[:4])) == ""
+    assert first_difference(trace, dataclasses.replace(trace, ids=("a", "b"))) == ""
