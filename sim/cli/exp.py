@@ -104,9 +104,6 @@ def exp() -> None:
 @click.option(
     "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
 )
-@click.option(
-    "--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask cluster: tcp://HOST:8786."
-)
 @click.option("--no-traces", is_flag=True, help="Keep only metrics; fewer plots are possible.")
 @_metrics
 @output_option
@@ -122,7 +119,6 @@ def run(
     timeout: float | None,
     out: Path | None,
     shard: str | None,
-    scheduler: str | None,
     no_traces: bool,
     metrics: str | None,
     is_json: bool,
@@ -133,18 +129,13 @@ def run(
     raised an error counts as failed here, and its results are kept. Before several runs with a
     pattern of a file, the first second of the first run is tried.
     """
-    # 1. Options that contradict each other, and libraries.
+    # 1. Libraries.
     need("mujoco")
     from swarmd.sim.cli.progress import progress, time_span
     from swarmd.sim.experiments.manifest import manifest_of, plugin_folders
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
     from swarmd.sim.experiments.simulate import check_first_second, plan_of, run_experiment
     from swarmd.sim.metrics.catalog import beyond_catalog
-
-    if scheduler is not None and cores is not None:
-        raise ConfigError("--cores is for runs on this machine; leave it out with --scheduler")
-    if scheduler is not None:
-        need("distributed", extra="sim,plot,cluster")
 
     # 2. The metrics to show (None: a default choice), and the plan of all runs.
     chosen = chosen_metrics(metrics)
@@ -175,7 +166,6 @@ def run(
             "--jobs": jobs,
             "--cores": cores,
             "--shard": shard,
-            "--scheduler": scheduler,
             "--out": folder,
             "--no-traces": no_traces,
             # The metrics of the catalog are measured without the option.
@@ -194,15 +184,11 @@ def run(
     # 4. The runs.
     start_time = time.monotonic()
     try:
-        with (
-            signals_end(SIGTERM),
-            workers(scheduler, jobs, timeout, manifest, cores=cores or 1) as (runner, run_manifest),
-            progress() as on_progress,
-        ):
+        with signals_end(SIGTERM), progress() as on_progress:
+            runner = workers(jobs, timeout, cores or 1)
             if plan.runs[1:] and plugin_folders(plan):
                 check_first_second(plan, runner)
-            # `run_manifest` names the software and processors of the workers.
-            results = run_experiment(run_manifest, folder, runner, on_progress=on_progress)
+            results = run_experiment(manifest, folder, runner, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
         _tell_how_to_resume(folder, plan, command)
         raise

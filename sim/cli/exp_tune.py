@@ -6,7 +6,6 @@ import itertools
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from signal import SIGTERM
@@ -108,9 +107,6 @@ _MIN_VALUES = 8  # characters of the values of a candidate in one column
     help="A run without progress for this time has failed [60].",
 )
 @out_option("Folder of the tuning; an interrupted one in it resumes [experiments/SCENARIO-tune-N].")
-@click.option(
-    "--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask cluster: tcp://HOST:8786."
-)
 @output_option
 def tune(
     scenario: str,
@@ -126,7 +122,6 @@ def tune(
     jobs: int | None,
     timeout: float | None,
     out: Path | None,
-    scheduler: str | None,
     is_json: bool,
 ) -> None:
     """Search values of parameters of SCENARIO with the best mean of a metric.
@@ -140,8 +135,6 @@ def tune(
     from swarmd.sim.experiments import tune as tuning
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets
 
-    if scheduler is not None:
-        need("distributed", extra="sim,plot,cluster")
     tuning.split_metric(metric)  # a fault of the metric must not leave an empty folder
     names = (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
     folder = out or new_folder(Path("experiments"), names)
@@ -163,7 +156,7 @@ def tune(
                 pseudo_reality=pseudo_reality,
                 candidates=candidates,
                 out=folder,
-                workers=partial(workers, scheduler, jobs, timeout),
+                runner=workers(jobs, timeout),
                 on_note=lambda note: warn(f"note: {note}"),
                 on_look=on_look,
                 on_step=on_step,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -23,7 +23,6 @@ from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from swarmd.sim.experiments.manifest import Manifest
     from swarmd.sim.experiments.simulate import Runner
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.metrics.metric import Metric
@@ -251,34 +250,18 @@ def warn_of_few(counts: Iterable[int]) -> None:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
 
 
-@contextmanager
-def workers(
-    scheduler: str | None,
-    jobs: int | None,
-    timeout: float | None,
-    manifest: Manifest,
-    *,
-    cores: int = 1,
-) -> Iterator[tuple[Runner, Manifest]]:
-    """Yield a function that does the runs of `manifest`, and the manifest to store with the runs.
+def workers(jobs: int | None, timeout: float | None, cores: int = 1) -> Runner:
+    """A function that does runs in worker processes, each run on `cores` cores.
 
-    The workers are processes of this machine, each run on `cores` cores, or the workers of the Dask
-    cluster at `scheduler`. The manifest to store names the software and processors of the workers.
     `jobs`: runs at a time; None: as many as there are cores for. `timeout`: s without progress
     after which a run fails; None: STEP_TIMEOUT.
     """
     from swarmd.sim.experiments.cores import usable_cores
     from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 
-    step_timeout = STEP_TIMEOUT if timeout is None else timeout
-    if scheduler is None:
-        processes = jobs or max(1, usable_cores() // cores)
-        yield partial(run_jobs, processes=processes, timeout=step_timeout, cores=cores), manifest
-        return
-    from swarmd.sim.experiments.cluster import connect
-
-    with connect(scheduler, manifest, step_timeout, warn, jobs) as cluster:
-        yield cluster.run_jobs, cluster.manifest
+    processes = jobs or max(1, usable_cores() // cores)
+    seconds = STEP_TIMEOUT if timeout is None else timeout
+    return partial(run_jobs, processes=processes, timeout=seconds, cores=cores)
 
 
 def new_folder(base: Path, names: Iterable[str]) -> Path:

@@ -37,8 +37,8 @@ def measured_cost(folder: Path) -> Cost:
     """The wall time per robot-second on one core here: medians of recorded runs in `folder`.
 
     Only the newest experiments are read. Experiments made with other software, on another
-    processor, with `--cores` or on a cluster are left out, since their times do not hold for one
-    core of this machine. Without any recorded run, a short simulation measures the cost.
+    processor or with `--cores` are left out, since their times do not hold for one core of this
+    machine. Without any recorded run, a short simulation measures the cost.
     """
     software = made_with()
     costs_of: dict[str, list[float]] = {}  # s of wall time per robot-second of runs, by scenario
@@ -46,8 +46,7 @@ def measured_cost(folder: Path) -> Cost:
     for path in manifests[:_NEWEST]:
         try:
             manifest = read_manifest(path.parent)
-            used_other_cores = any(arg in ("--cores", "--scheduler") for arg in manifest.command)
-            if manifest.made_with != software or used_other_cores:
+            if manifest.made_with != software or "--cores" in manifest.command:
                 continue
             plan = manifest.plan
             _, rows = read_table(path.parent, plan)  # by run id

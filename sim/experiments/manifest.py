@@ -123,7 +123,10 @@ def manifest_of(
             "swarmd": git_state(Path(swarmd.__file__).resolve().parent),
             "scenario": git_state(scenario_file.resolve().parent) if is_file else None,
         },
-        plugins={**digests_of_folders(plugin_folders(plan)), **digests_of_metrics(custom)},
+        plugins={
+            **digests_of_folders(plugin_folders(plan)),
+            **{metric.origin: metric.digest for metric in custom if metric.digest},
+        },
         variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
         shard=plan.shard,
         metrics=[_entry(metric) for metric in custom],
@@ -151,11 +154,6 @@ def _entry(metric: Metric) -> OwnMetric:
     """
     entry = msgspec.convert(metric, OwnMetric, from_attributes=True)
     return msgspec.structs.replace(entry, origin=entry.origin or entry.name)
-
-
-def digests_of_metrics(metrics: Iterable[Metric]) -> dict[str, str]:
-    """The digests of the code of custom metrics, by origin."""
-    return {metric.origin: metric.digest for metric in metrics if metric.digest}
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -255,11 +253,6 @@ def joined(a: Manifest, b: Manifest) -> Manifest:
     """The manifest `a`, with the processors of both manifests."""
     both = {name: " or ".join(sorted({*_either(a, name), *_either(b, name)})) for name in PROCESSOR}
     return msgspec.structs.replace(a, made_with={**a.made_with, **both})
-
-
-def software_conflict(a: Manifest, b: Manifest) -> str | None:
-    """The first difference of software, processors left out; None if there is no difference."""
-    return next(software_differences(joined(a, b), joined(b, a)), None)
 
 
 def _either(manifest: Manifest, name: str) -> list[str]:

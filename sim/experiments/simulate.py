@@ -67,7 +67,7 @@ OnProgress: TypeAlias = Callable[[Progress], None]
 """Called after each run, and several times a second while runs report progress."""
 
 Runner: TypeAlias = Callable[[Sequence[Job]], Generator[JobResult | Shares, None, None]]
-"""Does jobs in this process, in worker processes or on a cluster: results as they arrive."""
+"""Does jobs in this process, in worker processes or elsewhere: results as they arrive."""
 
 
 def simulate(

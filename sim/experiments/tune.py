@@ -31,7 +31,6 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from importlib.util import find_spec
@@ -171,10 +170,6 @@ class Look:
 
 
 OnLook: TypeAlias = Callable[[Look], None]
-Workers: TypeAlias = Callable[[Manifest], AbstractContextManager[tuple[Runner, Manifest]]]
-"""Connects to workers outside of this process, for runs with the software of a manifest.
-
-The context gives the function that does runs there, and the manifest of the workers' software."""
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -274,7 +269,7 @@ def tune(
     jobs: int = 1,
     timeout: float = STEP_TIMEOUT,
     out: str | Path | None = None,
-    workers: Workers | None = None,
+    runner: Runner | None = None,
     on_note: Callable[[str], object] = str,
     on_look: OnLook | None = None,
     on_step: Callable[[str], object] = str,
@@ -304,7 +299,7 @@ def tune(
     - `out`: the folder of the tuning. A repeated call with this folder and equal arguments
       continues an interrupted tuning. Without `out` the results lie in a temporary folder, which is
       deleted with the returned object or on an error.
-    - `workers`: does the runs on other machines, in place of processes of this machine.
+    - `runner`: does the runs in place of `jobs` worker processes.
     - `on_note`: called with a line for each parameter that is not tuned.
     - `on_look`: called after each block of seeds of a race, with the state of the tuning.
     - `on_step`: called with a line before each race and each set of held-out runs.
@@ -328,6 +323,7 @@ def tune(
         )
     loaded = load_scenario(str(scenario), set)
     loaded.starts(race_seeds[0])  # ConfigError if there is no room for the robots
+    in_workers = partial(run_jobs, processes=jobs, timeout=timeout)
     folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-")) if out is None else Path(out)
     try:
         tuner = _Tuner(
@@ -341,17 +337,13 @@ def tune(
             budget=budget,
             per_race=candidates,
             folder=folder,
-            runner=partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here,
+            runner=runner or (in_workers if jobs > 1 else run_here),
             on_look=on_look or (lambda look: None),
             on_step=on_step,
             on_progress=on_progress,
         )
-        with ExitStack() as stack:
-            if workers is not None:
-                tuner.runner, manifest = stack.enter_context(workers(tuner.manifest()))
-                tuner.made_with = manifest.made_with  # the software of the workers
-            tuning = tuner.search()
-            tuner.assess(tuning, held_out_seeds, pseudo_reality=pseudo_reality)
+        tuning = tuner.search()
+        tuner.assess(tuning, held_out_seeds, pseudo_reality=pseudo_reality)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -409,7 +401,6 @@ class _Tuner:
     per_race: int
     folder: Path
     runner: Runner
-    made_with: dict[str, str] | None = None
     on_look: OnLook
     on_step: Callable[[str], object]
     on_progress: OnProgress | None
@@ -640,9 +631,7 @@ class _Tuner:
             {"candidate": [*variants]},
         )
         own = beyond_catalog([self.metric])
-        manifest = manifest_of(plan, traces=traces, command=[], metrics=own)
-        made_with = self.made_with or manifest.made_with
-        return msgspec.structs.replace(manifest, made_with=made_with)
+        return manifest_of(plan, traces=traces, command=[], metrics=own)
 
     def _draw(self, study: Study, count: int) -> list[Candidate]:
         """Draw `count` new candidates that the scenario accepts; also adds them to `candidates`.

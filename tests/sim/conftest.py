@@ -94,13 +94,12 @@ def swarmctl_in(folder: Path) -> Swarmctl:
     """Runs swarmctl in a folder; words and further environment are given.
 
     In this process: a start of Python with what it imports takes 0.5 to 2 s of CPU. With further
-    environment, which Python reads at its start, or a cluster, whose client leaves threads, in a
-    process of its own.
+    environment, which Python reads at its start, in a process of its own.
     """
 
     def run(*words: object, **environ: str) -> subprocess.CompletedProcess[str]:
         arguments = list(map(str, words))
-        if not environ and "--scheduler" not in arguments:
+        if not environ:
             out, errors = io.StringIO(), io.StringIO()
             with pytest.MonkeyPatch.context() as here:
                 here.chdir(folder)

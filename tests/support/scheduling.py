@@ -19,8 +19,8 @@ _WAITING = {
 """Folders whose tests wait for sockets, threads or processes, also without the mark."""
 _COMPUTING = (
     *("cli/test_plugin", "sim/cli/test_classroom", "sim/cli/test_exp", "sim/cli/test_exp_storage"),
-    *("sim/experiments/test_benchmark", "sim/experiments/test_cluster"),
-    *("sim/experiments/test_pool", "sim/experiments/test_simulate", "sim/film/test_film"),
+    *("sim/experiments/test_benchmark", "sim/experiments/test_pool"),
+    *("sim/experiments/test_simulate", "sim/film/test_film"),
     *("sim/learning/test_vector", "sim/report/test_report", "sim/test_portable"),
 )
 """Files marked `integration` whose processes compute, and have no deadline in real time: daemons of
@@ -34,7 +34,7 @@ LONGEST = (
     *("network_faults/test_addresses", "network_faults/test_mesh", "swarm/test_garbage"),
     *("sim/cli/test_classroom", "view/test_page", "sim/live/test_emulators"),
     *("drivers/ros2/test_frozen_hub", "network_faults/test_splits", "calibration/test_lockstep"),
-    *("faults/test_daemon", "swarm/test_stolen_robot", "sim/experiments/test_cluster"),
+    *("faults/test_daemon", "swarm/test_stolen_robot"),
     *("drivers/crazyflie/test_driver", "swarm/test_estop", "swarm/test_mcp", "swarm/test_goals"),
     *("sim/cli/test_tour", "sim/test_portable", "testing/test_driver_contract"),
 )

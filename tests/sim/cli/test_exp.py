@@ -516,16 +516,6 @@ def test_an_unknown_metric_and_a_file_that_is_no_trace_are_named(
         CliRunner().invoke(exp, words, catch_exceptions=False)
 
 
-def test_a_missing_library_of_clusters_is_one_line(
-    duo: Path, monkeypatch: pytest.MonkeyPatch, refusal: Refusal
-) -> None:
-    monkeypatch.setattr(
-        "swarmd.sim.cli.options.find_spec", lambda name: name != "distributed" or None
-    )
-    error = refusal("exp", "run", duo, "--scheduler", "tcp://127.0.0.1:1", "--out", "x")
-    assert "pip install 'swarmd[sim,plot,cluster]'" in error
-
-
 def test_a_mission_is_checked_for_the_robots_of_a_scenario(
     tmp_path: Path, swarmctl: Swarmctl
 ) -> None:

@@ -34,7 +34,6 @@ def test_recorded_runs_tell_the_cost_unless_they_were_made_otherwise(
     manifest = json.loads(path.read_text())
     for changes in (
         {"command": ["swarmctl", "--cores", "2"]},
-        {"command": ["swarmctl", "--scheduler", "2"]},
         {"made_with": {**manifest["made_with"], "code": "another"}},
     ):
         write_json(path, {**manifest, **changes})

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from swarmd.core.errors import ConfigError
 from swarmd.kit.conditions import is_drawn
 from swarmd.mission.document import read_document
 from swarmd.mission.schema import conditions
-from swarmd.sim.experiments.manifest import Manifest
 from swarmd.sim.experiments.mission_space import (
     MAX_STATES,
     MissionSpace,
@@ -22,7 +20,6 @@ from swarmd.sim.experiments.mission_space import (
     mission_space,
 )
 from swarmd.sim.experiments.pool import Job, JobResult, Shares
-from swarmd.sim.experiments.simulate import Runner
 from swarmd.sim.experiments.tune import MISSION, RESULT, tune
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import METRICS
@@ -217,13 +214,8 @@ def last_states(trace: Trace) -> set[str]:
     return {str(state) for state in trace.state[-1]}
 
 
-@contextmanager
-def by_hand(manifest: Manifest) -> Iterator[tuple[Runner, Manifest]]:
-    """Runs without a world; dispersion is good, and the fewer states the better."""
-    yield scored, manifest
-
-
 def scored(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+    """Runs without a world: a short mission with dispersion is best."""
     for job in jobs:
         folder = job.effective["plugin_dir"]
         text = next(Path(folder).glob("*.yaml")).read_text() if folder else ""
@@ -242,7 +234,7 @@ def test_a_tuning_gives_a_mission_that_robots_run(tmp_path: Path) -> None:
         held_out=3,
         mission=MODULES,
         out=folder,
-        workers=by_hand,
+        runner=scored,
     )
     assert "dispersion" in found.best.values.values()
     assert read_document(folder / MISSION).faults == []
@@ -252,13 +244,8 @@ def test_a_tuning_gives_a_mission_that_robots_run(tmp_path: Path) -> None:
     assert last_states(simulate_run(scenario, 1)) == {"running"}
 
 
-@contextmanager
-def by_probability(manifest: Manifest) -> Iterator[tuple[Runner, Manifest]]:
-    """Runs without a world; the nearer a probability is to 0.5, the better."""
-    yield by_file, manifest
-
-
 def by_file(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+    """Runs without a world; the nearer a probability is to 0.5, the better."""
     for job in jobs:
         name = job.effective["groups"]["tb3"]["pattern"]
         text = (Path(job.effective["plugin_dir"]) / f"{name}.yaml").read_text()
@@ -282,7 +269,7 @@ def test_a_tuning_of_a_file_gives_this_mission_with_better_values(
         mission=str(file),
         param=["sequence.0.until.all.1.probability=0.01..1"],
         out=folder,
-        workers=by_probability,
+        runner=by_file,
     )
     best = found.best.values["sequence.0.until.all.1.probability"]
     assert found.best.number > 0

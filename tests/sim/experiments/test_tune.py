@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,9 @@ import pytest
 import yaml
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.experiments.manifest import Manifest
 from swarmd.sim.experiments.pool import Job, JobResult, Shares
 from swarmd.sim.experiments.results import load_results
 from swarmd.sim.experiments.search_space import parameter_space
-from swarmd.sim.experiments.simulate import Runner
 from swarmd.sim.experiments.tune import HELD_OUT, RESULT, STATE, Tuning, split_metric, tune
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.plots.tuning import draw_tuning
@@ -41,10 +38,6 @@ class Bench:
     def __init__(self, limit: int = 10_000, *, reverse: bool = False, fails_above: float = 9.9):
         self.done: list[Job] = []
         self.limit, self.reverse, self.fails_above = limit, reverse, fails_above
-
-    @contextmanager
-    def __call__(self, manifest: Manifest) -> Iterator[tuple[Runner, Manifest]]:
-        yield self.run, manifest
 
     def run(self, jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
         for job in reversed(jobs) if self.reverse else jobs:
@@ -72,7 +65,7 @@ def duo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def tuned(duo: Path, folder: Path, bench: Bench, **more: Any) -> Tuning:
     given = {"budget": 60, "seeds": 6, "candidates": 4, "held_out": 20, "param": ["speed=0..0.6"]}
-    return tune(duo, "path_length:max", out=folder, workers=bench, **{**given, **more})
+    return tune(duo, "path_length:max", out=folder, runner=bench.run, **{**given, **more})
 
 
 @pytest.fixture(scope="module")
@@ -222,7 +215,7 @@ def test_values_that_do_not_fit_are_not_run(tmp_path: Path) -> None:
         held_out=0,
         param=["distance=0.1..1"],
         out=tmp_path / "t",
-        workers=Distances(),
+        runner=Distances().run,
     )
     distances = [one.values["distance"] for one in found.candidates]
     assert len(distances) > 3
