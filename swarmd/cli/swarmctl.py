@@ -63,7 +63,6 @@ VERBS = dict((
     _verb("goal", LOOK, "", "Show what robots are to do beside what they do."),
     _verb("events", LOOK, "-f", "Print what happened to robots, and follow it."),
     _verb("view", LOOK, "--web", "Show a living swarm: map, list, details and commands."),
-    _verb("top", LOOK, "", "Show the robots by load."),
     _verb("doctor", LOOK, "--all", "Check this machine and robots; print what to do."),
     _verb("links", LOOK, "", "Show which robots hear which, and how well."),
     _verb("logs", LOOK, "tb3-03 -f", "Print the logs of robots and what patterns print."),

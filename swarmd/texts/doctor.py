@@ -35,7 +35,8 @@ def of_machine(facts: MachineFacts) -> Iterator[Finding]:
         yield Finding("clock", True, text, is_measured=facts.is_synced is not None)
     is_busy = facts.load > MAX_LOAD * facts.cores
     text = f"load {facts.load:.1f} on {facts.cores} cores"
-    yield warning("load", text, "find what takes the time: top, swarmctl top", is_due=is_busy)
+    remedy = "find what takes the time: top, swarmctl members --wide"
+    yield warning("load", text, remedy, is_due=is_busy)
     is_full = facts.free_memory < MIN_FREE_MEMORY
     text = f"{_size(facts.free_memory)} of {_size(facts.memory)} free"
     remedy = "end other programs: a pattern may need 256 MB"

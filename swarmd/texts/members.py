@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from swarmd.network.operator.members_view import MembersView
 
 HEADER = ("NAME", "STATE", "REASON", "PATTERN", "PROTECTION", "SEEN", "REPORT")
-WIDE = ("GEN", "SCAN", "LOOP99", "VERSION", "LABELS", "GOAL")
+WIDE = ("GEN", "SCAN", "LOOP99", "CPU", "VERSION", "LABELS", "GOAL")
 _NOW = 1.0  # figures that are newer than this are `now`, in s
 
 
@@ -60,7 +60,7 @@ def wide_cells(member: SeenMember) -> tuple[str, ...]:
     """The cells of a member below WIDE; the goal with the state of its run."""
     status = member.status
     if status is None or member.contact is not Contact.ANSWERED:
-        return *(NOTHING,) * 3, member.version or NOTHING, NOTHING, NOTHING
+        return *(NOTHING,) * 4, member.version or NOTHING, NOTHING, NOTHING
     goal = status.goal
     own = goal.own if goal is not None else None
     text = NOTHING if own is None or goal is None else f"{own.goal.text} ({goal.state})"
@@ -68,10 +68,18 @@ def wide_cells(member: SeenMember) -> tuple[str, ...]:
         str(status.generation),
         f"{status.health.scan_rate:.1f} Hz",
         seconds(status.health.loop_p99),
+        _cpu(status),
         status.version or NOTHING,
         " ".join(status.labels) or NOTHING,
         text,
     )
+
+
+def _cpu(status: Status) -> str:
+    """The processor time of daemon and pattern host; 100% is one core."""
+    usages = [status.health.usage, status.health.pattern_usage]
+    shares = [usage.cpu for usage in usages if usage is not None]
+    return f"{sum(shares):.0%}" if shares else NOTHING
 
 
 def health(view: MembersView) -> Iterator[str]:

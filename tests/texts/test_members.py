@@ -18,6 +18,7 @@ from swarmd.core.messages import (
     Health,
     Latch,
     Presence,
+    ProcessUsage,
     Reason,
     State,
     StatusHeader,
@@ -45,10 +46,20 @@ def test_shows_a_running_robot() -> None:
         "GEN": "42",
         "SCAN": "5.0 Hz",
         "LOOP99": "4 ms",
+        "CPU": "-",
         "VERSION": "1.2.3",
         "LABELS": "red",
         "GOAL": "-",
     }
+
+
+def test_shows_the_processor_time_of_daemon_and_pattern_host() -> None:
+    usage = ProcessUsage(cpu=0.25, memory=90_000_000)
+    assert line(make_member(health=Health(usage=usage)))["CPU"] == "25%"
+    pattern_usage = ProcessUsage(cpu=0.5, memory=60_000_000)
+    assert (
+        line(make_member(health=Health(usage=usage, pattern_usage=pattern_usage)))["CPU"] == "75%"
+    )
 
 
 def test_shows_the_report_of_the_pattern() -> None:
