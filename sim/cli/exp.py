@@ -151,7 +151,7 @@ def run(
         plan = replace(plan, shard=parse_shard(shard))
         if out is None:
             raise ConfigError("--shard needs --out DIR, so that the same command resumes the part")
-    if scheduler is None and cores is None and plan.runs:
+    if cores is None and plan.runs:
         cores = _spare_cores(plan, jobs)
 
     # 3. The manifest, with the command line that resumes the experiment in its folder.
