@@ -38,7 +38,7 @@ from swarmd.protection.decision import NO_PERMIT, DecisionContext, Permit
 from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.setup import RobotSetup
 from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of, trembling
@@ -63,7 +63,7 @@ class LiveRobot:
     """The pure robot, running a pattern that always answers, in simulated time."""
 
     def __init__(self, platform: Platform) -> None:
-        settings = RobotSettings(driver="simulated", layers=lambda name: ())
+        settings = RobotSetup(driver="simulated")
         self.now, self.seq = 0.0, 0
         self.robot = Robot("r", platform, settings, seed=0, instance="b", now=0.0)
         self.robot.step(DriverInput(True, ""), self.now)

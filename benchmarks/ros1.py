@@ -31,7 +31,7 @@ from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1 import serialization
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.setup import RobotSetup
 from swarmd.sensing.potential_field import field_twist, potential_field
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink
@@ -79,7 +79,7 @@ def patterns_field(scan: Scan) -> Twist:
 
 def core() -> Answer:
     """A robot's core without a pattern: its safe command, which is zero."""
-    settings = RobotSettings(driver="ros1", layers=lambda pattern: ())
+    settings = RobotSetup(driver="ros1")
     robot = Robot("r", PLATFORM, settings, seed=1, instance="bench", now=boottime())
     robot.step(DriverInput(True, ""), boottime())
 

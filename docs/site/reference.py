@@ -702,7 +702,11 @@ def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
     """A table of the keys of a section: what each accepts, its default and its meaning."""
     yield f"### {where}" if where else "### The whole file"
     text = inspect.cleandoc(kind.__doc__ or "")
-    bullets = _bullets(text)
+    bullets = {
+        name: meaning
+        for base in reversed(kind.__mro__)
+        for name, meaning in _bullets(inspect.cleandoc(base.__doc__ or "")).items()
+    }
     yield prose(re.sub(r"\n*^- `(?:.|\n  )*", "", text, flags=re.MULTILINE))
     comments = _comments(kind)
     info = msgspec.inspect.type_info(kind)

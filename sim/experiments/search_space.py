@@ -241,7 +241,7 @@ def _declared(scenario: Scenario) -> list[Declared]:
         robot = _robot_of(scenario, pattern)  # the slowest: its values and limits stand for all
         platform = scenario.robots[robot]
         platform_defaults = {**derived_defaults(params_type, platform)}
-        layers = (("platform", platform_defaults), *scenario.layers(robot, pattern))
+        layers = (("platform", platform_defaults), *scenario.parameters[robot].layers(pattern, ()))
         _, values_and_sources = build(params_type, layers)  # by name of the parameter
         for spec in schema(params_type):
             present, _ = values_and_sources[spec.name]

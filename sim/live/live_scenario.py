@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from msgspec import to_builtins
+
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform
 from swarmd.settings.yamlfile import text_of
@@ -36,24 +38,17 @@ class LiveScenario:
 
     def daemon_config(self, robot: str, folder: Path) -> dict[str, object]:
         """The keys of the daemon's file that the scenario sets; `write` has written to `folder`."""
-        scenario, accepts = self.scenario, self.scenario.accepts
-        group = next(name for name, ids in scenario.groups.items() if robot in ids)
-        section = scenario.effective["groups"][group]
-        own = {name: dict(values) for name, values in scenario.effective["parameters"].items()}
-        if (pattern := section["pattern"]) is not None:  # a group's parameters are the stronger
-            own[pattern] = {**own.get(pattern, {}), **section["parameters"]}
+        scenario = self.scenario
+        own: dict[str, dict[str, Any]] = {}
+        _, *layers = scenario.parameters[robot].base  # the daemon reads those of the platform
+        for _, parameters in layers:
+            for pattern, values in parameters.items():
+                own[pattern] = {**own.get(pattern, {}), **values}
         return {
             "platform": str(_platform_path(folder.absolute(), scenario.robots[robot])),
             "labels": {name: list(ids) for name, ids in scenario.groups.items()},
             "parameters": {"robots": {robot: own}},
-            "touch": section["touch"],
-            "accepts_unseen": dict(accepts.unseen),
-            "accepts_faster": dict(accepts.faster),
-            **{
-                key: scenario.effective[key]
-                for key in ("fence", "on_low_battery")
-                if scenario.effective[key] is not None
-            },
+            **to_builtins(scenario.settings[robot]),
         }
 
     def _platform_file(self, platform: Platform) -> dict[str, Any]:

@@ -41,7 +41,7 @@ from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import EarlierLives, RobotSettings
+from swarmd.robot.setup import EarlierLives, RobotSetup
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, EventTimeline, Schedules
@@ -143,8 +143,10 @@ class Lockstep:
         # A fence needs the pose of each robot in the world.
         self.world.posed = frozenset(
             row
-            for row, platform in enumerate(self._platforms)
-            if scenario.fence is not None or "pose" in platform.provides
+            for row, (robot, platform) in enumerate(
+                zip(self.world.ids, self._platforms, strict=True)
+            )
+            if scenario.settings[robot].fence is not None or "pose" in platform.provides
         )
         self._begin_schedules()
         self._begin_bodies()
@@ -194,7 +196,7 @@ class Lockstep:
         self._heard: dict[str, Body | None] = {}  # bodies of robots that have ever had a daemon
         # Robots get bodies only if a robot has a finding about another robot: its lidar cannot see
         # the peer, or the peer is too fast.
-        self._is_mixed = has_findings(self._platforms, self.scenario.accepts)
+        self._is_mixed = has_findings(self._platforms, next(iter(self.scenario.settings.values())))
 
     def _begin_robots(self) -> None:
         """Set the state of bases and daemons, by row; no robot has a daemon."""
@@ -244,25 +246,21 @@ class Lockstep:
 
     def _shell(self, row: int, now: float) -> RobotShell:
         robot_id = self.world.ids[row]
-        layers = self.scenario.layers
-        labels = tuple(name for name, ids in self.scenario.groups.items() if robot_id in ids)
-        settings = RobotSettings(
+        scenario = self.scenario
+        setup = RobotSetup(
             driver="lockstep",
-            layers=lambda p: layers(robot_id, p),
-            labels=labels,
-            touch=self.scenario.touch.get(robot_id, {}),
-            accepts=self.scenario.accepts,
-            fence=self.scenario.fence,
-            on_low_battery=self.scenario.on_low_battery,
+            labels=tuple(name for name, ids in scenario.groups.items() if robot_id in ids),
+            parameters=scenario.parameters[robot_id],
+            settings=scenario.settings[robot_id],
         )
         robot = Robot(
             robot_id,
             self._platforms[row],
-            settings,
+            setup,
             seed=self.seed,
             instance=f"lockstep-{self._boots[row]}",
             now=now,
-            earlier=EarlierLives(self._latches.get(row)),
+            earlier=EarlierLives(latches=self._latches.get(row)),
         )
         self._boots[row] += 1
         return RobotShell(row, robot, self._find, self, now)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
+from typing import cast
+
+from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.host_messages import REQUEST_LAYER, Layers, Load, LoadRefused
+from swarmd.core.host_messages import REQUEST_LAYER, Load, LoadRefused
 from swarmd.core.messages import PeerFinding
-from swarmd.core.values import Platform, Value
+from swarmd.core.values import Platform
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import Origin, check_single, pattern_names
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
 from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.settings.platforms import platform_names
+from swarmd.settings.robot_settings import Parameters, PatternParameters, RobotSettings
 from swarmd.sim.scenarios.environment import blamed
 from swarmd.sim.scenarios.groups import Groups
 from swarmd.sim.scenarios.schedule import Preflight, Schedule
@@ -25,23 +29,24 @@ from swarmd.sim.scenarios.schema import ScenarioFile
 _WORD = 64  # characters of the longest source of parameters that a status can name
 
 
-def configured_parameters(file: ScenarioFile, groups: Groups) -> Callable[[str, str], Layers]:
-    """A function that gives the configured parameters of a robot and pattern, as layers.
+def configured_parameters(file: ScenarioFile, groups: Groups) -> Mapping[str, PatternParameters]:
+    """By robot, the configured parameters of its patterns.
 
-    The layers are "platform", "scenario" and "group <name>", weakest first, without empty layers.
+    The layers are "platform", "scenario" and "group <name>", weakest first.
     """
-
-    def layers_of(robot: str, pattern: str) -> Layers:
-        name = groups.group_of[robot]
-        group = file.groups[name]
-        layers: list[tuple[str, Mapping[str, Value]]] = [
-            ("platform", groups.robots[robot].patterns.get(pattern, {})),
-            ("scenario", {**file.parameters.get(pattern, {})}),
-            (f"group {name}"[:_WORD], {**group.parameters} if group.pattern == pattern else {}),
-        ]
-        return tuple((source, values) for source, values in layers if values)
-
-    return layers_of
+    of_groups = {
+        name: (
+            ("scenario", file.parameters),
+            (f"group {name}"[:_WORD], {group.pattern: group.parameters} if group.pattern else {}),
+        )
+        for name, group in file.groups.items()
+    }
+    return {
+        robot: PatternParameters(
+            base=(("platform", cast("Parameters", groups.robots[robot].patterns)), *of_groups[name])
+        )
+        for robot, name in groups.group_of.items()
+    }
 
 
 def check_patterns(
@@ -49,14 +54,13 @@ def check_patterns(
     file: ScenarioFile,
     schedule: Schedule,
     groups: Groups,
-    configured: Callable[[str, str], Layers],
+    configured: Mapping[str, PatternParameters],
     plugin_dir: Path | None,
 ) -> None:
     """Raise ConfigError for the first pattern that is unknown or that a robot would refuse.
 
     Loads each pattern of the schedule once for each platform and set of parameters. `configured`:
-    the configured parameters of a robot and pattern (`configured_parameters`). `plugin_dir`: a
-    folder of further patterns.
+    see `configured_parameters`. `plugin_dir`: a folder of further patterns.
     """
     # 1. The names of patterns in the file.
     with blamed(layers, "plugin_dir"):
@@ -68,6 +72,8 @@ def check_patterns(
     for group, section in file.groups.items():
         for pattern in section.touch:  # `touch`: grants by pattern
             _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
+    for pattern in file.touch:
+        _check_name(layers, ("touch", pattern), pattern, origins)
     # 2. A trial for each pattern that a robot will run.
     executor = PatternExecutor(
         PatternLoader({name: (origin.value, origin.is_file) for name, origin in origins.items()})
@@ -76,7 +82,8 @@ def check_patterns(
     for preflight in (*schedule.preflights, *_low_battery(file, groups)):
         _check_name(layers, preflight.keys, preflight.pattern, origins)
         robot, pattern = preflight.robot, preflight.pattern
-        parameters = (*configured(robot, pattern), (REQUEST_LAYER, {**preflight.parameters}))
+        own = configured[robot].layers(pattern, ())
+        parameters = (*own, (REQUEST_LAYER, {**preflight.parameters}))
         platform = groups.robots[robot]
         # Robots of one platform with the same parameters give the same result. (Parameters may be
         # mappings, which a set cannot hold: their text stands for them.)
@@ -143,8 +150,10 @@ WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
 
 def check_compatibility(
     layers: Layered, file: ScenarioFile, groups: Groups
-) -> tuple[Accepts, tuple[str, ...]]:
-    """The platforms that robots accept as peers in spite of a finding, and notes on such pairs.
+) -> tuple[RobotSettings, tuple[str, ...]]:
+    """The robots' settings, with all platforms that they accept as peers in spite of a finding.
+
+    And notes on pairs of such platforms.
 
     Protection holds a robot at zero speed for two findings about a peer, unless the peer's platform
     is accepted: `unseen`, the robot's lidar does not detect the peer; `faster`, the peer is faster
@@ -152,21 +161,20 @@ def check_compatibility(
     only because of such an exception. ConfigError if protection would hold robots.
     """
     # 1. The exceptions of the file.
-    accepts = Accepts.of(file.accepts_unseen, file.accepts_faster)
+    settings = RobotSettings.of(file)
     names = dict.fromkeys(platform.name for platform in groups.robots.values())
     known = {*names, *file.platforms, *platform_names()}
-    for kind, accepted in (("unseen", accepts.unseen), ("faster", accepts.faster)):
-        for name in accepted:
+    for key in ("accepts_unseen", "accepts_faster"):
+        for name in getattr(settings, key):
             if name not in known:
-                key = f"accepts_{kind}"
                 raise layers.error((key,), f"{key}: {unknown('platform', name, known)}")
     # 2. The exceptions of the simulation: lidars see whole bodies, or robots sense each other.
     has_whole_bodies = file.lidar_visibility == "body"
     if has_whole_bodies:
-        accepts = Accepts(dict.fromkeys(names, WHOLE_BODIES), accepts.faster)
+        settings = replace(settings, accepts_unseen=dict.fromkeys(names, WHOLE_BODIES))
     notes, held = [], []
     # `platform`: the platform of the robot that reports the finding about a peer.
-    for platform, finding in _pairs(groups.robots.values(), accepts):
+    for platform, finding in _pairs(groups.robots.values(), settings):
         is_faster = finding.kind == "faster"
         if not finding.holds:
             # The user knows from `lidar_visibility` that lidars see whole bodies: no note on that.
@@ -179,7 +187,7 @@ def check_compatibility(
             held.append((platform, finding))
     if held:
         raise _refusal(layers, held)
-    return accepts, tuple(notes)
+    return settings, tuple(notes)
 
 
 def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> ConfigError:
@@ -195,13 +203,16 @@ def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> Config
     return layers.error((f"accepts_{held[0][1].kind}",), "; ".join((*pairs, *remedies)))
 
 
-def has_findings(platforms: Iterable[Platform], accepts: Accepts) -> bool:
+def has_findings(platforms: Iterable[Platform], settings: RobotSettings) -> bool:
     """True if two robots of these platforms have a finding about each other."""
-    return any(True for _ in _pairs(platforms, accepts))
+    return any(True for _ in _pairs(platforms, settings))
 
 
-def _pairs(platforms: Iterable[Platform], accepts: Accepts) -> Iterator[tuple[str, PeerFinding]]:
+def _pairs(
+    platforms: Iterable[Platform], settings: RobotSettings
+) -> Iterator[tuple[str, PeerFinding]]:
     """The name of a platform, and a finding of its robots about a peer, for all pairs of robots."""
+    accepts = Accepts.of(settings.accepts_unseen, settings.accepts_faster)
     robots = list(platforms)
     kinds = {platform.name: platform for platform in robots}
     counts = Counter(platform.name for platform in robots)

@@ -7,11 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from swarmd.core.host_messages import Layers
-from swarmd.core.low_battery import LowBatterySettings
-from swarmd.core.values import Array, Platform, Scalar, TouchZone
-from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.core.values import Array, Platform, Scalar
+from swarmd.settings.robot_settings import PatternParameters, RobotSettings
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
@@ -79,15 +76,12 @@ class Scenario:
     realism: Realism
     visibility: Visibility
     radio: RadioSettings
-    # The configured parameters of a robot and pattern, below those of a run.
-    layers: Callable[[str, str], Layers]
+    # By robot, the configured parameters of its patterns, below those of a run.
+    parameters: Mapping[str, PatternParameters] = field(default_factory=dict)
+    settings: Mapping[str, RobotSettings] = field(default_factory=dict)  # by robot
     events: tuple[ScheduledEvent, ...]  # in order of time
     # Ids without a daemon until a join event; their bases stand at their start poses.
     absent: frozenset[str] = frozenset()
-    touch: Mapping[str, Mapping[str, TouchZone]] = field(default_factory=dict)  # by robot, pattern
-    accepts: Accepts = ACCEPTS_NONE  # the peers that robots accept
-    fence: FenceSettings | None = None  # the area that robots do not leave
-    on_low_battery: LowBatterySettings | None = None
     notes: tuple[str, ...] = ()  # a line for each pair of platforms that fits only by exceptions
     trace_rate: float = 10.0
     plugin_dir: Path | None = None

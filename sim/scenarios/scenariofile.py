@@ -9,20 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from msgspec import json
+from msgspec import json, structs
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
-from swarmd.core.low_battery import LowBatterySettings
-from swarmd.kit.touch import granted_zones
 from swarmd.plugins import pattern_folders
-from swarmd.protection.fence import fence_fault
-from swarmd.protection.fence_settings import FenceSettings
-from swarmd.settings.layered import Layered, dotted
+from swarmd.settings.layered import Layered, fault_at
+from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
@@ -154,9 +152,8 @@ def _overridden(
     with blamed(layers, "radio"):
         check_radio(file.radio)
     groups = groups_of(layers, file, fields)
-    accepts, notes = check_compatibility(layers, file, groups)
-    _check_fence(layers, file, groups)
-    _check_section(layers, "on_low_battery", file.on_low_battery)
+    settings, notes = check_compatibility(layers, file, groups)
+    _check_settings(layers, settings, groups)
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)
     configured = configured_parameters(file, groups)
@@ -180,13 +177,13 @@ def _overridden(
         realism=realism,
         visibility=file.lidar_visibility,
         radio=file.radio,
-        layers=configured,
+        parameters=configured,
+        settings={
+            robot: structs.replace(settings, touch={**file.touch, **file.groups[group].touch})
+            for robot, group in groups.group_of.items()
+        },
         events=schedule.events,
         absent=schedule.absent,
-        touch={r: granted_zones(file.groups[g].touch) for r, g in groups.group_of.items()},
-        accepts=accepts,
-        fence=file.fence,
-        on_low_battery=file.on_low_battery,
         notes=notes,
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
@@ -229,22 +226,12 @@ def _plain(file: ScenarioFile, groups: Groups) -> Data:
     return {**plain, "platforms": deepcopy(dict(groups.platform_files))}
 
 
-def _check_fence(layers: Layered, file: ScenarioFile, groups: Groups) -> None:
-    """ConfigError for a fence that is faulty, or too small for a platform."""
-    _check_section(layers, "fence", file.fence)
-    if file.fence is None:
-        return
-    for platform in {platform.name: platform for platform in groups.robots.values()}.values():
-        if text := fence_fault(file.fence, platform):
-            raise layers.error(("fence",), f"fence {text}")
-
-
-def _check_section(
-    layers: Layered, key: str, section: FenceSettings | LowBatterySettings | None
-) -> None:
-    """ConfigError for the first fault of a section of the file."""
-    for keys, text in () if section is None else section.faults():
-        raise layers.error((key, *keys), f"{dotted((key, *keys))} {text}")
+def _check_settings(layers: Layered, settings: RobotSettings, groups: Groups) -> None:
+    """ConfigError for the first fault of the robots' settings, also with one of their platforms."""
+    platforms = {platform.name: platform for platform in groups.robots.values()}.values()
+    misfits = (fault for platform in platforms for fault in settings.misfits(platform))
+    for fault in chain(settings.faults(), misfits):
+        raise layers.error(*fault_at(*fault))
 
 
 def _starts(layers: Layered, file: ScenarioFile, groups: Groups, arena: Arena) -> StartPoses:

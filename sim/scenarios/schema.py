@@ -7,10 +7,8 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct, field
 
 from swarmd.core.bounds import BoundedScalar
-from swarmd.core.low_battery import LowBatterySettings
 from swarmd.kit.touch_config import TouchGrants
-from swarmd.protection.fence_settings import FenceSettings
-from swarmd.settings.swarmfile import PlatformGrants
+from swarmd.settings.robot_settings import RobotSettings
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 
@@ -123,14 +121,14 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     pose: Placed | None = None
 
 
-class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ScenarioFile(RobotSettings, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The whole file.
 
     - `platforms` overrides values of a platform's own file, or describes a new platform.
     - `start` places the robots of all groups that have no `start` of their own, as one group.
     - `parameters`, by pattern, apply to all robots; the parameters of a group prevail.
-    - `accepts_unseen`, `accepts_faster`, `fence` and `on_low_battery` are as in swarm.yaml. The
-      frame of a fence is `world`.
+    - The keys of `RobotSettings`, such as `fence`, are as in swarm.yaml, for all robots. The frame
+      of a fence is `world`. The `touch` of a group prevails.
     - `plugin_dir` is relative to the file.
     - `pseudo_reality` has bounds of keys of `realism` and `radio`, such as
       `{realism.lidar.dropout: [0, 0.1]}`. Each seed draws values within the bounds. True: the
@@ -153,9 +151,5 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     start: StartSection = StartSection()
     parameters: dict[str, Values] = {}
     events: list[EventSection] = []
-    accepts_unseen: PlatformGrants = []
-    accepts_faster: PlatformGrants = []
-    fence: FenceSettings | None = None
-    on_low_battery: LowBatterySettings | None = None
     plugin_dir: str | None = None
     pseudo_reality: bool | dict[str, Any] = False

@@ -162,8 +162,9 @@ def _starts(
 ) -> list[list[float]] | None:
     """Start poses inside (or outside) that keep 1 m from each other; None without room."""
     made = scenario_of({**data, "groups": {"all": group}})
-    assert made.fence is not None
-    fence = Fence(made.fence, next(iter(made.robots.values())))
+    settings = next(iter(made.settings.values())).fence
+    assert settings is not None
+    fence = Fence(settings, next(iter(made.robots.values())))
     places: list[list[float]] = []
     for place in rng.uniform(-6.0, 6.0, (2000, 2)):
         clearance = float(fence.clearances(place[None])[0])
@@ -184,8 +185,9 @@ def measure(run: Run, code: str = "") -> Result:
     poses_told = Localisation(world, run.seed, is_exact=run.is_exact)
     world.shared_pose = poses_told.shared_pose  # type: ignore[method-assign]
     growth = GROWTH if run.is_exact else GROWTH + 2.0 * ERROR
-    assert made.fence is not None
-    fence = Fence(made.fence, world.platforms[0])
+    settings = made.settings[world.ids[0]].fence
+    assert settings is not None
+    fence = Fence(settings, world.platforms[0])
     judge = Judge(fence, [one.footprint for one in world.platforms])
     n = len(world.ids)
     is_inside = np.full(n, not run.is_outside)  # the outline is, or was, wholly inside

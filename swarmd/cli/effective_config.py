@@ -9,12 +9,10 @@ from typing import Any
 from msgspec import to_builtins
 
 from swarmd.core.values import Platform, ScanSpec, Sweep
-from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import DaemonSettings
 from swarmd.settings.yamlfile import text_of
 
 _COLUMN = 40
-NETWORK_KEYS = NetworkSettings.__struct_fields__
 
 
 def effective_config(settings: DaemonSettings) -> str:
@@ -23,28 +21,20 @@ def effective_config(settings: DaemonSettings) -> str:
     A comment names the source of each value. The values of the platform follow as comments, since
     the key `platform` stands for them.
     """
-    values = {
+    file, folder = settings.file, settings.plugin_dir
+    values = to_builtins(file) | {
         "id": settings.id,
-        **{name: to_builtins(getattr(settings.network, name)) for name in NETWORK_KEYS},
         "identity": None if settings.identity is None else str(settings.identity.folder.absolute()),
-        "insecure": settings.is_insecure,
         "platform": settings.platform_name,
-        "driver": settings.driver,
         "driver_options": dict(settings.driver_options),
         "roster": list(settings.roster),
-        "labels": {label: list(robots) for label, robots in settings.label_members.items()},
-        "parameters": to_builtins(settings.parameters),
-        "touch": to_builtins(settings.touch),
-        "accepts_unseen": dict(settings.accepts.unseen),
-        "accepts_faster": dict(settings.accepts.faster),
-        "fence": to_builtins(settings.fence),
-        "on_low_battery": to_builtins(settings.on_low_battery),
+        "labels": {label: list(robots) for label, robots in file.members.items()},
         "state_dir": str(settings.state_dir.absolute()),
-        "plugin_dir": str(settings.plugin_dir.absolute()) if settings.plugin_dir else None,
+        "plugin_dir": str(folder.absolute()) if folder else None,
         "recording": to_builtins(settings.recording),
     }
     lines = [
-        _line(f"{key}: {_flow(value)}", settings.provenance[key]) for key, value in values.items()
+        _line(f"{key}: {_flow(values[key])}", source) for key, source in settings.provenance.items()
     ]
     lines += ["", f"# platform {settings.platform.name}"]
     platform_values = _flat(_platform(settings.platform))

@@ -22,10 +22,10 @@ from swarmd.daemon.driver_commands import permission_fault
 from swarmd.driver_api.command_source import command_source
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
-from swarmd.kit.touch import describe_zone
+from swarmd.kit.touch import describe_zone, granted_zones
 from swarmd.network.settings import ONLY_HERE
 from swarmd.plugins import Origin, pattern_names
-from swarmd.protection.compatibility import assumed_speed, body_of, findings
+from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.protection.modes import make_mode, narrowest_passage
 from swarmd.settings.driver_options import base_options, effective_command_timeout
@@ -90,7 +90,7 @@ def _check_passage(settings: DaemonSettings) -> list[Finding]:
 
 def _check_fence(settings: DaemonSettings) -> list[Finding]:
     """The fence as configured; its polygons were checked with the settings."""
-    fence = settings.fence
+    fence = settings.robot.fence
     return [] if fence is None else [Finding("fence", True, fence_settings_text(fence))]
 
 
@@ -112,15 +112,17 @@ def peers_text(settings: DaemonSettings) -> str:
     that swarmd lacks, such as a file on another robot; the text says so.
     """
     own, speed = body_of(settings.platform), assumed_speed(settings.platform)
+    granted = settings.robot
+    accepts = Accepts.of(granted.accepts_unseen, granted.accepts_faster)
     held: list[str] = []
     for name in platform_names():
         peer = body_of(load_platform(name))
-        for found in findings(own, speed, name, peer, settings.accepts):
+        for found in findings(own, speed, name, peer, accepts):
             if found.kind == "unknown":
                 return "platform has no heights: whether this robot sees others is not known"
             if found.holds:
                 held.append(f"{name} ({'not seen' if found.kind == 'unseen' else 'faster'})")
-    accepted = {*settings.accepts.unseen, *settings.accepts.faster}
+    accepted = {*accepts.unseen, *accepts.faster}
     foreign = sorted(accepted.difference(platform_names()))
     note = f"; accepts {', '.join(foreign)}: no platform of swarmd" if foreign else ""
     return (f"held beside {', '.join(held)}" if held else "fits all platforms of swarmd") + note
@@ -237,12 +239,12 @@ def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Record]) -> I
     """Faults in the configured parameters of this robot's patterns."""
     parameters = settings.parameters
     own = [parameters.labels.get(label, {}) for label in settings.labels]
-    sections = (settings.platform.patterns, *own, parameters.robots.get(settings.id, {}))
+    sections = (settings.platform.patterns, *own, parameters.own)
     for name in sorted({name for section in sections for name in section} - rows.keys()):
         yield Finding("parameters", False, unknown("pattern", name, rows))
     for name, row in rows.items():
         specs = {spec["name"]: spec for spec in row.get("params", ())}
-        for source, values in settings.pattern_layers(name) if specs else ():
+        for source, values in parameters.layers(name, settings.labels) if specs else ():
             for key, value in values.items():
                 fault = parameter_fault(specs, key, value)
                 if fault:
@@ -251,7 +253,7 @@ def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Record]) -> I
 
 def _check_touch(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
     """Each pattern with a touch zone, and whether the pattern asks for it."""
-    for name, zone in settings.touch_zones.items():
+    for name, zone in granted_zones(settings.robot.touch).items():
         if name not in rows:
             yield Finding("touch", False, unknown("pattern", name, rows))
             continue
@@ -270,7 +272,10 @@ def _run(
     return {
         "name": name,
         "pattern": pattern,
-        "layers": (*settings.pattern_layers(pattern), (REQUEST_LAYER, dict(params))),
+        "layers": (
+            *settings.parameters.layers(pattern, settings.labels),
+            (REQUEST_LAYER, dict(params)),
+        ),
         "until": until,
         "provides": sorted(settings.platform.provides),
     }
@@ -299,7 +304,7 @@ def _check_commands(settings: DaemonSettings, driver: Driver) -> Iterator[Findin
 
 def _check_low_battery(settings: DaemonSettings) -> Iterator[Finding]:
     """What the robot does at a low battery, or why it stands instead of running a pattern."""
-    given = settings.on_low_battery
+    given = settings.robot.on_low_battery
     if given is None:
         return
     act, fault = "stands", ""
@@ -317,21 +322,21 @@ def _check_low_battery(settings: DaemonSettings) -> Iterator[Finding]:
 
 def _check_driver(settings: DaemonSettings, deadline: float) -> Iterator[Finding]:
     """The findings of the driver until `deadline` (monotonic), and how its base stops."""
-    subject = f"driver {settings.driver}"
+    subject = f"driver {settings.file.driver}"
     try:
         driver = make_driver(settings)
         yield from _check_commands(settings, driver)
         timeout = max(deadline - monotonic() - CLOSE_TIMEOUT, MIN_DRIVER_TIMEOUT)
         yield from asyncio.run(driver.check(timeout))
         yield Finding("command_timeout", True, command_timeout_text(settings, driver))
-        check_protected(settings.platform, driver, settings.driver)
+        check_protected(settings.platform, driver, settings.file.driver)
     except SwarmError as error:
         yield Finding(subject, False, str(error))
 
 
 def command_timeout_text(settings: DaemonSettings, driver: Driver) -> str:
     """How the base stops after the daemon has ended."""
-    base = base_options(settings.driver_options, f"driver {settings.driver}")
+    base = base_options(settings.driver_options, f"driver {settings.file.driver}")
     command_timeout = effective_command_timeout(base, driver)
     if command_timeout == "none":
         source = "configured" if base.command_timeout else "assumed, since none is configured"

@@ -37,11 +37,11 @@ def stop_base(config: Path | None, within: float) -> None:
     settings = load_daemon_settings(config, {})
     driver = make_bare_driver(settings)
     if not isinstance(driver, ZeroSenderProvider):
-        click.echo(f"driver {settings.driver} cannot send zero without its daemon")
+        click.echo(f"driver {settings.file.driver} cannot send zero without its daemon")
         return
     spec = driver.zero_sender()
     if spec is None:
-        click.echo(f"driver {settings.driver} has a process of its own that sends the zeros")
+        click.echo(f"driver {settings.file.driver} has a process of its own that sends the zeros")
         return
     _end_after(within + ZERO_TIME + _CLOSE_TIMEOUT)
     sent = _send_zeros(spec, within)

@@ -129,7 +129,7 @@ class Daemon:
 
         Raises ConfigError if the protection of this platform needs more than the driver gives.
         """
-        check_protected(settings.platform, driver, settings.driver)
+        check_protected(settings.platform, driver, settings.file.driver)
         self._gripper = gripper_of(driver)
         if self._gripper is None:
             settings = _without_gripper(settings)
@@ -158,13 +158,13 @@ class Daemon:
     def _begin_driver(self, driver: Driver) -> None:
         """The output to the base."""
         settings = self._settings
-        base = base_options(settings.driver_options, f"driver {settings.driver}")
+        base = base_options(settings.driver_options, f"driver {settings.file.driver}")
         self._carrier = message_carrier(driver)
         self._may_rest = may_rest(base, driver)
         self._resting_driver = resting_driver(driver)
         self._is_driver_resting = False
         self._output = DriverOutput(
-            driver, settings.driver, base.idle_output, self._on_driver_crash
+            driver, settings.file.driver, base.idle_output, self._on_driver_crash
         )
 
     def _begin_records(self, folder: Path) -> None:
@@ -215,7 +215,7 @@ class Daemon:
             drops=self._drops,
             identity=settings.identity,
             stop_counters=self._latches.path.with_name("stops"),
-            hears_programs=settings.neighbors.programs,
+            hears_programs=settings.file.neighbors.programs,
         )
 
     def _begin_requests(self) -> None:
@@ -264,7 +264,10 @@ class Daemon:
             goals=self._goals.read(),
         )
         self._neighborhood = NeighborSelection(
-            settings.neighbors, self._network.heard, settings.network.interface_name, self._loop
+            settings.file.neighbors,
+            self._network.heard,
+            settings.network.interface_name,
+            self._loop,
         )
         self.sink = DriverSink(self.step, self._neighborhood)
         self._exchange = DriverExchange(
@@ -715,8 +718,7 @@ class Daemon:
         return {"host/frames": self._runner.dropped} if self._runner.dropped else {}
 
     def _head(self) -> RecordingHead:
-        pushed = self._pattern_versions.versions
-        return recording_head(self._settings, self._robot, self._instance, self._seed, pushed)
+        return recording_head(self._robot, self._settings.network.swarm, boottime())
 
 
 def _without_gripper(settings: DaemonSettings) -> DaemonSettings:

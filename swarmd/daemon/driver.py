@@ -36,7 +36,7 @@ def make_bare_driver(settings: DaemonSettings) -> Driver:
     Raises SwarmError if the driver or its options are wrong.
     """
     common = BaseOptions.__struct_fields__
-    driver: Driver = load_driver(settings.driver)(
+    driver: Driver = load_driver(settings.file.driver)(
         swarm=settings.network.swarm,
         robot=settings.id,
         platform=settings.platform,
@@ -53,7 +53,7 @@ def make_driver(settings: DaemonSettings) -> Driver:
     Raises SwarmError if the driver or its options are wrong, ConfigError if the base would have
     neither a command timeout nor a watchdog.
     """
-    base = base_options(settings.driver_options, f"driver {settings.driver}")
+    base = base_options(settings.driver_options, f"driver {settings.file.driver}")
     driver = make_bare_driver(settings)
     if effective_command_timeout(base, driver) != "none":
         return driver
@@ -65,7 +65,7 @@ def _with_watchdog(driver: Driver, base: BaseOptions, settings: DaemonSettings) 
 
     Raises ConfigError if the driver cannot have such a process.
     """
-    name = settings.driver
+    name = settings.file.driver
     # The base needs zeros also while its robot is idle. `base_options` refuses idle_output silent
     # with command_timeout none, so here command_timeout is not given.
     if base.idle_output == "silent":

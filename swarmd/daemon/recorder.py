@@ -50,11 +50,11 @@ from swarmd.daemon.requests import SendReply
 from swarmd.plugins import need
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.reader import clock_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import remember
 from swarmd.robot.robot import Robot
+from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.swarmfile import RecordingSection
 
 MAX_BATCH = 60_000
@@ -425,7 +425,7 @@ class RecordingService:
 
     def _start(self) -> None:
         need("mcap", "rosbags", extra="record")
-        self.recorder.start(self._folder, self._robot, self._head().texts(), self._section.limits)
+        self.recorder.start(self._folder, self._robot, self._head().texts(), self._section)
 
     # Recordings for operators
 

@@ -17,7 +17,7 @@ from swarmd.core.codec import decode
 from swarmd.core.events import Input, encode_input
 from swarmd.core.values import Array, Scan, Value
 from swarmd.protection.decision import Decision
-from swarmd.recording.limits import FileLimits
+from swarmd.settings.file_limits import FileLimits
 
 MAX_ENTRY = 130_000
 """Bytes of an entry; a batch above about 212 kB does not fit into the socket's buffer."""

@@ -11,45 +11,28 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.goal import GoalRecord
-from swarmd.core.host_messages import Layers
-from swarmd.core.low_battery import LowBatterySettings
-from swarmd.core.messages import Latch
-from swarmd.core.values import Array, Platform, TouchZone
-from swarmd.protection.compatibility import Accepts
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.core.values import Array, Platform
+from swarmd.robot.setup import EarlierLives, RobotSetup
 
 
 class RecordingHead(Struct, frozen=True, kw_only=True):
-    """The head of a recording: the robot, and the settings that decide its behaviour.
+    """The head of a recording: the robot, and all that decides its behaviour.
 
-    `clock`: the id of the robot's clock, see `core/clock.py`. `machine`: the processor type, such
-    as x86_64. `layers`: parameters by pattern and source, the weakest source first.
+    - `clock`: the id of the robot's clock, see `core/clock.py`.
+    - `machine`: the processor type, such as x86_64.
+    - `setup`: whole, so that a new setting of robots is in recordings, too.
+    - `earlier`: the state of the robot when the recording began.
     """
 
     robot: str
     swarm: str
-    driver: str
     clock: str
+    machine: str
     instance: str
     seed: int
-    version: str
-    kernels: str
-    machine: str
     platform: Platform
-    labels: tuple[str, ...]
-    layers: Mapping[str, Layers]
-    touch: Mapping[str, TouchZone]
-    accepts: Accepts
-    # The state of the robot when the recording began:
-    revision: int
-    generation: int
-    latches: Mapping[str, Latch]
-    cleared: tuple[str, ...] = ()  # ids of latches that were reset
-    goals: GoalRecord = GoalRecord()
-    # Further settings:
-    fence: FenceSettings | None = None
-    on_low_battery: LowBatterySettings | None = None
+    setup: RobotSetup
+    earlier: EarlierLives = EarlierLives()
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: main fields in plain text, all fields in `head`."""
@@ -58,9 +41,9 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
             "robot": self.robot,
             "swarm": self.swarm,
             "platform": self.platform.name,
-            "driver": self.driver,
+            "driver": self.setup.driver,
             "clock": self.clock,
-            "version": self.version,
+            "version": self.setup.version,
             "head": base64.b64encode(payload).decode(),
         }
 

@@ -18,9 +18,9 @@ from mcap.writer import CompressionType, Writer
 
 from swarmd.core.files import sync_folder, whole_file
 from swarmd.recording.cdr import Message
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.messages import definition
 from swarmd.recording.reader import crc_of
+from swarmd.settings.file_limits import FileLimits
 
 CHUNK = 32 * 1024
 """Bytes of a chunk before compression."""

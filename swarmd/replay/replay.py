@@ -35,10 +35,8 @@ from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.inputs import MEMORY, InputReader
 from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of
 from swarmd.robot.actions import Actions
-from swarmd.robot.latches import LatchRecord
 from swarmd.robot.memory import recall
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import EarlierLives, RobotSettings
 
 
 @dataclass(slots=True)
@@ -142,16 +140,11 @@ class Replay:
         return Robot(
             head.robot,
             self._platform,
-            settings_of(head),
+            head.setup,
             seed=head.seed,
             instance=head.instance,
             now=now,
-            earlier=EarlierLives(
-                LatchRecord(held=dict(head.latches), cleared=head.cleared),
-                head.goals,
-                head.revision,
-                head.generation,
-            ),
+            earlier=head.earlier,
         )
 
     def run(self, recorded: Iterable[RecordedMessage]) -> Parity:
@@ -186,7 +179,7 @@ class Replay:
             after = "are compared from the next memory on" if self._awaits_memory else "may differ"
             self._note(f"at {at:.3f} s entries were dropped; commands after it {after}")
         elif message.topic == MEMORY and self._awaits_memory:
-            self._robot = recall(memory_in(message), settings_of(self._head))
+            self._robot = recall(memory_in(message), self._head.setup)
             self._actions = None
             self._awaits_memory = False
             self._steps_pattern = False
@@ -297,21 +290,6 @@ def repeat(
     return head, replace(parity, notes=(*filter(None, notes), *parity.notes))
 
 
-def settings_of(head: RecordingHead) -> RobotSettings:
-    """The settings of the recorded robot."""
-    return RobotSettings(
-        driver=head.driver,
-        layers=lambda pattern: head.layers.get(pattern, ()),
-        version=head.version,
-        kernels=head.kernels,
-        labels=head.labels,
-        touch=head.touch,
-        accepts=head.accepts,
-        fence=head.fence,
-        on_low_battery=head.on_low_battery,
-    )
-
-
 def memory_in(message: RecordedMessage) -> bytes:
     """The bytes of a message on the topic MEMORY; CodecError if it is malformed."""
     return bytes(messages.message_on(message.topic, message.kind, message.payload).data)
@@ -323,7 +301,7 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
     if first is None:
         return "it has no memory of the robot"
     try:
-        recall(memory_in(first), settings_of(head))
+        recall(memory_in(first), head.setup)
     except CodecError as error:
         return f"its memory of the robot cannot be read here ({error})"
     return ""
@@ -331,7 +309,8 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
 
 def _other_program(head: RecordingHead) -> str:
     """The differences between the recording program and this program that may change last bits."""
-    there = {"version": head.version, "kernels": head.kernels, "processor": head.machine}
+    setup = head.setup
+    there = {"version": setup.version, "kernels": setup.kernels, "processor": head.machine}
     here = dict(zip(there, (version("swarmd"), describe_kernels(), machine()), strict=True))
     texts = [f"{key} {there[key]}, here {here[key]}" for key in there if there[key] != here[key]]
     return f"recorded with {'; '.join(texts)}: commands may differ by rounding" if texts else ""

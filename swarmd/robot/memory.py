@@ -43,9 +43,9 @@ from swarmd.core.errors import CodecError
 from swarmd.core.kernels import KERNELS, load_kernel
 from swarmd.core.values import Array
 from swarmd.robot.robot import HANDLERS, Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.setup import RobotSetup
 
-FORMAT = 2
+FORMAT = 3
 MAX_BYTES = 1 << 22
 """Size of a memory before compression."""
 MAX_RATIO = 100
@@ -123,8 +123,8 @@ def remember(robot: Robot, limit: int = MAX_BYTES) -> bytes:
     return data
 
 
-def recall(data: bytes, settings: RobotSettings) -> Robot:
-    """The robot that `remember` serialised, with `settings`; CodecError if it cannot be read."""
+def recall(data: bytes, setup: RobotSetup) -> Robot:
+    """The robot that `remember` serialised, with `setup`; CodecError if it cannot be read."""
     most = min(MAX_BYTES, MAX_RATIO * len(data))
     try:
         packed = zlib.decompressobj()
@@ -136,7 +136,7 @@ def recall(data: bytes, settings: RobotSettings) -> Robot:
         memory = msgspec.msgpack.decode(content, type=_Memory)
         if memory.format != FORMAT:
             raise ValueError(f"it has format {memory.format}; expected {FORMAT}")
-        robot = _Reader(memory, settings).robot()
+        robot = _Reader(memory, setup).robot()
     except _FAULTS as error:
         raise CodecError(f"no memory of a robot of this version: {error!r:.300}") from error
     return robot
@@ -203,11 +203,11 @@ class _Writer:
         if known_place is not None:
             return known_place
         cls = type(value)
-        # `recall` takes the handlers of its own version, and the settings that its caller gives.
+        # `recall` takes the handlers of its own version, and the setup that its caller gives.
         if value is HANDLERS:
             return self._add(value, self._kind("handlers"), [])
-        if cls is RobotSettings:
-            return self._add(value, self._kind("settings"), [])
+        if cls is RobotSetup:
+            return self._add(value, self._kind("setup"), [])
         if cls in _TYPES:
             parts_of, _ = _TYPES[cls]
             return self._add(value, self._kind(cls.__name__), self._parts(parts_of(value)))
@@ -294,7 +294,7 @@ _EXTENT_OF_OBJECT = (0, 0)
 class _Reader:
     """Makes the robot of one memory; raises one of `_FAULTS` for an invalid memory."""
 
-    def __init__(self, memory: _Memory, settings: RobotSettings) -> None:
+    def __init__(self, memory: _Memory, setup: RobotSetup) -> None:
         self._memory = memory
         self._makers = {
             **{kind.__name__: make for kind, (_, make) in _TYPES.items()},
@@ -302,7 +302,7 @@ class _Reader:
             "bytes": self._bytes,
             "scalar": lambda parts: np.frombuffer(parts[1], _numbers(parts[0]))[0],
             "view": self._view,
-            "settings": lambda parts: settings,
+            "setup": lambda parts: setup,
             "handlers": lambda parts: HANDLERS,
         }
         self._at = 0  # the next unread byte of `numbers`

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from swarmd.core.host_messages import REQUEST_LAYER, Load, Loaded
 from swarmd.core.values import Scalar
 from swarmd.core.verbs import ParamRequest, ReloadRequest, ResumeRequest, RunRequest
 from swarmd.robot.issue_time import IssueTime
-from swarmd.robot.settings import RobotIdentity
+from swarmd.robot.setup import RobotIdentity
 
 
 class Wish(Struct, frozen=True):
@@ -77,9 +77,14 @@ class Trial:
 
 
 def load_command(
-    identity: RobotIdentity, generation: int, pattern: str, params: Mapping[str, Scalar | None]
+    identity: RobotIdentity,
+    labels: Iterable[str],
+    generation: int,
+    pattern: str,
+    params: Mapping[str, Scalar | None],
 ) -> Load:
-    """The command that loads a pattern for a robot; `params` form the strongest layer."""
-    layers = (*identity.settings.layers(pattern), (REQUEST_LAYER, dict(params)))
+    """The command that loads a pattern for a robot with `labels`; `params`: the strongest layer."""
+    configured = identity.setup.parameters.layers(pattern, labels)
+    layers = (*configured, (REQUEST_LAYER, dict(params)))
     seed = (identity.seed * 1_000_003 + generation) % 2**63
     return Load(generation, pattern, layers, identity.robot, identity.platform, seed)

@@ -423,7 +423,9 @@ class RequestHandler:
         params = running.params if running is not None and is_running else {}
         self._trials += 1
         lifecycle.trial = Trial(self._trials, effects.now, request, wish)
-        effects.trial = StartTrial(load_command(lifecycle.identity, self._trials, pattern, params))
+        labels = lifecycle.goals.labels
+        load = load_command(lifecycle.identity, labels, self._trials, pattern, params)
+        effects.trial = StartTrial(load)
 
     def on_trial_done(self, event: TrialDone, effects: Effects) -> None:
         """Act on the end of the trial of new code that a reload request started.

@@ -33,13 +33,14 @@ from swarmd.core.messages import (
     Tracks,
 )
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
+from swarmd.protection.compatibility import Accepts
 from swarmd.protection.decision import Decision
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.message_limits import EventLimit
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
-from swarmd.robot.settings import EarlierLives, RobotIdentity, RobotSettings
+from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
 from swarmd.robot.state import Lifecycle, StateMachine
 from swarmd.robot.status import decision_summary, make_status, status_reason
 from swarmd.robot.timeouts import STATUS_PERIOD
@@ -78,7 +79,7 @@ class Robot(Ticker):
         self,
         id: str,
         platform: Platform,
-        settings: RobotSettings,
+        setup: RobotSetup,
         *,
         seed: int,
         instance: str,
@@ -88,15 +89,17 @@ class Robot(Ticker):
         """Make the robot at rest, with the counts, latches and goals of earlier processes."""
         super().__init__()
         self.id = id
+        settings = setup.settings
         self.platform, self.fence = platform, settings.fence
         self._last_tick = now
         self._handlers = HANDLERS
+        accepts = Accepts.of(settings.accepts_unseen, settings.accepts_faster)
         self._sensors = Sensors(
-            platform, settings.accepts, tells_pose=settings.tells_pose, fence=settings.fence
+            platform, accepts, tells_pose=setup.tells_pose, fence=settings.fence
         )
         self._protection = Protection(platform, settings.fence)
         self._steering = Steering(platform, self._protection, f"{seed}/{id}")
-        identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
+        identity = RobotIdentity(id, platform, setup, seed, instance, self._protection.passage)
         self._lifecycle = Lifecycle(identity, earlier.latches, earlier.goals, now)
         # The counts continue, so that no request or answer to an earlier process seems new.
         self._lifecycle.revision = earlier.revision
@@ -132,6 +135,11 @@ class Robot(Ticker):
         """The one reason why the robot does not move; None while the robot moves."""
         machine = self._machine
         return self.decision.reason if machine.state is State.RUNNING else machine.reason
+
+    @property
+    def identity(self) -> RobotIdentity:
+        """What the robot is made of, in this life of its daemon."""
+        return self._lifecycle.identity
 
     @property
     def epoch(self) -> Epoch:
@@ -250,7 +258,7 @@ class Robot(Ticker):
     def _on_readings(self, one: events.ReadingsInput, now: float) -> Actions | None:
         self._sensors.on_readings(one.readings)
         lifecycle, charge = self._lifecycle, self._sensors.readings.get(BATTERY)
-        settings = lifecycle.identity.settings.on_low_battery
+        settings = lifecycle.identity.setup.settings.on_low_battery
         if settings is None or not lifecycle.battery.take(charge, settings, now):
             return None
         effects = self._begin(now)
@@ -277,7 +285,7 @@ class Robot(Ticker):
         sensors.on_driver(one.is_up, one.text, hold=one.hold, gets_zero=one.gets_zero)
         hold = one.hold if one.is_up else Reason.DRIVER_LOST
         self._lifecycle.base_fault = "" if hold is None else f"held: {hold}: {one.text}"
-        settings = self._lifecycle.identity.settings.on_low_battery
+        settings = self._lifecycle.identity.setup.settings.on_low_battery
         if settings is not None and not sensors.is_driver_up:  # the readings have become stale
             self._lifecycle.battery.take(None, settings, now)
         return self._settle(effects)

@@ -88,7 +88,7 @@ class Sensors(InputAges):
     ) -> None:
         """Begin without any input; the parts follow from the sensors of `platform`.
 
-        `accepts`, `tells_pose`, `fence`: see `RobotSettings`.
+        `accepts`, `fence`: of the `RobotSettings`. `tells_pose`: see `RobotSetup`.
         """
         super().__init__()
         self._begin_lidar(platform)

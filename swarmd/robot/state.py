@@ -68,7 +68,7 @@ from swarmd.core.verbs import (
     RunRequest,
     shortened,
 )
-from swarmd.kit.touch import effective_zone
+from swarmd.kit.touch import effective_zone, granted_zones
 from swarmd.protection.decision import Permit
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
@@ -77,7 +77,7 @@ from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.low_battery import LowBattery
 from swarmd.robot.message_limits import Outbox
 from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish, load_command
-from swarmd.robot.settings import RobotIdentity
+from swarmd.robot.setup import RobotIdentity
 from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
     LOAD_TIMEOUT,
@@ -191,7 +191,7 @@ class Lifecycle:
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
         self.latches = Latches(latches, now)  # the emergency stops that hold the robot
-        self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
+        self.goals = Goals(identity.robot, identity.setup.labels, goals, now)
         self.stops = KnownStops()
         if (
             goals is not None and goals.stood is not None
@@ -596,7 +596,7 @@ class Lifecycle:
         )
         run.restart_at = math.inf  # this load replaces a restart that was planned
         self._load_command = structs.replace(
-            load_command(self.identity, run.generation, pattern, params),
+            load_command(self.identity, self.goals.labels, run.generation, pattern, params),
             is_fresh=is_fresh or run.is_outdated,
             until=until,
             is_restart=is_restart,
@@ -790,7 +790,7 @@ def _give_permit(
     """
     running = lifecycle.pattern_run.running
     assert running is not None
-    granted = lifecycle.identity.settings.touch.get(pattern)
+    granted = granted_zones(lifecycle.identity.setup.settings.touch).get(pattern)
     zone, zone_text = effective_zone(pattern, event.touches, granted)
     running.permit = _permit(event.params, zone, event.scan_delay)
     if zone_text:

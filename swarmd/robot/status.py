@@ -27,8 +27,8 @@ from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import MOVING_WALL, Decision
 from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
-from swarmd.robot.settings import RobotSettings
 from swarmd.robot.state import MAX_TEXT, Lifecycle
+from swarmd.settings.robot_settings import RobotSettings
 
 if TYPE_CHECKING:
     from swarmd.protection.protection import Protection
@@ -61,17 +61,17 @@ def make_status(
     lifecycle are in s on the own clock; the status contains durations in s. The daemon adds the
     health of its own loop.
     """
-    identity, settings = lifecycle.identity, lifecycle.identity.settings
+    identity, setup = lifecycle.identity, lifecycle.identity.setup
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
     reason = status_reason(lifecycle, decision)
     return Status(
         robot=identity.robot,
         instance=identity.instance,
         platform=identity.platform.name,
-        driver=settings.driver,
-        host=settings.host,
-        profile=settings.profile,
-        is_secured=settings.is_secured,
+        driver=setup.driver,
+        host=setup.host,
+        profile=setup.profile,
+        is_secured=setup.is_secured,
         state=machine.state,
         reason=reason,
         detail=_detail(lifecycle, sensors, reason, now),
@@ -90,20 +90,20 @@ def make_status(
         readings=_clean(sensors.readings),
         stale_readings=tuple(name[:MAX_NAME] for name in sensors.stale_readings[:MAX_REPORTED]),
         events=tuple(lifecycle.events),
-        version=settings.version,
-        kernels=settings.kernels,
+        version=setup.version,
+        kernels=setup.kernels,
         scan_delay=sensors.scan_delay.summary(now),
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=identity.passage,
         walls_stand=_walls_stand(identity.platform, protection.findings),
-        fence=_fence(settings, sensors, decision, protection, now),
+        fence=_fence(setup.settings, sensors, decision, protection, now),
         battery=_battery(lifecycle),
         findings=protection.findings,
         not_following=protection.not_following,
         neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
-        words=dict(identity.platform.words.get(settings.driver, {})),
+        words=dict(identity.platform.words.get(setup.driver, {})),
     )
 
 
@@ -174,7 +174,7 @@ def _params(values: ParamSources) -> dict[str, Param]:
 
 
 def _battery(lifecycle: Lifecycle) -> BatterySummary | None:
-    settings, battery = lifecycle.identity.settings.on_low_battery, lifecycle.battery
+    settings, battery = lifecycle.identity.setup.settings.on_low_battery, lifecycle.battery
     if settings is None:
         return None
     run = lifecycle.pattern_run

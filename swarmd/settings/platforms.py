@@ -31,7 +31,8 @@ from swarmd.protection.settings import (
 )
 from swarmd.settings.driver_options import base_options
 from swarmd.settings.layered import Fault, Keys, Layered, fault_at
-from swarmd.settings.swarmfile import Options, Parameters
+from swarmd.settings.robot_settings import Parameters
+from swarmd.settings.swarmfile import Options
 from swarmd.settings.yamlfile import Data, read_extended, shown
 
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]

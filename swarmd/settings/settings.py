@@ -18,85 +18,53 @@ from msgspec import structs
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.files import user_path
-from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
-from swarmd.core.low_battery import LowBatterySettings
-from swarmd.core.values import OPTION_INPUTS, Platform, TouchZone, Value, sensor_names
-from swarmd.kit.touch import granted_zones
-from swarmd.kit.touch_config import TouchGrants
-from swarmd.network.members.neighbor_settings import NeighborSettings
+from swarmd.core.values import OPTION_INPUTS, Platform, Value, sensor_names
 from swarmd.network.settings import NetworkSettings
-from swarmd.protection.compatibility import Accepts
-from swarmd.protection.fence import fence_fault
-from swarmd.protection.fence_settings import FenceSettings
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import is_revoked
 from swarmd.settings import swarmfile
-from swarmd.settings.layered import Layered
+from swarmd.settings.layered import Layered, fault_at
 from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.settings.robot_settings import Parameters, PatternParameters, RobotSettings
 
 __all__ = ["DaemonSettings", "load_daemon_settings", "load_platform", "platform_names"]
-
-_MAX_SOURCE_LENGTH = 64  # of a source in a status
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DaemonSettings:
     """The checked settings of one daemon.
 
+    - `file`: all keys as given. Fields here have the values that follow from keys.
+    - `robot`: the keys that each robot has; the robot and its recordings carry them whole.
     - `platform_name`: the configured name, or the absolute path of a file.
-    - `labels`: the labels of this robot. `label_members`: the robots of every label.
+    - `labels`: the labels of this robot.
+    - `parameters`: of this robot's patterns.
     - `state_dir`: shared by all daemons of a user; `<state_dir>/<swarm>/<id>` belongs to this
       daemon.
     - `recording`: how the robot records; `folder` is an absolute path.
-    - `identity`: the swarm is secured if set. `is_insecure`: the lack of keys is intended.
+    - `identity`: the swarm is secured if set.
     - `provenance`: the source of each key: file, `--option`, `$VARIABLE`, `host name`, `identity`
       or `default`.
     """
 
     id: str
+    file: swarmfile.DaemonFile
+    robot: RobotSettings
     network: NetworkSettings
     platform: Platform
     platform_name: str
-    driver: str
     driver_options: Mapping[str, Value]
     labels: tuple[str, ...]
-    label_members: Mapping[str, tuple[str, ...]]
-    parameters: swarmfile.ParametersSection
-    touch: TouchGrants
-    accepts: Accepts
-    neighbors: NeighborSettings
-    fence: FenceSettings | None
-    on_low_battery: LowBatterySettings | None
+    parameters: PatternParameters
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
     recording: swarmfile.RecordingSection
     identity: Identity | None = None
-    is_insecure: bool = False
     die_with_parent: int | None = None
     provenance: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def touch_zones(self) -> Mapping[str, TouchZone]:
-        """The zones in which patterns may touch obstacles."""
-        return granted_zones(self.touch)
-
-    def pattern_layers(self, pattern: str, labels: tuple[str, ...] | None = None) -> Layers:
-        """The configured parameters of a pattern, by source, the weakest source first.
-
-        Sources: `platform`, then `label <name>` in the order of `labels` (None: the labels in the
-        file), then `robot`. Sources without parameters are left out.
-        """
-        labelled = self.parameters.labels
-        layers = [("platform", self.platform.patterns.get(pattern, {}))]
-        layers += [
-            (f"label {name}"[:_MAX_SOURCE_LENGTH], labelled.get(name, {}).get(pattern, {}))
-            for name in (self.labels if labels is None else labels)
-        ]
-        layers += [("robot", self.parameters.robots.get(self.id, {}).get(pattern, {}))]
-        return tuple((source, values) for source, values in layers if values)
 
 
 def load_daemon_settings(
@@ -120,8 +88,9 @@ def load_daemon_settings(
     identity = swarmfile.identity_of(layers, file, config, environ)
     robot = file.id or (_host_id() if identity is None else identity.name)
     _check_identity(robot, identity, file)
-    if file.fence is not None and (text := fence_fault(file.fence, platform)):
-        raise layers.error(("fence",), f"fence {text}")
+    robot_settings = RobotSettings.of(file)
+    for fault in robot_settings.misfits(platform):
+        raise layers.error(*fault_at(*fault))
     configured_state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config)
     state_dir = configured_state_dir or state_folder(environ)
     configured_recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config)
@@ -131,26 +100,24 @@ def load_daemon_settings(
     platform = replace(platform, provides=platform.provides | _inputs_of(options))
     return DaemonSettings(
         id=robot,
+        file=file,
+        robot=robot_settings,
         # The file has all fields of NetworkSettings, with the same names.
         network=msgspec.convert(file, NetworkSettings, from_attributes=True),
         platform=platform,
         platform_name=_absolute(file.platform, folder),
-        driver=file.driver,
         driver_options=options,
         labels=tuple(label for label, robots in file.members.items() if robot in robots),
-        label_members=file.members,
-        parameters=file.parameters,
-        touch=file.touch,
-        accepts=Accepts.of(file.accepts_unseen, file.accepts_faster),
-        neighbors=file.neighbors,
-        fence=file.fence,
-        on_low_battery=file.on_low_battery,
+        parameters=PatternParameters(
+            base=(("platform", cast("Parameters", platform.patterns)),),
+            labels=file.parameters.labels,
+            own=file.parameters.robots.get(robot, {}),
+        ),
         roster=file.robots if identity is None else identity.roster.robots,
         state_dir=state_dir,
         plugin_dir=swarmfile.path_of(layers, "plugin_dir", file.plugin_dir, config),
         recording=structs.replace(file.recording, folder=str(recordings.absolute())),
         identity=identity,
-        is_insecure=file.insecure,
         die_with_parent=cast("int | None", parent),
         provenance=_provenance(layers, file, platform, identity),
     )

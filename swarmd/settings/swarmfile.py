@@ -7,34 +7,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, defstruct, field
+from msgspec.structs import fields
 
 from swarmd.core.bounds import BoundedScalar, Name, ParamValues, Word
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
 from swarmd.core.goal import Validity
 from swarmd.core.keys import check_id
-from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.names import expand_globs, expand_names
 from swarmd.core.record import LABEL, Target
 from swarmd.kit.conditions import parse_conditions
-from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.members.neighbor_settings import NeighborSettings
 from swarmd.network.settings import NetworkSettings
-from swarmd.protection.fence_settings import FenceSettings
-from swarmd.recording.limits import FileLimits
 from swarmd.security.identity import Identity, choose_identity
+from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
+from swarmd.settings.robot_settings import Parameters, RobotSettings
 from swarmd.settings.yamlfile import Data, read, shown
 
 DEFAULT = "default"
-_LIMITS = FileLimits()
-PlatformName = Annotated[str, Meta(min_length=1, max_length=63)]
-PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max_length=256)]]
-"""Platforms that are accepted, perhaps each with the reason."""
-Parameters = dict[str, dict[str, BoundedScalar | None]]
 _Flat = BoundedScalar | list[BoundedScalar]
 _Inner = dict[str, _Flat | dict[str, _Flat | dict[str, BoundedScalar]]]
 Option = _Flat | dict[str, _Flat | _Inner] | None
@@ -84,8 +78,30 @@ class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         }
 
 
-class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The keys of swarm.yaml, which the robots of one swarm share, beside those of the network.
+if TYPE_CHECKING:
+
+    class _SharedKeys(NetworkSettings, RobotSettings, frozen=True, kw_only=True):
+        """The keys of both."""
+else:
+    # msgspec permits no two bases with fields: the second has them copied.
+    _SharedKeys = defstruct(
+        "_SharedKeys",
+        [
+            (one.name, one.type, field(default=one.default, default_factory=one.default_factory))
+            for one in fields(RobotSettings)
+        ],
+        bases=(NetworkSettings,),
+        module=__name__,
+        frozen=True,
+        kw_only=True,
+    )
+
+
+class SwarmFile(_SharedKeys, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The keys of swarm.yaml, which the robots of one swarm share.
+
+    The keys are those of the network (`NetworkSettings`), those of each robot (`RobotSettings`),
+    and:
 
     - `identity`: the folder of the identity; by default the folder of the user, or of the machine,
       for this swarm.
@@ -95,15 +111,6 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     - `labels`: names for groups of robots (ids and ranges), as targets and for `parameters`.
     - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
     - `neighbors`: which robots are neighbors. A pattern hears the messages of neighbors alone.
-    - `touch`: the zones in which patterns may touch obstacles.
-    - `accepts_unseen`: platforms that the lidars of other robots do not see, since the rays pass
-      above or below. Without this key a robot stands while it does not know where such a peer is;
-      with the key it drives, and may collide with the peer.
-    - `accepts_faster`: platforms that are faster than the barrier of other robots assumes. Without
-      this key a robot stands while it has such a peer. Both keys: a list of platforms, or reasons
-      by platform.
-    - `fence`: the area in a shared frame that robots do not leave.
-    - `on_low_battery`: what a running robot does when its battery is low. None: nothing.
     """
 
     identity: str | None = None
@@ -113,11 +120,6 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     goal: GoalSection | None = None
     parameters: ParametersSection = ParametersSection()
     neighbors: NeighborSettings = NeighborSettings()
-    touch: TouchGrants = {}
-    accepts_unseen: PlatformGrants = []
-    accepts_faster: PlatformGrants = []
-    fence: FenceSettings | None = None
-    on_low_battery: LowBatterySettings | None = None
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -133,25 +135,15 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
         }
 
 
-class RecordingSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a robot records.
+class RecordingSection(FileLimits, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a robot records, beside the limits of its files.
 
     - `from_start`: recording begins when the daemon starts, without `swarmctl record start`.
     - `folder`: of the recordings; by default `recordings` beside the robot's state.
-    - `keep_bytes`: limit for all recordings of this robot; beyond it the oldest are removed.
-    - `file_bytes`, `file_seconds`: a new file begins after this size or time.
     """
 
     from_start: bool = False
     folder: str | None = None
-    keep_bytes: Annotated[int, Meta(ge=2**20)] = _LIMITS.keep_bytes
-    file_bytes: Annotated[int, Meta(ge=2**16)] = _LIMITS.file_bytes
-    file_seconds: Annotated[float, Meta(ge=1.0, le=86400.0)] = _LIMITS.file_seconds
-
-    @property
-    def limits(self) -> FileLimits:
-        """The limits of its files."""
-        return FileLimits(self.file_bytes, self.file_seconds, self.keep_bytes)
 
 
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -226,10 +218,8 @@ def check(file: Any, _: Keys) -> Iterator[Fault]:
         yield from _check_names(file)
         for key, text in file.neighbors.faults():
             yield fault_at(("neighbors", key), text)
-        for key in ("fence", "on_low_battery"):
-            if (section := getattr(file, key)) is not None:
-                for keys, text in section.faults():
-                    yield fault_at((key, *keys), text)
+        for keys, text in RobotSettings.of(file).faults():
+            yield fault_at(keys, text)
         if file.recording.keep_bytes < 2 * file.recording.file_bytes:
             text = f"is {file.recording.keep_bytes}; expected at least two files of file_bytes"
             yield fault_at(("recording", "keep_bytes"), text)

@@ -119,7 +119,9 @@ def test_the_effective_configuration_has_sources_and_reads_back_the_same(tmp_pat
     (tmp_path / "r.yaml").write_text(
         "swarm_file: swarm.yaml\nplatform: burger\ndriver_options: {endpoint: tcp/127.0.0.1:9}\n"
         "touch: {push: {half_width_deg: 20, speed: 0.1}, dock: null}\n"
-        "accepts_unseen: {waffle_pi: a fence}\naccepts_faster: [jackal]"
+        "accepts_unseen: {waffle_pi: a fence}\naccepts_faster: [jackal]\n"
+        "neighbors: {neighborhood: range, range: 3.0}\n"
+        "fence: {frame: map, polygon: [[-4, -4], [4, -4], [4, 4], [-4, 4]]}"
     )
     done = swarmd("--config", "r.yaml", "--id", "r1", "--print-effective-config", cwd=tmp_path)
     lines = [line.split("  #") for line in done.stdout.splitlines() if "  #" in line]
@@ -133,8 +135,9 @@ def test_the_effective_configuration_has_sources_and_reads_back_the_same(tmp_pat
     first = load_daemon_settings(tmp_path / "r.yaml", {"id": "r1"}, {"HOME": str(tmp_path)})
     again = load_daemon_settings(tmp_path / "again.yaml", {}, {})
     same = ("id", "network", "roster", "labels", "driver_options", "state_dir", "platform_name")
-    for key in (*same, "touch", "accepts"):
+    for key in (*same, "robot"):
         assert getattr(again, key) == getattr(first, key)
+    assert again.file.neighbors == first.file.neighbors
 
 
 def test_check_finds_problems_and_moves_nothing(tmp_path: Path) -> None:

@@ -26,12 +26,12 @@ from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import Nothing, RecordingsReply
 from swarmd.daemon.recorder import Recorder, RecordingService
-from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages, process
 from swarmd.recording.head import RecordingHead
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.robot.setup import RobotSetup
+from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import RecordingSection
 
@@ -250,21 +250,12 @@ def head() -> RecordingHead:
     return RecordingHead(
         robot="a",
         swarm="s",
-        driver="d",
         clock="00ff",
         instance="i",
         seed=1,
-        version="",
-        kernels="",
         machine="",
         platform=load_platform("burger"),
-        labels=(),
-        layers={},
-        touch={},
-        accepts=ACCEPTS_NONE,
-        revision=0,
-        generation=0,
-        latches={},
+        setup=RobotSetup(driver="d"),
     )
 
 

@@ -46,9 +46,9 @@ from swarmd.drivers.replay import ReplayDriver
 from swarmd.recording import messages
 from swarmd.recording.frames import Begin, InputEntry, input_entry, without_geometry
 from swarmd.recording.head import head_of
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import read_file
+from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, running_driver
 from tests.support import hand_clock as handclock

@@ -96,8 +96,9 @@ from swarmd.protection.fence_settings import FenceSettings
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import EarlierLives, RobotSettings
+from swarmd.robot.setup import EarlierLives, RobotSetup
 from swarmd.security.roster import Role
+from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_services import fake_services
 
@@ -428,11 +429,10 @@ class VirtualDaemon(Node):
         self.robot = Robot(
             self.name,
             platform(),
-            RobotSettings(
+            RobotSetup(
                 driver="virtual",
-                layers=lambda pattern: (),
                 profile="field",
-                fence=FENCE if swarm.is_fenced else None,
+                settings=RobotSettings(fence=FENCE if swarm.is_fenced else None),
             ),
             seed=1,
             instance=instance.hex(),

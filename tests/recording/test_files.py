@@ -42,10 +42,10 @@ from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Scan, SharedPo
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages
 from swarmd.recording.cdr import CdrWriter, Message
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedMessage, read_file
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
+from swarmd.settings.file_limits import FileLimits
 
 BEGIN = 1_700_000_000_000_000_000
 STAMP = "geometry_msgs/msg/TwistStamped"

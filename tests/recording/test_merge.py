@@ -16,10 +16,10 @@ from swarmd.core.events import OdometryInput
 from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.recording.clock_offset import Exchange
 from swarmd.recording.frames import Begin, ClockEntry, input_entry
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import read_file
+from swarmd.settings.file_limits import FileLimits
 
 WALLS = {"a": 1.7e9, "b": 0.0, "c": 1.5e9}
 """The wall clock of each robot at its first message; that of b begins in 1970."""

@@ -37,7 +37,7 @@ def harness() -> RobotHarness:
 
 def recalled(harness: RobotHarness) -> Robot:
     robot = harness.robot
-    return recall(remember(robot), robot._lifecycle.identity.settings)
+    return recall(remember(robot), robot.identity.setup)
 
 
 def test_a_recalled_robot_has_the_same_status_and_memory(harness: RobotHarness) -> None:
@@ -174,7 +174,7 @@ def test_other_bytes_are_refused_at_once_and_run_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    good, settings = remember(harness.robot), harness.robot._lifecycle.identity.settings
+    good, settings = remember(harness.robot), harness.robot.identity.setup
     with pytest.raises(CodecError, match="of this version") as caught:
         recall(data, settings)
     assert str(caught.value).isprintable()
@@ -185,15 +185,15 @@ def test_other_bytes_are_refused_at_once_and_run_nothing(
 
 def test_a_memory_of_an_older_format_is_named(harness: RobotHarness) -> None:
     data = zlib.compress(pickle.dumps([1, 2], pickle.HIGHEST_PROTOCOL))
-    with pytest.raises(CodecError, match="format 1; expected 2"):
-        recall(data, harness.robot._lifecycle.identity.settings)
+    with pytest.raises(CodecError, match="format 1; expected 3"):
+        recall(data, harness.robot.identity.setup)
 
 
 def test_a_memory_that_was_cut_off_is_refused(harness: RobotHarness) -> None:
     data = remember(harness.robot)
     for end in range(0, len(data), len(data) // 7):
         with pytest.raises(CodecError):
-            recall(data[:end], harness.robot._lifecycle.identity.settings)
+            recall(data[:end], harness.robot.identity.setup)
 
 
 def test_a_memory_beyond_its_limit_or_with_a_foreign_value_is_not_made(

@@ -22,6 +22,7 @@ from swarmd.api import (
 )
 from swarmd.core.host_messages import Loaded, PatternFailed
 from swarmd.core.messages import Reason, State
+from swarmd.kit.touch_config import TouchGrants, TouchSection
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
 from swarmd.testing.scans import Disc, scan_of
 from tests.support.protection import Protection
@@ -105,7 +106,15 @@ def record_permits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make_harness(**touch: TouchZone) -> RobotHarness:
-    made = RobotHarness(patterns=PATTERNS, touch=touch)
+    granted: TouchGrants = {
+        name: TouchSection(
+            bearing_deg=math.degrees(zone.bearing),
+            half_width_deg=math.degrees(zone.half_width),
+            speed=zone.speed,
+        )
+        for name, zone in touch.items()
+    }
+    made = RobotHarness(patterns=PATTERNS, touch=granted)
     made.advance(1.0)
     return made
 

@@ -55,7 +55,7 @@ from swarmd.core.verbs import (
 )
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.setup import RobotSetup
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.examples import examples
@@ -80,7 +80,7 @@ class Pair:
 
     def __init__(self) -> None:
         self.now, self.seq, self.count = 1000.0, 0, 0
-        settings = RobotSettings(driver="story", layers=lambda name: ())
+        settings = RobotSetup(driver="story")
         self.robots = tuple(
             made("r", PLATFORM, settings, seed=1, instance="b", now=self.now)
             for made in (Robot, Restless)

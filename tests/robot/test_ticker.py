@@ -23,7 +23,7 @@ from swarmd.robot.actions import Actions
 from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.setup import RobotSetup
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_of
 from tests.support.kernel_forms import both_forms, compares_forms
@@ -118,7 +118,7 @@ def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
 
 
 def running_robot() -> tuple[Robot, float]:
-    settings = RobotSettings(driver="story", layers=lambda name: ())
+    settings = RobotSetup(driver="story")
     robot, now = Robot("r", PLATFORM, settings, seed=1, instance="b", now=10.0), 10.0
     robot.step(DriverInput(True, "there"), now)
     robot.step(ScanInput(scan_of(PLATFORM, [Disc(1.0, 0.1)], room=4.0, seq=0)), now)

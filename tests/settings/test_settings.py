@@ -10,6 +10,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import TouchZone
+from swarmd.kit.touch import granted_zones
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 
 HOME = {"HOME": "/home/someone"}
@@ -35,7 +36,7 @@ def test_without_file_and_options_a_robot_is_named_for_its_host(
     settings = load()
     network = settings.network
     assert (settings.id, network.swarm, network.profile) == ("tb3-07", "default", "dev")
-    assert (settings.platform.name, settings.driver) == ("waffle_pi", "simulated")
+    assert (settings.platform.name, settings.file.driver) == ("waffle_pi", "simulated")
     assert settings.state_dir == Path("/home/someone/.local/state/swarmd")
     assert settings.provenance["id"] == "host name"
     assert settings.provenance["swarm"] == "default"
@@ -170,13 +171,14 @@ def test_pattern_parameters_come_in_layers_weakest_first(folder: Path) -> None:
         "    r1: {drive: {angular: 0.3}, attraction: {range_max: 1}}\n"
     )
     assert settings.labels == ("red", "fast")
-    assert settings.pattern_layers("drive") == (
+    assert settings.parameters.layers("drive", settings.labels) == (
         ("platform", {"linear": 0.1}),
         ("label fast", {"linear": 0.2}),
         ("robot", {"angular": 0.3}),
     )
-    assert settings.pattern_layers("attraction") == (("robot", {"range_max": 1}),)
-    assert settings.pattern_layers("dispersion") == ()
+    layers = settings.parameters.layers
+    assert layers("attraction", settings.labels) == (("robot", {"range_max": 1}),)
+    assert settings.parameters.layers("dispersion", settings.labels) == ()
 
 
 def test_a_robots_file_can_change_and_revoke_grants(folder: Path) -> None:
@@ -184,7 +186,7 @@ def test_a_robots_file_can_change_and_revoke_grants(folder: Path) -> None:
         "touch: {push: {half_width_deg: 20, speed: 0.1}, dock: {half_width_deg: 5, speed: 0.02}}"
     )
     settings = load("id: r1\nswarm_file: swarm.yaml\ntouch: {dock: null, push: {speed: 0.05}}")
-    assert settings.touch_zones == {"push": TouchZone(0.0, math.radians(20.0), 0.05)}
+    assert granted_zones(settings.robot.touch) == {"push": TouchZone(0.0, math.radians(20.0), 0.05)}
     assert settings.provenance["touch"] == "r.yaml"
 
 
@@ -194,7 +196,7 @@ def test_a_source_is_never_longer_than_a_status_can_name(folder: Path) -> None:
         f"id: r1\nlabels: {{{label}: [r1]}}\n"
         f"parameters: {{labels: {{{label}: {{drive: {{linear: 0.1}}}}}}}}"
     )
-    ((source, _),) = settings.pattern_layers("drive")
+    ((source, _),) = settings.parameters.layers("drive", settings.labels)
     assert len(source) == 64
 
 
@@ -226,7 +228,7 @@ def test_the_example_in_config_can_be_read() -> None:
     example = Path(__file__).parents[2] / "config/swarm.yaml"
     settings = load_daemon_settings(example, {"id": "tb3-01", "platform": "burger"}, HOME)
     assert settings.id in settings.roster
-    assert settings.pattern_layers("attraction")
+    assert settings.parameters.layers("attraction", settings.labels)
 
 
 def test_ranges_are_names_in_roster_and_labels(folder: Path) -> None:
@@ -235,7 +237,7 @@ def test_ranges_are_names_in_roster_and_labels(folder: Path) -> None:
     )
     assert settings.roster == ("r01", "r02", "r03", "x")
     assert settings.labels == ("red",)
-    assert settings.label_members == {"red": ("r02", "r03"), "blue": ("r01", "r03")}
+    assert settings.file.members == {"red": ("r02", "r03"), "blue": ("r01", "r03")}
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from platform import machine
 from typing import IO, Any, cast
 
 import numpy as np
@@ -14,26 +12,25 @@ from mcap.writer import Writer
 from msgspec import structs
 
 from swarmd.core.events import RangesInput
-from swarmd.core.kernels import describe_kernels
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan, Twist
 from swarmd.daemon.recorder import Recorder
+from swarmd.daemon.robot_setup import recording_head
 from swarmd.kit.behavior import Pattern
 from swarmd.patterns.drive.pattern import Drive
 from swarmd.patterns.random_walk.pattern import RandomWalk
 from swarmd.plugins import pattern_names
-from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.recording.writer import Channels
 from swarmd.replay.replay import Parity, repeat
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
+from swarmd.settings.file_limits import FileLimits
 from swarmd.testing.scans import empty_scan
 from tests.support.range_ring import ring_scan, with_ring
 from tests.support.robot_harness import RobotHarness
@@ -80,28 +77,7 @@ class FileRecorder(Recorder):
 
 
 def head_at(robot: RobotHarness) -> RecordingHead:
-    return RecordingHead(
-        robot=robot.robot.id,
-        swarm="s",
-        driver="story",
-        clock="c",
-        instance="boot1",
-        seed=1,
-        version=version("swarmd"),
-        kernels=describe_kernels(),
-        machine=machine(),
-        platform=robot.robot.platform,
-        labels=(),
-        layers={},
-        touch={},
-        accepts=ACCEPTS_NONE,
-        revision=robot.epoch.revision,
-        generation=robot.robot.generation,
-        latches=robot.robot.latches,
-        cleared=tuple(robot.robot.cleared),
-        fence=robot.robot.fence,
-        on_low_battery=robot.on_low_battery,
-    )
+    return structs.replace(recording_head(robot.robot, "s", robot.now), clock="c")
 
 
 class Story:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import cache
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -35,21 +36,24 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
+from swarmd.core.kernels import describe_kernels
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code, Epoch, Reply, Status
-from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
+from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import (
     VERBS,
     Request,
 )
 from swarmd.kit.behavior import Pattern
+from swarmd.kit.touch_config import TouchGrants
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.robot.actions import Actions, FailedCode
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import EarlierLives, RobotSettings
+from swarmd.robot.setup import EarlierLives, RobotSetup
+from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 
@@ -92,7 +96,7 @@ class RobotHarness:
         latches: LatchRecord | None = None,
         goals: GoalRecord | None = None,
         instance: str = "boot1",
-        touch: Mapping[str, TouchZone] | None = None,
+        touch: TouchGrants | None = None,
         fence: FenceSettings | None = None,
         on_low_battery: LowBatterySettings | None = None,
         make: Callable[..., Robot] = Robot,
@@ -100,7 +104,6 @@ class RobotHarness:
         is_provisional: Callable[[int], bool] = lambda generation: False,
     ) -> None:
         self.platform = _platform(platform)
-        self.on_low_battery = on_low_battery
         self.now = 1000.0
         self.twist = ZERO
         self.commands: list[tuple[float, Twist]] = []
@@ -123,12 +126,13 @@ class RobotHarness:
         self.robot = make(
             "tb3-01",
             self.platform,
-            RobotSettings(
+            RobotSetup(
                 driver="story",
-                layers=lambda name: (),
-                touch=touch or {},
-                fence=fence,
-                on_low_battery=on_low_battery,
+                version=version("swarmd"),
+                kernels=describe_kernels(),
+                settings=RobotSettings(
+                    touch=touch or {}, fence=fence, on_low_battery=on_low_battery
+                ),
             ),
             seed=1,
             instance=instance,

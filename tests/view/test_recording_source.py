@@ -16,13 +16,13 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.events import OdometryInput, ScanInput
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
-from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
+from swarmd.robot.setup import RobotSetup
+from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.platforms import load_platform
 from swarmd.view.recording_source import RecordingSource
 from swarmd.view.source import hello_of
@@ -36,21 +36,12 @@ def head(robot: str, clock: str) -> RecordingHead:
     return RecordingHead(
         robot=robot,
         swarm="s",
-        driver="story",
         clock=clock,
         instance="boot1",
         seed=1,
-        version="",
-        kernels="",
         machine="",
         platform=BURGER,
-        labels=(),
-        layers={},
-        touch={},
-        accepts=ACCEPTS_NONE,
-        revision=0,
-        generation=0,
-        latches={},
+        setup=RobotSetup(driver="story"),
     )
 
 

@@ -134,10 +134,10 @@ def test_daemons_are_configured_as_the_robots_of_lockstep(
         wanted, got = lockstep._platforms[row], settings.platform
         assert (got.name, got.limits, got.provides) == (wanted.name, wanted.limits, wanted.provides)
         assert (got.scan.is_noisy, got.scan.sweep) == (wanted.scan.is_noisy, wanted.scan.sweep)
-        assert settings.accepts == scenario.accepts
+        assert settings.robot == scenario.settings[robot]
         for pattern in ("climb", "random_walk"):
-            live = _flat(settings.pattern_layers(pattern))
-            assert live == _flat(scenario.layers(robot, pattern))
+            live = _flat(settings.parameters.layers(pattern, settings.labels))
+            assert live == _flat(scenario.parameters[robot].layers(pattern, ()))
 
 
 def _flat(layers: Any) -> dict[str, object]:

@@ -36,7 +36,7 @@ def made(fence: dict[str, Any] | None = None, mode: str = "barrier") -> Scenario
 
 def clearance(scenario: Scenario, trace: Trace) -> float:
     """m from the circles around the outlines to FENCE at the worst."""
-    fence = made(FENCE).fence
+    fence = made(FENCE).settings["tb3-01"].fence
     assert fence is not None
     judge = Fence(fence, next(iter(scenario.robots.values())))
     return float(judge.clearances(trace.pose[..., :2].reshape(-1, 2)).min())

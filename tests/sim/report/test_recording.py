@@ -23,9 +23,9 @@ from swarmd.recording.frames import (
     as_json,
     input_entry,
 )
-from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
+from swarmd.settings.file_limits import FileLimits
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.report.recording_report import stops_of, trace_of

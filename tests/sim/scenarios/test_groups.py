@@ -10,6 +10,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import TouchZone
+from swarmd.kit.touch import granted_zones
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
@@ -47,9 +48,24 @@ def test_a_group_grants_its_robots_where_a_pattern_may_touch(load: Load) -> None
     granted = {"attraction": {"bearing_deg": 90, "half_width_deg": 9, "speed": 0.1}, "drive": None}
     scenario = load({"groups.red.touch": granted})
     zone = TouchZone(math.radians(90.0), math.radians(9.0), 0.1)
-    assert scenario.touch["red-02"] == {"attraction": zone}
-    assert scenario.touch["s-one"] == {}
-    assert scenario_of(scenario.effective).touch == scenario.touch
+    assert granted_zones(scenario.settings["red-02"].touch) == {"attraction": zone}
+    assert scenario.settings["s-one"].touch == {}
+    assert scenario_of(scenario.effective).settings == scenario.settings
+
+
+def test_the_touch_of_a_scenario_is_that_of_all_robots_and_of_a_group_prevails(load: Load) -> None:
+    def zone(degrees: float) -> dict[str, float]:
+        return {"half_width_deg": degrees, "speed": 0.1}
+
+    touch = {"attraction": zone(20), "drive": zone(20)}
+    scenario = load({"touch": touch, "groups.red.touch": {"attraction": zone(9), "drive": None}})
+    red, single = (granted_zones(scenario.settings[name].touch) for name in ("red-01", "s-one"))
+    assert {name: zone.half_width for name, zone in red.items()} == {"attraction": math.radians(9)}
+    assert {name: zone.half_width for name, zone in single.items()} == dict.fromkeys(
+        touch, math.radians(20)
+    )
+    with pytest.raises(ConfigError, match=r"touch\.drvie: .*'drive'"):
+        load({"touch": {"drvie": zone(20)}})
 
 
 def test_a_platform_can_be_made_from_another(load: Load) -> None:

@@ -68,7 +68,8 @@ def test_changes_what_it_names_and_nothing_else(load: Load) -> None:
     }
     scenario = load({}, overrides)
     assert scenario.groups["red"] == ("red-01", "red-02", "red-03")
-    assert scenario.layers("red-01", "attraction") == (("group red", {"law": "paper"}),)
+    layers = scenario.parameters["red-01"].layers("attraction", ())
+    assert layers == (("group red", {"law": "paper"}),)
     assert [box.mass for box in scenario.arena.boxes] == [4.0, 2.0, None]
     assert scenario.arena.boxes[0].name == "crate"
     assert (scenario.events[1].at, scenario.events[1].pattern) == (12.0, "drive")

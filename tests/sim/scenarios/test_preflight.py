@@ -81,11 +81,11 @@ def test_layers_are_the_platforms_the_scenarios_and_the_groups(load: Load) -> No
         "parameters": {"attraction": {"spacing": 0.8}},
         "groups.red.parameters": {"law": "paper"},
     }
-    layers = load(changes).layers
-    assert layers("red-01", "attraction") == (
+    parameters = load(changes).parameters
+    assert parameters["red-01"].layers("attraction", ()) == (
         ("platform", {"slack": 0.1}),
         ("scenario", {"spacing": 0.8}),
         ("group red", {"law": "paper"}),
     )
-    assert layers("s-one", "attraction") == (("scenario", {"spacing": 0.8}),)
-    assert layers("red-01", "drive") == ()
+    assert parameters["s-one"].layers("attraction", ()) == (("scenario", {"spacing": 0.8}),)
+    assert parameters["red-01"].layers("drive", ()) == ()

@@ -40,9 +40,9 @@ def same(a: Scenario, b: Scenario, seed: int = 3) -> bool:
     assert [repr(event) for event in a.events] == [repr(event) for event in b.events]
     np.testing.assert_array_equal(a.starts(seed), b.starts(seed))
     pairs = [(robot, event.pattern) for event in a.events for robot in event.robots]
-    assert [a.layers(*pair) for pair in pairs] == [b.layers(*pair) for pair in pairs]
+    assert all(a.parameters[robot] == b.parameters[robot] for robot, _ in pairs)
     names = "name description duration groups arena fields realism visibility radio absent"
-    names += " trace_rate plugin_dir effective"
+    names += " trace_rate plugin_dir effective settings"
     differing = [name for name in names.split() if getattr(a, name) != getattr(b, name)]
     return list(a.robots) == list(b.robots) and differing == []
 

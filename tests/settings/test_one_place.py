@@ -1,0 +1,134 @@
+"""A new setting of robots is a field of `RobotSettings`, what uses it, and its page: nothing else.
+
+`reached` adds a field to the source of that one module, in a process of its own, and writes the key
+to swarm.yaml and to a scenario. All other code is as it stands: whatever copies settings by name
+loses the new one.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarmd.settings.robot_settings import RobotSettings
+
+ROOT = Path(__file__).parents[2]
+BELOW = "    on_low_battery: LowBatterySettings | None = None\n"
+ADDED = "    patience: Annotated[float, Meta(gt=0.0, le=9.0)] = 1.0\n"
+WRITTEN = 2.5
+SQUARE = [[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]]
+KEYS = f"patience: {WRITTEN}\nfence: {{frame: world, polygon: {SQUARE}}}\n"
+WITH_A_FIELD = f"""
+import sys
+from importlib.util import find_spec, module_from_spec
+from pathlib import Path
+
+spec = find_spec("swarmd.settings.robot_settings")
+text = Path(spec.origin).read_text()
+assert text.count({BELOW!r}) == 1
+module = sys.modules[spec.name] = module_from_spec(spec)
+exec(compile(text.replace({BELOW!r}, {BELOW + ADDED!r}), spec.origin, "exec"), vars(module))
+"""
+PLACES = """
+import json
+from swarmd.cli.effective_config import effective_config
+from swarmd.core.errors import ConfigError
+from swarmd.core.goal import GoalRecord
+from swarmd.daemon.robot_setup import make_robot, recording_head
+from swarmd.recording.head import head_of
+from swarmd.replay.replay import Replay
+from swarmd.robot.latches import LatchRecord
+from swarmd.robot.memory import recall, remember
+from swarmd.settings.settings import load_daemon_settings
+from swarmd.settings.yamlfile import text_of
+from swarmd.sim.live.live_scenario import LiveScenario
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
+
+places = {}
+folder = Path(sys.argv[1])
+
+def note(place, settings):
+    places[place] = settings.patience, settings.fence and settings.fence.polygon
+
+def settings_of(text):
+    (folder / "one.yaml").write_text(text)
+    return load_daemon_settings(folder / "one.yaml", {}, {"HOME": str(folder)})
+
+def in_daemon(place, settings):
+    made = make_robot(settings, "00", 1, latches=LatchRecord(), goals=GoalRecord())
+    note(place, made.identity.setup.settings)
+    return made
+
+def refusal(make, *arguments):
+    try:
+        make(*arguments)
+    except ConfigError as error:
+        return str(error)
+
+settings = settings_of("id: r1\\nplatform: burger\\nswarm_file: swarm.yaml\\n")
+robot = in_daemon("daemon", settings)
+in_daemon("effective configuration", settings_of(effective_config(settings)))
+head = head_of(recording_head(robot, "s", 0.0).texts(), "")
+note("head", head.setup.settings)
+note("replay", Replay(head, {}, {})._make_robot(0.0).identity.setup.settings)
+note("memory", recall(remember(robot), head.setup).identity.setup.settings)
+scenario = load_scenario(folder / "scenario.yaml")
+note("lockstep", Lockstep(scenario, 1).shells[1].robot.identity.setup.settings)
+note("again", Lockstep(scenario_of(scenario.effective), 1).shells[1].robot.identity.setup.settings)
+live = LiveScenario(scenario)
+live.write(folder)
+config = {"id": "tb3-02", **live.daemon_config("tb3-02", folder)}
+in_daemon("live", settings_of(text_of(config)))
+faults = [
+    refusal(settings_of, "id: r1\\npatience: 10\\n"),
+    refusal(load_scenario, folder / "scenario.yaml", {"patience": 10}),
+]
+print(json.dumps([places, faults]))
+"""
+
+
+@pytest.fixture(scope="module")
+def reached(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object], list[str]]:
+    """By place, the values of the new key and of the fence; and the refusals of a wrong value."""
+    folder = tmp_path_factory.mktemp("one")
+    (folder / "swarm.yaml").write_text(KEYS)
+    group = "groups: {tb3: {platform: burger, count: 2, pattern: random_walk}}\n"
+    (folder / "scenario.yaml").write_text(f"{KEYS}{group}start: {{layout: grid, spacing: 1.0}}\n")
+    done = subprocess.run(
+        [sys.executable, "-c", WITH_A_FIELD + PLACES, str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr
+    places, faults = json.loads(done.stdout)
+    return places, faults
+
+
+def test_a_key_reaches_each_robot_and_its_recording_by_one_field(
+    reached: tuple[dict[str, object], list[str]],
+) -> None:
+    places, _ = reached
+    names = "daemon, effective configuration, head, replay, memory, lockstep, again, live"
+    assert places == {name: [WRITTEN, SQUARE] for name in names.split(", ")}
+
+
+def test_the_bounds_of_the_field_are_those_of_both_files(
+    reached: tuple[dict[str, object], list[str]],
+) -> None:
+    _, faults = reached
+    wanted = "patience is 10; expected a number above 0 and up to 9"
+    assert [fault.partition(": ")[2] for fault in faults] == [wanted, wanted]
+
+
+@pytest.mark.parametrize("key", RobotSettings.__struct_fields__)
+def test_each_key_is_on_its_page(key: str) -> None:
+    configuration = (ROOT / "docs/configuration.md").read_text()
+    assert re.search(rf"^{key}: .*#", configuration, re.MULTILINE)
