@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec import structs
 
 from swarmd.cli import completion
 from swarmd.cli.options import Duration
@@ -91,11 +92,10 @@ def demo(
     stamp = time.strftime("%Y%m%d-%H%M%S")
     folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))
     settings = _settings(fleet, pattern, values, seconds)
-    spec = replace(
-        fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=settings.seconds
-    )
-    if fleet.scenario is not None:  # robots that join later, by an event, have no daemon so far
-        spec = replace(spec, absent=fleet.scenario.scenario.absent)
+    trace = str(folder / "trace.npz")
+    spec = structs.replace(fleet, folder=folder / "logs", trace=trace, seconds=settings.seconds)
+    if fleet.live is not None:  # robots that join later, by an event, have no daemon so far
+        spec = structs.replace(spec, absent=fleet.live.scenario.absent)
 
     # 3. The run, its report, and the film of its trace.
     has_screen = sys.stdout is not None and sys.stdout.isatty()
@@ -156,13 +156,13 @@ def _settings(
     from swarmd.sim.scenarios.scenario import ScheduledEvent
 
     platforms = "+".join(dict.fromkeys(Path(name).stem for name in fleet.robots.values()))
-    if fleet.scenario is None:
+    if fleet.live is None:
         robots = tuple(fleet.robots)
         run = ScheduledEvent(
             at=0.0, action="run", robots=robots, pattern=pattern, parameters=params
         )
         return DemoSettings(events=(run,), seconds=seconds, pattern=pattern, platform=platforms)
-    scenario = fleet.scenario.scenario
+    scenario = fleet.live.scenario
     patterns = dict.fromkeys(event.pattern for event in scenario.events if event.pattern)
     return DemoSettings(
         events=scenario.events,
@@ -198,7 +198,7 @@ def perform(
     ):
         run = DemoRun(settings, fleet, operator, world, draw_scene)
         # The summary counts the time until motion from the start of this process.
-        summary = run.perform(spec.trace, process_start(), warn)
+        summary = run.perform(Path(spec.trace), process_start(), warn)
         if served_page is not None:
             served_page.reason = (
                 f"The demo has ended; its robots have stopped. Results: {spec.folder.parent}/"

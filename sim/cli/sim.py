@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import time
 from contextlib import suppress
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
+from msgspec import structs
 
 from swarmd.cli.options import CommonOptions, VerbGroup
 from swarmd.cli.output import print_section, signals_end, warn
@@ -80,7 +80,7 @@ def up(
     name = check_id(swarm_option or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
     with kept_folder(keep) as folder:
         # `world`: the values of `fleet_options`. `bases_only`: the user starts the daemons.
-        spec = dataclasses.replace(fleet_for(name, folder, **world), endpoint=endpoint)
+        spec = structs.replace(fleet_for(name, folder, **world), endpoint=endpoint)
         if bases_only:
             serve_bases(spec, page)
         else:
@@ -120,7 +120,7 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
     from swarmd.settings.yamlfile import text_of
     from swarmd.sim.live.fleet import Fleet, daemon_config
 
-    spec = dataclasses.replace(spec, absent=frozenset(spec.robots))
+    spec = structs.replace(spec, absent=frozenset(spec.robots))
     with signals_end(), Fleet(spec) as fleet, world_page(fleet, page):
         config = daemon_config(spec, next(iter(spec.robots)), fleet.ready)
         names = list(spec.robots)
@@ -177,9 +177,9 @@ def _print_usage(spec: FleetSpec) -> None:
 
 def _runs(spec: FleetSpec, swarmctl: str) -> list[tuple[str, str]]:
     """The commands that start what the scenario runs at its beginning."""
-    if spec.scenario is None:
+    if spec.live is None:
         return [(f"{swarmctl} run attraction --all", "the robots gather")]
-    runs = [e for e in spec.scenario.scenario.events if e.action == "run" and e.at == 0.0]
+    runs = [e for e in spec.live.scenario.events if e.action == "run" and e.at == 0.0]
     return [
         (f"{swarmctl} run {run.pattern} {_targets(run.robots, spec)}", "as the scenario begins")
         for run in runs

@@ -318,7 +318,7 @@ class DemoRun:
             numbers=numbers,
             problems=tuple(problems),
             signal=next(iter(self._signals), 0),
-            scenario=spec.scenario.scenario.name if spec.scenario else "",
+            scenario=spec.live.scenario.name if spec.live else "",
             events=tuple(self._timeline.done),
             reports={name: dict(status.report) for name, status in after.items()},
             readings={name: dict(status.readings) for name, status in after.items()},

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
-from msgspec import structs
+from msgspec import Struct, structs
 
 from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.files import as_text, user_path
@@ -49,48 +49,38 @@ KILL_DELAY = 2.0  # s between TERM and KILL
 WORLD_TIMEOUT = 30.0  # s; MuJoCo's first import from a cold disk is slow
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FleetSpec:
-    """The options of a fleet: one process with the simulated world, and a daemon for each robot.
+class FleetSpec(WorldOptions, Struct, frozen=True, kw_only=True):
+    """The options of a fleet: those of its simulated world, and of a daemon for each robot.
 
-    With a `scenario`, the scenario describes the world and the daemons. `arena`, `layout`,
+    With a scenario (`live`), the scenario describes the world and the daemons. `arena`, `layout`,
     `realism`, `lidar_visibility` and `radio_range` then have no effect.
+
+    - `folder`: for configuration, logs and latches.
+    - `absent`: robots without a daemon at the start.
     """
 
-    swarm: str
-    robots: Mapping[str, str]  # platform by id
-    folder: Path  # for configuration, logs and latches
-    arena: str
-    layout: str
-    seed: int = 0
+    folder: Path
     realism: Literal["ideal", "realistic"] = "realistic"
-    lidar_visibility: Literal["body", "real"] = "body"
-    radio_range: float | None = None  # m; None: without limit
     plugin_dir: Path | None = None
-    trace: Path | None = None  # the file of the recording; None: no file
-    seconds: float | None = None  # of simulation to record; None: until the end
-    emulator: str | None = None  # the driver whose interface the world emulates; None: `simulated`
-    shared_frame: bool = False  # the world sends each robot its pose
-    scenario: LiveScenario | None = None
-    absent: frozenset[str] = frozenset()  # robots without a daemon at the start
-    endpoint: str = "tcp/127.0.0.1:0"  # where the world listens for drivers
+    live: LiveScenario | None = None
+    absent: frozenset[str] = frozenset()
 
     @property
     def all_hear_all(self) -> bool:
         """True if the radio reaches each robot from everywhere."""
-        radio = RadioSettings() if self.scenario is None else self.scenario.scenario.radio
+        radio = RadioSettings() if self.live is None else self.live.scenario.radio
         is_far = self.radio_range is None and radio.neighborhood == "all"
         return is_far and not radio.line_of_sight
 
     def platforms(self) -> Mapping[str, Platform]:
         """The platform of each robot."""
-        if self.scenario is not None:
-            return self.scenario.scenario.robots
+        if self.live is not None:
+            return self.live.scenario.robots
         kinds = {name: load_platform(name) for name in set(self.robots.values())}
         return {robot: kinds[name] for robot, name in self.robots.items()}
 
 
-class Ready(msgspec.Struct, frozen=True):
+class Ready(Struct, frozen=True):
     """The ready line of a world: the endpoint for viewers, and the driver for daemons."""
 
     endpoint: str
@@ -200,8 +190,8 @@ class Fleet:
         as_text(spec.folder.absolute())  # ConfigError for a path that is not UTF-8
         spec.folder.mkdir(parents=True, exist_ok=True)
         start_server(DAEMON_MODULES)
-        if spec.scenario is not None:
-            spec.scenario.write(spec.folder)
+        if spec.live is not None:
+            spec.live.write(spec.folder)
         options = msgspec.json.encode(world_options(spec)).decode()
         command = ["swarmd.sim.live.server", options]
         world = _start_world(command, spec.folder)
@@ -224,14 +214,11 @@ def robot_ids(platform: str, count: int) -> tuple[str, ...]:
 
 def world_options(spec: FleetSpec) -> WorldOptions:
     """The options of the world process."""
-    trace = None if spec.trace is None else str(spec.trace)
-    same = ("swarm", "seed", "endpoint", "emulator", "shared_frame", "seconds")
-    plain = ("arena", "layout", "realism", "lidar_visibility", "radio_range")
-    names = same if spec.scenario is not None else (*same, *plain)
-    options = WorldOptions(trace=trace, **{name: getattr(spec, name) for name in names})
-    if spec.scenario is None:
-        return structs.replace(options, robots=dict(spec.robots))
-    path, rate = str(spec.folder / SCENARIO_FILE), spec.scenario.scenario.trace_rate
+    names = WorldOptions.__struct_fields__
+    options = WorldOptions(**{name: getattr(spec, name) for name in names})
+    if spec.live is None:
+        return options
+    path, rate = str(spec.folder / SCENARIO_FILE), spec.live.scenario.trace_rate
     return structs.replace(options, scenario=path, trace_rate=rate)
 
 
@@ -250,8 +237,8 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
         "driver_options": {**ready.driver_options, **_detections(spec, robot)},
         "state_dir": str((spec.folder / "state").absolute()),
     }
-    if spec.scenario is not None:
-        config |= spec.scenario.daemon_config(robot, spec.folder)
+    if spec.live is not None:
+        config |= spec.live.daemon_config(robot, spec.folder)
     elif spec.lidar_visibility == "body":
         names = {Path(name).stem for name in spec.robots.values()}
         config["accepts_unseen"] = dict.fromkeys(sorted(names), WHOLE_BODIES)
@@ -264,7 +251,7 @@ def _detections(spec: FleetSpec, robot: str) -> dict[str, bool]:
     """{DETECTIONS: True} for a robot of driver `simulated` with a detector, else {}."""
     if spec.emulator is not None:
         return {}
-    name, live = spec.robots[robot], spec.scenario
+    name, live = spec.robots[robot], spec.live
     platform = load_platform(name) if live is None else live.scenario.robots[robot]
     return {DETECTIONS: True} if DETECTIONS in platform.sensors else {}
 

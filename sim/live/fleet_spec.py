@@ -156,5 +156,5 @@ def scenario_fleet(
         seed=seed,
         emulator=emulator,
         plugin_dir=loaded.plugin_dir,
-        scenario=LiveScenario(loaded),
+        live=LiveScenario(loaded),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from swarmd.core.messages import Status
 from swarmd.core.values import Array
 from swarmd.sim.live.pacing import Staggered
+from swarmd.sim.live.state import WorldOptions
 from swarmd.sim.trace import (
     DECISION_ARRAYS,
     NAMED,
@@ -33,26 +34,16 @@ if TYPE_CHECKING:  # its simulator takes 80 ms to load
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class RecorderSettings:
-    """The settings of the recording of a live run."""
-
-    path: Path | None = None  # of the trace; None: no trace
-    rate: float = 50.0  # samples per simulated second
-    seconds: float | None = None
-    """Simulated seconds after which the recording ends; None: on request, or with the world."""
-    meta: Mapping[str, object] = field(default_factory=dict)  # of the trace
-
-
 class LiveRecorder:
     """Records a world step by step, from its creation or the last `begin` on."""
 
-    def __init__(self, world: World, settings: RecorderSettings) -> None:
-        self._world, self._settings = world, settings
+    def __init__(self, world: World, options: WorldOptions, meta: Mapping[str, object]) -> None:
+        """`options`: where to write the trace, its rate and its end. `meta`: of the trace."""
+        self._world, self._options = world, options
         self._builder = TraceBuilder(
             world.ids,
             world.platforms,
-            settings.meta,
+            meta,
             movable_boxes=world.loose,
             box_shapes=world.loose_shapes,
         )
@@ -79,7 +70,7 @@ class LiveRecorder:
         self._start = self._world.time
         self._episodes = ContactEpisodes()
         self._touched = {}
-        self._due = Staggered(np.array([self._settings.rate]), self._start)
+        self._due = Staggered(np.array([self._options.trace_rate]), self._start)
         self._builder.clear()
         self.contacts = self.arena_contacts = 0
         self.is_running = True
@@ -89,15 +80,15 @@ class LiveRecorder:
         if not self.is_running:
             return
         self._note_contacts()
-        if self._settings.path is not None and len(self._due.due(self._world.time)):
+        if self._options.trace is not None and len(self._due.due(self._world.time)):
             world = self._world
             self._builder.add(self.seconds, world.poses(), safe, world.loose_poses())
-        if self._settings.seconds is not None and self.seconds >= self._settings.seconds - 1e-9:
+        if self._options.seconds is not None and self.seconds >= self._options.seconds - 1e-9:
             self.finish()
 
     def finish(self) -> Path | None:
         """Stop recording and write the trace once; returns its path, None without one."""
-        path = self._settings.path
+        path = None if self._options.trace is None else Path(self._options.trace)
         if self.is_running:
             self._end = self._world.time
             self.is_running = False
@@ -115,7 +106,7 @@ class LiveRecorder:
                     self.contacts += 1
                 else:
                     self.arena_contacts += 1
-            if self._settings.path is not None:
+            if self._options.trace is not None:
                 self._builder.add_contact(self.seconds, *astuple(contact))
 
 

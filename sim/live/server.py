@@ -30,7 +30,7 @@ from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import DRIVER, EmulatorTransport, WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
-from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
+from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import WorldOptions
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
@@ -83,7 +83,7 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
     world = world_of(scenario, options.seed, sectors=10 if options.emulator is None else 100)
     if options.shared_frame or any(one.fence for one in scenario.settings.values()):
         world.posed = frozenset(range(len(world.ids)))  # all robots get their poses in the world
-    recorder = LiveRecorder(world, _recorder_settings(options, scenario, swarm))
+    recorder = LiveRecorder(world, options, _meta(options, scenario))
 
     with ExitStack() as exit_stack:
         # 2. The link to daemons and viewers.
@@ -112,12 +112,11 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
         live.run(is_over)
 
 
-def _recorder_settings(options: WorldOptions, scenario: Scenario, swarm: str) -> RecorderSettings:
-    meta = {**meta_of(scenario, options.seed), "swarm": swarm}
-    if options.scenario is None:
-        meta |= {"layout": options.layout, "realism": options.realism}
-    trace = None if options.trace is None else Path(options.trace)
-    return RecorderSettings(trace, options.trace_rate, options.seconds, meta)
+def _meta(options: WorldOptions, scenario: Scenario) -> Mapping[str, object]:
+    """What the trace holds of the world."""
+    meta = {**meta_of(scenario, options.seed), "swarm": options.swarm}
+    plain = {"layout": options.layout, "realism": options.realism}
+    return meta if options.scenario is not None else meta | plain
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ class WorldSource(LiveSource):
     ) -> None:
         super().__init__(operator, patterns, describe)
         spec = fleet.spec
-        scenario = None if spec.scenario is None else spec.scenario.scenario
+        scenario = None if spec.live is None else spec.live.scenario
         arena = parse_arena(spec.arena) if scenario is None else scenario.arena
         self.arena = shown_arena(arena, () if scenario is None else scenario.fields)
         self._shapes = {name: box.shape for name, box in arena.movable_boxes}

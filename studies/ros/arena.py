@@ -34,7 +34,8 @@ from swarmd.drivers.ros.to_ros import LaserScanEncoder, odometry_message
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import EmulatorTransport, WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
-from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
+from swarmd.sim.live.recording import LiveRecorder
+from swarmd.sim.live.state import WorldOptions
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
 from swarmd.sim.world.lidar import LidarModel
@@ -147,7 +148,7 @@ def main(folder: Path, seed: int) -> None:
 
     transport = EmulatorTransport(make, robots, str(folder))
     nodes[0].world = world
-    recorder = LiveRecorder(world, RecorderSettings())
+    recorder = LiveRecorder(world, WorldOptions(swarm="arena"), {})
     live = RealTimeWorld(
         world,
         link,

@@ -202,7 +202,7 @@ class ShortDemo:
         self.spec = SimpleNamespace(
             **{"robots": platforms, "folder": trace.parent, "swarm": "s", "all_hear_all": False},
             **{"platforms": lambda: platforms, "arena": "6x6", "layout": "row", "seed": 0},
-            scenario=None,
+            live=None,
         )
         self.trace, self.end = trace, end
         self.is_world_dead = False

@@ -222,10 +222,8 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
         swarm=unique_swarm(),
         robots={robot: platform.name for robot, platform in scenario.robots.items()},
         folder=tmp_path / "logs",
-        arena="",
-        layout="",
         emulator="ros2dds",
-        scenario=LiveScenario(scenario),
+        live=LiveScenario(scenario),
         plugin_dir=EXAMPLES,
     )
     with on(spec) as show:

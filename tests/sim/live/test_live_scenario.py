@@ -101,7 +101,7 @@ def files(scenario: Scenario, folder: Path) -> dict[str, dict[str, object]]:
     live.write(folder)
     robots = {robot: platform.name for robot, platform in scenario.robots.items()}
     spec = FleetSpec(
-        swarm="s", robots=robots, folder=folder, arena="", layout="", scenario=live,
+        swarm="s", robots=robots, folder=folder, live=live,
         plugin_dir=scenario.plugin_dir,
     )  # fmt: skip
     return {robot: daemon_config(spec, robot, READY) for robot in robots}

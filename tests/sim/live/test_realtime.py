@@ -21,8 +21,8 @@ from swarmd.driver_api.hw_codec import MessageWire
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import Command, EmulatorTransport, PendingRequest, WorldLink, WorldView
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
-from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
-from swarmd.sim.live.state import WorldReply, WorldRequest, WorldState
+from swarmd.sim.live.recording import LiveRecorder
+from swarmd.sim.live.state import WorldOptions, WorldReply, WorldRequest, WorldState
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.item_kind import ItemKind
@@ -103,7 +103,7 @@ class ManualWorld:
 
     def __init__(
         self,
-        settings: RecorderSettings | None = None,
+        options: WorldOptions | None = None,
         realism: Realism = IDEAL,
         radio: RadioSettings | None = None,
         fields: tuple[Field, ...] = (),
@@ -119,7 +119,7 @@ class ManualWorld:
         arena = Arena(6.0, 6.0, boxes, items=tuple(item for kind in items for item in kind.things))
         self.world = World(robots, arena, starts, realism=realism, fields=fields, items=items)
         self.link = HandLink()
-        self.recorder = LiveRecorder(self.world, settings or RecorderSettings())
+        self.recorder = LiveRecorder(self.world, options or WorldOptions(swarm="s"), {"seed": 7})
         emulated = None
         if emulator is not None:
             emulated = EmulatorTransport(emulator, robots, "here", clock=lambda: self.now)
@@ -262,7 +262,7 @@ def test_lost_time_is_given_up_after_a_freeze() -> None:
 
 def test_records_from_start_to_finish_only(tmp_path: Path) -> None:
     path = tmp_path / "run.npz"
-    live = ManualWorld(RecorderSettings(path=path, meta={"seed": 7}))
+    live = ManualWorld(WorldOptions(swarm="s", trace=str(path)))
     live.pass_time(1.0)
     live.recorder.begin()
     live.command("a", 0.2)
@@ -279,7 +279,7 @@ def test_records_from_start_to_finish_only(tmp_path: Path) -> None:
 
 
 def test_recording_ends_by_itself_when_its_time_is_full(tmp_path: Path) -> None:
-    live = ManualWorld(RecorderSettings(path=tmp_path / "run.npz", seconds=0.3))
+    live = ManualWorld(WorldOptions(swarm="s", trace=str(tmp_path / "run.npz"), seconds=0.3))
     live.pass_time(1.0)
     state = live.server._state()
     assert not state.is_recording
@@ -288,7 +288,9 @@ def test_recording_ends_by_itself_when_its_time_is_full(tmp_path: Path) -> None:
 
 
 def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
-    live = ManualWorld(RecorderSettings(path=tmp_path / "run.npz"), command_timeouts=FOR_EVER)
+    live = ManualWorld(
+        WorldOptions(swarm="s", trace=str(tmp_path / "run.npz")), command_timeouts=FOR_EVER
+    )
     live.command("a", 0.22)
     live.pass_time(16.0)
     state = live.server._state()
@@ -301,7 +303,9 @@ def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
 
 def test_a_box_is_put_in_the_way_and_taken_out_of_it_over_zenoh(tmp_path: Path) -> None:
     link = WorldLink("s", IDS, "tcp/127.0.0.1:0")
-    live = ManualWorld(RecorderSettings(path=tmp_path / "run.npz"), boxes=(CRATE,), link=link)
+    live = ManualWorld(
+        WorldOptions(swarm="s", trace=str(tmp_path / "run.npz")), boxes=(CRATE,), link=link
+    )
 
     def asked(deed: Callable[[WorldView], WorldState]) -> WorldState:
         """The reply to a viewer's request."""

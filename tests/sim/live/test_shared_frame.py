@@ -67,9 +67,7 @@ def test_a_live_robot_knows_its_place_in_its_fence(tmp_path: Path) -> None:
         swarm=unique_swarm(),
         robots={BURGER: "burger"},
         folder=tmp_path,
-        arena="",
-        layout="",
-        scenario=LiveScenario(scenario),
+        live=LiveScenario(scenario),
     )
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
 

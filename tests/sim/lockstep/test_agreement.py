@@ -59,7 +59,7 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
         arena="12x12",
         layout=f"list:{placed}",
         realism="ideal",
-        trace=trace,
+        trace=str(trace),
     )
     with Operator(NetworkSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
         view = await_robots(operator, fleet)

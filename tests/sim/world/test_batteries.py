@@ -101,9 +101,7 @@ def test_a_live_robot_knows_that_its_battery_is_low(tmp_path: Path) -> None:
         swarm=unique_swarm(),
         robots={"tb3-01": "burger"},
         folder=tmp_path,
-        arena="",
-        layout="",
-        scenario=LiveScenario(scenario),
+        live=LiveScenario(scenario),
     )
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
 
