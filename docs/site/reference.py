@@ -33,7 +33,9 @@ from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
 from swarmd.core.keys import CONTROL, SHARED, STATE, build
 from swarmd.core.values import (
     Detection,
+    Heights,
     Inputs,
+    Limits,
     Message,
     Neighbor,
     Odometry,
@@ -48,8 +50,6 @@ from swarmd.protection.compatibility import assumed_speed, body_of, sees
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
 from swarmd.security.roster import Roster
 from swarmd.settings.platforms import (
-    HeightsSection,
-    LimitsSection,
     PlatformFile,
     ScanSection,
     SensorSection,
@@ -210,10 +210,10 @@ def platforms() -> Iterator[str]:
     yield _table((*heads, "rays", "scans [Hz]", "ranges [m]"), rows)
     yield "## Keys of the file"
     yield from _schema("", PlatformFile)
-    yield from _schema("limits", LimitsSection)
+    yield from _schema("limits", Limits)
     yield from _schema("scan", ScanSection)
     yield from _schema("scan.sweep", SweepSection)
-    yield from _schema("heights", HeightsSection)
+    yield from _schema("heights", Heights)
     yield from _schema("sensors.NAME", SensorSection)
     yield from _schema("protection.barrier", BarrierSettings)
     yield from _schema("protection.stop_zone", StopZoneSettings)

@@ -63,9 +63,9 @@ def replay(
     parity = total(parity for _, parity in results)
     is_equal = parity.safe.is_equal and parity.requested.is_equal
     if options.is_json:
-        _print_json(head.robot, parity, is_equal)
+        _print_json(head.identity.robot, parity, is_equal)
     else:
-        click.echo(f"{head.robot} ({head.platform.name}), {parity.seconds:.1f} s")
+        click.echo(f"{head.identity.robot} ({head.identity.platform.name}), {parity.seconds:.1f} s")
         _print_table(parity)
     for note in parity.notes:
         warn(note)

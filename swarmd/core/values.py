@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from swarmd.core.errors import unknown
@@ -272,13 +272,16 @@ class Message(Struct, frozen=True, array_like=True):
     age: float
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Limits of the base: m/s, rad/s, m/s (lateral is 0 for bases without lateral motion)."""
+class Limits(Struct, frozen=True, forbid_unknown_fields=True):
+    """The limits of the base, m/s and rad/s, to which commands are clipped.
 
-    linear: float
-    angular: float
-    lateral: float = 0.0
+    A limit above the true limit of the base is dangerous: protection may then avoid an obstacle by
+    a command that the base cannot follow. `lateral`: 0 for a base that cannot move sideways.
+    """
+
+    linear: Annotated[float, Meta(gt=0.0, le=20.0)]
+    angular: Annotated[float, Meta(gt=0.0, le=50.0)]
+    lateral: Annotated[float, Meta(ge=0.0, le=20.0)] = 0.0
 
     def clip(self, twist: Twist) -> Twist:
         """The twist with each component clipped to its limit; no other code does so."""
@@ -378,17 +381,19 @@ class ScanSpec:
         return min(2.0 / self.rate, self.stale_after)
 
 
-@dataclass(frozen=True, slots=True)
-class Heights:
-    """Heights above the floor in m.
+class Heights(Struct, frozen=True, forbid_unknown_fields=True):
+    """Heights above the floor in m, by which a robot knows whether its lidar sees another robot.
 
-    `scan_plane`: of the sensor's rays. `lowest`, `highest`: rays in a horizontal plane between
-    these heights meet an opaque part of the robot (wheels do not count) from every side.
+    - `scan_plane`: height of the rays. With a wrong value a robot that is not seen counts as seen,
+      and may be hit.
+    - `lowest`, `highest`: a horizontal ray between these heights hits an opaque part of this robot
+      from every side (wheels do not count). If the stated heights lie too far apart, other robots
+      expect to see this robot where they cannot, and may hit it.
     """
 
-    scan_plane: float
-    lowest: float
-    highest: float
+    scan_plane: Annotated[float, Meta(ge=0.0, le=10.0)]
+    lowest: Annotated[float, Meta(ge=0.0, le=10.0)]
+    highest: Annotated[float, Meta(ge=0.0, le=10.0)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -54,17 +54,12 @@ def recording_head(robot: Robot, swarm: str, now: float) -> RecordingHead:
 
     `robot`: the robot in its state at the begin of the recording, `now` s on its clock.
     """
-    identity = robot.identity
     latches = LatchRecord(held=robot.aged_latches(now), cleared=tuple(robot.cleared))
     return RecordingHead(
-        robot=robot.id,
         swarm=swarm,
         clock=clock_id(),
         machine=machine(),
-        instance=identity.instance,
-        seed=identity.seed,
-        platform=robot.platform,
-        setup=identity.setup,
+        identity=robot.identity,
         earlier=EarlierLives(
             latches=latches,
             goals=robot.goals,

@@ -11,8 +11,8 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Array, Platform
-from swarmd.robot.setup import EarlierLives, RobotSetup
+from swarmd.core.values import Array
+from swarmd.robot.setup import EarlierLives, RobotIdentity
 
 
 class RecordingHead(Struct, frozen=True, kw_only=True):
@@ -20,30 +20,26 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
 
     - `clock`: the id of the robot's clock, see `core/clock.py`.
     - `machine`: the processor type, such as x86_64.
-    - `setup`: whole, so that a new setting of robots is in recordings, too.
+    - `identity`: whole, so that a new setting of robots is in recordings, too.
     - `earlier`: the state of the robot when the recording began.
     """
 
-    robot: str
     swarm: str
     clock: str
     machine: str
-    instance: str
-    seed: int
-    platform: Platform
-    setup: RobotSetup
+    identity: RobotIdentity
     earlier: EarlierLives = EarlierLives()
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: main fields in plain text, all fields in `head`."""
         payload = msgspec.msgpack.encode(self, enc_hook=_encoded)
         return {
-            "robot": self.robot,
+            "robot": self.identity.robot,
             "swarm": self.swarm,
-            "platform": self.platform.name,
-            "driver": self.setup.driver,
+            "platform": self.identity.platform.name,
+            "driver": self.identity.setup.driver,
             "clock": self.clock,
-            "version": self.setup.version,
+            "version": self.identity.setup.version,
             "head": base64.b64encode(payload).decode(),
         }
 

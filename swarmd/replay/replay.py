@@ -115,7 +115,7 @@ class Replay:
           found readable; else with a new robot by the head.
         """
         self._head, self._about = head, about
-        self._platform = platform or head.platform
+        self._platform = platform or head.identity.platform
         self._origins = origins
         self._recalls = recalls
         self._robot: Robot
@@ -136,15 +136,15 @@ class Replay:
         self._has_noted_state = False
 
     def _make_robot(self, now: float) -> Robot:
-        head = self._head
+        identity = self._head.identity
         return Robot(
-            head.robot,
+            identity.robot,
             self._platform,
-            head.setup,
-            seed=head.seed,
-            instance=head.instance,
+            identity.setup,
+            seed=identity.seed,
+            instance=identity.instance,
             now=now,
-            earlier=head.earlier,
+            earlier=self._head.earlier,
         )
 
     def run(self, recorded: Iterable[RecordedMessage]) -> Parity:
@@ -179,7 +179,7 @@ class Replay:
             after = "are compared from the next memory on" if self._awaits_memory else "may differ"
             self._note(f"at {at:.3f} s entries were dropped; commands after it {after}")
         elif message.topic == MEMORY and self._awaits_memory:
-            self._robot = recall(memory_in(message), self._head.setup)
+            self._robot = recall(memory_in(message), self._head.identity.setup)
             self._actions = None
             self._awaits_memory = False
             self._steps_pattern = False
@@ -301,7 +301,7 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
     if first is None:
         return "it has no memory of the robot"
     try:
-        recall(memory_in(first), head.setup)
+        recall(memory_in(first), head.identity.setup)
     except CodecError as error:
         return f"its memory of the robot cannot be read here ({error})"
     return ""
@@ -309,7 +309,7 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
 
 def _other_program(head: RecordingHead) -> str:
     """The differences between the recording program and this program that may change last bits."""
-    setup = head.setup
+    setup = head.identity.setup
     there = {"version": setup.version, "kernels": setup.kernels, "processor": head.machine}
     here = dict(zip(there, (version("swarmd"), describe_kernels(), machine()), strict=True))
     texts = [f"{key} {there[key]}, here {here[key]}" for key in there if there[key] != here[key]]

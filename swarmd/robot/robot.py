@@ -99,7 +99,9 @@ class Robot(Ticker):
         )
         self._protection = Protection(platform, settings.fence)
         self._steering = Steering(platform, self._protection, f"{seed}/{id}")
-        identity = RobotIdentity(id, platform, setup, seed, instance, self._protection.passage)
+        identity = RobotIdentity(
+            robot=id, platform=platform, setup=setup, seed=seed, instance=instance
+        )
         self._lifecycle = Lifecycle(identity, earlier.latches, earlier.goals, now)
         # The counts continue, so that no request or answer to an earlier process seems new.
         self._lifecycle.revision = earlier.revision

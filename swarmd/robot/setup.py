@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from msgspec import Struct
 
 from swarmd.core.goal import GoalRecord
-from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import Platform
 from swarmd.robot.latches import LatchRecord
 from swarmd.settings.robot_settings import PatternParameters, RobotSettings
@@ -49,13 +46,14 @@ class EarlierLives(Struct, frozen=True):
     generation: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotIdentity:
-    """The robot that a pattern is loaded for; `instance`: the id of its daemon process."""
+class RobotIdentity(Struct, frozen=True, eq=False, kw_only=True):
+    """What a robot is made of: the robot that a pattern is loaded for, and that is recorded.
+
+    `seed`: of its random generator. `instance`: the id of its daemon process.
+    """
 
     robot: str
     platform: Platform
     setup: RobotSetup
     seed: int
     instance: str
-    passage: NarrowestPassage | None

@@ -95,7 +95,7 @@ def make_status(
         scan_delay=sensors.scan_delay.summary(now),
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
-        passage=identity.passage,
+        passage=protection.passage,
         walls_stand=_walls_stand(identity.platform, protection.findings),
         fence=_fence(setup.settings, sensors, decision, protection, now),
         battery=_battery(lifecycle),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
-from msgspec import Meta, Struct, to_builtins
+from msgspec import Meta, Struct, structs, to_builtins
 
 import swarmd.config
 from swarmd.core.angles import wrap
@@ -40,18 +40,6 @@ Point = tuple[Coordinate, Coordinate]
 Bearing = Annotated[float, Meta(ge=-360.0, le=360.0)]
 SensorName = Annotated[str, Meta(pattern="^[A-Za-z_][A-Za-z0-9_]*$", max_length=63)]
 Positive = Annotated[float, Meta(gt=0.0, le=1000.0)]
-
-
-class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The limits of the base, m/s and rad/s, to which commands are clipped.
-
-    A limit above the true limit of the base is dangerous: protection may then avoid an obstacle by
-    a command that the base cannot follow. `lateral`: 0 for a base that cannot move sideways.
-    """
-
-    linear: Annotated[float, Meta(gt=0.0, le=20.0)]
-    angular: Annotated[float, Meta(gt=0.0, le=50.0)]
-    lateral: Annotated[float, Meta(ge=0.0, le=20.0)] = 0.0
 
 
 class SweepSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -113,21 +101,6 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     mask: Annotated[list[tuple[Bearing, Bearing]], Meta(max_length=64)] = []
 
 
-class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Heights above the floor in m, by which a robot knows whether its lidar sees another robot.
-
-    - `scan_plane`: height of the rays. With a wrong value a robot that is not seen counts as seen,
-      and may be hit.
-    - `lowest`, `highest`: a horizontal ray between these heights hits an opaque part of this robot
-      from every side (wheels do not count). If the stated heights lie too far apart, other robots
-      expect to see this robot where they cannot, and may hit it.
-    """
-
-    scan_plane: Annotated[float, Meta(ge=0.0, le=10.0)]
-    lowest: Annotated[float, Meta(ge=0.0, le=10.0)]
-    highest: Annotated[float, Meta(ge=0.0, le=10.0)]
-
-
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The protection mode, and the settings of each mode.
 
@@ -186,14 +159,14 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     description: str = ""
     extends: str | None = None
-    limits: LimitsSection
+    limits: Limits
     footprint: list[Point]
     scan: ScanSection
     provides: list[str]
     protection: ProtectionSection
     patterns: Parameters = {}
     drivers: dict[str, Options] = {}
-    heights: HeightsSection | None = None
+    heights: Heights | None = None
     body: dict[str, Annotated[float, Meta(ge=-1e6, le=1e6)]] = {}
     ranges: ScanSection | None = None
     sensors: dict[SensorName, Sensors] = {}
@@ -266,7 +239,7 @@ def _check(value: Any, keys: Keys) -> Iterator[Fault]:
             yield from _check_scan(value, keys)
         case ProtectionSection():
             yield from _check_protection(value, keys)
-        case HeightsSection() if value.lowest >= value.highest:
+        case Heights() if value.lowest >= value.highest:
             text = f"is {value.lowest:g}; expected less than highest ({value.highest:g})"
             yield fault_at((*keys, "lowest"), text)
         case PlatformFile():
@@ -473,7 +446,7 @@ def _needed_range(platform: Platform, barrier: BarrierSettings, top_speed: float
 
     No obstacle farther from the sensor limits the robot.
     """
-    changed = replace(platform, limits=replace(platform.limits, linear=top_speed))
+    changed = replace(platform, limits=structs.replace(platform.limits, linear=top_speed))
     return BindingRange(changed, barrier, TICK).for_sensor()
 
 
@@ -573,7 +546,7 @@ def _platform(name: str, file: PlatformFile) -> Platform:
     protection = file.protection
     return Platform(
         name=name,
-        limits=Limits(**to_builtins(file.limits)),
+        limits=file.limits,
         footprint=np.array(file.footprint, dtype=np.float64),
         scan=_spec(file.scan),
         provides=frozenset(file.provides),
@@ -587,7 +560,7 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         },
         patterns=file.patterns,
         drivers=cast(Mapping[str, Mapping[str, Value]], file.drivers),
-        heights=None if file.heights is None else Heights(**to_builtins(file.heights)),
+        heights=file.heights,
         body=file.body,
         ranges=None if file.ranges is None else replace(_spec(file.ranges), measures_sweep=False),
         sensors={name: _sensors(some) for name, some in file.sensors.items()},

@@ -245,7 +245,7 @@ def _placed(
 def _platform(about: Mapping[str, str], where: str) -> Platform:
     """The robot's platform as recorded; in another format, the installed one of its name."""
     try:
-        return head_of(about, where).platform
+        return head_of(about, where).identity.platform
     except ConfigError:
         if "platform" not in about:
             raise

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 from msgspec.structs import replace as replace_scan
 
 from swarmd.calibration.figures import DONE, REFUSED, Figure, names_of
@@ -62,7 +63,7 @@ def simulated(
         }
     )
     base: Platform = replace(file, body={**file.body, **(body or {})})
-    base = replace(base, limits=replace(base.limits, **(limits or {})))
+    base = replace(base, limits=structs.replace(base.limits, **(limits or {})))
     sim = Lockstep(replace(scenario, robots={"r": base}), seed)
     own = sim._platforms[0]
     sim._platforms[0] = replace(own, limits=file.limits)
@@ -261,11 +262,11 @@ def test_the_floor_has_room_at_the_sides_as_ahead() -> None:
     """A base turned by 90 degrees needs the same floor."""
     base = load_platform("rosbot_xl")
     outline = base.footprint * (1.5, 1.0)
-    ahead = replace(base, footprint=outline, limits=replace(base.limits, lateral=0.2))
+    ahead = replace(base, footprint=outline, limits=structs.replace(base.limits, lateral=0.2))
     turned = np.stack((-outline[:, 1], outline[:, 0]), axis=1)
-    limits = replace(base.limits, linear=0.2, lateral=0.8)
+    limits = structs.replace(base.limits, linear=0.2, lateral=0.8)
     aside = replace(base, footprint=turned, limits=limits)
-    slow = replace(aside, limits=replace(limits, lateral=0.0))
+    slow = replace(aside, limits=structs.replace(limits, lateral=0.0))
     assert needed_floor(slow) < needed_floor(aside) == needed_floor(ahead)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.calibration.floor import needed_floor, top_speeds
 from swarmd.calibration.pattern import Calibration, _distances
@@ -68,7 +69,7 @@ def test_odometry_that_stands_still_ends_the_first_drive(noise: float) -> None:
 def test_the_floor_has_room_for_the_longest_drive_and_its_stop(speed: float, brake: float) -> None:
     base = load_platform("jackal")
     barrier = {**base.protection["barrier"], "braking_linear": brake, "others_speed": 2.2}
-    limits = replace(base.limits, linear=speed)
+    limits = structs.replace(base.limits, linear=speed)
     fast = replace(base, limits=limits, protection={**base.protection, "barrier": barrier})
     top, front = top_speeds(fast)["linear"], float(base.footprint[:, 0].max())
     assert top == speed

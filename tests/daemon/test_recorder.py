@@ -30,7 +30,7 @@ from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages, process
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import RecordedFile, read_file
-from swarmd.robot.setup import RobotSetup
+from swarmd.robot.setup import RobotIdentity, RobotSetup
 from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import RecordingSection
@@ -248,14 +248,16 @@ def test_a_folder_that_cannot_be_written_is_an_event_and_stands_in_the_list(
 
 def head() -> RecordingHead:
     return RecordingHead(
-        robot="a",
         swarm="s",
         clock="00ff",
-        instance="i",
-        seed=1,
         machine="",
-        platform=load_platform("burger"),
-        setup=RobotSetup(driver="d"),
+        identity=RobotIdentity(
+            robot="a",
+            platform=load_platform("burger"),
+            setup=RobotSetup(driver="d"),
+            seed=1,
+            instance="i",
+        ),
     )
 
 

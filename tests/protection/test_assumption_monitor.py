@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
@@ -35,7 +36,7 @@ else:
 KERNEL = "swarmd.protection.assumption_monitor"
 BURGER = under_barrier(load_platform("burger"))
 TOP = BURGER.limits.linear
-SLIDES = replace(BURGER, limits=replace(BURGER.limits, lateral=TOP))
+SLIDES = replace(BURGER, limits=structs.replace(BURGER.limits, lateral=TOP))
 """A Burger that also moves sideways."""
 Command = Callable[[float], Twist]
 
@@ -204,7 +205,7 @@ def shares_brakes() -> Platform:
     barrier = {**SLIDES.protection["barrier"], "braking_linear": grip}
     return replace(
         SLIDES,
-        limits=replace(SLIDES.limits, linear=5.0, lateral=5.0),
+        limits=structs.replace(SLIDES.limits, linear=5.0, lateral=5.0),
         protection={**SLIDES.protection, "barrier": barrier},
     )
 

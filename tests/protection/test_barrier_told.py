@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from swarmd.core.messages import Body
 from swarmd.core.values import (
@@ -259,7 +260,7 @@ def test_peer_is_regarded_from_where_the_robot_must_brake(
 ) -> None:
     """It is at rest, or comes as fast as assumed; the scan sees nothing of it."""
     fast = under_barrier(
-        replace(BURGER, limits=replace(BURGER.limits, linear=linear)), others_speed=1.2
+        replace(BURGER, limits=structs.replace(BURGER.limits, linear=linear)), others_speed=1.2
     )
     for begin in (12.0, 12.03, 12.07):
         sim = ToldSim(fast, [unseen(0.14, begin, velocity=(speed, 0.0))])

@@ -10,6 +10,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec import structs
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, TouchZone, Twist
@@ -126,7 +127,7 @@ def test_an_omnidirectional_base_that_ignores_a_sideways_command_is_noticed() ->
     def sideways(time: float) -> Twist:
         return Twist(0.0, 0.3, 0.15)
 
-    slides = replace(BURGER, limits=replace(BURGER.limits, lateral=0.2))
+    slides = replace(BURGER, limits=structs.replace(BURGER.limits, lateral=0.2))
     assert rides(sideways, platform=slides) == []
     found = rides(sideways, reflex(3.0, Twist(0.0, 0.3)), platform=slides, noise=0.0)
     assert 3.0 + MIN_DURATION - 0.1 <= found[0][0] <= 3.0 + MIN_DURATION + 0.1
@@ -247,7 +248,7 @@ def blocked_bearings(
     `rate`: m/s^2, the acceleration of the base; by default that of the slow base, a quarter of the
     declared braking.
     """
-    platform = replace(BURGER, limits=replace(BURGER.limits, lateral=lateral))
+    platform = replace(BURGER, limits=structs.replace(BURGER.limits, lateral=lateral))
     monitor, found, x, y, v, u = FollowingMonitor(platform), [], 0.0, 0.0, 0.0, 0.0
     for step in range(round(seconds / TICK)):
         now = TICK * step
@@ -339,7 +340,7 @@ def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_chang
 
 
 Sensor = Callable[[Odometry], Odometry | None]
-SLIDES = replace(BURGER, limits=replace(BURGER.limits, lateral=0.2))
+SLIDES = replace(BURGER, limits=structs.replace(BURGER.limits, lateral=0.2))
 
 
 def contradictions(

@@ -128,7 +128,7 @@ def test_each_form_that_the_format_permits_is_read_as_our_own(
     counts = [write_merged(place(one), tmp_path / "merged.mcap") for one in (surveyed, whole)]
     assert counts[0] == counts[1]
     assert read_timeline([path]).duration == read_timeline([recording.path]).duration
-    platform = head_of(found.about, "").platform
+    platform = head_of(found.about, "").identity.platform
     played = ReplayDriver(swarm="s", robot="r", platform=platform, options={"file": str(path)})
     assert played.taken.maxlen
 

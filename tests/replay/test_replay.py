@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import CodeInput, HazardsInput, PoseInput, ReadingsInput
@@ -280,7 +281,9 @@ def test_another_speed_limit_is_a_difference(tmp_path: Path) -> None:
     story.robot.advance(1.0)
     story.run("drive", speed=0.2)
     found = story.recorder.finish()
-    slow = replace(story.robot.platform, limits=replace(story.robot.platform.limits, linear=0.1))
+    slow = replace(
+        story.robot.platform, limits=structs.replace(story.robot.platform.limits, linear=0.1)
+    )
     _, parity = repeat([found], ORIGINS, slow)
     assert parity.safe.first is not None
     assert parity.safe.largest > 0.05

@@ -21,7 +21,7 @@ from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
-from swarmd.robot.setup import RobotSetup
+from swarmd.robot.setup import RobotIdentity, RobotSetup
 from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.platforms import load_platform
 from swarmd.view.recording_source import RecordingSource
@@ -34,14 +34,16 @@ SPEED = 0.1
 
 def head(robot: str, clock: str) -> RecordingHead:
     return RecordingHead(
-        robot=robot,
         swarm="s",
         clock=clock,
-        instance="boot1",
-        seed=1,
         machine="",
-        platform=BURGER,
-        setup=RobotSetup(driver="story"),
+        identity=RobotIdentity(
+            robot=robot,
+            platform=BURGER,
+            setup=RobotSetup(driver="story"),
+            seed=1,
+            instance="boot1",
+        ),
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform
@@ -165,7 +166,7 @@ def test_wheels_do_not_notice_a_shove_to_the_side() -> None:
     shoved = np.array([[[0.0, 0.3, 0.0]]])
     start = np.zeros((1, 3))
     assert not told(odometers(OdometryNoise(slip=1e-12), start), shoved, (0, 0, 0.2)).any()
-    limits = replace(BURGER.limits, lateral=0.2)
+    limits = structs.replace(BURGER.limits, lateral=0.2)
     omni = odometers(OdometryNoise(slip=1e-12), start, replace(BURGER, limits=limits))
     got = told(omni, shoved, (0.0, 0.0, 0.2))[0, :, 0]
     assert got[0] == pytest.approx([0.0, 0.3, 0.0], abs=1e-9)

@@ -21,7 +21,7 @@ from swarmd.sim.world.world import World
 from tests.support.traces import world_state
 
 BURGER = load_platform("burger")
-FAST = replace(BURGER, limits=replace(BURGER.limits, linear=0.3))
+FAST = replace(BURGER, limits=structs.replace(BURGER.limits, linear=0.3))
 PLATFORMS = ("burger", "waffle_pi", "jackal")
 
 
