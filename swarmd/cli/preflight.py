@@ -28,6 +28,7 @@ from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.protection.modes import make_mode, narrowest_passage
+from swarmd.protection.settings import SLOW_SHARE
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.settings import DaemonSettings
@@ -146,7 +147,7 @@ def protection_text(protection: Mapping[str, Any]) -> str:
         return f"{text}; walls of {walls['length']:g} m that stood for {walls['seconds']:g} s stand"
     if mode == "stop_zone":
         zone = protection["stop_zone"]
-        share = f"{zone['slow_share']:.0%} of the requested speed"
+        share = f"{SLOW_SHARE:.0%} of the requested speed"
         return f"stop_zone: stops within {zone['stop']:g} m, {share} within {zone['slow']:g} m"
     if mode == "potential_field":
         return f"potential_field ({protection['preset']}) within {protection['threshold']:g} m"

@@ -18,7 +18,7 @@ from swarmd.core.messages import LimitingObstacle, NarrowestPassage
 from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
 from swarmd.protection.decision import Clearance, DecisionContext, ModeDecision
 from swarmd.protection.footprint import Footprint, ScanGeometry
-from swarmd.protection.settings import StopZoneSettings
+from swarmd.protection.settings import SLOW_SHARE, StopZoneSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
 
 if TYPE_CHECKING:
@@ -184,12 +184,13 @@ class StopZone:
             return ModeDecision(ZERO, is_active=True, rows=(LimitingObstacle(bearing, gap, 0.0),))
         if gap > settings.slow:
             return ModeDecision(requested, is_active=False)
-        share = settings.slow_share
         twist = Twist(
-            share * requested.linear, share * requested.angular, share * requested.lateral
+            SLOW_SHARE * requested.linear,
+            SLOW_SHARE * requested.angular,
+            SLOW_SHARE * requested.lateral,
         )
         return ModeDecision(
-            twist, is_active=True, rows=(LimitingObstacle(bearing, gap, share * self._limit),)
+            twist, is_active=True, rows=(LimitingObstacle(bearing, gap, SLOW_SHARE * self._limit),)
         )
 
 

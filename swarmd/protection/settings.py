@@ -90,6 +90,10 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return min(error + STILL / self.walls_stand.seconds, self.others_speed)
 
 
+SLOW_SHARE = 0.3
+"""The share of the requested command that mode `stop_zone` lets through within `slow`."""
+
+
 class StopZoneSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Mode `stop_zone`."""
 
@@ -97,5 +101,3 @@ class StopZoneSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     stop: Length = 0.10
     # m from the outline within which the robot slows down. Higher: slower near walls.
     slow: Length = 0.25
-    # Share of the requested command within `slow`. Higher: less time to stop.
-    slow_share: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3

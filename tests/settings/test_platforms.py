@@ -107,7 +107,7 @@ def test_flattens_the_preset_in_force(folder: Path) -> None:
         "rays": 5,
         "forward_bias": 2.0,
         "barrier": None,
-        "stop_zone": {"stop": 0.1, "slow": 0.25, "slow_share": 0.3},
+        "stop_zone": {"stop": 0.1, "slow": 0.25},
     }
 
 
