@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -402,48 +401,27 @@ def show(folder: Path, metrics: str | None, is_trusted: bool, is_json: bool) -> 
 @exp.command("list")
 @output_option
 def list_scenarios(is_json: bool) -> None:
-    """List the scenarios that come with swarmd, and how long they take on this machine.
-
-    The times are estimates from recorded runs in experiments/, or from a short calibration.
-    """
+    """List the scenarios that come with swarmd."""
     need("mujoco")
-    from swarmd.sim.cli.progress import time_span
-    from swarmd.sim.experiments.cost import measured_cost
     from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
 
-    cost, cores = measured_cost(Path("experiments")), usable_cores()
-    listed: list[dict[str, Any]] = []
-    for name in scenario_names():
-        scenario = load_scenario(name)
-        run_seconds = cost.run_seconds(name, len(scenario.robots), scenario.duration)
-        rounds = math.ceil(20 / cores)  # of 20 runs, `cores` runs at a time
-        listed.append(
-            {
-                "name": name,
-                "robots": len(scenario.robots),
-                "duration": scenario.duration,
-                "run_seconds": run_seconds,
-                "seeds_20_seconds": run_seconds * rounds,
-                "description": " ".join(scenario.description.split()),
-            }
-        )
+    listed: list[dict[str, Any]] = [
+        {
+            "name": name,
+            "robots": len(scenario.robots),
+            "duration": scenario.duration,
+            "description": " ".join(scenario.description.split()),
+        }
+        for name, scenario in ((name, load_scenario(name)) for name in scenario_names())
+    ]
     if is_json:
-        print_json("Scenarios", {"scenarios": listed, "cores": cores, "basis": cost.basis})
+        print_json("Scenarios", {"scenarios": listed})
         return
     rows = [
-        (
-            entry["name"],
-            str(entry["robots"]),
-            f"{entry['duration']:g} s",
-            time_span(entry["run_seconds"]),
-            time_span(entry["seeds_20_seconds"]),
-            entry["description"],
-        )
+        (entry["name"], str(entry["robots"]), f"{entry['duration']:g} s", entry["description"])
         for entry in listed
     ]
-    print_table(("NAME", "ROBOTS", "DURATION", "ONE RUN", "20 SEEDS", "DESCRIPTION"), rows)
-    plural = "core" if cores == 1 else "cores"
-    warn(f"ONE RUN and 20 SEEDS (on {cores} {plural}) are estimates, from {cost.basis}")
+    print_table(("NAME", "ROBOTS", "DURATION", "DESCRIPTION"), rows)
 
 
 @exp.command("check-mission")

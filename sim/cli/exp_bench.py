@@ -120,7 +120,6 @@ def bench(
     folder = out or new_folder(Path("runs"), (f"bench-{n}" for n in count(1)))
     command = _command(tasks, patterns, seeds, others, folder, traces=traces)
     processes = jobs or usable_cores()
-    _print_estimate(entries, chosen_seeds, processes)
     start_time = time.monotonic()
     planned = finished = 0
     try:
@@ -215,28 +214,6 @@ def _print_results(table: Table, task_names: Sequence[str]) -> None:
         for row_name, cells in table.items()
     ]
     print_table(("PATTERN", *(name.upper() for name in columns)), rows)
-
-
-def _print_estimate(
-    entries: Sequence[TaskEntry], seeds: Sequence[int] | None, processes: int
-) -> None:
-    """Print the number of runs of all entries, and an estimate of the time for all runs.
-
-    `seeds`: the seeds of each entry; None for the seeds of its task. `processes`: runs at a time.
-    """
-    from swarmd.sim.cli.progress import time_span
-    from swarmd.sim.experiments.cost import measured_cost
-
-    cost = measured_cost(Path("experiments"))
-    seconds, runs = 0.0, 0
-    for entry in entries:
-        runs_of_entry = entry.task.file.seeds if seeds is None else len(seeds)
-        duration = entry.task.file.scenario["duration"]
-        seconds_of_run = cost.run_seconds(entry.task.name, entry.task.robots, duration)
-        seconds += seconds_of_run * math.ceil(runs_of_entry / processes)
-        runs += runs_of_entry
-    text = f"{runs} runs, about {time_span(seconds)} with {processes} at a time"
-    warn(f"{text}; an estimate, from {cost.basis}")
 
 
 def _pattern_names(patterns: Sequence[str]) -> tuple[list[str], Path | None]:
