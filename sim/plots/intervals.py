@@ -19,11 +19,8 @@ from swarmd.core.numbers import finite_number
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.statistics import (
-    NOTHING,
     Interval,
     Summary,
-    interval,
-    number,
     summarize,
 )
 from swarmd.sim.plots.bands import paint_target
@@ -45,13 +42,9 @@ if TYPE_CHECKING:
 _EXPLANATION = "point: one run; diamond and bar: the mean and its 95 % interval"
 _NARROWEST = 1.6  # inches of a panel in a paper
 _MEDIAN = "; hollow diamond: the median, where some runs never had the event"
-_MAX_STRIPS = 3  # metrics of a single variant that are drawn run by run; more are a table
 _FEWEST_ON_SCALE = 3  # rows that are placed by their values
 _LONGEST = 3.0  # times the height of rows at equal distances
-_TABLE_ROW, _TABLE_WIDTH = 0.26, 8.2  # inches
 _TITLE = 20  # characters of a line of a title
-_SMALL = 7.5  # points of a table, which `fit` makes smaller
-_PAPER_ROW = 0.75  # of the height of a row
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,13 +69,10 @@ def intervals_figure(
     A row has a point for every run, and above the points the mean as a diamond with its 95 %
     interval (Wilson's interval if the mean is a share). If an event never happened in some runs,
     the median of all runs stands in place of the mean. If the variants are numbers, the distances
-    of the rows are the distances of the numbers. One variant with more than three metrics is drawn
-    as a table. `width`: in inches, for a paper. `axis`: the name of the rows. SwarmError without
-    panels.
+    of the rows are the distances of the numbers. `width`: in inches, for a paper. `axis`: the name
+    of the rows. SwarmError without panels.
     """
     runs = _runs_of(panels)
-    if len(runs) == 1 and len(panels) > _MAX_STRIPS:
-        return _table_figure(panels, title, width)
     labels = [_row_label(*item) for item in runs.items()]
     rows = rows_of([*runs])
     figure, grid = grid_of_panels(len(panels), labels, width, rows)
@@ -343,55 +333,6 @@ def _paint_runs_at(axes: Axes, x: float, values: Array, panel: Panel, colour: st
 
 def _interval_of(summary: Summary, panel: Panel) -> Interval | None:
     return summary.share_interval if panel.is_share else summary.mean_interval
-
-
-def _table_figure(panels: Sequence[Panel], title: str, width: float | None) -> Figure:
-    """A figure of the metrics of one variant as a table, with a row for each metric.
-
-    `width`: in inches, for a paper; the table then has only metric, mean and interval.
-    """
-    from matplotlib.transforms import Bbox
-
-    columns = ["metric", "mean", "95 % interval", "median", "range", "runs"]
-    column_widths = [0.36, 0.11, 0.19, 0.11, 0.15, 0.08]  # shares of the width of the table
-    rows = [_table_row(panel) for panel in panels]
-    row_height = _TABLE_ROW
-    if width is not None:
-        columns, rows = columns[:3], [row[:3] for row in rows]
-        column_widths = [0.57, 0.14, 0.29]
-        row_height *= _PAPER_ROW
-
-    figure = new_figure(width or _TABLE_WIDTH, row_height * (len(rows) + 1))
-    axes = figure.subplots()
-    axes.set_axis_off()
-    table = axes.table(rows, colLabels=columns, colWidths=column_widths, bbox=Bbox.unit(),
-                       edges="horizontal", cellLoc="left", colLoc="left")  # fmt: skip
-    table.auto_set_font_size(value=False)
-    table.set_fontsize(9 if width is None else _SMALL)
-    for (row, _), cell in table.get_celld().items():
-        cell.PAD = 0.02
-        cell.set_edgecolor("0.3" if row == 0 else "0.85")
-        cell.set_linewidth(0.6)
-    axes.set_title(title, fontsize=11, loc="left", gid=NOTE)
-    return fit(figure, width)
-
-
-def _table_row(panel: Panel) -> list[str]:
-    """The cells of a metric: label with unit and target, mean, interval, median, range, runs."""
-    (values,) = panel.values.values()  # of the only variant
-    numbers = np.array(values, dtype=np.float64)  # None gives NaN
-    summary = summarize(numbers, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
-    target = "" if panel.target is None else f", target {panel.target:g}"
-    unit = f" [{_unit_of(panel)}]" if _unit_of(panel) else ""
-    of_all = "" if summary.n == numbers.size else f" of {numbers.size}"
-    return [
-        f"{panel.label}{unit}{target}",
-        f"{summary.never} of {numbers.size} never" if summary.never else number(summary.mean),
-        interval(_interval_of(summary, panel)),
-        number(summary.median),
-        f"{number(summary.min)} to {number(summary.max)}" if summary.n else NOTHING,
-        f"{summary.n}{of_all}",
-    ]
 
 
 def _paint_strip(axes: Axes, values: Array, row: float, panel: Panel, colour: str) -> None:

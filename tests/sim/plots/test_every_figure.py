@@ -101,7 +101,7 @@ def start_and_end(arena: str) -> Figure:
         pytest.param(lambda: bands(12), id="bands of twelve variants"),
         pytest.param(lambda: intervals(9, 2), id="intervals of many metrics"),
         pytest.param(lambda: intervals(2, 12), id="intervals of many variants"),
-        pytest.param(lambda: intervals(12, 1), id="table of one variant"),
+        pytest.param(lambda: intervals(12, 1), id="intervals of one variant"),
         pytest.param(lambda: curve(None), id="curves"),
         pytest.param(lambda: curve(3.5), id="curves in a column"),
         pytest.param(differences, id="differences in a column"),

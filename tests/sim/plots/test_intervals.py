@@ -170,25 +170,6 @@ def test_rows_of_differences_stand_at_the_value_of_the_variant() -> None:
     assert axes.get_yticks() == pytest.approx([0.0, 1.0, 3.0])
 
 
-def test_one_variant_with_many_metrics_is_a_table() -> None:
-    panels = [
-        Panel(label="gap", unit="m", values={"": VALUES}),
-        Panel(label="gather time", unit="s", values={"": (3.0, None)}, is_time_to_event=True),
-        *[Panel(label="gathered", values={"": (1.0, 0.0, 1.0)}, is_share=True, target=0.5)] * 2,
-    ]
-    (axes,) = intervals_figure(panels).axes
-    (table,) = axes.tables
-    cells = {place: cell.get_text().get_text() for place, cell in table.get_celld().items()}
-    rows = [[cells[row, column] for column in range(6)] for row in range(1, 4)]
-    bounds, share = mean_interval(np.array(VALUES)), wilson(2, 3)
-    assert bounds is not None
-    spread = f"{bounds.low:.4g} to {bounds.high:.4g}"
-    assert rows[0] == ["gap [m]", "0.675", spread, "0.65", "0.5 to 0.9", "4"]
-    assert rows[1][1:3] == ["1 of 2 never", "-"]
-    assert rows[2][:2] == ["gathered [share of runs], target 0.5", "0.6667"]
-    assert rows[2][2] == f"{share.low:.4g} to {share.high:.4g}"
-
-
 def test_panels_of_one_quantity_share_an_axis() -> None:
     panels = [
         Panel(label="gap late", quantity="gap", unit="m", values={"a": (1.0, 2.5)}),
