@@ -17,7 +17,7 @@ from swarmd.core.events import TICK_INPUT, Input, OdometryInput
 from swarmd.core.values import ZERO, Odometry, Pose
 from swarmd.recording import frames, messages
 from swarmd.recording.inputs import INPUT, InputReader
-from swarmd.recording.limits import FileLimits
+from swarmd.settings.file_limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedMessage, clock_of, read_file
 from swarmd.robot.robot import Robot

@@ -52,7 +52,7 @@ class Twin:
         key = f"{robot.id} {robot._lifecycle.identity.instance}"
         left = self._left.setdefault(key, self._draws.randrange(INPUTS))
         if left == 0:
-            self._twins[key] = recall(remember(robot), robot._lifecycle.identity.settings)
+            self._twins[key] = recall(remember(robot), robot._lifecycle.identity.setup)
         self._left[key] = (left or INPUTS) - 1
         copy = decode_input(encode_input(input))
         actions = robot.step(input, now)

@@ -12,7 +12,7 @@ from msgspec import structs
 from swarmd.core.events import Input
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
-from swarmd.recording.limits import FileLimits
+from swarmd.settings.file_limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
