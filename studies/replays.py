@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +80,7 @@ def record(count: int, seed: int, seconds: float, folder: Path) -> None:
     pause = seconds / 10.0
     with RecordedSwarm(count, seed, folder) as swarm:
         first, second, third, *_ = swarm.robots
-        story = (
+        story: tuple[Callable[[], None], ...] = (
             lambda: swarm.ask(RunRequest, swarm.robots, pattern="random_walk", params=_WALK),
             lambda: swarm.ask(StopRequest, [first]),
             lambda: swarm.ask(RunRequest, [first], pattern="random_walk", params=_WALK),

@@ -6,6 +6,7 @@ import hashlib
 import math
 import os
 import platform
+import re
 import struct
 import subprocess
 from collections.abc import Iterable, Iterator, Set
@@ -86,10 +87,8 @@ def digest_of_libm() -> str:
 def _processor(facts: Path = Path("/proc/cpuinfo")) -> str:
     """The name of the processor; unknown if the system does not tell."""
     with suppress(OSError):
-        for line in facts.read_text().splitlines():
-            key, _, value = line.partition(":")
-            if key.strip() == "model name":
-                return value.strip()
+        if found := re.search(r"^model name\s*: (.*)$", facts.read_text(), re.MULTILINE):
+            return found[1]
     return "unknown"
 
 

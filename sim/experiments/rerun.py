@@ -116,9 +116,11 @@ def first_difference(a: Trace, b: Trace) -> str:
 def _by_instant(trace: Trace) -> dict[str, NDArray[Any]]:
     """The (T, n, ...) arrays of a trace by name: what robots do, then where they are."""
     names = ("requested", "safe", "gap", "bound", "state", "reason", "active", "pose")
-    arrays = {name: getattr(trace, name) for name in names}
-    arrays |= {f"report:{name}": values for name, values in trace.report.items()}
-    arrays |= {f"reading:{name}": values for name, values in trace.readings.items()}
+    arrays = {
+        **{name: getattr(trace, name) for name in names},
+        **{f"report:{name}": values for name, values in trace.report.items()},
+        **{f"reading:{name}": values for name, values in trace.readings.items()},
+    }
     return {name: values for name, values in arrays.items() if values is not None}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,9 +20,8 @@ from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
     from swarmd.core.values import Platform
-    from swarmd.recording.head import RecordingHead
     from swarmd.recording.reader import RecordedFile
-    from swarmd.replay.replay import Parity
+    from swarmd.replay.replay import Difference, Life, Parity
 
 
 @click.command()
@@ -33,99 +33,200 @@ if TYPE_CHECKING:
     help="Another platform for the replay: what would its settings have commanded?",
 )
 @click.option("--plugin-dir", type=FOLDER, help="The folder of patterns of your own.")
+@click.option("--until", type=float, metavar="SECONDS", help="End the replay at this instant.")
+@click.option("--why", metavar="NAME", help="Print the last inputs of this robot, too.")
+@click.option(
+    "--life",
+    "number",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Only the N-th recording of each robot; a restart of its daemon begins another.",
+)
 @local_options
 def replay(
-    options: CommonOptions, files: tuple[Path, ...], platform: str | None, plugin_dir: Path | None
+    options: CommonOptions,
+    files: tuple[Path, ...],
+    platform: str | None,
+    plugin_dir: Path | None,
+    until: float | None,
+    why: str | None,
+    number: int | None,
 ) -> None:
-    """Repeat a recorded run without a robot, and compare its commands with the recorded commands.
+    """Repeat a recorded run without robots, and compare its commands with the recorded commands.
 
-    FILE: a recording (.mcap), its parts in their order, or the folder of one robot. If the daemon
-    was restarted, the recordings of its processes are repeated one after the other. `safe` compares
-    what protection commanded, `requested` what the pattern asked for. The exit code is 0 only if
-    all commands are equal to the bit.
+    FILE: a recording (.mcap), its parts in their order, or a folder with those of one robot or of
+    several, whose inputs are then repeated in the order of one timeline. `safe` compares what
+    protection commanded, `requested` what the pattern asked for. The exit code is 0 only if all
+    commands are equal to the bit.
     """
     from swarmd.plugins import check_single, need, pattern_names, places_of
 
     need("mcap", "rosbags", extra="record")
     from swarmd.replay.replay import recordings_of, total
+    from swarmd.replay.swarm import first_difference, place_lives, repeat_together
     from swarmd.settings.platforms import load_platform
 
-    recordings = recordings_of(_files(files))
-    robots = {parts[0].about.get("robot") for parts in recordings}  # heads of their first files
-    if len(robots) > 1:
-        raise click.UsageError(f"the files are of {len(robots)} robots; give those of one")
+    paths = parts_of(files)
+    recordings = recordings_of(_files(paths))
+    if number is not None:
+        recordings = _picked(recordings, number)
     origins = pattern_names(plugin_dir)
     for name, origin in origins.items():
         check_single(name, origin)  # PluginError for two patterns of one name
     other_platform = None if platform is None else load_platform(platform)
-    results = _repeated(recordings, places_of(origins), other_platform)
-    head, _ = results[0]  # robot and platform of a recording
-    parity = total(parity for _, parity in results)
-    is_equal = parity.safe.is_equal and parity.requested.is_equal
+    lives = _prepared(recordings, places_of(origins), other_platform)
+    is_swarm = len({life.about.get("robot") for life in lives}) > 1
+    if is_swarm:
+        place_lives(lives, paths)
+    watched = [life for life in lives if life.head.identity.robot == why]
+    if why is not None and not watched:
+        raise click.UsageError(f"--why {why}: no recording of it is repeated")
+    repeat_together(lives, until)
+    by_robot = {robot: total(parities) for robot, parities in _compared(lives).items()}
+    difference = first_difference(lives)
+    is_equal = all(one.safe.is_equal and one.requested.is_equal for one in by_robot.values())
+    # The largest error of each robot's place on the timeline, in s; inf: not known.
+    errors = {
+        robot: max(life.error for life in lives if life.head.identity.robot == robot) for robot in by_robot
+    }
     if options.is_json:
-        _print_json(head.identity.robot, parity, is_equal)
+        _print_json(by_robot, errors, difference, is_equal)
     else:
-        click.echo(f"{head.identity.robot} ({head.identity.platform.name}), {parity.seconds:.1f} s")
-        _print_table(parity)
-    for note in parity.notes:
-        warn(note)
+        _print_table(by_robot, errors, lives, is_swarm=is_swarm)
+    if difference is not None and not options.is_json:
+        life, found = difference
+        at = f"{life.head.identity.robot} at {life.begin + found.at:.3f} s"
+        click.echo(f"first difference: {at}: {found.field} {found.recorded}, here {found.replayed}")
+    for life in watched:
+        _print_inputs(life)
+    for robot, parity in by_robot.items():
+        for note in parity.notes:
+            warn(f"{robot}: {note}" if is_swarm else note)
     if not is_equal:
         click.get_current_context().exit(FAILED)
 
 
-def _repeated(
+def _picked(recordings: Sequence[list[RecordedFile]], number: int) -> list[list[RecordedFile]]:
+    """The recording with `number` (from 1) of each robot; UsageError if no robot has so many."""
+    by_robot: dict[str | None, list[list[RecordedFile]]] = defaultdict(list)
+    for parts in recordings:
+        by_robot[parts[0].about.get("robot")].append(parts)
+    picked = [own[number - 1] for own in by_robot.values() if len(own) >= number]
+    if not picked:
+        raise click.UsageError(f"--life {number}: at most {max(map(len, by_robot.values()))}")
+    return picked
+
+
+def _prepared(
     recordings: Sequence[list[RecordedFile]],
     places: Mapping[str, tuple[str, bool]],
     platform: Platform | None,
-) -> list[tuple[RecordingHead, Parity]]:
-    """Repeat recordings; warns of each recording that cannot be repeated.
+) -> list[Life]:
+    """Prepare to repeat recordings; warns of each recording that cannot be repeated.
 
     `recordings`: the files of each recording. `places`: where the code of each pattern is.
     `platform` replaces the platform of the recordings; None: no change. ConfigError, with the fault
     of the last recording, if no recording can be repeated.
     """
-    from swarmd.replay.replay import repeat
+    from swarmd.replay.replay import prepare
 
-    results = []
+    lives = []
     for number, parts in enumerate(recordings, start=1):
         try:
-            results.append(repeat(parts, places, platform))
+            lives.append(prepare(parts, places, platform))
         except ConfigError as error:
-            is_last = number == len(recordings)
-            if is_last and not results:
+            if number == len(recordings) and not lives:
                 raise
             warn(f"{error}; it is left out")
-    return results
+    return lives
 
 
-def _files(given: tuple[Path, ...]) -> list[RecordedFile]:
+def _compared(lives: Sequence[Life]) -> Mapping[str, list[Parity]]:
+    """The comparisons of each robot; warns of a life that compared nothing or failed.
+
+    ConfigError, with the fault of the last life, if no life compared anything.
+    """
+    found: dict[str, list[Parity]] = defaultdict(list)
+    for life in lives:
+        try:
+            found[life.head.identity.robot] += [life.parity()]
+        except ConfigError as error:
+            if life is lives[-1] and not any(found.values()):
+                raise
+            warn(f"{error}; it is left out")
+    return {robot: parities for robot, parities in found.items() if parities}
+
+
+def _files(paths: Sequence[Path]) -> list[RecordedFile]:
     from swarmd.recording.reader import read_file
 
-    files = [read_file(path) for path in parts_of(given)]
+    files = [read_file(path) for path in paths]
     for file in files:
         if file.fault:
             warn(f"{file.path}: {file.fault}; what is whole is repeated")
     return files
 
 
-def _print_json(robot: str, parity: Parity, is_equal: bool) -> None:
-    content = {
-        name: fields(commands, "count", "equal", "largest", "first")
-        for name, commands in (("safe", parity.safe), ("requested", parity.requested))
-    }
-    more = {"robot": robot, "seconds": parity.seconds, "notes": list(parity.notes)}
-    print_json("Replay", {**more, **content, "is_equal": is_equal})
+def _print_json(
+    by_robot: Mapping[str, Parity],
+    errors: Mapping[str, float],
+    difference: tuple[Life, Difference] | None,
+    is_equal: bool,
+) -> None:
+    rows = [
+        {
+            "robot": robot,
+            "seconds": parity.seconds,
+            "notes": list(parity.notes),
+            "safe": fields(parity.safe, "count", "equal", "largest", "first"),
+            "requested": fields(parity.requested, "count", "equal", "largest", "first"),
+            "clock_error": errors[robot] if math.isfinite(errors[robot]) else None,
+        }
+        for robot, parity in by_robot.items()
+    ]
+    first: dict[str, object] | None = None
+    if difference is not None:
+        life, found = difference
+        where = {"robot": life.head.identity.robot, "at": life.begin + found.at}
+        first = {**where, **fields(found, "field", "recorded", "replayed")}
+    print_json("Replay", {"robots": rows, "first_difference": first, "is_equal": is_equal})
 
 
-def _print_table(parity: Parity) -> None:
+def _print_table(
+    by_robot: Mapping[str, Parity],
+    errors: Mapping[str, float],
+    lives: Sequence[Life],
+    *,
+    is_swarm: bool,
+) -> None:
+    platforms = {life.head.identity.robot: life.head.identity.platform.name for life in lives}
+    for robot, parity in by_robot.items():
+        error = errors[robot]
+        clock = "by its wall clock" if math.isinf(error) else f"clock within {1e3 * error:.3f} ms"
+        words = (f"{robot} ({platforms[robot]})", f"{parity.seconds:.1f} s", clock)
+        click.echo(", ".join(words if is_swarm else words[:2]))
     rows = [
         (
+            robot,
             name,
             str(commands.count),
             f"{math.floor(1e4 * commands.share) / 1e2:.2f}%",  # 100 % only if all are equal
             f"{commands.largest:.3g}",
             NOTHING if commands.first is None else f"{commands.first:.2f} s",
         )
+        for robot, parity in by_robot.items()
         for name, commands in (("safe", parity.safe), ("requested", parity.requested))
     ]
-    print_table(("COMMANDS", "COMPARED", "EQUAL", "LARGEST DIFFERENCE", "FIRST"), rows)
+    names = ("NAME", "COMMANDS", "COMPARED", "EQUAL", "LARGEST DIFFERENCE", "FIRST")
+    begin = 0 if is_swarm else 1  # one robot needs no column for its name
+    print_table(names[begin:], [row[begin:] for row in rows])
+
+
+def _print_inputs(life: Life) -> None:
+    """The last inputs of a robot before its first difference, else before its end."""
+    difference = life.replay.difference
+    inputs = life.replay.last_inputs if difference is None else difference.inputs
+    until = "the end" if difference is None else f"{difference.field} differs"
+    warn(f"{life.head.identity.robot}, before {until}:")
+    for kind, at in inputs:
+        warn(f"  {kind} at {life.begin + at:.6f} s")

@@ -182,19 +182,27 @@ def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]
     inputs for a replay are left out, since a merged file cannot be replayed. Only one file at a
     time is in memory.
     """
-    wall, boot = int(reference["wall_ns"]), int(reference["boot_ns"])
-    alignment, robot = placed.alignment, placed.source.robot
+    robot = placed.source.robot
     for _, path in placed.source.files:
         recording = read_file(path)
         known = (message for message in recording.messages if is_known(message.kind))
         kept = (message for message in known if message.topic not in (INPUT, MEMORY))
         for message in sorted(kept, key=lambda message: message.at):
-            at = message.at
-            if alignment is not None:
-                time = alignment.to_reference(clock_of(recording.about, at))
-                at = wall + round((time - 1e-9 * boot) * 1e9)
-            at = min(max(at, 0), MAX_TIME)
+            at = time_on(reference, placed.alignment, recording.about, message.at)
             yield at, f"/{robot}{message.topic}", message.kind, message.sequence, message.payload
+
+
+def time_on(
+    reference: Mapping[str, str], alignment: Alignment | None, about: Mapping[str, str], at: int
+) -> int:
+    """A time of a recording on the wall clock of the robot `reference`, both in ns since 1970.
+
+    `about`: the texts of the recording. `alignment`: of its clock; None leaves the time as it is.
+    """
+    if alignment is not None:
+        time = alignment.to_reference(clock_of(about, at))
+        at = int(reference["wall_ns"]) + round((time - 1e-9 * int(reference["boot_ns"])) * 1e9)
+    return min(max(at, 0), MAX_TIME)
 
 
 def rows(placed: Sequence[Placed]) -> list[dict[str, Any]]:

@@ -12,17 +12,17 @@ platform, the replay begins with a new robot, and the recording must begin outsi
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from platform import machine
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
-from swarmd.core.events import HostInput, Input, RequestInput
+from swarmd.core.events import HostInput, Input, RequestInput, tag_of
 from swarmd.core.host_messages import KillHost, Load, Loaded, StartTrial, Stepped
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.messages import State
@@ -31,12 +31,18 @@ from swarmd.core.verbs import StopRequest
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages
+from swarmd.recording.frames import DecisionEntry
 from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.inputs import MEMORY, InputReader
 from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import recall
 from swarmd.robot.robot import Robot
+
+STAMP_END = 12
+"""Bytes of the encoding and of the stamp, at the begin of a message with a header."""
+LAST_INPUTS = 8
+"""Inputs before a difference that a replay names."""
 
 
 @dataclass(slots=True)
@@ -81,6 +87,16 @@ class Compared:
         return self.equal == self.count
 
 
+class Difference(NamedTuple):
+    """The first field of a decision, or of a pattern's command, that the replay makes otherwise."""
+
+    at: float  # s after the first message
+    field: str  # such as safe
+    recorded: str
+    replayed: str
+    inputs: tuple[tuple[str, float], ...]  # the last inputs before: kind, and s as `at`
+
+
 @dataclass(frozen=True, slots=True)
 class Parity:
     """The comparison of a replay with its recording."""
@@ -89,6 +105,7 @@ class Parity:
     requested: Compared  # commands of the pattern
     seconds: float  # of the recording
     notes: tuple[str, ...]  # lines on what the comparison leaves out
+    difference: Difference | None = None  # the first one
 
 
 class Replay:
@@ -106,7 +123,7 @@ class Replay:
         *,
         recalls: bool = False,
     ) -> None:
-        """Prepare the replay; `run` makes the robot, or takes it from the recorded memory.
+        """Prepare the replay; `take` makes the robot, or takes it from the recorded memory.
 
         - `head`, `about`: the head of the recording, and the texts of its files on the robot.
         - `origins`: by pattern, its `module:Class` or path, and True for a path.
@@ -131,9 +148,11 @@ class Replay:
         self._inputs = InputReader()
         self._begin: float | None = None  # time of the first message, s
         self.safe, self.requested = Compared(), Compared()
+        self.difference: Difference | None = None
+        # Kind and time of the last inputs, in s after the first message.
+        self.last_inputs: deque[tuple[str, float]] = deque(maxlen=LAST_INPUTS)
+        self._last = 0.0  # time of the last message, s after the first
         self._notes: dict[str, None] = {}  # in their order, each once
-        # Whether a note says that only one of the recorded and the replayed robot is running.
-        self._has_noted_state = False
 
     def _make_robot(self, now: float) -> Robot:
         identity = self._head.identity
@@ -147,28 +166,31 @@ class Replay:
             earlier=self._head.earlier,
         )
 
-    def run(self, recorded: Iterable[RecordedMessage]) -> Parity:
-        """Replay all messages, in the order in which they were recorded."""
-        last = 0.0
-        for message in recorded:
-            now = clock_of(self._about, message.at)
-            if self._begin is None:
-                self._begin = now
-                if not self._recalls:
-                    self._robot = self._make_robot(now)
-            last = max(last, now - self._begin)
-            try:
-                self._take(message, now)
-            except (CodecError, msgspec.MsgspecError) as error:
-                self._note(f"{message.topic} could not be read: {error}")
-            except Exception as error:  # a damaged memory may give fields of any value
-                if not self._recalls or isinstance(error, SwarmError):
-                    raise
-                raise ConfigError(
-                    f"the robot of the recorded memory fails at {now - self._begin:.3f} s"
-                    f" ({error!r:.200}); expected the recording of a robot, whole and unchanged"
-                ) from error
-        return Parity(self.safe, self.requested, last, tuple(self._notes))
+    @property
+    def parity(self) -> Parity:
+        """The comparison so far."""
+        notes = tuple(self._notes)
+        return Parity(self.safe, self.requested, self._last, notes, self.difference)
+
+    def take(self, message: RecordedMessage) -> None:
+        """Replay the next message; ConfigError if the recorded robot cannot continue."""
+        now = clock_of(self._about, message.at)
+        if self._begin is None:
+            self._begin = now
+            if not self._recalls:
+                self._robot = self._make_robot(now)
+        self._last = max(self._last, now - self._begin)
+        try:
+            self._take(message, now)
+        except (CodecError, msgspec.MsgspecError) as error:
+            self._note(f"{message.topic} could not be read: {error}")
+        except Exception as error:  # a damaged memory may give fields of any value
+            if not self._recalls or isinstance(error, SwarmError):
+                raise
+            raise ConfigError(
+                f"the robot of the recorded memory fails at {now - self._begin:.3f} s"
+                f" ({error!r:.200}); expected the recording of a robot, whole and unchanged"
+            ) from error
 
     def _take(self, message: RecordedMessage, now: float) -> None:
         # Also while inputs are skipped: the ray directions of a scan are needed for later scans.
@@ -186,7 +208,7 @@ class Replay:
         elif self._awaits_memory:
             pass
         elif message.topic == "/decision":
-            self._compare(messages.message_on(message.topic, message.kind, message.payload), now)
+            self._compare(message, now)
         elif input is not None:
             self._step(*input)
 
@@ -197,6 +219,7 @@ class Replay:
                 return  # a new robot does not know which requests were executed before
         if isinstance(input, HostInput) and isinstance(input.event, Stepped):
             self._compare_requested(input.event, now)
+        self.last_inputs.append((tag_of(input), now - (self._begin or now)))
         with np.errstate(all="ignore"):  # a damaged memory may contain any numbers
             actions = self._robot.step(input, now)
         if actions is not None:
@@ -217,6 +240,7 @@ class Replay:
             own = self._steps.popleft()
             replayed, recorded = own.outputs.twist or ZERO, event.outputs.twist or ZERO
             self.requested.add(replayed, recorded, now - (self._begin or now))
+            self._differ("command of the pattern", recorded, replayed, now)
         else:
             self._note("the pattern of the replay did not step where the recorded one did")
 
@@ -237,19 +261,26 @@ class Replay:
         if isinstance(event, Stepped):
             self._steps.append(event)
 
-    def _compare(self, message: Any, now: float) -> None:
+    def _compare(self, recorded: RecordedMessage, now: float) -> None:
+        message = messages.message_on(recorded.topic, recorded.kind, recorded.payload)
         if self._actions is None:
             return
-        at = now - (self._begin or now)
-        runs_here = self._robot.state is State.RUNNING
-        ran_there = message.state == State.RUNNING
-        if runs_here != ran_there and not self._has_noted_state:
-            self._has_noted_state = True
-            self._note(
-                f"at {at:.3f} s the recorded robot is {message.state}, the replayed one"
-                f" {self._robot.state}"
-            )
-        self.safe.add(self._actions.decision.safe, messages.twist_of(message.safe), at)
+        decision = self._actions.decision
+        self.safe.add(decision.safe, messages.twist_of(message.safe), now - (self._begin or now))
+        reason = decision.reason or ""
+        entry = DecisionEntry(0.0, message.cause, self._robot.state, reason, decision)
+        own = messages.decision_message(entry, 0.0)
+        if own.payload[STAMP_END:] != recorded.payload[STAMP_END:]:
+            replayed = _fields_of(messages.deserialize(*own))
+            for field, value in _fields_of(message).items():
+                self._differ(field, value, replayed[field], now)
+
+    def _differ(self, field: str, recorded: Any, replayed: Any, now: float) -> None:
+        """Note a difference, unless there is an earlier one."""
+        if self.difference is None and repr(recorded) != repr(replayed):
+            at = now - (self._begin or now)
+            inputs = tuple(self.last_inputs)
+            self.difference = Difference(at, field, repr(recorded), repr(replayed), inputs)
 
     def _note(self, text: str) -> None:
         if len(self._notes) < 20:
@@ -271,6 +302,55 @@ def repeat(
     platform: Platform | None = None,
 ) -> tuple[RecordingHead, Parity]:
     """Replay the files of one recording in order; ConfigError if the replay is impossible."""
+    life = prepare(files, origins, platform)
+    for message in life.messages:
+        life.take(message)
+    return life.head, life.parity()
+
+
+@dataclass(slots=True)
+class Life:
+    """The recording of one life of a robot's daemon, and the robot that repeats it.
+
+    The last fields place it on the timeline of a swarm (`swarm.py`).
+    """
+
+    where: str  # the path of its first file
+    head: RecordingHead
+    about: Mapping[str, str]
+    messages: list[RecordedMessage]
+    replay: Replay
+    notes: list[str]
+    fault: str = ""  # why the robot of its memory could not continue
+    place: Callable[[int], int] = int  # from the time of a message to the timeline, both in ns
+    error: float = 0.0  # s, the largest error of `place`; inf: not known
+    begin: float = 0.0  # s on the timeline, of its first message
+
+    def take(self, message: RecordedMessage) -> None:
+        """Replay the next message, unless the robot could not continue before."""
+        try:
+            if not self.fault:
+                self.replay.take(message)
+        except ConfigError as error:
+            self.fault = str(error)
+
+    def parity(self) -> Parity:
+        """The comparison; ConfigError if the robot could not continue, or nothing was compared."""
+        parity = self.replay.parity
+        fault = self.fault
+        if not fault and not parity.safe.count:
+            fault = "no decision follows a memory; nothing can be compared"
+        if fault:
+            raise ConfigError(f"{self.where}: {fault}")
+        return replace(parity, notes=(*self.notes, *parity.notes))
+
+
+def prepare(
+    files: list[RecordedFile],
+    origins: Mapping[str, tuple[str, bool]],
+    platform: Platform | None = None,
+) -> Life:
+    """Prepare to replay the files of one recording; ConfigError if the replay is impossible."""
     where, about = str(files[0].path), files[0].about
     if about.get("kind") == "merged":
         raise ConfigError(f"{where}: merged; expected the robot's own recording")
@@ -281,13 +361,8 @@ def repeat(
     check_beginning(recorded, where, fault)
     if fault and not platform:
         notes.append(f"{fault}; what the robot learned before is not repeated")
-    try:
-        parity = Replay(head, about, origins, platform, recalls=not fault).run(recorded)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from error
-    if not parity.safe.count:
-        raise ConfigError(f"{where}: no decision follows a memory; nothing can be compared")
-    return head, replace(parity, notes=(*filter(None, notes), *parity.notes))
+    replayed = Replay(head, about, origins, platform, recalls=not fault)
+    return Life(where, head, about, recorded, replayed, [*filter(None, notes)])
 
 
 def memory_in(message: RecordedMessage) -> bytes:
@@ -321,12 +396,25 @@ def total(parities: Iterable[Parity]) -> Parity:
     safe, requested = Compared(), Compared()
     seconds = 0.0
     notes: dict[str, None] = {}
+    difference = None
     for parity in parities:
+        difference = difference or parity.difference
         safe.include(parity.safe)
         requested.include(parity.requested)
         seconds += parity.seconds
         notes |= dict.fromkeys(parity.notes)
-    return Parity(safe, requested, seconds, tuple(notes))
+    return Parity(safe, requested, seconds, tuple(notes), difference)
+
+
+def _fields_of(decision: Any) -> dict[str, Any]:
+    """The fields of a decision's message by name, except its header."""
+    return {
+        **{name: getattr(decision, name) for name in ("state", "reason", "mode", "scan_seq")},
+        **{name: messages.twist_of(getattr(decision, name)) for name in ("requested", "safe")},
+        **{name: getattr(decision, name).tolist() for name in ("bearings", "gaps", "caps")},
+        **{name: getattr(decision, name) for name in ("gap", "scan_age", "speed_share")},
+        **{name: getattr(decision, name) for name in ("is_active", "is_recovering", "avoiding")},
+    }
 
 
 def _state_in(decision: RecordedMessage, where: str) -> str:

@@ -86,15 +86,19 @@ class ClockedRobot:
 
 @contextmanager
 def clocked_crowd(
-    scenario: Scenario, seed: int, take: Take, *, uptime: float
+    scenario: Scenario, seed: int, take: Take, *, uptime: float, apart: float = 0.0
 ) -> Iterator[Lockstep]:
-    """A run whose robots get their inputs from `take(robot, input, now)`."""
+    """A run whose robots get their inputs from `take(robot, input, now)`.
+
+    The clocks of tb3-01, tb3-02 and so on begin at `uptime` s, `apart` s later, and so on.
+    """
     draws = Random(seed)
 
     def made(id: str, *args: Any, now: float, **kwargs: Any) -> Any:
         own = Random(draws.random())
-        begin = clock_reading(round(1e9 * (uptime + now)))
-        return ClockedRobot(Robot(id, *args, now=begin, **kwargs), take, uptime, own)
+        ahead = uptime + apart * (int(id[-2:]) - 1)
+        begin = clock_reading(round(1e9 * (ahead + now)))
+        return ClockedRobot(Robot(id, *args, now=begin, **kwargs), take, ahead, own)
 
     core = SimpleNamespace(
         tick_many=_tick_many, odometry_many=_odometry_many, message_many=_message_many

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from msgspec import structs
 
-from swarmd.core.events import Input
+from swarmd.core.events import Input, NeighborsInput
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.settings.file_limits import FileLimits
@@ -21,7 +21,8 @@ from tests.support.clocked_crowd import clocked_crowd
 from tests.support.recorded_stories import FileRecorder, head_at
 from tests.support.robot_harness import RobotHarness
 
-WALL = 1.7e9  # s since 1970 when the world begins
+WALL = 1.7e9  # s since 1970 when a robot's clock shows 0
+ROUND_TRIP = 0.004  # s, of an exchange with the clock of tb3-01
 
 
 class RecordedCrowd:
@@ -30,10 +31,10 @@ class RecordedCrowd:
     `active`: by robot, the count of inputs after which protection was active. `lives`: by robot.
     """
 
-    def __init__(self, folder: Path, layers: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, folder: Path, layers: Mapping[str, Mapping[str, Any]], apart: float) -> None:
         self.active: dict[str, int] = {}
         self.lives: dict[str, int] = {}
-        self._folder, self._layers = folder, layers
+        self._folder, self._layers, self._apart = folder, layers, apart
         self.recorders: dict[tuple[str, str], FileRecorder] = {}  # by robot and instance
 
     def take(self, robot: Robot, input: Input, now: float) -> Actions | None:
@@ -41,8 +42,13 @@ class RecordedCrowd:
         instance = robot._lifecycle.identity.instance
         if (robot.id, instance) not in self.recorders:
             self._begin(robot, instance, now)
-        actions = self.recorders[robot.id, instance].step(robot, input, now)
+        recorder = self.recorders[robot.id, instance]
+        actions = recorder.step(robot, input, now)
         self.active[robot.id] += robot.decision.is_active
+        if type(input) is NeighborsInput and robot.id != "tb3-01":  # some times a second
+            answered = now - 0.001 - self._apart * (int(robot.id[-2:]) - 1)
+            pair = "tb3-01", clock_of("tb3-01"), now - ROUND_TRIP, answered, now
+            recorder.add(frames.ClockEntry(now, *pair))
         return actions
 
     def _begin(self, robot: Robot, instance: str, now: float) -> None:
@@ -59,7 +65,7 @@ class RecordedCrowd:
         story = SimpleNamespace(robot=robot, epoch=robot.epoch, on_low_battery=None)
         head = head_at(cast("RobotHarness", story))
         layers = {name: (("scenario", values),) for name, values in self._layers.items()}
-        return structs.replace(head, instance=instance, clock=f"clock of {robot.id}", layers=layers)
+        return structs.replace(head, instance=instance, clock=clock_of(robot.id), layers=layers)
 
     def finish(self) -> None:
         """Finish all files."""
@@ -67,12 +73,24 @@ class RecordedCrowd:
             recorder.finish()
 
 
+def clock_of(robot: str) -> str:
+    """The id of a robot's clock."""
+    return f"clock of {robot}"
+
+
 def recorded_crowd(
-    folder: Path, scenario: dict[str, Any], seed: int, seconds: float, uptime: float
+    folder: Path,
+    scenario: dict[str, Any],
+    seed: int,
+    seconds: float,
+    *,
+    uptime: float,
+    apart: float = 0.0,
 ) -> RecordedCrowd:
-    """Run and record a crowd; the clocks of all robots show `uptime` s at the beginning."""
-    recorded = RecordedCrowd(folder, scenario.get("parameters", {}))
-    with clocked_crowd(scenario_of(scenario), seed, recorded.take, uptime=uptime) as run:
+    """Run and record a crowd; `uptime` and `apart` as in `clocked_crowd`."""
+    recorded = RecordedCrowd(folder, scenario.get("parameters", {}), apart)
+    take, whole = recorded.take, scenario_of(scenario)
+    with clocked_crowd(whole, seed, take, uptime=uptime, apart=apart) as run:
         run.advance(seconds)
     recorded.finish()
     return recorded

@@ -142,12 +142,14 @@ def test_a_replay_repeats_the_commands_of_pattern_and_protection(swarm: Swarm) -
 
     same = swarm.ctl("replay", str(folder), "-o", "json")
     assert same.code == 0, same.out + same.err
-    assert same.json["safe"]["count"] > 20
-    assert same.json["safe"]["largest"] == 0.0
-    assert same.json["requested"]["count"] > 2
-    assert same.json["requested"]["largest"] == 0.0
-    assert same.json["notes"] == []
+    (robot,) = same.json["robots"]
+    assert robot["safe"]["count"] > 20
+    assert robot["safe"]["largest"] == 0.0
+    assert robot["requested"]["count"] > 2
+    assert robot["requested"]["largest"] == 0.0
+    assert robot["notes"] == []
+    assert same.json["first_difference"] is None
 
     other = swarm.ctl("replay", str(folder), "--platform", "burger", "-o", "json")
     assert other.code == 1
-    assert other.json["safe"]["first"] is not None
+    assert other.json["robots"][0]["safe"]["first"] is not None
