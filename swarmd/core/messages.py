@@ -396,16 +396,14 @@ class Health(Struct, frozen=True, kw_only=True):
 class Latch(Struct, frozen=True, kw_only=True):
     """An emergency stop that has not been reset.
 
-    - `age`: s since it was issued, when the robot made the message; None: not known, as from an
-      older version.
-    - `is_wall_age`: the age follows from the robot's wall clock, since its machine was restarted.
+    - `age`: s since it was issued, when the robot made the message; None: not known, as after a
+      restart of the robot's machine.
     """
 
     issuer: Annotated[str, Meta(max_length=128)]
     scope: Literal["swarm", "robots"]
     reason: Line = ""
     age: Seconds | None = None
-    is_wall_age: bool = False
 
 
 class LoggedEvent(Struct, frozen=True, kw_only=True):

@@ -15,9 +15,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-import math
 import shutil
-import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
@@ -26,7 +24,7 @@ from typing import Generic, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from swarmd.core.clock import FIRST_WALL, boottime, clock_id
+from swarmd.core.clock import clock_id
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.files import sync_folder, write_fault, write_whole
@@ -91,8 +89,7 @@ class LatchFile(StateFile[LatchRecord]):
     before the write, so that a slow disk delays no stop. An unreadable file counts as a latch.
 
     The ages of latches go on over a restart of the daemon by the clock of the machine. After a
-    restart of the machine they follow from the wall clock, if it is and was set and not set back;
-    else they are not known.
+    restart of the machine they are not known.
 
     `fault`: why a restart would lose the present latches; empty if a restart would keep them.
     """
@@ -100,26 +97,18 @@ class LatchFile(StateFile[LatchRecord]):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder / "latches", LatchRecord, "estopped until reset")
         self._unwritten: LatchRecord | None = None
-        self._booted: float | None = None  # as written last
         self.fault = ""
 
     def read(self) -> LatchRecord:
         """The record that was written last, with its times on the present clock of the machine."""
         record = super().read()
         if record.clock != clock_id():  # the machine was restarted: its clock began anew
-            shift = (record.booted or math.nan) - (_booted() or math.nan)
-            times = record.since.items()
-            since = {i: at + shift for i, at in times if at + shift <= boottime()}  # no NaN
-            held = {i: replace(one, is_wall_age=i in since) for i, one in record.held.items()}
-            record = replace(record, held=held, since=since)
-        return replace(record, clock="", booted=None)
+            record = replace(record, since={})
+        return replace(record, clock="")
 
     def write(self, record: LatchRecord) -> None:
         """Write the record with the clock of its times. OSError if that fails."""
-        booted = _booted()
-        if booted is None or self._booted is None or abs(booted - self._booted) > 1:
-            self._booted = booted  # else a time near half a second rounds to one or the other
-        super().write(replace(record, clock=clock_id(), booted=self._booted))
+        super().write(replace(record, clock=clock_id()))
 
     def check(self) -> bool:
         """Write a record that failed before, else test the folder; True if `fault` changed."""
@@ -148,15 +137,6 @@ class LatchFile(StateFile[LatchRecord]):
         reason = f"{self.path.name} could not be read: {error}"
         latch = Latch(issuer="swarmd", scope="robots", reason=reason[:300])
         return LatchRecord(held={"unreadable": latch})
-
-
-def _booted() -> float | None:
-    """When the clock of the machine began, in s since 1970; None if the wall clock is not set.
-
-    Whole seconds: a record whose latches are the same is not written again.
-    """
-    wall = time.time()
-    return round(wall - boottime()) if wall >= FIRST_WALL else None
 
 
 class RecordWriter(Generic[T]):

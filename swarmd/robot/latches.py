@@ -21,8 +21,7 @@ class LatchRecord(Struct, frozen=True, kw_only=True):
     - `held`: the latches by id. Their ages hold when the record is handed to a robot, and are None
       in the file.
     - `since`: by id, when the emergency stop was issued, in s on the clock `clock` (the `clock_id`
-      of the machine). Without an entry it is not known, as in the record of an older version.
-    - `booted`: when that clock began, in s since 1970 (UTC); None if the wall clock was not set.
+      of the machine). Without an entry it is not known, as after a restart of the machine.
     """
 
     held: dict[Name, Latch] = {}
@@ -30,7 +29,6 @@ class LatchRecord(Struct, frozen=True, kw_only=True):
     folded: tuple[Name, ...] = ()
     since: dict[Name, Stamp] = {}
     clock: Word = ""
-    booted: Stamp | None = None
 
 
 class Latches:

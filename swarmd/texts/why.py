@@ -150,8 +150,7 @@ def stop_text(latch: Latch) -> str:
 
     Operators and robots wrote the texts: a long reason is cut, and control characters become `?`.
     """
-    clock = " by the wall clock of the robot" if latch.is_wall_age else ""
-    when = "at an unknown time" if latch.age is None else f"{seconds(latch.age)} ago{clock}"
+    when = "at an unknown time" if latch.age is None else f"{seconds(latch.age)} ago"
     reason = f": {shortened(latch.reason, _MAX_REASON)}" if latch.reason else ", without a reason"
     return printable(f"by {latch.issuer}, {when}{reason}")
 

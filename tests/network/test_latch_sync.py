@@ -15,7 +15,7 @@ LATCH = Latch(issuer="anna", scope="swarm")
 
 @pytest.mark.parametrize(("issuer", "reason"), [("ä" * 128, "止" * 256), ("a", "")])
 def test_texts_in_any_script_fit_and_all_latches_are_sent(issuer: str, reason: str) -> None:
-    latch = Latch(issuer=issuer, scope="swarm", reason=reason, age=0.1, is_wall_age=True)
+    latch = Latch(issuer=issuer, scope="swarm", reason=reason, age=0.1)
     held = {f"e{number}": latch for number in range(33)}
     parts = list(latch_parts("r" * 63, INSTANCE, held))
     for part in parts:

@@ -75,7 +75,7 @@ def test_a_copy_rewrites_neither_who_nor_why_nor_when() -> None:
     latches = Latches()
     latches.add("a", replace(SWARM, reason="smoke", age=0.0), now=10.0)
     record = latches.record()
-    forged = Latch(issuer="eve", scope="swarm", reason="all is well", age=900.0, is_wall_age=True)
+    forged = Latch(issuer="eve", scope="swarm", reason="all is well", age=900.0)
     assert not latches.add("a", forged, now=11.0)
     assert latches.adopt({"a": forged}, now=11.0) == ()
     assert latches.record() == record, "the file is not written again"
