@@ -14,7 +14,6 @@ from swarmd.cli.targets import read_targets, takes_targets, target_options
 from swarmd.client.changes import params_of
 from swarmd.client.changes import set_params as change
 from swarmd.client.targets import Targets, robots_of
-from swarmd.core.errors import unknown
 from swarmd.core.messages import Member, Param
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.values import NOTHING, number
@@ -30,40 +29,27 @@ def param() -> None:
 
 @param.command("get")
 @takes_targets(is_required=False)
-@click.option("-k", "--key", "keys", multiple=True, metavar="KEY", help="Only this parameter.")
 @common_options
-def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) -> None:
+def get_params(options: CommonOptions, targets: Targets) -> None:
     """Print the parameters in force on TARGETS, or on all robots, and the source of each."""
     with options.operator() as operator:
         view = known_members(options, operator)
-        _show(options, view, targets, keys)
+        _show(options, view, targets)
 
 
-def _show(
-    options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
-) -> NoReturn:
+def _show(options: CommonOptions, view: MembersView, targets: Targets) -> NoReturn:
     """Print the parameters of running patterns, and end with the exit code.
 
-    `view`: the answers of the robots to a query. `targets` without names: all members. `keys`: the
-    names of the parameters to print; empty for all. UsageError for a name that the pattern of no
-    robot has. The exit code is 0 if all targets have answered; robots that left the swarm do not
-    count.
+    `view`: the answers of the robots to a query. `targets` without names: all members. The exit
+    code is 0 if all targets have answered; robots that left the swarm do not count.
     """
     targeted = robots_of(view, targets, view.members)
     params_by_robot = {robot: params_of(view.members[robot]) for robot in targeted}
-    known_keys = {key for params in params_by_robot.values() for key in params}
-    for key in keys:
-        if key not in known_keys:
-            raise click.UsageError(unknown("parameter", key, known_keys))
-    chosen = {
-        robot: {key: param for key, param in params.items() if not keys or key in keys}
-        for robot, params in params_by_robot.items()
-    }
     if options.is_json:
-        robots = {robot: {"params": _as_json(params)} for robot, params in chosen.items()}
+        robots = {robot: {"params": _as_json(params)} for robot, params in params_by_robot.items()}
         print_json("Params", {"robots": robots})
     else:
-        _print_table(view, chosen)
+        _print_table(view, params_by_robot)
         answered = params_by_robot.keys() & view.answered
         idle = sorted(robot for robot in answered if not params_by_robot[robot])
         if idle:

@@ -32,6 +32,7 @@ from swarmd.texts.keys import UNSET_CLOCK, day
 NOT_ACTIVE = 3  # the exit code of `systemctl status` for a unit that does not run
 _TIMEOUT = 5.0  # s for systemctl and journalctl
 _DAY = 86400.0  # s
+_LOG_LINES = "5"
 _ARCHIVE_PROGRAM = Path("/opt/swarmd/bin/swarmd")
 
 _root = click.option(
@@ -58,8 +59,7 @@ def service() -> None:
     metavar="FILE",
     help="swarmd on the robot [the running program; with --root that of the archive].",
 )
-@click.option("--no-start", is_flag=True, help="Do not start it now.")
-def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> None:
+def install(root: Path, dry_run: bool, program: Path | None) -> None:
     """Write the unit and the account of the service, enable the service, and start it.
 
     Each step is printed. The command needs no network. Without a running systemd the service starts
@@ -85,13 +85,13 @@ def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> 
     has_config = steps.within(CONFIG_FILE).exists()
     if not has_config:
         click.echo(f"next: there is no {steps.within(CONFIG_FILE)} yet: swarmd install BUNDLE")
-    # 3. Start the service, if systemd runs on this machine, the daemon has its file, and the user
-    #    has not given --no-start. `otherwise` is empty, since systemctl is on this machine.
+    # 3. Start the service, if systemd runs on this machine and the daemon has its file. `otherwise`
+    #    is empty, since systemctl is on this machine.
     if not has_systemctl or not steps.manages_services():
         click.echo("note: systemd does not run here; the service starts with the machine")
         return
     steps.run("systemctl", "daemon-reload", otherwise="")
-    if has_config and not no_start:
+    if has_config:
         steps.run("systemctl", "start", SERVICE, otherwise="")
         click.echo("next: swarmd service status")
     else:
@@ -127,14 +127,11 @@ def uninstall(root: Path, dry_run: bool, purge: bool) -> None:
 
 @service.command()
 @_root
-@click.option(
-    "-n", "--lines", type=click.IntRange(0, 1000), default=5, help="Lines of the log [5]."
-)
 @output_option
-def status(root: Path, lines: int, output: str | None) -> None:
+def status(root: Path, output: str | None) -> None:
     """Show unit, settings, identity and the last lines of the log; 3 if it is not active."""
     steps = _steps(root)
-    found, log, active = status_rows(steps), last_lines(steps, lines), is_active(steps)
+    found, log, active = status_rows(steps), last_lines(steps), is_active(steps)
     if output == "json":
         print_json("ServiceStatus", {**dict(found), "is_active": active, "log": log})
     else:
@@ -164,11 +161,11 @@ def is_active(steps: Steps) -> bool:
     return steps.manages_services() and _asked(steps, "is-active", SERVICE) == "active"
 
 
-def last_lines(steps: Steps, count: int) -> list[str]:
+def last_lines(steps: Steps) -> list[str]:
     """The last lines of the service in the journal; the newest last."""
-    if not count or not steps.manages_services() or shutil.which("journalctl") is None:
+    if not steps.manages_services() or shutil.which("journalctl") is None:
         return []
-    words = ("-u", SERVICE, "-n", str(count), "--no-pager", "--output=short-iso")
+    words = ("-u", SERVICE, "-n", _LOG_LINES, "--no-pager", "--output=short-iso")
     return _output("journalctl", *words).splitlines()
 
 
