@@ -87,7 +87,8 @@ def replay(
     is_equal = all(one.safe.is_equal and one.requested.is_equal for one in by_robot.values())
     # The largest error of each robot's place on the timeline, in s; inf: not known.
     errors = {
-        robot: max(life.error for life in lives if life.head.identity.robot == robot) for robot in by_robot
+        robot: max(life.error for life in lives if life.head.identity.robot == robot)
+        for robot in by_robot
     }
     if options.is_json:
         _print_json(by_robot, errors, difference, is_equal)

@@ -17,10 +17,10 @@ from swarmd.core.events import TICK_INPUT, Input, OdometryInput
 from swarmd.core.values import ZERO, Odometry, Pose
 from swarmd.recording import frames, messages
 from swarmd.recording.inputs import INPUT, InputReader
-from swarmd.settings.file_limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedMessage, clock_of, read_file
 from swarmd.robot.robot import Robot
+from swarmd.settings.file_limits import FileLimits
 from tests.support.recorded_stories import FileRecorder
 
 MINUTE, DAY, YEAR = 60 * 10**9, 86_400 * 10**9, 365 * 86_400 * 10**9

@@ -51,7 +51,7 @@ def test_a_robot_that_forgets_stops_is_found(
     monkeypatch.setattr(KnownStops, "later_than", lambda self, start: "")
     played, findings = search(Cell("absent", 0, 5), 1, 1.0, random.Random(1))
     assert played == 1
-    assert findings[0].text.startswith("rule 1: r1 runs by `run` of before the stop")
+    assert findings[0].text.startswith("rule stopped: r1 runs by `run` of before the stop")
     monkeypatch.setattr("tests.sequences.orders.cells", lambda: [Cell("absent", 0, 5)])
     assert main(tmp_path, []) == 1
     (file,) = tmp_path.iterdir()

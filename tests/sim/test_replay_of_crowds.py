@@ -62,7 +62,7 @@ def test_a_swarm_is_repeated_together_in_the_order_of_its_clocks(recorded: Path)
     repeat_together(lives)
     assert first_difference(lives) is None
     names = ["tb3-01", "tb3-02", "tb3-03", "tb3-03", "tb3-04"]
-    assert [life.head.robot for life in lives] == names
+    assert [life.head.identity.robot for life in lives] == names
     for life, begin in zip(lives, (0.0, 0.0, 0.0, JOINED, 0.0), strict=True):
         parity = life.parity()
         assert parity.safe.is_equal
@@ -82,7 +82,7 @@ def test_the_first_robot_instant_and_field_that_differ_are_told(recorded: Path) 
     found = first_difference(lives)
     assert found is not None
     life, difference = found
-    assert life.head.robot == "tb3-02"
+    assert life.head.identity.robot == "tb3-02"
     assert difference.field == "safe"
     assert difference.at == pytest.approx(at, abs=1e-6)
     assert difference.inputs[-1][1] == pytest.approx(at, abs=1e-6)

@@ -12,10 +12,10 @@ from msgspec import structs
 from swarmd.core.events import Input, NeighborsInput
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
-from swarmd.settings.file_limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
+from swarmd.settings.file_limits import FileLimits
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.support.clocked_crowd import clocked_crowd
 from tests.support.recorded_stories import FileRecorder, head_at
