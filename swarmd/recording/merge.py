@@ -12,6 +12,7 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
+from swarmd.core.bounds import MAX_SECONDS
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import whole_file
 from swarmd.recording.clock_offset import Alignment, Exchange, align
@@ -104,7 +105,13 @@ def survey(paths: Sequence[Path]) -> Recordings:
         exchanges += read_exchanges(folder / CLOCKS_FILE)
     for source in sources.values():
         source.files.sort()
-    return Recordings(list(sources.values()), exchanges, faults)
+    # A stranger's recording may state times that no clock shows.
+    possible = [
+        one
+        for one in exchanges
+        if all(0.0 <= time <= MAX_SECONDS for time in (one.sent, one.answered, one.returned))
+    ]
+    return Recordings(list(sources.values()), possible, faults)
 
 
 def _known_messages(recording: RecordedFile) -> tuple[list[RecordedMessage], str]:

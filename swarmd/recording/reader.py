@@ -315,7 +315,7 @@ def clock_of(about: Mapping[str, str], at: int) -> float:
     """
     try:
         return (at - int(about["wall_ns"]) + int(about["boot_ns"])) / 1e9
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, OverflowError) as error:
         raise ConfigError(
             f"the recording does not tell its clock ({error!r}); expected wall_ns and boot_ns in"
             " its metadata, which may be damaged"

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from swarmd.core.errors import CodecError
+from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.events import TICK_INPUT, Input, OdometryInput
 from swarmd.core.values import ZERO, Odometry, Pose
 from swarmd.recording import frames, messages
@@ -85,3 +85,9 @@ def test_an_instant_that_no_clock_shows_is_refused(now: float) -> None:
     kind, payload = messages.input_message(b"", now, 0.0)
     with pytest.raises(CodecError, match="expected 0 to"):
         InputReader().read(RecordedMessage(INPUT, kind, 0, 0, payload))
+
+
+@pytest.mark.parametrize("wall", ["9" * 400, "", "1e9"])
+def test_a_clock_that_is_no_number_of_ns_is_refused(wall: str) -> None:
+    with pytest.raises(ConfigError, match="does not tell its clock"):
+        clock_of({"wall_ns": wall, "boot_ns": "0"}, 10**18)

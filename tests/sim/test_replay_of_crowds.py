@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.recording import messages
+from swarmd.recording import frames, messages
+from swarmd.recording.merge import place, survey
 from swarmd.recording.reader import read_file
 from swarmd.replay.replay import Life, prepare, recordings_of, repeat
 from swarmd.replay.swarm import first_difference, place_lives, repeat_together
 from tests.support.clocked_crowd import crowd
-from tests.support.recorded_crowd import ROUND_TRIP, recorded_crowd
-from tests.support.recorded_stories import ORIGINS
+from tests.support.recorded_crowd import ROUND_TRIP, clock_of, recorded_crowd
+from tests.support.recorded_stories import ORIGINS, rewritten
 from tests.support.swarmctl import swarmctl
 
 DAY = 86_400.0
@@ -101,6 +103,27 @@ def altered(life: Life, share: float) -> float:
                 life.messages[number] = replace(message, payload=payload)
                 return 1e-9 * (message.at - life.messages[0].at)
     raise AssertionError("no decision with a command of its own")
+
+
+@pytest.mark.parametrize(
+    "times", [(math.nan, 61.0, 61.0), (60.0, math.inf, 61.0), (60.0, 1e300, 61.0), (-1e308, 0, 0)]
+)
+def test_an_exchange_that_no_clock_can_have_is_left_out(
+    recorded: Path, tmp_path: Path, times: tuple[float, float, float]
+) -> None:
+    entry = frames.ClockEntry(0.0, "tb3-01", clock_of("tb3-01"), *times)
+    payload = messages.clock_message(entry, 0.0).payload
+    paths = []
+    for number, path in enumerate(sorted(recorded.rglob("*.mcap"))):
+        file = read_file(path)
+        changed = [
+            replace(one, payload=payload) if one.topic == "/clock/pair" else one
+            for one in file.messages[:60]
+        ]
+        other = replace(file, messages=changed)
+        paths.append(rewritten(other, tmp_path / f"{number}.mcap"))
+    placed = place(survey(paths))
+    assert [one.alignment is None for one in placed] == [False, True, True, True]
 
 
 @pytest.mark.parametrize(
