@@ -20,7 +20,7 @@ sight finally leads: it drives away to search for the rest of the swarm. A robot
 keeps the robots in sight that it sees.
 
 Robots that search, and groups with robots out of sight, drive to the middle of the free space
-around them. In a room they meet there, also if `range` is short. In the open there is no middle.
+around them. In a room that the lidar sees whole they meet there. In the open there is no middle.
 
 Limits: a robot within about 0.2 m of a wall is taken for a part of the wall, a pillar counts as a
 robot, and groups farther apart than `range` meet only by chance where there are no walls.
