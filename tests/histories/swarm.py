@@ -15,12 +15,12 @@ import heapq
 import itertools
 import math
 import random
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 from unittest.mock import Mock
 
 import numpy as np
@@ -119,6 +119,16 @@ ROSTER = ("r1", "r2", "r3", "r4", "r5", "r6", "r7")
 NO_DATA = np.full(8, np.inf)
 
 
+class Disturbance(Protocol):
+    """Decides on each datagram, request and reply by itself."""
+
+    def arrivals(self, sender: str, receiver: str, what: object) -> tuple[float, ...]:
+        """The s after its time at which it arrives: none if it is lost, two with a copy.
+
+        `what`: a datagram, or what is called at the end of a link.
+        """
+
+
 class Judge(Protocol):
     """Looks at each step of a history."""
 
@@ -155,18 +165,6 @@ class Disk:
     goals: GoalRecord = field(default_factory=GoalRecord)
     patterns: frozenset[str] = frozenset()
     counters: Mapping[bytes, int] = field(default_factory=dict)
-
-
-class Delivery(NamedTuple):
-    """One message on its way to one receiver."""
-
-    sender: str
-    receiver: str
-    kind: str  # of a datagram, such as `Ack`; ASK and ANSWER by a link
-    number: int  # 0: the first of this kind from this sender to this receiver
-
-
-ASK, ANSWER = "ask", "answer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,9 +244,7 @@ class VirtualSwarm:
         self.slow: dict[str, float] = {}
         self.slow_links: dict[str, float] = {}
         self.copies: tuple[float, ...] = ()  # s after which each datagram arrives once more
-        # By delivery, the s after its time at which it arrives: () is lost, (0.0, 2.0) also a copy.
-        self.arrivals: Mapping[Delivery, tuple[float, ...]] = {}
-        self.deliveries: Counter[tuple[str, str, str]] = Counter()
+        self.disturbance: Disturbance | None = None
         self.slowest = DELAY  # of all delays so far
         self.wall = 1.8e9  # s; the wall clocks differ by robot and may jump
         self.judge: Judge | None = None
@@ -321,16 +317,8 @@ class VirtualSwarm:
             if self.loss and self.random.random() < self.loss:
                 continue
             when = self.now + delay * (1.0 + (MOST_DELAY - 1.0) * self.random.random())
-            for first in self._arrivals(sender.name, one.name, type(body).__name__):
-                self.slowest = max(self.slowest, delay + first)
-                for later in (0.0, *self.copies):
-                    self.at(when + first + later, partial(one.receive, body, sender))
-
-    def _arrivals(self, sender: str, receiver: str, kind: str) -> tuple[float, ...]:
-        """When the next delivery of this kind arrives, in s after its time."""
-        number = self.deliveries[sender, receiver, kind]
-        self.deliveries[sender, receiver, kind] += 1
-        return self.arrivals.get(Delivery(sender, receiver, kind, number), (0.0,))
+            for later in self._arrivals(sender.name, one.name, body, self.copies):
+                self.at(when + later, partial(one.receive, body, sender))
 
     def name_of(self, address: Address) -> str:
         """The robot or operator at an address."""
@@ -340,16 +328,23 @@ class VirtualSwarm:
         """What an operator asks a robot by a link: both directions must pass."""
         daemon = self.robots[robot]
         if daemon.is_up and self.reaches(asker, robot) and self.reaches(robot, asker):
-            soonest = self.now + 2.0 * self.delay + self.slow_links.get(asker, 0.0)
-            for later in self._arrivals(asker, robot, ASK):
-                when = soonest + later
-                self.at(when, partial(daemon.take, partial(daemon.take_query, call, when)))
+            when = self.now + 2.0 * self.delay + self.slow_links.get(asker, 0.0)
+            for later in self._arrivals(asker, robot, call):
+                query = partial(daemon.take_query, call, when + later)
+                self.at(when + later, partial(daemon.take, query))
 
     def answer(self, robot: str, asker: str, call: Callable[[], object]) -> None:
         """The answer of a robot comes back by a link."""
         if self.reaches(asker, robot) and self.reaches(robot, asker):
-            for later in self._arrivals(robot, asker, ANSWER):
+            for later in self._arrivals(robot, asker, call):
                 self.at(self.now + 2.0 * self.delay + later, call)
+
+    def _arrivals(
+        self, sender: str, receiver: str, what: object, copies: tuple[float, ...] = ()
+    ) -> tuple[float, ...]:
+        if self.disturbance is not None:
+            return self.disturbance.arrivals(sender, receiver, what)
+        return (0.0, *copies)
 
 
 class Node:

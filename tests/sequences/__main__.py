@@ -12,7 +12,11 @@ from importlib import import_module
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "sequences"
-SUBJECTS: Mapping[str, str] = {"robot": "tests.sequences.robot"}
+SUBJECTS: Mapping[str, str] = {
+    "robot": "tests.sequences.robot",
+    "orders": "tests.sequences.orders",
+    "drivers": "tests.sequences.drivers",
+}
 """By name, the module whose `main(folder, arguments)` searches, and returns an exit status."""
 
 

@@ -1,16 +1,18 @@
-"""One run and one stop of two operators, and every fault of up to two of their messages.
+"""Every fault of up to two datagrams of one run and one stop, which two operators type.
 
-A case is a robot that is missing, the instants at which the run and the stop are typed, and faults:
-a message that is lost, arrives once more after 0.5 or 2 s, or arrives 0.5 or 2 s late. Messages are
-the datagrams between operators and robots, and the requests and answers by links. The operators
-look, admit and repeat as `swarmctl` does, and two robots obey. The rules of
-tests/histories/invariants.py hold all the time, and at the end all robots stand if the stop was
-typed last::
+A swarm has two robots, of which one is missing. The run and the stop are begun at each of INSTANTS
+instants, so in any order. Of each way (kind, sender, receiver) the FIRST datagrams and each
+EACH-th repeat may be lost, copied or delayed: a stop is repeated some forty times, and its repeats
+differ by when they come. A pair is made of a fault and of one more fault of a datagram that is sent
+later in the history with the first fault, which such a fault may have caused.
 
-    python -m tests.sequences.orders build/sequences --faults 1 --shard 0/2
+A history is right if no rule of `invariants.py` breaks and the last order counts, by when it was
+typed: after a later stop all robots stand. After a later run the robot that is there runs, unless a
+datagram of the stop was delayed: a robot stands in doubt.
 
-Cells (a missing robot and both instants) that have ended are lines of a file of the folder, so that
-the same command continues. `--share` takes a part of all cells, by a seed.
+`python -m tests.sequences.orders --faults 2 --shard 1/8 --seconds 600 FOLDER` searches a part. Each
+line of the file in FOLDER is a finished cell: a missing robot, a form of the swarm and two
+instants. A second call goes on behind the last line.
 """
 
 from __future__ import annotations
@@ -19,161 +21,275 @@ import argparse
 import json
 import random
 import sys
+import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import combinations, product
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+from swarmd.network.datagram import Ack, Beacon, GoalReport, MemberList, Solicit, Stop
 from tests.histories.history import History, HistoryStep, step
 from tests.histories.invariants import BrokenRuleError
-from tests.histories.swarm import Delivery
+from tests.histories.swarm import DELAY
 
 INSTANTS = 20
 STEP = 0.12  # s between two instants: a look waits some 2 s for the missing robot
-# What happens to the second robot before the first order; it starts or thaws at the end.
-MISSING: Mapping[str, tuple[HistoryStep, ...]] = {
-    "none": (),
-    "frozen": (step(0.0, "freeze", robot="r2"),),
-    "absent": (step(0.0, "kill", robot="r2"),),
-    "just booted": (step(0.0, "boot", robot="r2"),),
+COARSE = 4  # instants of the part that is searched first
+WELL = 0.2  # s by which a run must be later than a stop to be later for sure
+FIRST, EACH = 2, 8  # of each way of orders and answers the first ones, and each eighth repeat
+MISSING: Mapping[str, tuple[int, HistoryStep]] = {  # with the robots that are there before
+    "frozen": (2, step(0.0, "freeze", robot="r2")),
+    "absent": (2, step(0.0, "kill", robot="r2")),
+    "just booted": (1, step(0.0, "boot", robot="r2")),
 }
-# When a message arrives, in s after its time.
-FAULTS: Mapping[str, tuple[float, ...]] = {
+FORMS: Mapping[str, int] = {"open": 1, "secured": 2}  # seeds
+CHANGES: Mapping[str, tuple[float, ...]] = {  # s after its time at which a datagram arrives
     "lost": (),
-    "copied 0.5 s later": (0.0, 0.5),
-    "copied 2 s later": (0.0, 2.0),
-    "0.5 s late": (0.5,),
-    "2 s late": (2.0,),
+    "copied at once": (0.0, 0.0),
+    "copied after 0.5 s": (0.0, 0.5),
+    "copied after 2 s": (0.0, 2.0),
+    "delayed by 0.5 s": (0.5,),
+    "delayed by 2 s": (2.0,),
 }
-OPERATORS = frozenset({"anna", "bob"})
-FIRST = 2
-"""Messages of a kind from a sender to a receiver that faults may meet; later ones repeat them."""
-Arrivals = Mapping[Delivery, tuple[float, ...]]
+OPERATORS = ("anna", "bob")
+_KINDS: Mapping[type, str] = {
+    Stop: "stop",
+    Ack: "ack",
+    GoalReport: "goal",
+    Solicit: "look",
+    Beacon: "beacon",
+    MemberList: "members",
+}
+_CALLS = {"_hand": "run", "_take_reply": "reply", "_view": "view"}
+_ORDERS = {"stop", "ack", "goal", "run", "reply"}  # beside the look of the run's operator
+_LOOK = {"look", "beacon", "members", "view"}
+_LOOKING = ({"anna", "r1"}, {"anna", "r2"})
 
 
-class Cell(NamedTuple):
-    """A missing robot, and the instants (0 to INSTANTS - 1) of the run and of the stop."""
+class Sent(NamedTuple):
+    """A datagram, request or reply; `number`: which one of its way it is, from 0."""
+
+    kind: str
+    sender: str
+    receiver: str
+    number: int
+
+
+class Fault(NamedTuple):
+    """What happens to a datagram: a word of CHANGES."""
+
+    sent: Sent
+    change: str
+
+    @property
+    def is_late_stop(self) -> bool:
+        """True if a robot hears a stop late."""
+        return self.sent.kind == "stop" and self.change.startswith("delayed")
+
+    def __str__(self) -> str:
+        sent = self.sent
+        return f"{sent.kind} {sent.sender}>{sent.receiver} {sent.number} {self.change}"
+
+
+class Network:
+    """Carries out faults, and records what is sent; a `Disturbance`."""
+
+    def __init__(self, history: History, faults: Sequence[Fault]) -> None:
+        self._history, self._faults = history, dict(faults)
+        self._counts: Counter[tuple[str, str, str]] = Counter()
+        self.sent: list[Sent] = []  # what may be disturbed, in order
+
+    def arrivals(self, sender: str, receiver: str, what: object) -> tuple[float, ...]:
+        """As its `Faults` say."""
+        kind = self._kind_of(sender, receiver, what)
+        if not kind:
+            return (0.0,)
+        way = kind, sender, receiver
+        sent = Sent(*way, self._counts[way])
+        self._counts[way] += 1
+        is_early = sent.number < (1 if kind in _LOOK else FIRST)
+        if not is_early and (kind in _LOOK or sent.number % EACH):
+            return (0.0,)
+        self.sent.append(sent)
+        change = self._faults.get(sent)
+        arrivals = (0.0,) if change is None else CHANGES[change]
+        swarm = self._history.swarm
+        swarm.slowest = max(swarm.slowest, DELAY + max(arrivals, default=0.0))
+        return arrivals
+
+    def _kind_of(self, sender: str, receiver: str, what: object) -> str:
+        """The kind, empty for what carries no order, no answer and no look for a run."""
+        kind = _KINDS.get(type(what)) or _CALLS.get(_called(what), "")
+        if kind in _ORDERS:
+            is_heard = receiver not in OPERATORS or kind in ("ack", "reply")
+            return kind if is_heard else ""
+        is_look = kind in _LOOK and self._history.operators["anna"].under_way > 0
+        return kind if is_look and {sender, receiver} in _LOOKING else ""
+
+
+def _called(what: object) -> str:
+    """The name of the function that is called at the end of a link."""
+    while isinstance(what, partial):
+        what = what.func
+    return getattr(what, "__name__", "")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A missing robot, the form of the swarm, and the instants of the orders."""
 
     missing: str
+    form: str
     run: int
     stop: int
 
+    @property
+    def is_coarse(self) -> bool:
+        """True for each COARSE-th instant, and for a stop right after such a run."""
+        is_grid = self.stop % COARSE == 0 or self.stop == self.run + 1
+        return is_grid and self.run % COARSE == 0
 
-class Finding(NamedTuple):
-    """A case that breaks a rule."""
+
+@dataclass
+class Case:
+    """One history; `text`: what is wrong with it. `sent`: what might be disturbed in it."""
 
     cell: Cell
-    faults: tuple[tuple[Delivery, str], ...]
-    text: str
+    faults: tuple[Fault, ...] = ()
+    text: str = ""
+    sent: list[Sent] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        faults = "; ".join(map(str, self.faults)) or "no fault"
+        run, stop = STEP * self.cell.run, STEP * self.cell.stop
+        head = f"r2 {self.cell.missing}, {self.cell.form}, run at {run:.2f} s, stop at {stop:.2f} s"
+        return f"{head}, {faults}: {self.text or 'right'}"
 
 
-def cells() -> Iterator[Cell]:
-    """All cells."""
-    for missing, run, stop in product(MISSING, range(INSTANTS), range(INSTANTS)):
-        yield Cell(missing, run, stop)
+def play(cell: Cell, faults: Sequence[Fault] = ()) -> Case:
+    """Let a history happen."""
+    case = Case(cell, tuple(faults))
+    try:
+        case.text = _play(case)
+    except BrokenRuleError as error:
+        case.text = str(error)
+    return case
 
 
-def play(cell: Cell, arrivals: Arrivals) -> dict[tuple[str, str, str], int]:
-    """Let one history happen; returns the number of deliveries by sender, receiver and kind.
-
-    BrokenRuleError if it breaks a rule; AssertionError if the stop was last and a robot runs.
-    """
-    history = History(1 if cell.missing == "just booted" else 2)
+def _play(case: Case) -> str:
+    cell = case.cell
+    count, missing = MISSING[cell.missing]
+    history = History(count, FORMS[cell.form])
     swarm = history.swarm
-    for one in MISSING[cell.missing]:
-        history.carry_out(one)
-    swarm.deliveries.clear()
-    swarm.arrivals = arrivals
-    orders = [
-        (STEP * cell.run, step(0.0, "run", by="anna")),
-        (STEP * cell.stop, step(0.0, "stop", by="bob")),
-    ]
+    network = Network(history, case.faults)
+    case.sent = network.sent
+    history.carry_out(missing)
+    swarm.disturbance = network
+    orders = [(cell.run, step(0.0, "run", by="anna")), (cell.stop, step(0.0, "stop", by="bob"))]
     begun = swarm.now
-    for at, order in sorted(orders, key=lambda pair: pair[0]):
-        swarm.advance(begun + at - swarm.now)
+    for instant, order in sorted(orders, key=lambda pair: pair[0]):
+        swarm.advance(begun + STEP * instant - swarm.now)
         history.carry_out(order)
     history.await_commands()
-    seen = dict(swarm.deliveries)
+    swarm.disturbance = None
     history.end()
-    if cell.stop > cell.run:
-        running = sorted(name for name, one in swarm.robots.items() if one.robot.is_running)
-        assert not running, f"the stop was typed last, and {running} run"
-    return seen
+    running = {name for name, one in swarm.robots.items() if one.robot.is_running}
+    if cell.stop > cell.run and running:
+        return f"{sorted(running)} run after the stop, which was typed last"
+    is_clear = STEP * (cell.run - cell.stop) >= WELL
+    if is_clear and not any(fault.is_late_stop for fault in case.faults) and "r1" not in running:
+        return "r1 stands after the run, which was typed last"
+    return ""
 
 
-def messages(cell: Cell) -> list[Delivery]:
-    """The messages of a case without faults that faults may meet."""
-    return [
-        Delivery(*who, number)
-        for who, count in sorted(play(cell, {}).items())
-        if len(OPERATORS & {*who[:2]}) == 1  # between an operator and a robot
-        for number in range(min(count, FIRST))
-    ]
+def cells() -> list[Cell]:
+    """All cells: first those of a coarse grid, then the others; each part in an order by chance."""
+    instants = range(INSTANTS)
+    all_cells = [Cell(*one) for one in product(MISSING, FORMS, instants, instants)]
+    random.Random(1).shuffle(all_cells)
+    return sorted(all_cells, key=lambda cell: not cell.is_coarse)
 
 
-def judged(cell: Cell, faults: Sequence[tuple[Delivery, str]]) -> Finding | None:
-    """What a case breaks; None if it breaks nothing."""
-    try:
-        play(cell, {one: FAULTS[name] for one, name in faults})
-    except (BrokenRuleError, AssertionError) as error:
-        return Finding(cell, tuple(faults), str(error).partition("\n")[0])
-    return None
+def faults_behind(sent: Sequence[Sent], first: int = 0) -> Iterator[tuple[int, Fault]]:
+    """Each fault of what was sent from number `first` on, with the number."""
+    for at in range(first, len(sent)):
+        for change in CHANGES:
+            yield at, Fault(sent[at], change)
 
 
-def search(
-    cell: Cell, count: int, share: float, chance: random.Random
-) -> tuple[int, list[Finding]]:
-    """Judge the cases of a cell with up to `count` faults; how many, and what broke a rule.
+def search(cell: Cell, most: int) -> Iterator[Case]:
+    """The histories of a cell with exactly `most` faults."""
+    base = play(cell)
+    if most == 0:
+        yield base
+        return
+    for at, fault in faults_behind(base.sent):
+        one = play(cell, (fault,))
+        if most == 1:
+            yield one
+            continue
+        for _, second in faults_behind(one.sent, at + 1):
+            yield play(cell, (fault, second))
 
-    That without a fault first: if it breaks a rule, no other is played. `share`: of the others.
-    """
-    if (found := judged(cell, ())) is not None:
-        return 1, [found]
-    played, findings = 1, []
-    met = messages(cell)
-    for number in range(1, count + 1):
-        for some in combinations(met, number):
-            for names in product(FAULTS, repeat=number):
-                if share < 1.0 and chance.random() >= share:
-                    continue
-                played += 1
-                found = judged(cell, tuple(zip(some, names, strict=True)))
-                if found is not None:
-                    findings.append(found)
-    return played, findings
+
+def estimate(seed: int = 1, count: int = 12) -> tuple[int, int, float]:
+    """How many histories have one and two faults, and the CPU seconds of one, by some cells."""
+    some = random.Random(seed).sample(cells(), count)
+    began, singles, pairs = time.process_time(), 0, 0
+    for cell in some:
+        sent = len(play(cell).sent)
+        singles += len(CHANGES) * sent
+        pairs += len(CHANGES) ** 2 * sent * (sent - 1) // 2
+    seconds = (time.process_time() - began) / count
+    return singles * len(cells()) // count, pairs * len(cells()) // count, seconds
 
 
 def main(folder: Path, arguments: Sequence[str]) -> int:
-    """Search, and write to `folder`; 1 if a rule was broken."""
-    parser = argparse.ArgumentParser(prog="python -m tests.sequences orders", description=__doc__)
-    parser.add_argument("--faults", type=int, default=1, help="faults of a case, at most")
-    parser.add_argument("--shard", default="0/1", help="K/N: each N-th cell from the K-th on")
-    parser.add_argument("--share", type=float, default=1.0, help="of the cases of each cell")
-    given = parser.parse_args(arguments)
-    shard, shards = map(int, given.shard.split("/"))
+    """Search a part and add its finished cells to a file in `folder`; 1 if something is wrong."""
+    parser = argparse.ArgumentParser(prog="tests.sequences orders", description=__doc__)
+    parser.add_argument("--faults", type=int, choices=(0, 1, 2), default=1)
+    parser.add_argument("--shard", default="1/1", help="K/N, from 1/N to N/N")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="of CPU time")
+    parser.add_argument("--estimate", action="store_true", help="only tell the size of the search")
+    chosen = parser.parse_args(arguments)
+    if chosen.estimate:
+        singles, pairs, seconds = estimate()
+        print(f"{len(cells())} cells, {singles} single faults, {pairs} pairs, {seconds:.3f} s each")
+        return 0
+    number, of = map(int, chosen.shard.split("/"))
     folder.mkdir(parents=True, exist_ok=True)
-    file = folder / f"orders-{given.faults}-{given.share:g}.jsonl"
-    ended: dict[Cell, tuple[int, int]] = {}
-    if file.exists():
-        for line in file.read_text().splitlines():
-            *cell, played, broken = json.loads(line)
-            ended[Cell(*cell)] = played, broken
-    for number, cell in enumerate(cells()):
-        if number % shards != shard or cell in ended:
-            continue
-        chance = random.Random(number)
-        played, findings = search(cell, given.faults, given.share, chance)
-        for found in findings:
-            faults = ", ".join(f"{' '.join(map(str, one))} {name}" for one, name in found.faults)
-            print(f"{cell}: {faults or 'no fault'}: {found.text}", flush=True)
-        with file.open("a") as lines:
-            lines.write(json.dumps([*cell, played, len(findings)]) + "\n")
-        ended[cell] = played, len(findings)
-    played_in_all = sum(played for played, _ in ended.values())
-    broken_in_all = sum(broken for _, broken in ended.values())
-    print(f"{len(ended)} cells, {played_in_all} cases, {broken_in_all} break a rule")
-    return int(broken_in_all > 0)
+    path = folder / f"orders-{chosen.faults}-{number}of{of}.jsonl"
+    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    finished = {tuple(one["cell"]) for one in done}
+    count, wrong = sum(one["histories"] for one in done), sum(len(one["wrong"]) for one in done)
+    part, began = cells()[number - 1 :: of], time.process_time()
+    with path.open("a") as lines:
+        for cell in part:
+            key = cell.missing, cell.form, cell.run, cell.stop
+            if key in finished:
+                continue
+            if time.process_time() - began > chosen.seconds:
+                break
+            found, histories = list[str](), 0
+            for case in search(cell, chosen.faults):
+                histories += 1
+                if case.text:
+                    found.append(str(case))
+                    print(case, flush=True)
+            lines.write(json.dumps({"cell": key, "histories": histories, "wrong": found}) + "\n")
+            lines.flush()
+            finished.add(key)
+            count, wrong = count + histories, wrong + len(found)
+    print(
+        f"{len(finished)} of {len(part)} cells, {count} histories with {chosen.faults} faults,"
+        f" {wrong} wrong"
+    )
+    return 1 if wrong else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), sys.argv[2:]))
+    *words, where = sys.argv[1:] or ["--estimate", "."]
+    sys.exit(main(Path(where), words))

@@ -1,69 +1,115 @@
-"""A run and a stop with faults of single messages: no rule breaks, and a broken one is found."""
+"""Faults of single datagrams of a run and a stop; see `orders.py` for the whole search."""
 
 from __future__ import annotations
 
 import json
 import random
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from swarmd.robot.issue_time import KnownStops
-from tests.histories.swarm import Delivery
-from tests.sequences.orders import FAULTS, MISSING, Cell, cells, main, messages, play, search
+from swarmd.core.verbs import StopRequest
+from swarmd.robot import requests
+from swarmd.robot.issue_time import IssueTime, KnownStops
+from tests.histories import operators
+from tests.sequences import orders
+from tests.sequences.orders import Case, Cell, Fault, Sent, faults_behind, main, play
+
+CELLS = (
+    Cell("frozen", "open", 3, 4),
+    Cell("absent", "secured", 0, 12),
+    Cell("just booted", "open", 9, 2),
+)
+SINGLES, PAIRS = 8, 4  # of each cell
+OPEN = CELLS[0]
 
 
-def test_all_cells_are_listed_once() -> None:
-    listed = list(cells())
-    assert len(listed) == len(set(listed)) == 4 * 20 * 20
+@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.missing)
+def test_the_last_order_wins_with_faults_of_two_datagrams(cell: Cell) -> None:
+    chance = random.Random(1)
+    singles = chance.sample([*faults_behind(play(cell).sent)], SINGLES)
+    cases = [(at, play(cell, (fault,))) for at, fault in singles]
+    for at, first in cases[:PAIRS]:
+        seconds = [*faults_behind(first.sent, at + 1)]
+        if seconds:
+            cases.append((at, play(cell, (*first.faults, chance.choice(seconds)[1]))))
+    assert [str(case) for _, case in cases if case.text] == []
 
 
-@pytest.mark.parametrize("missing", MISSING)
-def test_no_fault_of_a_message_lets_a_run_go_on_after_a_later_stop(missing: str) -> None:
-    chance = random.Random(f"{missing}, 5")
-    run, stop = sorted(chance.sample(range(20), 2))
-    played, findings = search(Cell(missing, run, stop), 1, 0.1, chance)
-    assert played > 4
-    assert not findings
+def test_what_may_be_disturbed_is_orders_answers_and_the_look() -> None:
+    """Of a run for a robot and a missing one: the reply, the stop and its repeat, their acks."""
+    ways = {sent[:3] for sent in play(Cell("absent", "open", 0, 10)).sent}
+    assert ways == {
+        ("look", "anna", "r1"),
+        ("beacon", "r1", "anna"),
+        ("members", "r1", "anna"),
+        ("run", "anna", "r1"),
+        ("reply", "r1", "anna"),
+        ("stop", "bob", "r1"),
+        ("ack", "r1", "bob"),
+    }
 
 
-def test_two_faults_of_messages_break_no_rule() -> None:
-    played, findings = search(Cell("none", 2, 6), 2, 0.002, random.Random(3))
-    assert played > 4
-    assert not findings
+def test_a_robot_that_knows_no_stops_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The state before the rule of `issue_time.py`: no fault of the network is needed."""
+    assert not play(OPEN).text
+    monkeypatch.setattr(KnownStops, "later_than", lambda *_: "")
+    assert "`run` of before the stop" in play(OPEN).text
 
 
-def test_a_lost_message_is_lost_and_a_late_one_late() -> None:
-    first = Delivery("anna", "r1", "ask", 0)
-    cell = Cell("none", 0, 19)
-    assert first in messages(cell)
-    counts = [
-        play(cell, {first: FAULTS[name]})["anna", "r1", "ask"] for name in ("lost", "2 s late")
-    ]
-    assert counts == [2, 2]  # the request is repeated after 0.5 s without an answer
-    assert play(cell, {})["anna", "r1", "ask"] == 1
+def test_a_copy_that_ends_a_later_run_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that takes each copy of a stop for as late as it comes: one fault shows it."""
+
+    def late(robot: Any, request: StopRequest, now: float) -> requests._StopTime:
+        is_copy = request.id in robot._executed
+        return requests._StopTime(IssueTime.of(request, now - request.age), is_copy)
+
+    cell = Cell("absent", "open", 3, 0)
+    copied = Fault(Sent("stop", "bob", "r1", 0), "copied after 0.5 s")
+    assert not play(cell, (copied,)).text
+    monkeypatch.setattr(requests.RequestHandler, "_time_of", late)
+    assert not play(cell).text
+    assert "stands after the run" in play(cell, (copied,)).text
 
 
-def test_a_robot_that_forgets_stops_is_found(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_a_stop_that_is_sent_once_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lost datagram is the shortest finding."""
+    monkeypatch.setattr(operators, "STOP_PACE", ((1e9, 1e9),))
+    cell = Cell("absent", "open", 0, 19)
+    assert not play(cell).text
+    lost = Fault(Sent("stop", "bob", "r1", 0), "lost")
+    assert "after the stop" in play(cell, (lost,)).text
+
+
+@pytest.mark.parametrize(
+    ("change", "count"), [("lost", 0), ("copied after 2 s", 2), ("delayed by 0.5 s", 1)]
+)
+def test_a_change_is_carried_out(change: str, count: int) -> None:
+    sent = Sent("run", "anna", "r1", 0)
+    assert len(orders.CHANGES[change]) == count
+    after = play(Cell("absent", "open", 0, 19), (Fault(sent, change),)).sent
+    is_repeated = Sent("run", "anna", "r1", 1) in after  # after 0.5 s without a reply
+    assert is_repeated == (count == 0 or change.startswith("delayed"))
+
+
+def test_a_search_goes_on_behind_its_last_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A look waits for the absent robot, so the stop overtakes the run that was typed before it."""
-    monkeypatch.setattr(KnownStops, "later_than", lambda self, start: "")
-    played, findings = search(Cell("absent", 0, 5), 1, 1.0, random.Random(1))
-    assert played == 1
-    assert findings[0].text.startswith("rule stopped: r1 runs by `run` of before the stop")
-    monkeypatch.setattr("tests.sequences.orders.cells", lambda: [Cell("absent", 0, 5)])
-    assert main(tmp_path, []) == 1
-    (file,) = tmp_path.iterdir()
-    assert json.loads(file.read_text()) == ["absent", 0, 5, 1, 1]
+    played: list[Cell] = []
 
+    def wrong(cell: Cell, faults: Sequence[Fault] = ()) -> Case:
+        played.append(cell)
+        return Case(cell, tuple(faults), "wrong")
 
-def test_what_has_ended_is_not_played_again(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("tests.sequences.orders.cells", lambda: [Cell("absent", 0, 5)])
-    assert main(tmp_path, ["--share", "0.01"]) == 0
-    first = capsys.readouterr().out
-    monkeypatch.setattr("tests.sequences.orders.play", None)
-    assert main(tmp_path, ["--share", "0.01"]) == 0
-    assert capsys.readouterr().out == first
+    monkeypatch.setattr(orders, "play", wrong)
+    words = ["--faults", "0", "--shard", "2/1200"]
+    assert main(tmp_path, words) == 1
+    assert len(played) == len(set(played)) == 2
+    assert main(tmp_path, words) == 1
+    assert len(played) == 2
+    (path,) = tmp_path.iterdir()
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [line["histories"] for line in lines] == [1, 1]
+    assert all("r2" in line["wrong"][0] for line in lines)
