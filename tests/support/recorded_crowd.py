@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,6 +11,7 @@ from typing import Any, cast
 from msgspec import structs
 
 from swarmd.core.events import Input, NeighborsInput
+from swarmd.core.kernels import describe_kernels
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.process import Converter
@@ -53,7 +55,7 @@ class RecordedCrowd:
 
     def _begin(self, robot: Robot, instance: str, now: float) -> None:
         recorder = FileRecorder(self._folder / robot.id)
-        about = self._head(robot, instance).texts()
+        about = self._head(robot, now).texts()
         folder = str(self._folder / robot.id)
         begin = frames.Begin(now, folder, robot.id, about, WALL + now, FileLimits())
         recorder._converter, recorder.began, recorder._is_memory_due = Converter(begin), now, True
@@ -61,11 +63,12 @@ class RecordedCrowd:
         self.lives[robot.id] = self.lives.get(robot.id, 0) + 1
         self.active.setdefault(robot.id, 0)
 
-    def _head(self, robot: Robot, instance: str) -> RecordingHead:
-        story = SimpleNamespace(robot=robot, epoch=robot.epoch, on_low_battery=None)
-        head = head_at(cast("RobotHarness", story))
-        layers = {name: (("scenario", values),) for name, values in self._layers.items()}
-        return structs.replace(head, instance=instance, clock=clock_of(robot.id), layers=layers)
+    def _head(self, robot: Robot, now: float) -> RecordingHead:
+        head = head_at(cast("RobotHarness", SimpleNamespace(robot=robot, now=now)))
+        facts = {"version": version("swarmd"), "kernels": describe_kernels()}
+        setup = structs.replace(head.identity.setup, **facts)  # a robot in lockstep has none
+        identity = structs.replace(head.identity, setup=setup)
+        return structs.replace(head, clock=clock_of(robot.id), identity=identity)
 
     def finish(self) -> None:
         """Finish all files."""
