@@ -50,7 +50,7 @@ help:
 	@echo "make budget    each budget beside a short measurement, in two minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
-	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; an hour of two cores"
+	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; some six hours of a core"
 	@echo "make evidence  long tests, then the five studies below; hours on two cores"
 	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
 	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; six minutes of a core"

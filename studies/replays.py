@@ -21,11 +21,12 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks.swarm import Swarm
+from studies.safety.live import busy
 from swarmd.core.clock import boottime
 from swarmd.core.verbs import EstopRequest, ParamRequest, ResetRequest, RunRequest, StopRequest
 from swarmd.plugins import pattern_names, places_of
@@ -112,19 +113,6 @@ def record_at(uptime: float, count: int, seed: int, seconds: float, folder: Path
     command = ["unshare", *words, sys.executable, "-m", __spec__.name, "--record", run]
     with busy(BUSY):
         subprocess.run(command, check=True, cwd=Path(__file__).parents[1])
-
-
-@contextlib.contextmanager
-def busy(count: int) -> Iterator[None]:
-    """Processes that compute, and end with this process."""
-    work = f"import os\nwhile os.getppid() == {os.getpid()}: sum(range(100000))"
-    workers = [subprocess.Popen([sys.executable, "-c", work]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for worker in workers:
-            worker.kill()
-            worker.wait()
 
 
 def repeated(folder: Path) -> Mapping[str, Parity]:

@@ -163,7 +163,7 @@ def run_course(
 
 
 @contextlib.contextmanager
-def _busy(cores: int) -> Iterator[None]:
+def busy(cores: int) -> Iterator[None]:
     """Keep that many cores busy with other work, which ends with this process."""
     work = f"import os\nwhile os.getppid() == {os.getpid()}: sum(range(100000))"
     workers = [subprocess.Popen([sys.executable, "-c", work]) for _ in range(cores)]
@@ -260,7 +260,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         options.traces.mkdir(parents=True, exist_ok=True)
     for platform in options.platforms:
         title = f"{platform} live, mode {options.mode}, lidar visibility {options.visibility}"
-        with _busy(options.load):
+        with busy(options.load):
             print_table(f"{title}, {options.load} busy cores", _course(platform, options))
 
 

@@ -22,6 +22,7 @@ from swarmd.protection.decision import (
     DecisionContext,
     ModeDecision,
     Permit,
+    Steered,
     ToldObstacle,
 )
 from swarmd.protection.footprint import ScanGeometry
@@ -126,6 +127,49 @@ def test_every_scan_and_request_give_a_finite_command_within_limits(
     assert abs(safe.linear) <= 0.26
     assert abs(safe.angular) <= 1.82
     assert safe.lateral == 0.0
+
+
+@given(
+    st.sampled_from(MODES),
+    arrays(np.float64, 360, elements=st.floats(0.1, 4.0)),
+    st.builds(Twist, st.floats(), st.floats(), st.floats()),
+)
+def test_what_steering_asks_gets_what_a_request_gets(
+    mode: Mode, ranges: Array, asked: Twist
+) -> None:
+    """Steering may be wrong: its command is judged as if the pattern had requested it."""
+    context = DecisionContext(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
+    steered, plain = (Protection(with_mode(WAFFLE, mode)) for _ in range(2))
+    for one in (steered, plain):
+        one.observe(scan_of(np.where(ranges > 3.5, np.inf, ranges)), context)
+    safe = steered.decide(REQUESTED, context, True, None, steered=Steered(asked)).safe
+    assert safe.is_finite
+    assert WAFFLE.limits.clip(safe) == safe
+    if asked.is_finite:
+        assert safe == plain.decide(asked, context, True, None).safe
+
+
+@pytest.mark.parametrize(
+    ("is_running", "hold", "scan_age"),
+    [(False, None, 0.1), (True, Reason.STALE_SCAN, 0.1), (True, None, None)],
+    ids=["not running", "held", "no scan"],
+)
+def test_steering_moves_no_robot_that_must_stand(
+    is_running: bool, hold: Reason | None, scan_age: float | None
+) -> None:
+    protection = Protection(with_mode(WAFFLE, "off"))
+    context, asked = DecisionContext(1.0, scan_age), Steered(Twist(0.1), is_recovering=True)
+    assert protection.decide(REQUESTED, context, is_running, hold, steered=asked).safe == ZERO
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_what_protection_permits_is_what_it_then_decides(mode: Mode) -> None:
+    protection = Protection(with_mode(WAFFLE, mode))
+    context = DecisionContext(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
+    protection.observe(ahead(0.6, 40), context)
+    for twist in (Twist(0.26), Twist(9.0, 0.5), Twist(-0.1), ZERO):
+        permitted = protection.permitted(context, None, twist)
+        assert protection.decide(twist, context, True, None).safe == permitted
 
 
 def test_command_at_rounding_level_counts_as_zero() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,10 +32,10 @@ class RecordedCrowd:
     `active`: by robot, the count of inputs after which protection was active. `lives`: by robot.
     """
 
-    def __init__(self, folder: Path, layers: Mapping[str, Mapping[str, Any]], apart: float) -> None:
+    def __init__(self, folder: Path, apart: float) -> None:
         self.active: dict[str, int] = {}
         self.lives: dict[str, int] = {}
-        self._folder, self._layers, self._apart = folder, layers, apart
+        self._folder, self._apart = folder, apart
         self.recorders: dict[tuple[str, str], FileRecorder] = {}  # by robot and instance
 
     def take(self, robot: Robot, input: Input, now: float) -> Actions | None:
@@ -91,7 +90,7 @@ def recorded_crowd(
     apart: float = 0.0,
 ) -> RecordedCrowd:
     """Run and record a crowd; `uptime` and `apart` as in `clocked_crowd`."""
-    recorded = RecordedCrowd(folder, scenario.get("parameters", {}), apart)
+    recorded = RecordedCrowd(folder, apart)
     take, whole = recorded.take, scenario_of(scenario)
     with clocked_crowd(whole, seed, take, uptime=uptime, apart=apart) as run:
         run.advance(seconds)
