@@ -248,7 +248,12 @@ class Lifecycle:
         self._reply(effects, request, Code.FAILED, refusal, text)
 
     def refuse(self, effects: Effects, request: Request, refusal: Refusal, text: str) -> None:
-        """Refuse a request."""
+        """Refuse a request.
+
+        What refuses it may end. So that no late copy of it starts a run then, such a refusal also
+        makes requests stale that quote an earlier epoch; `changed_by` stays.
+        """
+        self.revision += refusal in (Refusal.BUSY, Refusal.NO_GOAL)
         self._reply(effects, request, Code.REFUSED, refusal, text)
 
     def _reply(

@@ -107,9 +107,10 @@ class Steering:
         if hold is None or not is_running:
             self._switch_avoidance(is_running, permit)
         clipped = candidate = protection.clip(requested)
-        if not is_running or hold is not None or context.scan_age is None:
+        is_held = hold is not None or context.scan_age is None
+        if not is_running or is_held or not permit.may_recover:
             self._end_recovery()
-        elif permit.may_recover:
+        else:
             candidate = self._candidate(clipped, context, permit.touch)
         steered = None
         if self._is_avoiding or self._is_recovering or candidate is not clipped:

@@ -523,6 +523,16 @@ def test_a_copy_of_a_resume_that_found_a_run_starts_none_after_its_end() -> None
     assert harness.twist.is_zero
 
 
+def test_a_copy_of_a_refused_resume_runs_no_goal_that_came_since() -> None:
+    harness = ready()
+    resume = harness.request("resume")
+    assert harness.answer(resume).refusal is Refusal.NO_GOAL
+    harness.find(goal(7), 100.0)
+    assert harness.answer(resume).refusal is Refusal.STALE_EPOCH
+    harness.advance(0.5)
+    assert harness.status.state is State.IDLE
+
+
 def test_a_standing_goal_that_is_found_ends_a_run() -> None:
     harness = ready()
     run(harness, goal(6))

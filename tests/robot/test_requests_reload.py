@@ -93,6 +93,17 @@ def test_code_that_cannot_be_loaded_leaves_the_run_alone(pattern: str, refusal: 
     assert not any(isinstance(command, KillHost | Load) for command in harness.sent)
 
 
+@pytest.mark.parametrize("verb", ["run", "resume", "reload"])
+def test_a_late_copy_of_what_was_refused_during_a_trial_starts_nothing(verb: str) -> None:
+    harness = driving()
+    begun(harness)
+    fields = {} if verb == "resume" else {"pattern": "own"}
+    refused = harness.request(verb, **fields)
+    assert harness.answer(refused).refusal is Refusal.BUSY
+    harness.host_says(TrialDone(1, "broken"))
+    assert harness.answer(refused).refusal is Refusal.STALE_EPOCH
+
+
 def test_trial_timeout_leaves_the_run_alone() -> None:
     harness = driving()
     request = begun(harness, is_rerun=True)

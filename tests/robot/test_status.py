@@ -89,6 +89,9 @@ def test_status_reports_recovery(harness: RobotHarness) -> None:
     commanded = harness.twist
     assert (blocked.safe_linear, blocked.safe_angular) == (commanded.linear, commanded.angular)
     assert summary(harness, 0.0, 0.3, recovery=True).is_recovering
+    harness.ask("param", params={"recovery": False})
+    harness.advance(0.2)
+    assert not harness.status.decision.is_recovering  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
