@@ -67,14 +67,6 @@ _MIN_VALUES = 8  # characters of the values of a candidate in one column
 )
 @set_option
 @click.option(
-    "--mission",
-    metavar="PATTERN,..|FILE",
-    help="Search missions of these patterns instead; --param then has the bounds of conditions:"
-    " timeout=5..60, nearer=0.3..1, probability=0.01..1, neighbors=1..6, reading:NAME=LO..HI. With"
-    " a mission's file (.yaml), this mission with other values; --param then has dotted keys of the"
-    " file [all its probabilities].",
-)
-@click.option(
     "--held-out",
     default="50",
     show_default=True,
@@ -115,7 +107,6 @@ def tune(
     seeds: str,
     params: tuple[str, ...],
     sets: tuple[str, ...],
-    mission: str | None,
     held_out: str,
     pseudo_reality: bool,
     candidates: int,
@@ -150,7 +141,6 @@ def tune(
                 seeds=parse_seeds(seeds),
                 param=params,
                 set=parse_sets(sets),
-                mission=mission.split(",") if mission else (),
                 # An int is a number of seeds.
                 held_out=int(held_out) if held_out.isdecimal() else parse_seeds(held_out),
                 pseudo_reality=pseudo_reality,

@@ -164,7 +164,7 @@ def parameter_space(
     `on_note` is called with a line about each parameter without. ConfigError names the wrong word.
     """
     declared = _declared(scenario)
-    parameters = [_parameter(word, declared, scenario.effective, "the scenario") for word in words]
+    parameters = [_parameter(word, declared, scenario.effective) for word in words]
     if not parameters:
         parameters = _bounded(declared, on_note)
     if not parameters:
@@ -190,15 +190,6 @@ def _bounded(declared: Sequence[Declared], on_note: Callable[[str], object]) -> 
             name = parameter.name
             on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
     return parameters
-
-
-def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
-    """The parameter that the word KEY=LO..HI or KEY=A,B,C names; KEY is a dotted key of `data`.
-
-    `data`: the contents of a file, which messages call `what`. ConfigError if the word is
-    malformed.
-    """
-    return _parameter(word, (), data, what)
 
 
 def check_keys(parameters: Sequence[Parameter]) -> None:
@@ -314,12 +305,11 @@ def _parameter(
     word: str,
     declared: Sequence[Declared],
     data: Mapping[str, Any],
-    what: str,
 ) -> Parameter:
     """The parameter to search that one value of `--param` names: KEY, KEY=LO..HI or KEY=A,B,C.
 
-    `declared`: the parameters of patterns, from `_declared`. `data`: the scenario or file in which
-    a dotted key is looked up; messages call it `what`. ConfigError if the word is wrong.
+    `declared`: the parameters of patterns, from `_declared`. `data`: the scenario, in which a
+    dotted key is looked up. ConfigError if the word is wrong.
     """
     key, equals, text = (part.strip() for part in word.partition("="))
     by_key = {row.parameter.name: row for row in declared}
@@ -336,7 +326,7 @@ def _parameter(
         return known.parameter
     if known is None and "." not in key:
         raise ConfigError(
-            f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of {what}"
+            f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of the scenario"
         )
     parameter = (
         Parameter(key, key, present=_present(data, key)) if known is None else known.parameter
@@ -377,7 +367,7 @@ def _with_range(parameter: Parameter, word: str, text: str) -> Parameter:
 
 
 def _present(data: Mapping[str, Any], key: str) -> Any:
-    """The value of a dotted key of a scenario or another file; None if it is not set."""
+    """The value of a dotted key of a scenario; None if it is not set."""
     value: Any = data
     for part in key.split("."):
         if isinstance(value, list) and part.isdecimal() and int(part) < len(value):

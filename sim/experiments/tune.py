@@ -36,7 +36,7 @@ from functools import partial
 from importlib.util import find_spec
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import msgspec
 import numpy as np
@@ -47,17 +47,11 @@ from swarmd.sim.experiments import manifest as manifests
 from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain, write_json, write_whole
-from swarmd.sim.experiments.mission_space import (
-    SUFFIX,
-    Missions,
-    mission_file_space,
-    mission_space,
-)
 from swarmd.sim.experiments.plan import MAX_RUNS, Plan, Variant, check_seeds
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 from swarmd.sim.experiments.racing import ALPHA, looks, losers, mean_loss
 from swarmd.sim.experiments.results import Results
-from swarmd.sim.experiments.search_space import SOURCE, parameter_space
+from swarmd.sim.experiments.search_space import SOURCE, ParameterSpace, parameter_space
 from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment, run_here
 from swarmd.sim.experiments.statistics import number
 from swarmd.sim.experiments.tuned_values import tuned_document
@@ -67,15 +61,13 @@ from swarmd.sim.scenarios.scenariofile import load_scenario
 
 if TYPE_CHECKING:
     from optuna import Study
-    from optuna.trial import FrozenTrial, Trial
+    from optuna.trial import Trial
 
 Goal = Literal["min", "max"]
 STATE = "tune.json"
 RACES = "races"
 HELD_OUT = "held_out"
 RESULT = "tuned.yaml"
-MISSIONS = "missions"
-MISSION = "tuned_mission.yaml"
 PRESENT, TUNED = "present", "tuned"
 """Names of the two variants on held-out seeds: the scenario's values, and the best candidate's."""
 CANDIDATES = 8
@@ -83,30 +75,6 @@ _FORMAT = 1
 _SAMPLER_SEED = 2011
 _MIN_TRIALS = 10  # with fewer trials no importance is computed
 _MAX_DRAWS = 40  # draws in a row that the scenario may refuse or that repeat a candidate
-
-
-class Space(Protocol):
-    """The search space of a tuning: draws values, and turns values into scenario overrides."""
-
-    @property
-    def text(self) -> list[str]:
-        """A description in lines, by which two spaces are compared: equal lines, equal spaces."""
-
-    @property
-    def present(self) -> dict[str, Any] | None:
-        """The values in the unchanged scenario; None if they lie outside of the space."""
-
-    def draw(self, trial: Trial) -> dict[str, Any]:
-        """The values of a trial, by name."""
-
-    def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """The scenario overrides, by dotted key, that set these values."""
-
-    def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
-        """A finished trial of optuna with these values and this loss.
-
-        None if the sampler could not have drawn these values.
-        """
 
 
 @dataclass(slots=True)
@@ -179,7 +147,7 @@ class Tuning:
     folder: Path
     metric: Metric
     goal: Goal
-    space: Space
+    space: ParameterSpace
     seeds: tuple[int, ...]
     held_out: tuple[int, ...]
     runs: int
@@ -262,7 +230,6 @@ def tune(
     seeds: int | Iterable[int] = 20,
     param: Iterable[str] = (),
     set: Mapping[str, Any] | None = None,
-    mission: Iterable[str] = (),
     held_out: int | Iterable[int] = 50,
     pseudo_reality: bool = False,
     candidates: int = CANDIDATES,
@@ -285,11 +252,6 @@ def tune(
     - `param`: the keys to search, as in `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
       "law=settling,paper". By default all parameters of the scenario's patterns.
     - `set`: overrides of the scenario for all runs, by dotted key: `{"groups.tb3.count": 5}`.
-    - `mission`, names of patterns: the candidates are missions of these patterns, and `param` has
-      bounds of conditions: "timeout=5..60", "nearer=0.3..1", "probability=0.01..1",
-      "neighbors=1..6", "reading:light=0..100".
-    - `mission`, the path of a mission's file (.yaml): the candidates are this mission with values
-      of its dotted keys: "sequence.0.until.probability=0.01..1".
     - `held_out`: the held-out seeds, or their number; they then follow the greatest of `seeds`.
     - `pseudo_reality`: the held-out runs are repeated with the scenario's `pseudo_reality` on, so
       that `drops` of the result says how much worse the metric is there.
@@ -330,7 +292,7 @@ def tune(
             scenario=str(scenario),
             sets=dict(set or {}),
             loaded=loaded,
-            space=_space(loaded, tuple(param), mission, folder / MISSIONS, on_note),
+            space=parameter_space(loaded, param, on_note),
             metric=parsed_metric,
             goal=goal,
             seeds=race_seeds,
@@ -351,25 +313,6 @@ def tune(
     if out is None:
         weakref.finalize(tuning, shutil.rmtree, folder, ignore_errors=True)
     return tuning
-
-
-def _space(
-    scenario: Scenario,
-    param: tuple[str, ...],
-    mission: Iterable[str],
-    missions: Path,
-    on_note: Callable[[str], object],
-) -> Space:
-    """The search space of a tuning, by the arguments `param`, `mission` and `on_note` of `tune`.
-
-    `missions`: the folder for the missions of candidates.
-    """
-    words = tuple(mission.split(",") if isinstance(mission, str) else mission)
-    if not words:
-        return parameter_space(scenario, param, on_note)
-    if len(words) == 1 and words[0].endswith(SUFFIX):
-        return mission_file_space(scenario, Path(words[0]), param, missions)
-    return mission_space(scenario, words, param, missions)
 
 
 def _held_out(given: int | Iterable[int], race_seeds: Sequence[int]) -> tuple[int, ...]:
@@ -393,7 +336,7 @@ class _Tuner:
     scenario: str
     sets: dict[str, Any]
     loaded: Scenario
-    space: Space
+    space: ParameterSpace
     metric: Metric
     goal: Goal
     seeds: tuple[int, ...]
@@ -500,11 +443,6 @@ class _Tuner:
                 }
         tuning.document = tuned_document(tuning, self.scenario, self.sets, self.manifest())
         write_whole(self.folder / RESULT, tuning.document)
-        if isinstance(self.space, Missions) and has_better_values:
-            lines = tuning.document.splitlines()
-            comments = [line for line in lines if line.startswith("#")]
-            text = self.space.mission(tuning.best.values)
-            write_whole(self.folder / MISSION, "\n".join([*comments, text]))
 
     def manifest(self, candidates: Sequence[Candidate] = ()) -> Manifest:
         """The manifest of the runs of these candidates, by default of the scenario's values."""
@@ -817,7 +755,9 @@ def _refuse(study: Study, trial: Trial) -> None:
     study.tell(trial, state=TrialState.PRUNED)
 
 
-def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space: Space) -> None:
+def _tell(
+    study: Study, candidate: Candidate, racing: Sequence[Candidate], space: ParameterSpace
+) -> None:
     """Set a candidate's `estimate`, its mean loss over all seeds, and tell it to the sampler.
 
     `racing`: all candidates of the race. If the candidate ended early, the estimate is extrapolated

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from swarmd.settings.yamlfile import text_of
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.manifest import Manifest
-from swarmd.sim.experiments.search_space import ParameterSpace
 from swarmd.sim.experiments.statistics import interval, number
 from swarmd.sim.scenarios.overrides import nested
 
 if TYPE_CHECKING:
-    from swarmd.sim.experiments.tune import Space, Tuning
+    from swarmd.sim.experiments.search_space import ParameterSpace
+    from swarmd.sim.experiments.tune import Tuning
 
 _SOFTWARE = ("swarmd", "python", "numpy", "mujoco", "kernels")
 
@@ -40,10 +40,10 @@ def tuned_document(
     return "\n".join([*head, "", _yaml(body)])
 
 
-def platform_values(space: Space, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def platform_values(space: ParameterSpace, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The values of patterns' parameters, as `patterns` of a platform's file holds them."""
     by_pattern: dict[str, dict[str, Any]] = {}
-    for parameter in space.parameters if isinstance(space, ParameterSpace) else ():
+    for parameter in space.parameters:
         if parameter.pattern:
             by_pattern.setdefault(parameter.pattern, {})[parameter.param] = values[parameter.name]
     return by_pattern

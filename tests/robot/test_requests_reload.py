@@ -97,7 +97,7 @@ def test_code_that_cannot_be_loaded_leaves_the_run_alone(pattern: str, refusal: 
 def test_a_late_copy_of_what_was_refused_during_a_trial_starts_nothing(verb: str) -> None:
     harness = driving()
     begun(harness)
-    fields = {} if verb == "resume" else {"pattern": "own"}
+    fields: dict[str, Any] = {} if verb == "resume" else {"pattern": "own"}
     refused = harness.request(verb, **fields)
     assert harness.answer(refused).refusal is Refusal.BUSY
     harness.host_says(TrialDone(1, "broken"))

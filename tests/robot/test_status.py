@@ -91,7 +91,7 @@ def test_status_reports_recovery(harness: RobotHarness) -> None:
     assert summary(harness, 0.0, 0.3, recovery=True).is_recovering
     harness.ask("param", params={"recovery": False})
     harness.advance(0.2)
-    assert not harness.status.decision.is_recovering  # type: ignore[union-attr]
+    assert not harness.status.decision.is_recovering
 
 
 @pytest.mark.parametrize(
