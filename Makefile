@@ -47,7 +47,7 @@ help:
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
-	@echo "make budget    each budget beside a short measurement, in two minutes"
+	@echo "make budget    each budget beside a short measurement, in three minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; some six hours of a core"
@@ -176,7 +176,7 @@ bench-suite: $(VENV)/tools
 	@$(BIN)/swarmctl exp bench --out build/bench_suite -o json $(ARGS) > build/bench_suite.json
 	@$(BIN)/python -m studies.benchmark_suite build/bench_suite.json
 
-# Every row of the budgets in two minutes.
+# Every row of the budgets in three minutes.
 budget: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.budget
 

@@ -1,4 +1,4 @@
-"""Every budget in about two minutes: `make budget`. The benchmarks measure each for longer.
+"""Every budget in about three minutes: `make budget`. The benchmarks measure each for longer.
 
 Figures of so few samples on a machine with other work differ from run to run; none is asserted.
 """
@@ -63,7 +63,7 @@ def simulation_rows() -> Iterator[Row]:
     yield from (row for row in lidar.rows_of(world) if row.budget)
     yield from lockstep_rows(SIMULATED, lockstep.BUDGETS)
     yield from lockstep.argos_rows(("attraction",), seconds=1)
-    yield from lockstep.core_rows((100, 1000), parts=1)
+    yield from lockstep.core_rows((100, 1000))
     command = [sys.executable, "-m", "benchmarks.budget", "--lockstep-factors"]
     environment = {**os.environ, "SWARMD_COMPILED": "0"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
