@@ -192,6 +192,26 @@ def test_statements_that_are_counted(text: str, number: int) -> None:
     assert executable_statements(text) == number
 
 
+def test_the_page_has_the_layers_by_wing() -> None:
+    def listed(names: list[str]) -> str:
+        files = ((ROOT / "swarmd" / f"{name}.py").is_file() for name in names)
+        words = (
+            f"`{n}.py`" if is_file else f"`{n}/`" for n, is_file in zip(names, files, strict=True)
+        )
+        return ", ".join(words) or "-"
+
+    rows = []
+    for number, names in enumerate(LAYERS, 1):
+        places = {
+            name: wing_of("config" if name == "config" else f"swarmd/{name}") for name in names
+        }
+        robot = [name for name, wing in places.items() if wing == "robot"]
+        operator = [name for name, wing in places.items() if wing == "operator"]
+        operator += ["network/operator"] if "network" in names else []
+        rows.append(f"| {number} | {listed(robot)} | {listed(operator)} |")
+    assert "\n".join(reversed(rows)) in (ROOT / "ARCHITECTURE.md").read_text()
+
+
 def test_one_module_reads_and_writes_yaml() -> None:
     files = sources(*CODE, *_MEASURES, "docs", "examples")
     users = {name_of(path) for path in files for _, name in imports(path) if name == "yaml"}

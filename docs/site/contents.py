@@ -59,5 +59,6 @@ INNER = {
         f"patterns/{page.parent.name}/page" for page in sorted(_ROOT.glob("patterns/*/page.md"))
     ],
     "ARCHITECTURE": _inside("docs/architecture", "robot", "operator", "laboratory"),
+    "CONTRIBUTING": _inside("docs/architecture", "changes", "gates"),
 }
 """The pages that the contents show below another page, by that page."""
