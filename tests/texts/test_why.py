@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,6 +23,8 @@ from swarmd.core.messages import (
 from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.why import absence, obstacles, standing_time, stop_text, why
 from tests.support.statuses import ESTOPPED, make_member, status
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_there_is_a_sentence_for_every_reason() -> None:
@@ -179,3 +183,14 @@ def test_what_is_known_of_a_robot_without_a_status(
     assert absence(member) == text
     assert absence(member, has_age=False) == short
     assert absence(None) == "not seen by any robot"
+
+
+def test_the_page_of_the_robot_has_each_hold_once() -> None:
+    """Holds are the reasons between two comments of `Reason`."""
+    source = (ROOT / "swarmd/core/messages.py").read_text()
+    holds = source.partition("    # holds: ")[2].partition("    # running")[0]
+    page = (ROOT / "docs/architecture/robot.md").read_text()
+    table = page.partition("\n### Holds\n")[2].partition("\n## ")[0]
+    rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    named = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
+    assert sorted(named) == sorted(re.findall(r'= "(\w+)"', holds))
