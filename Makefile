@@ -29,7 +29,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite sequences
+.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences
 .DELETE_ON_ERROR:
 
 help:
@@ -62,6 +62,7 @@ help:
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
 	@echo "make kernel-mutants  the same for the kernels; ARGS=40 draws so many; 2 min each if no test notices"
+	@echo "make mutants-of  the same for what commits changed; ARGS=HEAD [default], or COMMIT.."
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"
 	@echo "make ros-study    faults of three robots on DDS behind that router, for studies/ros/faults.md; six minutes"
@@ -241,7 +242,11 @@ mutants: $(VENV)/tools
 
 # Small changes of the kernels, each tested; ARGS=40 draws so many.
 kernel-mutants: $(VENV)/tools
-	@$(BIN)/python -m studies.kernel_mutants $(or $(ARGS),40)
+	@$(BIN)/python -m studies.mutants kernels --draw $(or $(ARGS),40)
+
+# The functions that commits touched, each changed a little: make mutants-of ARGS=HEAD, or v0.1..
+mutants-of: $(VENV)/tools
+	@$(BIN)/python -m studies.mutants of $(or $(ARGS),HEAD)
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \

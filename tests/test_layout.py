@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 import swarmd
-from studies import kernel_mutants
+from studies import mutants
 from swarmd.core import kernels
 from swarmd.plugins import installed_patterns
 from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
@@ -414,7 +414,7 @@ def test_python_uses_kernels_as_cython_permits() -> None:
 
     The directive `always_allow_keywords` is False; the interpreted form permits both.
     """
-    trees = [tree_of(ROOT / path) for path in kernel_mutants.TESTS]
+    trees = [tree_of(ROOT / path) for path in mutants.TESTS]
     classes = {node.name: node for t in trees for node in t.body if isinstance(node, ast.ClassDef)}
     functions = [node for t in trees for node in ast.walk(t) if isinstance(node, ast.FunctionDef)]
     arguments = [(f.name, [arg.arg for arg in f.args.args if arg.arg != "self"]) for f in functions]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.kernel_mutants import TESTS
+from studies.mutants import TESTS
 from swarmd.core.kernels import describe_kernels
 from tests.support.examples import part
 
