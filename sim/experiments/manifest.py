@@ -26,8 +26,9 @@ NAME = "manifest.json"
 FORMAT = 1
 PROCESSOR = ("machine", "processor", "simd", "libm", "libc", "blas")
 """The keys of `made_with` that depend on the machine, which changes last bits at most."""
-_CAUSES = ("code", "kernels", "mujoco", "numpy", "scipy", "python", "libm", "simd", "blas")
-"""Keys of `made_with`, the likeliest cause of other results first; others are hardly a cause."""
+_CAUSES = ("code", "libm", "mujoco", "numpy", "scipy", "python", "simd", "blas", "kernels")
+"""Keys of `made_with`, the likeliest cause of other results first; others are hardly a cause.
+`libm` compares results, the others names; kernels give equal bits compiled and interpreted."""
 _TEXTS = {
     "code": "swarmd's code has changed",
     "libm": "the C library's mathematical functions give other last bits here",

@@ -90,7 +90,8 @@ def trace_differences(a: Trace, b: Trace) -> list[str]:
 def first_difference(a: Trace, b: Trace) -> str:
     """The first instant at which two traces differ, with the fields that differ then.
 
-    Such as `first at 3.40 s: safe, gap of tb3-02`: the robot is the first one in the first field.
+    Such as `first at 3.40 s: safe, gap of tb3-02`: the robot is the first one in the first field,
+    and the fields are those of this robot.
     Empty if no field by instant and robot differs.
     """
     count = min(len(a.t), len(b.t))
@@ -108,9 +109,13 @@ def first_difference(a: Trace, b: Trace) -> str:
         return ""
     first = min(instants.values())
     names = [name for name, instant in instants.items() if instant == first]
-    row = differing[names[0]][first]
-    robot = a.ids[int(row.argmax()) * len(a.ids) // len(row)]
-    return f"first at {a.t[first]:.2f} s: {', '.join(names)} of {robot}"
+    # By field: whether each robot differs at this instant.
+    by_robot = {name: differing[name][first].reshape(len(a.ids), -1).any(axis=1) for name in names}
+    robot = int(by_robot[names[0]].argmax())
+    return (
+        f"first at {a.t[first]:.2f} s: {', '.join(name for name in names if by_robot[name][robot])}"
+        f" of {a.ids[robot]}"
+    )
 
 
 def _by_instant(trace: Trace) -> dict[str, NDArray[Any]]:

@@ -90,6 +90,17 @@ def test_a_run_that_fails_now_is_reported(duo: Path, tmp_path: Path) -> None:
     assert found["s0000"].startswith("failed now: its process ended with code 7")
 
 
+def test_functions_that_give_other_bits_are_a_likelier_cause_than_a_name(results: Results) -> None:
+    path = results.folder / "manifest.json"
+    manifest = json.loads(path.read_bytes())
+    manifest["made_with"] |= {"libm": "0badf00d", "mujoco": "1.0.0", "kernels": "of another kind"}
+    path.write_text(json.dumps(manifest))
+    first, second, third = warnings(results.folder)
+    assert "C library" in first
+    assert "mujoco" in second
+    assert "kernels" in third
+
+
 def test_without_a_folder_only_finished_runs_are_made_and_nothing_stays(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,6 +177,9 @@ def test_the_first_instant_that_differs_is_told_with_its_fields_and_robot(result
     other = dataclasses.replace(trace, pose=pose, safe=safe)
     assert first_difference(trace, other) == f"first at {trace.t[4]:.2f} s: pose of {trace.ids[1]}"
     other = dataclasses.replace(other, requested=requested)
+    alone = f"first at {trace.t[4]:.2f} s: requested of {trace.ids[0]}"
+    assert first_difference(trace, other) == alone
+    pose[4, 0, 1] += 1.0
     both = f"first at {trace.t[4]:.2f} s: requested, pose of {trace.ids[0]}"
     assert first_difference(trace, other) == both
     shorter = dataclasses.replace(other, t=trace.t[:4], pose=pose[:4], safe=safe[:4])
