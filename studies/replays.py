@@ -32,7 +32,8 @@ from swarmd.core.verbs import EstopRequest, ParamRequest, ResetRequest, RunReque
 from swarmd.plugins import pattern_names, places_of
 from swarmd.recording import messages
 from swarmd.recording.reader import RecordedFile, read_file
-from swarmd.replay.replay import Parity, recordings_of, repeat, total
+from swarmd.replay.replay import Parity, prepare, recordings_of, total
+from swarmd.replay.swarm import repeat_together
 from swarmd.settings.yamlfile import text_of
 
 UPTIMES = (60.0, 600.0, 86_400.0)
@@ -121,7 +122,9 @@ def repeated(folder: Path) -> Mapping[str, Parity]:
     found = {}
     for robot in sorted(path for path in folder.iterdir() if path.is_dir()):
         recordings = recordings_of(map(read_file, sorted(robot.glob("*.mcap"))))
-        found[robot.name] = total(repeat(files, origins)[1] for files in recordings)
+        lives = [prepare(files, origins) for files in recordings]
+        repeat_together(lives)
+        found[robot.name] = total(life.parity() for life in lives)
     return found
 
 

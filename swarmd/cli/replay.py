@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.options import FOLDER, CommonOptions, local_options, recordings_argument
+from swarmd.cli.options import (
+    FOLDER,
+    CommonOptions,
+    Duration,
+    local_options,
+    recordings_argument,
+)
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
 from swarmd.network.operator.exit_codes import FAILED
-from swarmd.texts.values import NOTHING
+from swarmd.texts.values import NOTHING, printable
 
 if TYPE_CHECKING:
     from swarmd.core.values import Platform
@@ -33,7 +39,7 @@ if TYPE_CHECKING:
     help="Another platform for the replay: what would its settings have commanded?",
 )
 @click.option("--plugin-dir", type=FOLDER, help="The folder of patterns of your own.")
-@click.option("--until", type=float, metavar="SECONDS", help="End the replay at this instant.")
+@click.option("--until", type=Duration(), metavar="SECONDS", help="End the replay at this instant.")
 @click.option("--why", metavar="NAME", help="Print the last inputs of this robot, too.")
 @click.option(
     "--life",
@@ -78,13 +84,26 @@ def replay(
     is_swarm = len({life.about.get("robot") for life in lives}) > 1
     if is_swarm:
         place_lives(lives, paths)
+    if len(swarms := {life.head.swarm for life in lives}) > 1:
+        warn(f"recordings of {len(swarms)} swarms; robots of one name share a row")
     watched = [life for life in lives if life.head.identity.robot == why]
     if why is not None and not watched:
         raise click.UsageError(f"--why {why}: no recording of it is repeated")
     repeat_together(lives, until)
+    # Whether each recording with decisions was repeated to its end.
+    is_whole = not any(life.fault for life in lives) and len(lives) == sum(
+        any(one.topic == "/decision" for file in parts for one in file.messages)
+        for parts in recordings
+    )
+    if until is not None:
+        lives = [life for life in lives if life.fault or life.replay.safe.count]
+        if not lives:
+            raise click.UsageError(f"--until {until:g}: no decision is compared until then")
     by_robot = {robot: total(parities) for robot, parities in _compared(lives).items()}
     difference = first_difference(lives)
-    is_equal = all(one.safe.is_equal and one.requested.is_equal for one in by_robot.values())
+    is_equal = is_whole and all(
+        parity.safe.is_equal and parity.requested.is_equal for parity in by_robot.values()
+    )
     # The largest error of each robot's place on the timeline, in s; inf: not known.
     errors = {
         robot: max(life.error for life in lives if life.head.identity.robot == robot)
@@ -96,8 +115,12 @@ def replay(
         _print_table(by_robot, errors, lives, is_swarm=is_swarm)
     if difference is not None and not options.is_json:
         life, found = difference
-        at = f"{life.head.identity.robot} at {life.begin + found.at:.3f} s"
-        click.echo(f"first difference: {at}: {found.field} {found.recorded}, here {found.replayed}")
+        click.echo(
+            printable(
+                f"first difference: {life.head.identity.robot} at {found.at:.3f} s:"
+                f" {found.field} {found.recorded}, here {found.replayed}"
+            )
+        )
     for life in watched:
         _print_inputs(life)
     for robot, parity in by_robot.items():
@@ -188,7 +211,7 @@ def _print_json(
     first: dict[str, object] | None = None
     if difference is not None:
         life, found = difference
-        where = {"robot": life.head.identity.robot, "at": life.begin + found.at}
+        where = {"robot": life.head.identity.robot, "at": found.at}
         first = {**where, **fields(found, "field", "recorded", "replayed")}
     print_json("Replay", {"robots": rows, "first_difference": first, "is_equal": is_equal})
 
@@ -205,14 +228,15 @@ def _print_table(
         error = errors[robot]
         clock = "by its wall clock" if math.isinf(error) else f"clock within {1e3 * error:.3f} ms"
         words = (f"{robot} ({platforms[robot]})", f"{parity.seconds:.1f} s", clock)
-        click.echo(", ".join(words if is_swarm else words[:2]))
+        click.echo(printable(", ".join(words if is_swarm else words[:2])))
     rows = [
         (
             robot,
             name,
             str(commands.count),
-            f"{math.floor(1e4 * commands.share) / 1e2:.2f}%",  # 100 % only if all are equal
-            f"{commands.largest:.3g}",
+            # 100 % only if all are equal.
+            f"{math.floor(1e4 * commands.share) / 1e2:.2f}%" if commands.count else NOTHING,
+            f"{commands.largest:.3g}" if commands.count else NOTHING,
             NOTHING if commands.first is None else f"{commands.first:.2f} s",
         )
         for robot, parity in by_robot.items()
@@ -230,4 +254,4 @@ def _print_inputs(life: Life) -> None:
     until = "the end" if difference is None else f"{difference.field} differs"
     warn(f"{life.head.identity.robot}, before {until}:")
     for kind, at in inputs:
-        warn(f"  {kind} at {life.begin + at:.6f} s")
+        warn(f"  {kind} at {at:.6f} s")

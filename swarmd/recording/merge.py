@@ -208,7 +208,7 @@ def time_on(
     """
     if alignment is not None:
         time = alignment.to_reference(clock_of(about, at))
-        at = int(reference["wall_ns"]) + round((time - 1e-9 * int(reference["boot_ns"])) * 1e9)
+        at = int(reference["wall_ns"]) - int(reference["boot_ns"]) + round(1e9 * time)
     return min(max(at, 0), MAX_TIME)
 
 

@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from swarmd.core.errors import ConfigError
@@ -42,7 +42,7 @@ class RecordedMessage:
     """One message: its topic, type, time in ns since 1970, sequence and bytes.
 
     `kind`: the message type; empty without a schema. The name of an encoding other than CDR is
-    appended.
+    appended. `follows_gap`: messages between the message before and this one may be missing.
     """
 
     topic: str
@@ -50,6 +50,7 @@ class RecordedMessage:
     at: int
     sequence: int
     payload: bytes
+    follows_gap: bool = field(default=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +104,9 @@ class _Reader:
         self._work = 4 * self._left  # budget of bytes to examine, also in false chunks
         self._schemas: dict[int, str] = {0: ""}
         self._channels: dict[int, tuple[str, int, str]] = {}
-        self._found: list[tuple[int, int, int, bytes]] = []
+        # Channel, sequence, time, bytes, and whether damaged bytes are before the message.
+        self._found: list[tuple[int, int, int, bytes, bool]] = []
+        self._is_behind_gap = False
         self._count: int | None = None  # count of messages, as the summary states
         self.about: dict[str, str] = {}
         self.robots: dict[str, dict[str, str]] = {}
@@ -119,6 +122,7 @@ class _Reader:
             if not code or not self._take(code, data[at + _HEAD.size : end]):
                 self._note(f"damaged or cut off at byte {at} of {len(data)}")
                 at = self._next_chunk(at + 1)
+                self._is_behind_gap = True
                 continue
             is_over = is_over or code == _DATA_END
             at = end
@@ -131,14 +135,14 @@ class _Reader:
     def messages(self) -> list[RecordedMessage]:
         """The messages whose topic is known."""
         messages = []
-        for channel, sequence, at, payload in self._found:
+        for channel, sequence, at, payload, gap in self._found:
             topic, schema, encoding = self._channels.get(channel, ("", -1, ""))
             kind = self._schemas.get(schema)
             if kind is None:
                 self._note(f"messages of channel {channel} without its description")
             else:
                 kind += "" if encoding in ("cdr", "") else f" in {encoding}"
-                messages.append(RecordedMessage(topic, kind, at, sequence, payload))
+                messages.append(RecordedMessage(topic, kind, at, sequence, payload, gap))
         return messages
 
     def _record_at(self, at: int) -> tuple[int, int]:
@@ -182,7 +186,10 @@ class _Reader:
     def _record(self, code: int, body: memoryview) -> None:
         if code == _MESSAGE:
             channel, sequence, at, _ = _ABOUT.unpack_from(body)
-            self._found.append((channel, sequence, at, bytes(body[_ABOUT.size :])))
+            self._found.append(
+                (channel, sequence, at, bytes(body[_ABOUT.size :]), self._is_behind_gap)
+            )
+            self._is_behind_gap = False
         elif code == _SCHEMA:
             (number,) = struct.unpack_from("<H", body)
             # The first record counts: records in chunks have a checksum, the summary's have none.

@@ -11,6 +11,7 @@ platform, the replay begins with a new robot, and the recording must begin outsi
 
 from __future__ import annotations
 
+import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -52,19 +53,17 @@ class Compared:
     count: int = 0
     equal: int = 0  # commands that are equal to the bit
     largest: float = 0.0  # the largest difference, in m/s or rad/s
-    first: float | None = None  # the time of the first difference, in s after the first message
+    first: float | None = None  # the time of the first difference, in s on the timeline
 
     def add(self, replayed: Twist, recorded: Twist, at: float) -> None:
         """Compare two commands at `at` s."""
-        differences = (
-            replayed.linear - recorded.linear,
-            replayed.angular - recorded.angular,
-            replayed.lateral - recorded.lateral,
+        own, other = (
+            (twist.linear, twist.angular, twist.lateral) for twist in (replayed, recorded)
         )
-        largest = max(map(abs, differences))
         self.count += 1
-        self.largest = max(self.largest, largest)
-        if largest == 0.0:
+        differences = (abs(a - b) for a, b in zip(own, other, strict=True))
+        self.largest = max(self.largest, *differences)
+        if struct.pack("<3d", *own) == struct.pack("<3d", *other):
             self.equal += 1
         elif self.first is None:
             self.first = at
@@ -90,7 +89,7 @@ class Compared:
 class Difference(NamedTuple):
     """The first field of a decision, or of a pattern's command, that the replay makes otherwise."""
 
-    at: float  # s after the first message
+    at: float  # s on the timeline
     field: str  # such as safe
     recorded: str
     replayed: str
@@ -146,13 +145,18 @@ class Replay:
         self._executor = PatternExecutor(self._loader)
         self._steps: deque[Stepped] = deque()  # answers of the replayed pattern, oldest first
         self._inputs = InputReader()
-        self._begin: float | None = None  # time of the first message, s
+        self._begin: float | None = None  # time of the first message, s on the robot's clock
+        self.begin = 0.0  # the same in s on the timeline of all robots
         self.safe, self.requested = Compared(), Compared()
         self.difference: Difference | None = None
-        # Kind and time of the last inputs, in s after the first message.
+        # Kind and time of the last inputs, in s on the timeline.
         self.last_inputs: deque[tuple[str, float]] = deque(maxlen=LAST_INPUTS)
         self._last = 0.0  # time of the last message, s after the first
         self._notes: dict[str, None] = {}  # in their order, each once
+
+    def _place(self, now: float) -> float:
+        """A time of the robot's clock in s on the timeline."""
+        return self.begin + now - (self._begin or now)
 
     def _make_robot(self, now: float) -> Robot:
         identity = self._head.identity
@@ -188,19 +192,21 @@ class Replay:
             if not self._recalls or isinstance(error, SwarmError):
                 raise
             raise ConfigError(
-                f"the robot of the recorded memory fails at {now - self._begin:.3f} s"
+                f"the robot of the recorded memory fails at {self._place(now):.3f} s"
                 f" ({error!r:.200}); expected the recording of a robot, whole and unchanged"
             ) from error
 
     def _take(self, message: RecordedMessage, now: float) -> None:
-        # Also while inputs are skipped: the ray directions of a scan are needed for later scans.
-        input = self._inputs.read(message)
-        if message.topic == "/dropped":
-            at = now - (self._begin or now)
+        if message.topic == "/dropped" or message.follows_gap:
             self._awaits_memory = self._recalls
             after = "are compared from the next memory on" if self._awaits_memory else "may differ"
-            self._note(f"at {at:.3f} s entries were dropped; commands after it {after}")
-        elif message.topic == MEMORY and self._awaits_memory:
+            self._note(
+                f"before {self._place(now):.3f} s entries were dropped or are damaged or missing;"
+                f" later commands {after}"
+            )
+        # Also while inputs are skipped: the ray directions of a scan are needed for later scans.
+        input = self._inputs.read(message)
+        if message.topic == MEMORY and self._awaits_memory:
             self._robot = recall(memory_in(message), self._head.identity.setup)
             self._actions = None
             self._awaits_memory = False
@@ -219,7 +225,7 @@ class Replay:
                 return  # a new robot does not know which requests were executed before
         if isinstance(input, HostInput) and isinstance(input.event, Stepped):
             self._compare_requested(input.event, now)
-        self.last_inputs.append((tag_of(input), now - (self._begin or now)))
+        self.last_inputs.append((tag_of(input), self._place(now)))
         with np.errstate(all="ignore"):  # a damaged memory may contain any numbers
             actions = self._robot.step(input, now)
         if actions is not None:
@@ -239,7 +245,7 @@ class Replay:
         if self._steps and self._steps[0].generation == event.generation:
             own = self._steps.popleft()
             replayed, recorded = own.outputs.twist or ZERO, event.outputs.twist or ZERO
-            self.requested.add(replayed, recorded, now - (self._begin or now))
+            self.requested.add(replayed, recorded, self._place(now))
             self._differ("command of the pattern", recorded, replayed, now)
         else:
             self._note("the pattern of the replay did not step where the recorded one did")
@@ -266,7 +272,7 @@ class Replay:
         if self._actions is None:
             return
         decision = self._actions.decision
-        self.safe.add(decision.safe, messages.twist_of(message.safe), now - (self._begin or now))
+        self.safe.add(decision.safe, messages.twist_of(message.safe), self._place(now))
         reason = decision.reason or ""
         entry = DecisionEntry(0.0, message.cause, self._robot.state, reason, decision)
         own = messages.decision_message(entry, 0.0)
@@ -278,9 +284,13 @@ class Replay:
     def _differ(self, field: str, recorded: Any, replayed: Any, now: float) -> None:
         """Note a difference, unless there is an earlier one."""
         if self.difference is None and repr(recorded) != repr(replayed):
-            at = now - (self._begin or now)
-            inputs = tuple(self.last_inputs)
-            self.difference = Difference(at, field, repr(recorded), repr(replayed), inputs)
+            self.difference = Difference(
+                at=self._place(now),
+                field=field,
+                recorded=repr(recorded),
+                replayed=repr(replayed),
+                inputs=tuple(self.last_inputs),
+            )
 
     def _note(self, text: str) -> None:
         if len(self._notes) < 20:
@@ -294,18 +304,6 @@ def recordings_of(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
         key = tuple(file.about.get(name) for name in ("head", "wall_ns", "boot_ns"))
         recordings.setdefault(key, []).append(file)
     return list(recordings.values())
-
-
-def repeat(
-    files: list[RecordedFile],
-    origins: Mapping[str, tuple[str, bool]],
-    platform: Platform | None = None,
-) -> tuple[RecordingHead, Parity]:
-    """Replay the files of one recording in order; ConfigError if the replay is impossible."""
-    life = prepare(files, origins, platform)
-    for message in life.messages:
-        life.take(message)
-    return life.head, life.parity()
 
 
 @dataclass(slots=True)
@@ -324,7 +322,6 @@ class Life:
     fault: str = ""  # why the robot of its memory could not continue
     place: Callable[[int], int] = int  # from the time of a message to the timeline, both in ns
     error: float = 0.0  # s, the largest error of `place`; inf: not known
-    begin: float = 0.0  # s on the timeline, of its first message
 
     def take(self, message: RecordedMessage) -> None:
         """Replay the next message, unless the robot could not continue before."""
@@ -355,7 +352,7 @@ def prepare(
     if about.get("kind") == "merged":
         raise ConfigError(f"{where}: merged; expected the robot's own recording")
     head = head_of(about, where)
-    recorded = [message for file in files for message in file.messages]
+    recorded = _joined(files)
     notes = [_other_program(head)]
     fault = "another platform has no memory" if platform else _fault_of_memory(recorded, head)
     check_beginning(recorded, where, fault)
@@ -363,6 +360,29 @@ def prepare(
         notes.append(f"{fault}; what the robot learned before is not repeated")
     replayed = Replay(head, about, origins, platform, recalls=not fault)
     return Life(where, head, about, recorded, replayed, [*filter(None, notes)])
+
+
+def _joined(files: Iterable[RecordedFile]) -> list[RecordedMessage]:
+    """The messages of a recording's parts in the order of their numbers, with gaps marked.
+
+    Of several copies of a part a whole one counts, else the longest.
+    """
+    copies = sorted(files, key=lambda file: (not file.fault, len(file.messages)))
+    parts = {
+        int(text): file
+        for file in copies
+        if file.messages and (text := file.about.get("file", "")[:9]).isdecimal()
+    }
+    recorded: list[RecordedMessage] = []
+    expected = min(parts, default=0)
+    for number, part in sorted(parts.items()):
+        first, *others = part.messages
+        recorded += [
+            replace(first, follows_gap=first.follows_gap or number != expected),
+            *others,
+        ]
+        expected = -1 if part.fault else number + 1
+    return recorded
 
 
 def memory_in(message: RecordedMessage) -> bytes:

@@ -43,7 +43,7 @@ def repeat_together(lives: Sequence[Life], until: float | None = None) -> None:
         if until is not None and time > until:
             break
         if message is life.messages[0]:
-            life.begin = time
+            life.replay.begin = time
         life.take(message)
 
 
@@ -55,4 +55,4 @@ def first_difference(lives: Sequence[Life]) -> tuple[Life, Difference] | None:
     """The first difference on the timeline, and the life that has it; None without one."""
     found = [(life, life.replay.difference) for life in lives]
     differing = [(life, difference) for life, difference in found if difference is not None]
-    return min(differing, key=lambda pair: pair[0].begin + pair[1].at, default=None)
+    return min(differing, key=lambda pair: pair[1].at, default=None)

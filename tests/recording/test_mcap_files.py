@@ -20,9 +20,8 @@ from swarmd.drivers.replay import ReplayDriver
 from swarmd.recording.head import head_of
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.reader import MAX_RATIO, MAX_SPARE, RecordedFile, read_file
-from swarmd.replay.replay import repeat
 from swarmd.view.timeline import read_timeline
-from tests.support.recorded_stories import ORIGINS, Extra, Story, rewritten
+from tests.support.recorded_stories import ORIGINS, Extra, Story, repeat, rewritten
 
 
 @pytest.fixture(scope="module")

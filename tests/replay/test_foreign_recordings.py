@@ -18,13 +18,13 @@ from swarmd.recording import messages
 from swarmd.recording.inputs import MEMORY
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.reader import RecordedFile, read_file
-from swarmd.replay.replay import memory_in, repeat
+from swarmd.replay.replay import memory_in
 from swarmd.robot import memory
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.report.recording_report import trace_of
 from swarmd.view.recording_source import RecordingSource
 from tests.support.examples import part
-from tests.support.recorded_stories import ORIGINS, Busy, rewritten
+from tests.support.recorded_stories import ORIGINS, Busy, repeat, rewritten
 
 NUMBERS = (0, -1, 1, 7, 2**31, 2**62, -(2**63), math.nan, math.inf, -math.inf)
 WRONG = (None, True, False, "", "x", "list", *NUMBERS)

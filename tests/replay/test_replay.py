@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -15,13 +17,14 @@ from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import State
-from swarmd.core.values import Pose, SharedPose
+from swarmd.core.values import Pose, SharedPose, Twist
 from swarmd.mission.mission import mission_class
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.recording import frames
-from swarmd.replay.replay import Parity, recordings_of, repeat, total
-from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story
+from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.replay.replay import Compared, Parity, recordings_of, total
+from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story, repeat, rewritten
 
 
 def assert_equal(parity: Parity, least: int) -> None:
@@ -219,6 +222,65 @@ def test_a_replay_goes_on_after_a_loss_to_the_bit(tmp_path: Path) -> None:
     assert "dropped" in parity.notes[0]
 
 
+def parts_of_three(folder: Path) -> list[RecordedFile]:
+    """Three parts of one recording, each of which begins with the robot's memory."""
+    busy = Busy(folder, 2)
+    recorder = busy.story.recorder
+    recorder.begin(busy.robot)
+    for _ in range(3):
+        recorder._is_memory_due = True
+        busy.wander(3.0)
+    file = recorder.finish()
+    begins = [at for at, one in enumerate(file.messages) if one.topic == "/memory"]
+    return [
+        replace(file, about={**file.about, "file": str(number)}, messages=file.messages[begin:end])
+        for number, (begin, end) in enumerate(pairwise([0, *begins[1:], None]), start=9)
+    ]
+
+
+def decisions_in(files: Sequence[RecordedFile]) -> int:
+    return sum(one.topic == "/decision" for file in files for one in file.messages)
+
+
+def test_parts_in_any_order_and_copies_of_parts_are_one_recording(tmp_path: Path) -> None:
+    first, second, third = parts = parts_of_three(tmp_path)
+    cut = replace(second, messages=second.messages[:100], fault="cut off")
+    torn = replace(first, fault="damaged", messages=[*first.messages, *first.messages[-9:]])
+    (files,) = recordings_of([cut, third, first, torn, second, first])
+    _, parity = repeat(files, ORIGINS)
+    assert_equal(parity, 150)
+    assert parity.safe.count == decisions_in(parts)
+
+
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_a_replay_goes_on_behind_a_missing_part(tmp_path: Path, is_cut: bool) -> None:
+    first, second, third = parts_of_three(tmp_path)
+    cut = replace(second, messages=second.messages[:100], fault="cut off")
+    kept = [first, cut, third] if is_cut else [first, third]
+    _, parity = repeat(kept, ORIGINS)
+    assert parity.safe.is_equal
+    assert parity.requested.is_equal
+    assert parity.difference is None
+    assert parity.safe.count == decisions_in(kept)
+    assert "missing" in parity.notes[0]
+
+
+def test_nothing_is_compared_behind_a_damaged_chunk_until_the_next_memory(tmp_path: Path) -> None:
+    whole = parts_of_three(tmp_path)
+    path = rewritten(whole[0], tmp_path / "first.mcap")
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    damaged = read_file(path)
+    behind = [one.follows_gap for one in damaged.messages].index(True)
+    assert 0 < behind < len(damaged.messages) < len(whole[0].messages)
+    kept = [replace(damaged, messages=damaged.messages[:behind]), *whole[1:]]
+    _, parity = repeat([damaged, *whole[1:]], ORIGINS)
+    assert parity.safe.is_equal
+    assert parity.requested.is_equal
+    assert parity.safe.count == decisions_in(kept)
+
+
 def test_a_recording_in_a_run_without_a_readable_memory_is_refused(tmp_path: Path) -> None:
     story = Story(tmp_path)
     story.robot.advance(1.0)
@@ -328,3 +390,20 @@ def test_hazards_are_repeated(tmp_path: Path) -> None:
     robot.advance(1.0)
     story.run("drive", speed=0.15)
     assert_equal(story.replayed(), 150)
+
+
+@pytest.mark.parametrize(
+    ("replayed", "recorded", "is_equal"),
+    [
+        (Twist(0.1, -0.2), Twist(0.1, -0.2), True),
+        (Twist(0.1, 0.0), Twist(0.1, -0.0), False),
+        (Twist(0.1, 0.0), Twist(0.1, math.nan), False),
+        (Twist(0.1, math.inf), Twist(0.1, math.inf), True),
+        (Twist(math.inf, 0.0), Twist(math.nan, 0.0), False),
+    ],
+)
+def test_commands_are_compared_to_the_bit(replayed: Twist, recorded: Twist, is_equal: bool) -> None:
+    compared = Compared()
+    compared.add(replayed, recorded, 2.5)
+    assert compared.is_equal is is_equal
+    assert compared.first == (None if is_equal else 2.5)

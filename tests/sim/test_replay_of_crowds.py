@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import base64
 import math
+import shutil
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.recording import frames, messages
+from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.merge import place, survey
 from swarmd.recording.reader import read_file
-from swarmd.replay.replay import Life, prepare, recordings_of, repeat
+from swarmd.replay.replay import Life, prepare, recordings_of
 from swarmd.replay.swarm import first_difference, place_lives, repeat_together
 from tests.support.clocked_crowd import crowd
 from tests.support.recorded_crowd import ROUND_TRIP, clock_of, recorded_crowd
-from tests.support.recorded_stories import ORIGINS, rewritten
+from tests.support.recorded_stories import ORIGINS, repeat, rewritten
 from tests.support.swarmctl import swarmctl
 
 DAY = 86_400.0
@@ -71,7 +75,7 @@ def test_a_swarm_is_repeated_together_in_the_order_of_its_clocks(recorded: Path)
         assert parity.requested.is_equal
         assert parity.notes == ()
         # By their wall clocks these robots would begin 7 s apart.
-        assert life.begin == pytest.approx(begin, abs=0.02 + life.error)
+        assert life.replay.begin == pytest.approx(begin, abs=0.02 + life.error)
         assert life.error < 2 * ROUND_TRIP
 
 
@@ -149,3 +153,97 @@ def test_swarmctl_repeats_a_folder_of_robots(
 @pytest.mark.parametrize("words", [("--life", "3"), ("--why", "tb3-09")])
 def test_a_life_or_robot_that_is_not_there_is_refused(recorded: Path, words: Sequence[str]) -> None:
     assert swarmctl("replay", str(recorded), *words).code == 2
+
+
+def another(recorded: Path, folder: Path, robot: str, about: Mapping[str, str]) -> Path:
+    """A copy of the crowd in `folder`, in which the files of a robot have other texts."""
+    shutil.copytree(recorded, folder)
+    for path in (folder / robot).glob("*.mcap"):
+        file = read_file(path)
+        rewritten(replace(file, about={**file.about, **about}), path)
+    return folder
+
+
+def head_in(recorded: Path, robot: str) -> RecordingHead:
+    path = min((recorded / robot).glob("*.mcap"))
+    return head_of(read_file(path).about, "")
+
+
+def test_a_robot_that_cannot_be_repeated_makes_the_swarm_unequal(
+    recorded: Path, tmp_path: Path
+) -> None:
+    nested = b"\x81\xa1x" + 200_000 * b"\x91" + b"\xc0"  # MessagePack, a list in a list in ...
+    head = base64.b64encode(nested).decode()
+    folder = another(recorded, tmp_path / "crowd", "tb3-02", {"head": head})
+    done = swarmctl("replay", str(folder), "-o", "json")
+    assert done.code == 1
+    assert [one["robot"] for one in done.json["robots"]] == ["tb3-01", "tb3-03", "tb3-04"]
+    assert done.json["is_equal"] is False
+    assert len(done.err.splitlines()) == 1
+
+
+def test_times_of_the_first_robot_that_no_float_holds_are_exact(
+    recorded: Path, tmp_path: Path
+) -> None:
+    file = read_file(min((recorded / "tb3-01").glob("*.mcap")))
+    wall, boot = (10**400 + int(file.about[name]) for name in ("wall_ns", "boot_ns"))
+    about = {"wall_ns": str(wall), "boot_ns": str(boot)}
+    folder = another(recorded, tmp_path / "crowd", "tb3-01", about)
+    done = swarmctl("replay", str(folder), "-o", "json")
+    assert done.code == 0, done.err
+    assert len(done.json["robots"]) == 4
+
+
+def test_a_name_with_control_characters_is_printed_in_one_line(
+    recorded: Path, tmp_path: Path
+) -> None:
+    head = head_in(recorded, "tb3-02")
+    identity = structs.replace(head.identity, robot="tb3\n-02\x1b[31m")
+    texts = structs.replace(head, identity=identity).texts()
+    done = swarmctl("replay", str(another(recorded, tmp_path / "crowd", "tb3-02", texts)))
+    lines = done.out.splitlines()
+    assert len(lines) == 4 + 1 + 8
+    assert all(line.isprintable() for line in lines)
+
+
+def test_two_swarms_in_one_folder_are_told(recorded: Path, tmp_path: Path) -> None:
+    texts = structs.replace(head_in(recorded, "tb3-02"), swarm="another").texts()
+    done = swarmctl("replay", str(another(recorded, tmp_path / "crowd", "tb3-02", texts)))
+    assert "2 swarms" in done.err
+    assert "swarms" not in swarmctl("replay", str(recorded)).err
+
+
+@pytest.mark.parametrize("until", ["900ms", "nan", "-1", "0"])
+def test_an_end_before_all_decisions_is_refused_in_one_line(
+    recorded: Path, tmp_path: Path, until: str
+) -> None:
+    file = read_file(min((recorded / "tb3-01").glob("*.mcap")))
+    at = file.messages[0].at + 10**9
+    later = [one for one in file.messages if one.topic != "/decision" or one.at > at]
+    path = rewritten(replace(file, messages=later), tmp_path / "later.mcap")
+    done = swarmctl("replay", str(path), "--until", until)
+    assert done.code == 2
+    assert "--until" in done.err
+    assert len(done.err.splitlines()) == 1
+
+
+def test_a_difference_has_one_instant_in_all_outputs(recorded: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "crowd"
+    shutil.copytree(recorded, folder)
+    first_file, second_file = map(read_file, sorted((folder / "tb3-03").glob("*.mcap")))
+    driving = next(
+        one.payload
+        for one in first_file.messages
+        if one.topic == "/decision" and messages.deserialize(one.kind, one.payload).safe.linear.x
+    )
+    changed = list(second_file.messages)  # of the second life, which begins later
+    number = [at for at, one in enumerate(changed) if one.topic == "/decision"][9]
+    changed[number] = replace(changed[number], payload=driving)
+    rewritten(replace(second_file, messages=changed), second_file.path)
+    done = swarmctl("replay", str(folder), "--why", "tb3-03", "-o", "json")
+    assert done.code == 1
+    (row,) = (one for one in done.json["robots"] if one["robot"] == "tb3-03")
+    first = done.json["first_difference"]
+    assert row["safe"]["first"] == first["at"] > JOINED
+    *_, last = done.err.splitlines()
+    assert last.endswith(f"{first['at']:.6f} s")

@@ -27,7 +27,8 @@ from swarmd.recording.head import RecordingHead
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.recording.writer import Channels
-from swarmd.replay.replay import Parity, repeat
+from swarmd.replay.replay import Parity, prepare
+from swarmd.replay.swarm import repeat_together
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.settings.file_limits import FileLimits
@@ -130,6 +131,17 @@ class Story:
 
 def _made(id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any) -> Robot:
     return Robot(id, with_ring(platform) if has_ring else platform, *args, **kwargs)
+
+
+def repeat(
+    files: list[RecordedFile],
+    origins: Mapping[str, tuple[str, bool]],
+    platform: Platform | None = None,
+) -> tuple[RecordingHead, Parity]:
+    """Replay the files of one recording."""
+    life = prepare(files, origins, platform)
+    repeat_together([life])
+    return life.head, life.parity()
 
 
 class Busy:
