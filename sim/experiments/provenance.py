@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import platform
 import re
-import struct
 import subprocess
 from collections.abc import Iterable, Iterator, Set
 from contextlib import suppress
@@ -21,6 +19,7 @@ import swarmd
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import read_regular, user_path
 from swarmd.core.kernels import describe_kernels
+from swarmd.core.libm import digest_of_libm
 from swarmd.plugins import mission_files, pattern_files
 
 NOT_IN_RUNS = frozenset({"cli", "film", "live", "plots", "report", "testing"})
@@ -30,7 +29,6 @@ The folders of others may have these names, too, and are then imported: they are
 
 _SUFFIXES = tuple(all_suffixes())  # of source, compiled code and extension modules
 _GIT_SECONDS = 10.0
-_LIBM_ARGUMENTS = 400
 
 
 class GitState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -67,21 +65,6 @@ def made_with() -> dict[str, str]:
         "blas": os.environ.get("OPENBLAS_CORETYPE") or "as the processor is",
         "code": digest_of_code(Path(swarmd.__file__).parent),
     }
-
-
-def digest_of_libm() -> str:
-    """8 hex digits of what the C library's mathematical functions give for fixed arguments.
-
-    The C library has variants of these functions for processors with and without FMA, which give
-    other last bits, and chooses by the processor and by GLIBC_TUNABLES. The digest shows a choice
-    whatever made it.
-    """
-    arguments = [0.0137 * k for k in range(1, _LIBM_ARGUMENTS)]
-    functions = (math.sin, math.cos, math.tan, math.atan, math.exp, math.log)
-    values = [function(x) for function in functions for x in arguments]
-    values += [math.atan2(x, 1.7) for x in arguments]
-    values += [math.pow(x, 1.3) for x in arguments]
-    return hashlib.sha256(struct.pack(f"<{len(values)}d", *values)).hexdigest()[:8]
 
 
 def _processor(facts: Path = Path("/proc/cpuinfo")) -> str:

@@ -9,6 +9,7 @@ from platform import machine
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import GoalRecord
 from swarmd.core.kernels import describe_kernels
+from swarmd.core.libm import digest_of_libm
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
@@ -59,6 +60,7 @@ def recording_head(robot: Robot, swarm: str, now: float) -> RecordingHead:
         swarm=swarm,
         clock=clock_id(),
         machine=machine(),
+        libm=digest_of_libm(),
         identity=robot.identity,
         earlier=EarlierLives(
             latches=latches,

@@ -20,6 +20,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
 
     - `clock`: the id of the robot's clock, see `core/clock.py`.
     - `machine`: the processor type, such as x86_64.
+    - `libm`: `digest_of_libm` of the robot; empty if not known.
     - `identity`: whole, so that a new setting of robots is in recordings, too.
     - `earlier`: the state of the robot when the recording began.
     """
@@ -29,6 +30,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     machine: str
     identity: RobotIdentity
     earlier: EarlierLives = EarlierLives()
+    libm: str = ""
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: main fields in plain text, all fields in `head`."""

@@ -26,6 +26,7 @@ from swarmd.core.errors import CodecError, ConfigError, SwarmError
 from swarmd.core.events import HostInput, Input, RequestInput, tag_of
 from swarmd.core.host_messages import KillHost, Load, Loaded, StartTrial, Stepped
 from swarmd.core.kernels import describe_kernels
+from swarmd.core.libm import digest_of_libm
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.core.verbs import StopRequest
@@ -405,8 +406,19 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
 def _other_program(head: RecordingHead) -> str:
     """The differences between the recording program and this program that may change last bits."""
     setup = head.identity.setup
-    there = {"version": setup.version, "kernels": setup.kernels, "processor": head.machine}
-    here = dict(zip(there, (version("swarmd"), describe_kernels(), machine()), strict=True))
+    there = {
+        "version": setup.version,
+        "kernels": setup.kernels,
+        "processor": head.machine,
+        "functions of the C library (libm)": head.libm or digest_of_libm(),
+    }
+    here = dict(
+        zip(
+            there,
+            (version("swarmd"), describe_kernels(), machine(), digest_of_libm()),
+            strict=True,
+        )
+    )
     texts = [f"{key} {there[key]}, here {here[key]}" for key in there if there[key] != here[key]]
     return f"recorded with {'; '.join(texts)}: commands may differ by rounding" if texts else ""
 

@@ -15,6 +15,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.events import CodeInput, HazardsInput, PoseInput, ReadingsInput
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
+from swarmd.core.libm import digest_of_libm
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import State
 from swarmd.core.values import Pose, SharedPose, Twist
@@ -22,6 +23,7 @@ from swarmd.mission.mission import mission_class
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.recording import frames
+from swarmd.recording.head import head_of
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.replay.replay import Compared, Parity, recordings_of, total
 from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story, repeat, rewritten
@@ -390,6 +392,20 @@ def test_hazards_are_repeated(tmp_path: Path) -> None:
     robot.advance(1.0)
     story.run("drive", speed=0.15)
     assert_equal(story.replayed(), 150)
+
+
+def test_another_c_library_is_named(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.robot.advance(1.0)
+    story.recorder.begin(story.robot)
+    story.run("drive", speed=0.1)
+    found = story.recorder.finish()
+    assert head_of(found.about, "").libm == digest_of_libm()
+    for libm, is_named in (("0badf00d", True), ("", False), (digest_of_libm(), False)):
+        head = structs.replace(head_of(found.about, ""), libm=libm)
+        other = replace(found, about={**found.about, **head.texts()})
+        _, parity = repeat([other], ORIGINS)
+        assert [("libm" in note and libm in note) for note in parity.notes] == [True] * is_named
 
 
 @pytest.mark.parametrize(

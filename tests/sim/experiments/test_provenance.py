@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import platform
 import subprocess
 import sys
 from contextlib import suppress
@@ -19,7 +18,6 @@ from swarmd.sim.experiments.provenance import (
     NOT_IN_RUNS,
     GitState,
     digest_of_code,
-    digest_of_libm,
     digests_of_plugins,
     git_state,
     made_with,
@@ -53,27 +51,6 @@ def test_the_arithmetic_that_the_environment_chooses_is_reported(
     free = made_with()
     monkeypatch.setenv("OPENBLAS_CORETYPE", "Haswell")
     assert made_with() == {**free, "blas": "Haswell"} != free
-
-
-def _has_two_variants() -> bool:
-    """Whether glibc may choose here: it has variants for x86-64 processors with FMA."""
-    with suppress(OSError):
-        is_glibc = platform.libc_ver()[0] == "glibc"
-        return is_glibc and " fma " in Path("/proc/cpuinfo").read_text()
-    return False
-
-
-@pytest.mark.skipif(not _has_two_variants(), reason="the C library has no choice here")
-def test_another_variant_of_the_mathematical_functions_is_reported() -> None:
-    code = "from swarmd.sim.experiments import provenance; print(provenance.digest_of_libm())"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"},
-    )
-    assert done.stdout.strip() not in ("", digest_of_libm())
 
 
 def test_no_run_reads_what_the_digest_leaves_out() -> None:
