@@ -11,14 +11,17 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from msgspec import structs
 
 from swarmd.core.errors import SwarmError
 from swarmd.drivers.replay import ReplayDriver
 from swarmd.recording import messages
+from swarmd.recording.head import head_of
 from swarmd.recording.inputs import MEMORY
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.reader import RecordedFile, read_file
-from swarmd.replay.replay import memory_in
+from swarmd.replay.replay import memory_in, prepare, recordings_of
+from swarmd.replay.swarm import first_difference, place_lives, repeat_together
 from swarmd.robot import memory
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.report.recording_report import trace_of
@@ -39,6 +42,14 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> RecordedFile:
     busy.story.recorder.begin(busy.robot)
     busy.robot.advance(1.0)
     return busy.story.recorder.finish()
+
+
+def of_another_robot(recorded: RecordedFile) -> RecordedFile:
+    """The same recording, by another robot with another clock."""
+    head = head_of(recorded.about, "")
+    identity = structs.replace(head.identity, robot="another")
+    texts = structs.replace(head, identity=identity, clock="another").texts()
+    return replace(recorded, about={**recorded.about, **texts})
 
 
 def changed(data: bytes, rng: random.Random) -> bytes:
@@ -115,6 +126,18 @@ def is_replayed(path: Path) -> None:
     repeat([read_file(path)], ORIGINS)
 
 
+def is_replayed_in_a_swarm(path: Path) -> None:
+    """Its clock is the timeline of another robot's recording."""
+    paths = [path, path.with_name("other.mcap")]
+    recordings = recordings_of(map(read_file, paths))
+    lives = [prepare(files, ORIGINS) for files in recordings]
+    place_lives(lives, paths)
+    repeat_together(lives)
+    first_difference(lives)
+    for life in lives:
+        life.parity()
+
+
 def is_merged(path: Path) -> None:
     found = survey([path])
     if found.sources:
@@ -144,7 +167,8 @@ def test_changed_recordings_end_in_one_line_or_are_read(
     recording: RecordedFile, tmp_path: Path, change: Change, seed: int
 ) -> None:
     rng, path = random.Random(seed), tmp_path / "changed.mcap"
-    readers: list[Reader] = [is_replayed]
+    readers: list[Reader] = [is_replayed, is_replayed_in_a_swarm]
+    rewritten(of_another_robot(recording), tmp_path / "other.mcap")
     if change is not change_memory:  # which others leave out
         readers += [is_merged, is_shown, is_played]
     lines = []
