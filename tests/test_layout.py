@@ -49,7 +49,7 @@ EXCEPTIONS: dict[tuple[str, str], str] = {
     ("sim/live/link.py", "zenoh"): "the world's own session, for viewers of real-time mode",
 }
 # Executable statements of the sources. A part that needs more names the part that goes.
-MOST_STATEMENTS = 66_070
+MOST_STATEMENTS = 66_080
 # Modules in the import closure of each module, and keys of all files; SLACK above them is a fault.
 CLOSURES = {
     "swarmd.protection.protection": 47,
