@@ -53,8 +53,8 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.barrier_assumptions",
         "swarmd.protection.outline",
         "swarmd.protection.dead_reckoning",
-        "swarmd.protection.straight_runs",
-        "swarmd.protection.standing_walls",
+        "swarmd.protection.walls.straight_runs",
+        "swarmd.protection.walls.standing_walls",
         "swarmd.protection.obstacles",
         "swarmd.protection.touch_zone",
         "swarmd.protection.constraints",
@@ -162,7 +162,9 @@ def _fault_of(name: str) -> str:
     views = _opened(VIEWS)
     if path is None or library is None or views is None:
         return _NOT_COMPILED
-    files = [path.with_name(f"{kernel.rpartition('.')[2]}.py") for kernel in LIBRARIES[name]]
+    package = f"{name.rpartition('.')[0]}."
+    inside = [kernel.removeprefix(package).replace(".", "/") for kernel in LIBRARIES[name]]
+    files = [path.parent / f"{place}.py" for place in inside]
     sources = [file.read_bytes() for file in files if file.exists()]
     is_stale = _digest_in(library, "views_digest") != _digest_in(views, "views_digest")
     if sources:

@@ -55,8 +55,8 @@ from swarmd.protection.outline import Outline
 from swarmd.protection.passage import Room
 from swarmd.protection.projection import Projection
 from swarmd.protection.settings import BarrierSettings
-from swarmd.protection.standing_walls import StandingWalls
 from swarmd.protection.stopping import Speeds, StopCheck
+from swarmd.protection.walls.standing_walls import StandingWalls
 from swarmd.sensing.rays import unit_vectors
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one

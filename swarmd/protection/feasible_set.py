@@ -28,8 +28,8 @@ from swarmd.protection.obstacles import (
     ObstacleDiscs,
 )
 from swarmd.protection.outline import Outline
-from swarmd.protection.standing_walls import StandingWalls
 from swarmd.protection.touch_zone import TouchSector
+from swarmd.protection.walls.standing_walls import StandingWalls
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython

@@ -13,8 +13,8 @@ from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.buffers import checked, checked_indices, doubles, indices, take, view
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.outline import Outline
-from swarmd.protection.standing_walls import StandingWalls
-from swarmd.protection.straight_runs import REACH
+from swarmd.protection.walls.standing_walls import StandingWalls
+from swarmd.protection.walls.straight_runs import REACH
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython

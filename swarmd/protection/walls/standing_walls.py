@@ -31,7 +31,7 @@ from swarmd.protection.buffers import doubles, indices
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import ODOMETRY_SHARE, STILL, WallsStand
-from swarmd.protection.straight_runs import (
+from swarmd.protection.walls.straight_runs import (
     RUN_FIELDS,
     RUN_FROM,
     RUN_IS_LONG,

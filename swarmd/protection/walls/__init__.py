@@ -1,0 +1,1 @@
+"""Walls that stand: a layer of mode `barrier`, by which long, straight returns do not approach."""
