@@ -27,7 +27,7 @@ from msgspec import Struct
 from studies.safety.runs import Kept, carry_out_missing
 from studies.safety.scenes import PLUGINS
 from swarmd.core.values import Array, Pose, SharedPose
-from swarmd.protection.fence import Fence
+from swarmd.protection.fence.fence import Fence
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of

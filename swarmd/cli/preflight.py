@@ -26,7 +26,7 @@ from swarmd.kit.touch import describe_zone, granted_zones
 from swarmd.network.settings import ONLY_HERE
 from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.modes import make_mode, narrowest_passage
 from swarmd.protection.settings import SLOW_SHARE
 from swarmd.settings.driver_options import base_options, effective_command_timeout

@@ -67,7 +67,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.barrier",
     ),
     "swarmd.protection._blind_zone": ("swarmd.protection.blind_zone",),
-    "swarmd.protection._fence_stops": ("swarmd.protection.fence_stops",),
+    "swarmd.protection.fence._fence_stops": ("swarmd.protection.fence.fence_stops",),
     "swarmd.protection._following": ("swarmd.protection.following",),
     "swarmd.protection._protection": ("swarmd.protection.protection",),
     "swarmd.robot._ticker": (

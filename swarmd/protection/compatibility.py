@@ -18,6 +18,7 @@ from swarmd.core.clock import TICK
 from swarmd.core.messages import Body, PeerFinding
 from swarmd.core.values import Platform
 from swarmd.protection.binding_range import BindingRange
+from swarmd.protection.footprint import radius_of
 from swarmd.protection.settings import BarrierSettings
 
 
@@ -51,11 +52,6 @@ def body_of(platform: Platform) -> Body:
         lowest=None if heights is None else heights.lowest,
         highest=None if heights is None else heights.highest,
     )
-
-
-def radius_of(platform: Platform) -> float:
-    """The radius in m of the circle around the axle's middle that holds the footprint."""
-    return max(math.hypot(x, y) for x, y in platform.footprint.tolist())
 
 
 def fastest_corner(platform: Platform) -> float:

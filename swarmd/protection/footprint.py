@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.values import Array, Scan, ScanSpec
+from swarmd.core.values import Array, Platform, Scan, ScanSpec
 from swarmd.sensing.rays import unit_vectors
 
 
@@ -127,3 +127,8 @@ class Footprint:
                 inner = -float(self.gaps(at[None])[0])
             self._known[place] = inner, float(np.hypot(*(self.corners - at).T).max())
         return self._known[place]
+
+
+def radius_of(platform: Platform) -> float:
+    """The radius in m of the circle around the axle's middle that holds the footprint."""
+    return max(math.hypot(x, y) for x, y in platform.footprint.tolist())

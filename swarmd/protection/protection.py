@@ -27,8 +27,8 @@ from swarmd.protection.decision import (
     Permit,
     Steered,
 )
-from swarmd.protection.fence import Fence, FenceView
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence import Fence, FenceView
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_mode, narrowest_passage
 

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from swarmd.protection.walls.walls_settings import WallsStand
+
 Length = Annotated[float, Meta(ge=0.0, le=10.0)]
 Speed = Annotated[float, Meta(gt=0.0, le=20.0)]
 Reserve = Annotated[float, Meta(ge=0.0, le=20.0)]
@@ -30,17 +32,6 @@ class PotentialFieldSettings(Struct, frozen=True, kw_only=True, forbid_unknown_f
     rays: Annotated[int, Meta(ge=0, le=10_000)]
     # Added along x to the repulsion (no unit). Higher: keeps moving forward, also towards walls.
     forward_bias: Annotated[float, Meta(ge=0.0, le=100.0)]
-
-
-class WallsStand(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The assumption that long, straight surfaces which have stood still do not begin to move."""
-
-    # m, the least length of such a surface. Higher: fewer walls count. Lower than the longest body,
-    # or row of bodies, around the robot: this body counts as a wall once it has stood.
-    length: Annotated[float, Meta(ge=0.2, le=2.0)] = 0.5
-    # s for which the surface must have stood still, seen in each scan. Higher: walls that come into
-    # view count later. Lower: a body that stops for a short time counts sooner.
-    seconds: Annotated[float, Meta(ge=1.0, le=60.0)] = 2.0
 
 
 class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

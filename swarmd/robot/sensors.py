@@ -36,9 +36,9 @@ from swarmd.core.values import (
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, barrier_settings, fastest_corner
 from swarmd.protection.decision import ToldObstacle
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_pose import FencePose
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.footprint import Footprint
-from swarmd.robot.fence_pose import FencePose
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT

@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.kit.touch_config import TouchGrants
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
 
 if TYPE_CHECKING:
     from swarmd.core.host_messages import Layers
@@ -66,7 +66,7 @@ class RobotSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def misfits(self, platform: Platform) -> Iterator[Fault]:
         """The faults, as of `faults`, that robots of this platform alone have."""
-        from swarmd.protection.fence import fence_fault  # it imports numpy
+        from swarmd.protection.fence.fence import fence_fault  # it imports numpy
 
         if self.fence is not None and (text := fence_fault(self.fence, platform)):
             yield ("fence",), text

@@ -10,8 +10,9 @@ import pytest
 from swarmd.core.clock import STALL_TIMEOUT
 from swarmd.core.values import MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP
 from swarmd.protection.binding_range import REACTION_TIME
+from swarmd.protection.fence import fence_pose
 from swarmd.protection.settings import ODOMETRY_SHARE
-from swarmd.robot import fence_pose, timeouts
+from swarmd.robot import timeouts
 from swarmd.robot.hazard_holds import CLEAR_TIME
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT
 

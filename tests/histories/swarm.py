@@ -92,7 +92,7 @@ from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import Author
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_freshness import REPLAYED
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot

@@ -18,7 +18,8 @@ from swarmd.core.goal import HeldGoal
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import Twist
-from swarmd.robot import fence_pose, state
+from swarmd.protection.fence import fence_pose
+from swarmd.robot import state
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from tests.histories import swarm

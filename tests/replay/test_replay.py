@@ -21,7 +21,7 @@ from swarmd.core.messages import State
 from swarmd.core.values import Pose, SharedPose, Twist
 from swarmd.mission.mission import mission_class
 from swarmd.pattern_host.loader import PatternLoader
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.recording import frames
 from swarmd.recording.head import head_of
 from swarmd.recording.reader import RecordedFile, read_file

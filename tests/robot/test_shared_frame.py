@@ -12,7 +12,7 @@ from swarmd.core.events import OdometryInput, PeersInput, PlaceInput, PoseInput
 from swarmd.core.messages import Body, Reason, State, Status
 from swarmd.core.values import Odometry, PeerPlace, Pose, SharedPose, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE, body_of
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT, Peers
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform

@@ -1,4 +1,4 @@
-"""The fence by arrays of numpy, as a second form of `swarmd/protection/fence_stops.py` for tests.
+"""The fence by arrays of numpy, as a second form of `swarmd/protection/fence/fence_stops.py` for tests.
 
 It simulates the stops of all shares of a request at once.
 """
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from swarmd.core.clock import TICK
 from swarmd.core.values import Array, Platform, Pose, Twist
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.fence import Fence
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence import Fence
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.settings import ODOMETRY_SHARE
 
 _STEPS = 8

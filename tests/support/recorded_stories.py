@@ -21,7 +21,7 @@ from swarmd.kit.behavior import Pattern
 from swarmd.patterns.drive.pattern import Drive
 from swarmd.patterns.random_walk.pattern import RandomWalk
 from swarmd.plugins import pattern_names
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.process import Converter

@@ -48,7 +48,7 @@ from swarmd.kit.behavior import Pattern
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.actions import Actions, FailedCode
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot

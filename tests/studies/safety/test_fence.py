@@ -8,7 +8,7 @@ import pytest
 
 from studies.safety import fence, runs
 from studies.safety.fence import GROWTH, MODES, PLATFORMS, Run, measure, table
-from swarmd.protection.fence import Fence
+from swarmd.protection.fence.fence import Fence
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
 from swarmd.protection.decision import Anchor, DecisionContext
-from swarmd.protection.fence import Fence, fence_fault
-from swarmd.protection.fence_settings import FenceSettings, polygon_fault
-from swarmd.robot.fence_pose import CONFIRM_TIME, CONFIRMATIONS, FencePose
+from swarmd.protection.fence.fence import Fence, fence_fault
+from swarmd.protection.fence.fence_pose import CONFIRM_TIME, CONFIRMATIONS, FencePose
+from swarmd.protection.fence.fence_settings import FenceSettings, polygon_fault
 from swarmd.settings.platforms import load_platform
 from tests.support.examples import examples
 from tests.support.numpy_fence import NumpyFence

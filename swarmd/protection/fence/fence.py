@@ -29,12 +29,12 @@ from swarmd.core.clock import TICK
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import MAX_EXTRAPOLATION, Array, Platform, Pose, Twist
 from swarmd.protection.binding_range import REACTION_TIME
-from swarmd.protection.compatibility import radius_of
 from swarmd.protection.decision import Anchor, DecisionContext
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
+from swarmd.protection.footprint import radius_of
 from swarmd.protection.settings import ODOMETRY_SHARE, BarrierSettings
 
-_kernel = load_kernel("swarmd.protection.fence_stops")
+_kernel = load_kernel("swarmd.protection.fence.fence_stops")
 
 _SHARES = 8  # a limited command has shares of the request in steps of 1 / _SHARES
 _SPACING = 0.1  # m between the points that stand for the fence

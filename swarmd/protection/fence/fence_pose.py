@@ -27,7 +27,7 @@ from msgspec import Struct
 
 from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, Odometry, Pose, SharedPose
 from swarmd.protection.decision import Anchor
-from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.settings import ODOMETRY_SHARE
 
 CONFIRMATIONS = 3
