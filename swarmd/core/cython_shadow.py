@@ -114,7 +114,11 @@ def auto_pickle(value: bool) -> Callable[[type], Any]:
 
 
 def cclass(kind: type) -> Any:
-    """An extension type: a class with only the declared attributes, each with its first value."""
+    """An extension type: a class with only the declared attributes, each with its first value.
+
+    It has one base at most. A method of the base is called as `Base.method(self)`: there is no
+    `super()`, since the class that is given here is replaced.
+    """
     declared = inspect.get_annotations(kind, eval_str=True)
     attributes = vars(kind).items()
     declared |= {name: value.kind for name, value in attributes if isinstance(value, _Declared)}
@@ -123,14 +127,16 @@ def cclass(kind: type) -> Any:
     }
 
     def new(cls: type, *_given: object, **_named: object) -> Any:
-        self: Any = object.__new__(cls)
+        self: Any = kind.__bases__[0].__new__(cls)
         for name, type_ in types.items():
             setattr(self, name, type_.begin())
         return self
 
     left = {*types, "__dict__", "__weakref__"}
     members = {name: value for name, value in attributes if name not in left}
-    return type(kind.__name__, (), {**members, "__slots__": tuple(types), "__new__": new})
+    return type(
+        kind.__name__, kind.__bases__, {**members, "__slots__": tuple(types), "__new__": new}
+    )
 
 
 def cos(angle: builtins.float) -> builtins.float:

@@ -27,18 +27,9 @@ attacking robot touched a corner of a Waffle Pi that slid past at 2.6 cm/s, with
 """
 REACTION = cython.declare(cython.double, REACTION_TIME)
 """s from a decision to the first response of the base."""
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def is_standing(others: cython.double, others_speed: cython.double) -> cython.bint:
-    """True for a return of a wall that stands.
-
-    `others`: m/s at which the obstacle of the return may approach: `standing_speed` for a wall that
-    stands, `others_speed` for all other obstacles.
-    """
-    return others < others_speed
+OTHER = cython.declare(cython.longlong, 0)
+WALL = cython.declare(cython.longlong, 1)
+"""The kinds of obstacles: one of which nothing is known, and a wall that stands."""
 
 
 @cython.final
@@ -47,7 +38,7 @@ class Assumptions:
     """The settings of mode `barrier` for one platform, and what follows from them."""
 
     others_speed: cython.double  # m/s, fastest surface of any other object
-    standing_speed: cython.double  # m/s, the same for a wall that stands (standing_walls.py)
+    standing_speed: cython.double  # m/s, the same for an obstacle of the kind WALL
     unseen_extent: cython.double  # m by which objects extend beyond their part in the scan plane
     margin: cython.double  # m kept free for range noise
     braking_linear: cython.double  # m/s2, least deceleration of the base
@@ -56,7 +47,7 @@ class Assumptions:
     angular_limit: cython.double  # rad/s
     surface_speed: cython.double  # m/s, fastest corner of this robot near an obstacle
     top_surface_speed: cython.double  # m/s, fastest place of this robot's surface anywhere
-    has_wall_caps: cython.bint  # walls that have stood are assumed to stand
+    has_kinds: cython.bint  # a layer tells kinds of obstacles that are slower than `others_speed`
     side_reserve: cython.double  # m/s by which a corner passes an obstacle more slowly
     keep_out: cython.double  # m around the lidar that stay free; NaN: no circle
     blind_radius: cython.double  # m around the lidar within which an obstacle may hide; 0: nowhere
@@ -74,7 +65,7 @@ class Assumptions:
         binding = BindingRange(platform, settings, TICK)
         self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
         self.standing_speed = settings.standing_speed
-        self.has_wall_caps = self.standing_speed < self.others_speed
+        self.has_kinds = self.standing_speed < self.others_speed
         self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
         self.envelope_range = binding.for_envelope()
         self.keep_out = math.nan if settings.keep_out is None else settings.keep_out
@@ -84,6 +75,13 @@ class Assumptions:
         self.side_reserve = SIDE_RESERVE * settings.others_speed if reserve is None else reserve
         # A range ring gives discs: where a disc may touch the robot is too uncertain to creep past.
         self.may_creep = platform.ranges is None and settings.keep_out is None
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def speed_of(self, kind: cython.longlong) -> cython.double:
+        """The m/s at which an obstacle of a kind may approach."""
+        return self.standing_speed if kind == WALL else self.others_speed
 
     @cython.cfunc
     @cython.inline

@@ -77,6 +77,23 @@ def take(
 
 
 @cython.cfunc
+def take_indices(
+    values: cython.longlong[::1],
+    order: cython.longlong[::1],
+    count: cython.Py_ssize_t,
+    into: cython.longlong[::1],
+    begin: cython.Py_ssize_t,
+):
+    """As `take`, for indices."""
+    i: cython.Py_ssize_t
+    index: cython.p_longlong = checked_indices(order, count)
+    given: cython.p_longlong = checked_indices(values, count)
+    to: cython.p_longlong = checked_indices(into, begin + count)
+    for i in range(count):
+        to[begin + i] = given[index[i]]
+
+
+@cython.cfunc
 @cython.inline
 @cython.exceptval(check=False)
 def maximum(a: cython.double, b: cython.double) -> cython.double:

@@ -16,7 +16,7 @@ import math
 from typing import TYPE_CHECKING
 
 from swarmd.core.values import Limits
-from swarmd.protection.barrier_assumptions import REACTION, Assumptions, is_standing
+from swarmd.protection.barrier_assumptions import OTHER, REACTION, WALL, Assumptions
 from swarmd.protection.buffers import (
     at_least,
     checked,
@@ -149,6 +149,7 @@ class PlacedPoints:
     scan_gap: cython.double[::1]  # m, of a seen point when it was measured
     radius: cython.double[::1]  # m, of a disc
     others: cython.double[::1]  # m/s at which the obstacle may approach
+    kind: cython.longlong[::1]  # of the obstacle
     normal_x: cython.double[::1]  # the unit vector from the outline
     normal_y: cython.double[::1]
     first_row: cython.longlong[::1]  # the index of the first constraint of each point
@@ -177,7 +178,7 @@ class PlacedPoints:
         self.gap, self.free = doubles(room), doubles(room)
         self.age, self.radius = doubles(room), doubles(room)
         self.contact, self.scan_gap = doubles(room), doubles(room)
-        self.others = doubles(room)
+        self.others, self.kind = doubles(room), indices(room)
         self.normal_x, self.normal_y = doubles(room), doubles(room)
         self.first_row, self.in_touch_zone = indices(room), indices(room)
 
@@ -214,6 +215,8 @@ class PlacedPoints:
         placed_radius: cython.p_double = checked(self.radius, end)
         others: cython.p_double = chunk.others
         placed_others: cython.p_double = checked(self.others, end)
+        kind: cython.p_longlong = chunk.kind
+        placed_kind: cython.p_longlong = checked_indices(self.kind, end)
         for j in range(count):
             i = first + j
             placed_x[i], placed_y[i] = chunk_x[j], chunk_y[j]
@@ -221,7 +224,7 @@ class PlacedPoints:
             placed_contact[i] = free[j] + hidden[j]  # the obstacle may touch within both parts
             placed_normal_x[i], placed_normal_y[i] = chunk_normal_x[j], chunk_normal_y[j]
             placed_gap[i], placed_radius[i] = gap[j], radius[j]
-            placed_others[i] = others[j]
+            placed_others[i], placed_kind[i] = others[j], kind[j]
         first_row: cython.p_longlong = checked_indices(self.first_row, end)
         source: cython.p_longlong = checked_indices(rows.source, row + count)
         for j in range(count):
@@ -258,7 +261,7 @@ def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> c
     """
     j: cython.Py_ssize_t
     for j in range(chunk.count):
-        if is_standing(chunk.others[j], assumptions.others_speed):
+        if chunk.kind[j] == WALL:
             linear: cython.double = (
                 chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
             )
@@ -291,7 +294,7 @@ def _set_corner_wall_caps(
     """
     j: cython.Py_ssize_t
     for j in range(begin, end):
-        if is_standing(chunk.others[j], assumptions.others_speed):
+        if chunk.kind[j] == WALL:
             distance: cython.double = chunk.row_gap[j]
             dx: cython.double = (chunk.x[j] - corner_x) / distance
             dy: cython.double = (chunk.y[j] - corner_y) / distance
@@ -392,7 +395,7 @@ class Constraints:
         ages: cython.p_double = checked(near.points.age, count)
         xs: cython.p_double = checked(near.points.x, count)
         ys: cython.p_double = checked(near.points.y, count)
-        others: cython.p_double = checked(near.points.others, count)
+        kinds: cython.p_longlong = checked_indices(near.points.kind, count)
         while taken < count:
             # 1. Transforms the next returns that may constrain the robot into the chunk. `begin`
             # has left out returns by the oldest ray. The obstacle of a younger ray has less time to
@@ -408,7 +411,8 @@ class Constraints:
                     chunk.x[in_chunk] = frame.x + cos_yaw * x - sin_yaw * y
                     chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
                     chunk.free[in_chunk], chunk.age[in_chunk] = free, ray_age
-                    chunk.radius[in_chunk], chunk.others[in_chunk] = 0.0, others[taken]
+                    chunk.radius[in_chunk], chunk.kind[in_chunk] = 0.0, kinds[taken]
+                    chunk.others[in_chunk] = assumptions.speed_of(kinds[taken])
                     placed.scan_gap[placed_count + in_chunk] = gaps[taken]
                     in_chunk += 1
                 taken += 1
@@ -477,7 +481,7 @@ class Constraints:
         chunk.free[0] = free + moved
         chunk.age[0] = age + REACTION  # when the command takes effect
         chunk.radius[0] = radius
-        chunk.others[0] = self._assumptions.others_speed
+        chunk.kind[0], chunk.others[0] = OTHER, self._assumptions.others_speed
         self._add_chunk(point, 0.0)  # 0: no blind zone, since the lidar does not measure discs
         return self._add_corners(point, 0)  # 0: from the first point of the chunk on
 
@@ -524,7 +528,7 @@ class Constraints:
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
             cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others[j])
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
-        if assumptions.has_wall_caps:
+        if assumptions.has_kinds:
             _set_wall_caps(chunk, axes, assumptions)
         # 2. Writes the constraints behind the rows so far.
         row_x: cython.p_double = checked(rows.x, first_row + count)
@@ -637,7 +641,6 @@ class Constraints:
         rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
         reserve: cython.double = self._assumptions.side_reserve
-        others_speed: cython.double = self._assumptions.others_speed
         gap: cython.p_double = chunk.gap
         cap: cython.p_double = chunk.cap
         # Where `_add_sides` has stored the levers and the side directions.
@@ -651,8 +654,7 @@ class Constraints:
         row_gap: cython.p_double = checked(rows.gap, row + count)
         source: cython.p_longlong = checked_indices(rows.source, row + count)
         for j in range(count):
-            is_wall: cython.bint = is_standing(chunk.others[j], others_speed)
-            if cap[j] <= 0.0 and not is_wall:
+            if cap[j] <= 0.0 and chunk.kind[j] != WALL:
                 half_gap: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
                 # The obstacle may have moved since the scan, so the time begins at the scan.
                 speed: cython.double = half_gap / (chunk.age[j] + DECISION_PERIOD) - reserve
@@ -701,7 +703,7 @@ class Constraints:
         # 1. Finds the strictest limits below the limit of the platform. A point stays -1 without
         # such a limit.
         for j in range(chunk.count):
-            if is_standing(chunk.others[j], others_speed):
+            if chunk.kind[j] == WALL:
                 continue  # such a wall does not approach
             nx: cython.double = chunk.normal_x[j]
             ny: cython.double = chunk.normal_y[j]
@@ -796,7 +798,7 @@ class Constraints:
                 new_cap[j] = closing_cap(distance - free[j], braking, age[j], others[j])
                 new_x[j], new_y[j] = linear * limit, lever * angular_limit
                 new_gap[j] = distance
-            if assumptions.has_wall_caps:
+            if assumptions.has_kinds:
                 _set_corner_wall_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
             self._add_corner(first, begin, end)
         return 0

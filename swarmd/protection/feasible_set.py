@@ -26,10 +26,10 @@ from swarmd.protection.obstacles import (
     DISC_Y,
     NearObstacles,
     ObstacleDiscs,
+    ReturnLayer,
 )
 from swarmd.protection.outline import Outline
 from swarmd.protection.touch_zone import TouchSector
-from swarmd.protection.walls.standing_walls import StandingWalls
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -115,12 +115,12 @@ class FeasibleSet:
     _disc_pose: PlanarPose  # at which a disc was measured, in the same frame
 
     def __init__(
-        self, assumptions: Assumptions, outline: Outline, walls: StandingWalls | None
+        self, assumptions: Assumptions, outline: Outline, layer: ReturnLayer | None
     ) -> None:
         self.assumptions, self.outline = assumptions, outline
         self.reckoning = DeadReckoning(assumptions)
         self.motion = ScanMotion(assumptions, self.reckoning)
-        self.near = NearObstacles(assumptions, outline, self.motion, walls)
+        self.near = NearObstacles(assumptions, outline, self.motion, layer)
         self.discs, self.touch = ObstacleDiscs(), TouchSector()
         self.situation = Situation()
         self.constraints = Constraints(assumptions, outline, self.touch)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core.messages import LimitingObstacle
-from swarmd.protection.barrier_assumptions import REACTION, Assumptions
+from swarmd.protection.barrier_assumptions import REACTION, WALL, Assumptions
 from swarmd.protection.buffers import checked, maximum
 from swarmd.protection.closing_speed import closing_cap, closing_deceleration, wall_cap
 from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints, SpeedAxes
@@ -158,7 +158,7 @@ class LimitingRows:
             assumptions.braking_linear,
             assumptions.braking_angular,
         )
-        if others < assumptions.others_speed:
+        if placed.kind[point] == WALL:
             return wall_cap(room, braking, unseen, others)
         return closing_cap(room, braking, unseen, others)
 

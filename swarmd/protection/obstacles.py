@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.protection.barrier_assumptions import REACTION, Assumptions
-from swarmd.protection.buffers import checked, checked_indices, doubles, indices, take, view
+from swarmd.protection.barrier_assumptions import OTHER, REACTION, Assumptions
+from swarmd.protection.buffers import (
+    checked,
+    checked_indices,
+    doubles,
+    indices,
+    take,
+    take_indices,
+    view,
+)
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.outline import Outline
-from swarmd.protection.walls.standing_walls import StandingWalls
-from swarmd.protection.walls.straight_runs import REACH
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -39,12 +45,45 @@ _ROOM = 96  # points, before there are more
 _FIRST_RUN = cython.declare(cython.Py_ssize_t, 8)  # points that insertion sorts
 
 
+@cython.cclass
+class ReturnLayer:
+    """A layer that tells the kinds of returns, off by default: without it each return is OTHER.
+
+    The kind of a return gives the speed at which its obstacle may approach
+    (`Assumptions.speed_of`), and the caps of its constraints.
+    """
+
+    kinds: cython.longlong[::1]  # of the last scan: the kind of the return of each ray
+    has_kinds: cython.bint  # the last scan has a return that is not OTHER
+    reach: cython.double  # m from the lidar, up to which `observe` needs the directions of rays
+
+    def __init__(self, rays: int) -> None:
+        self.kinds = indices(rays)
+
+    @cython.cfunc
+    def observe(
+        self,
+        ranges: cython.const[cython.double][::1],
+        directions: cython.double[::1],
+        ages: cython.const[cython.double][::1],
+        motion: ScanMotion,
+    ):
+        """Take in a scan: set `kinds` and `has_kinds`.
+
+        Args:
+            ranges: (n,) m. -inf: a return too close to measure, inf: no return.
+            directions: (2n,) the unit vector (x, y) along each ray; set for rays up to `reach`.
+            ages: (n,) s of the rays against the newest ray; empty: all are 0.
+            motion: when and where the scan was taken.
+        """
+
+
 @cython.final
 @cython.cclass
 class Points:
     """Points: places, gaps to the outline in m, and ages in s. The first `count` are in use.
 
-    `others`: m/s at which the obstacle may approach.
+    `kind`: of the obstacle.
     """
 
     count: cython.Py_ssize_t
@@ -52,12 +91,12 @@ class Points:
     y: cython.double[::1]
     gap: cython.double[::1]
     age: cython.double[::1]
-    others: cython.double[::1]
+    kind: cython.longlong[::1]
 
     def __init__(self, room: int) -> None:
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.age = doubles(room), doubles(room)
-        self.others = doubles(room)
+        self.kind = indices(room)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -68,7 +107,7 @@ class Points:
         room += room // 2  # else each further point would make new arrays
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.age = doubles(room), doubles(room)
-        self.others = doubles(room)
+        self.kind = indices(room)
         return 0
 
     @cython.cfunc
@@ -79,12 +118,12 @@ class Points:
         y: cython.double,
         gap: cython.double,
         age: cython.double,
-        others: cython.double,
+        kind: cython.longlong,
     ) -> cython.int:
         """Add a point; `reserve` must have made room."""
         at: cython.Py_ssize_t = self.count
         self.x[at], self.y[at], self.gap[at], self.age[at] = x, y, gap, age
-        self.others[at] = others
+        self.kind[at] = kind
         self.count = at + 1
         return 0
 
@@ -114,17 +153,17 @@ class NearObstacles:
     _assumptions: Assumptions
     _outline: Outline
     _motion: ScanMotion
-    _walls: StandingWalls  # None unless walls are assumed to stand
+    _layer: ReturnLayer  # None: all returns are OTHER
 
     def __init__(
         self,
         assumptions: Assumptions,
         outline: Outline,
         motion: ScanMotion,
-        walls: StandingWalls | None,
+        layer: ReturnLayer | None,
     ) -> None:
         self._assumptions, self._outline = assumptions, outline
-        self._motion, self._walls = motion, walls
+        self._motion, self._layer = motion, layer
         self.points, self._unsorted = Points(_ROOM), Points(_ROOM)
         self._order, self._spare = indices(_ROOM), indices(_ROOM)
         self.rays = Points(16)
@@ -157,11 +196,13 @@ class NearObstacles:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _find_directions(self, ranges: cython.const[cython.double][::1]) -> cython.int:
-        """Find the directions of all rays with a range up to REACH m."""
+    def _find_directions(
+        self, ranges: cython.const[cython.double][::1], reach: cython.double
+    ) -> cython.int:
+        """Find the directions of all rays with a range up to `reach` m."""
         i: cython.Py_ssize_t
         for i in range(len(ranges)):
-            if ranges[i] <= REACH and self._directions[2 * i] != self._directions[2 * i]:
+            if ranges[i] <= reach and self._directions[2 * i] != self._directions[2 * i]:
                 self._find_direction(i)
         return 0
 
@@ -232,11 +273,11 @@ class NearObstacles:
         self.has_contact = False
         self.points.count = self.rays.count = self._unsorted.count = self.contacts = 0
 
-        # 2. Which returns stand.
-        walls: StandingWalls = self._walls
-        if walls is not None:
-            self._find_directions(ranges)
-            walls.observe(ranges, self._directions, ages, self._motion)
+        # 2. The kinds of the returns.
+        layer: ReturnLayer = self._layer
+        if layer is not None:
+            self._find_directions(ranges, layer.reach)
+            layer.observe(ranges, self._directions, ages, self._motion)
 
         # 3. Gaps in m up to which an obstacle matters: for the envelope, and for constraints.
         # `extra_age` in s: how much older than usual the oldest ray may be.
@@ -298,10 +339,11 @@ class NearObstacles:
         near_y: cython.p_double = checked(unsorted.y, count)
         near_gap: cython.p_double = checked(unsorted.gap, count)
         near_age: cython.p_double = checked(unsorted.age, count)
-        near_others: cython.p_double = checked(unsorted.others, count)
-        walls: StandingWalls = self._walls
-        has_standing: cython.bint = walls is not None and walls.has_standing
-        others_speed: cython.double = self._assumptions.others_speed
+        near_kind: cython.p_longlong = checked_indices(unsorted.kind, count)
+        layer: ReturnLayer = self._layer
+        has_kinds: cython.bint = (
+            layer is not None and layer.has_kinds and self._assumptions.has_kinds
+        )
         near_count: cython.Py_ssize_t = 0
         least_range: cython.double = _least_of(ranges)
         # m: the return nearest to the outline, which gives `min_gap`, has at most this range. In a
@@ -319,7 +361,7 @@ class NearObstacles:
                 self._find_direction(i)
             age: cython.double = ages[i] if has_ages else 0.0
             if measured_range == -INFINITY:
-                rays.add(directions[2 * i], directions[2 * i + 1], 0.0, age, others_speed)
+                rays.add(directions[2 * i], directions[2 * i + 1], 0.0, age, OTHER)
                 continue
             measured_range = range_min if measured_range < range_min else measured_range
             # Writes the return behind the near returns. If the return is not near, `near_count`
@@ -328,9 +370,7 @@ class NearObstacles:
             near_y[near_count] = outline.lidar_y + measured_range * directions[2 * i + 1]
             gap: cython.double = outline.gap_of(near_x[near_count], near_y[near_count])
             near_gap[near_count], near_age[near_count] = gap, age
-            near_others[near_count] = others_speed
-            if has_standing and walls.standing[i]:
-                near_others[near_count] = self._assumptions.standing_speed
+            near_kind[near_count] = layer.kinds[i] if has_kinds else OTHER
             if gap < least_gap:
                 least_gap = gap
             if ranges[i] <= longest_range:
@@ -356,7 +396,6 @@ class NearObstacles:
         i: cython.Py_ssize_t
         outline: Outline = self._outline
         age: cython.double = self._motion.oldest
-        others_speed: cython.double = self._assumptions.others_speed
         closest_gap: cython.double = INFINITY
         for i in range(len(hidden)):
             ray_x: cython.double = hidden[i, 0]
@@ -370,9 +409,9 @@ class NearObstacles:
                 if gap < closest_gap:
                     closest_gap = gap
                 if gap <= binding_range:
-                    self._unsorted.add(x, y, gap, age, others_speed)
+                    self._unsorted.add(x, y, gap, age, OTHER)
             else:
-                self.rays.add(ray_x, ray_y, 0.0, age, others_speed)
+                self.rays.add(ray_x, ray_y, 0.0, age, OTHER)
         return closest_gap
 
     @cython.cfunc
@@ -392,13 +431,13 @@ class NearObstacles:
             to_outline: cython.double = outline.along_ray(rays.x[i], rays.y[i])
             x: cython.double = outline.lidar_x + to_outline * rays.x[i]
             y: cython.double = outline.lidar_y + to_outline * rays.y[i]
-            points.add(x, y, 0.0, rays.age[i], rays.others[i])
+            points.add(x, y, 0.0, rays.age[i], rays.kind[i])
         self.contacts = rays.count
         take(unsorted.x, self._order, unsorted.count, points.x, rays.count)
         take(unsorted.y, self._order, unsorted.count, points.y, rays.count)
         take(unsorted.gap, self._order, unsorted.count, points.gap, rays.count)
         take(unsorted.age, self._order, unsorted.count, points.age, rays.count)
-        take(unsorted.others, self._order, unsorted.count, points.others, rays.count)
+        take_indices(unsorted.kind, self._order, unsorted.count, points.kind, rays.count)
         points.count = rays.count + unsorted.count
         return 0
 

@@ -47,6 +47,7 @@ class Chunk:
     age: cython.double[64]
     radius: cython.double[64]
     others: cython.double[64]
+    kind: cython.longlong[64]
     # From `Outline.separate`: gap in m, unit vector from the outline to the point, lever in m of
     # the nearest place about the axle, and m by which the blind zone reaches beyond the outline.
     gap: cython.double[64]

@@ -16,10 +16,7 @@ Mode = Literal["barrier", "potential_field", "stop_zone", "off"]
 Avoidance = Literal["orca", "none"]
 
 ODOMETRY_SHARE = 0.05
-"""The assumed error of odometry between two poses, as a share of the way and of the turn. The poses
-are those of a fence's anchors, or of scans `walls_stand.seconds` apart."""
-STILL = 0.02
-"""m by which the noise of ranges may move the line of a wall between two such scans."""
+"""The assumed error of odometry between two poses, as a share of the way and of the turn."""
 
 
 class PotentialFieldSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -72,13 +69,12 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """The m/s at which the place of a standing return may be wrong, for each s of its age.
 
         Odometry is wrong by ODOMETRY_SHARE of the way of the outline, whose places move at
-        `surface_speed` m/s at most. A wall that moves by less than STILL in `seconds` is not
-        noticed. The speed is `others_speed` at most. Without `walls_stand` it is `others_speed`.
+        `surface_speed` m/s at most. The speed is `others_speed` at most, and without `walls_stand`.
         """
         if self.walls_stand is None:
             return self.others_speed
         error = ODOMETRY_SHARE * (self.surface_speed or self.others_speed)
-        return min(error + STILL / self.walls_stand.seconds, self.others_speed)
+        return min(error + self.walls_stand.unnoticed_speed, self.others_speed)
 
 
 SLOW_SHARE = 0.3

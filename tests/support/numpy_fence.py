@@ -1,4 +1,4 @@
-"""The fence by arrays of numpy, as a second form of `swarmd/protection/fence/fence_stops.py` for tests.
+"""The fence by arrays of numpy, a second form of `protection/fence/fence_stops.py` for tests.
 
 It simulates the stops of all shares of a request at once.
 """

@@ -27,11 +27,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core.values import Platform
+from swarmd.protection.barrier_assumptions import OTHER, WALL
 from swarmd.protection.buffers import doubles, indices
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import MovedWall
-from swarmd.protection.settings import ODOMETRY_SHARE, STILL, WallsStand
+from swarmd.protection.obstacles import ReturnLayer
+from swarmd.protection.settings import ODOMETRY_SHARE
 from swarmd.protection.walls.straight_runs import (
+    REACH,
     RUN_FIELDS,
     RUN_FROM,
     RUN_IS_LONG,
@@ -45,6 +48,7 @@ from swarmd.protection.walls.straight_runs import (
     SPACING,
     StraightRuns,
 )
+from swarmd.protection.walls.walls_settings import STILL, WallsStand
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -120,11 +124,9 @@ def _bin_at(
 
 @cython.final
 @cython.cclass
-class StandingWalls:
+class StandingWalls(ReturnLayer):
     """The walls around one robot that have stood still, and the returns of a scan on them."""
 
-    standing: cython.longlong[::1]  # of the last scan: 1 for each ray whose return stands
-    has_standing: cython.bint  # the last scan has such a return
     patience: cython.double  # 1.5 times the s for which a wall must stand
     is_trusted: cython.bint  # False: no return stands, since a wall was found to move
     # s: the time at which the returns within _NEAR m of this and of all earlier scans have stood
@@ -151,13 +153,14 @@ class StandingWalls:
     _resets: cython.Py_ssize_t
 
     def __init__(self, platform: Platform, walls_stand: WallsStand) -> None:
+        ReturnLayer.__init__(self, len(platform.scan.bearings))
+        self.reach = REACH
         self._length, self._seconds = walls_stand.length, walls_stand.seconds
         self.patience = 1.5 * walls_stand.seconds
         self._period = 1.0 / platform.scan.rate
         self.moved, self._resets, self.is_trusted = None, 0, True
         self.ripe_at = -INFINITY
         self._runs = StraightRuns(platform, walls_stand.length)
-        self.standing = indices(len(platform.scan.bearings))
         self._walls = doubles(_W_FIELDS * _WALLS)
         self._since, self._next_since = doubles(_BINS * _WALLS), doubles(_BINS * _WALLS)
         self.forget()
@@ -174,21 +177,14 @@ class StandingWalls:
         ages: cython.const[cython.double][::1],
         motion: ScanMotion,
     ):
-        """Take in a scan: set `standing` for its rays, and `moved` if it shows a moved wall.
-
-        Args:
-            ranges: (n,) m. -inf: a return too close to measure, inf: no return.
-            directions: (2n,) the unit vector (x, y) along each ray; set for rays up to REACH.
-            ages: (n,) s of the rays against the newest ray; empty: all are 0.
-            motion: when and where the scan was taken.
-        """
+        """Take in a scan, and set `moved` if it shows a moved wall."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)
-        if len(self.standing) < count:
-            self.standing = indices(count)
+        if len(self.kinds) < count:
+            self.kinds = indices(count)
         for i in range(count):
-            self.standing[i] = 0
-        self.has_standing = False
+            self.kinds[i] = OTHER
+        self.has_kinds = False
         self._way += hypot(motion.moved.x, motion.moved.y)
         self._turn += fabs(motion.moved.yaw)
         # No wall can be compared after a lost revolution of the lidar, or after a reset of
@@ -199,7 +195,7 @@ class StandingWalls:
         self._runs.find(ranges, directions, ages)
         self._compare(motion)
         if not self.is_trusted:
-            self.has_standing = False
+            self.has_kinds = False
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -218,7 +214,7 @@ class StandingWalls:
             if runs[RUN_FIELDS * j + RUN_IS_LONG] == 0.0:
                 corner: cython.Py_ssize_t = self._runs.corner_of(j)
                 if corner >= 0:
-                    is_on_wall: cython.bint = self.standing[self._runs.ray[corner]] == 1
+                    is_on_wall: cython.bint = self.kinds[self._runs.ray[corner]] == WALL
                     self._match(RUN_FIELDS * j, is_on_wall, motion)
         # 3. Walls that are elsewhere now, and walls that no run has continued for too long.
         self._find_moved(motion)
@@ -429,7 +425,7 @@ class StandingWalls:
     ) -> cython.int:
         """Mark the returns of a run in bins of a wall that have stood, or beside such a bin.
 
-        Sets `standing` and `has_standing`, and `ripe_at` by the returns in bins that will stand.
+        Sets `kinds` and `has_kinds`, and `ripe_at` by the returns in bins that will stand.
         """
         k: cython.Py_ssize_t
         runs: cython.double[::1] = self._runs.fields
@@ -444,8 +440,8 @@ class StandingWalls:
             place: cython.Py_ssize_t = self._runs.return_of(run, k)
             bin_of_wall: cython.Py_ssize_t = _bin_at(self._walls, runs, at, run, along)
             if self._has_stood(first, bin_of_wall, now):
-                self.standing[self._runs.ray[place]] = 1
-                self.has_standing = True
+                self.kinds[self._runs.ray[place]] = WALL
+                self.has_kinds = True
             elif 0 <= bin_of_wall < _BINS:
                 self._ripen(place, self._next_since[first + bin_of_wall])
         return 0
@@ -687,7 +683,7 @@ class StandingWalls:
         way: cython.double = self._way - walls[at + _W_WAY]
         turn: cython.double = self._turn - walls[at + _W_TURN]
         is_robot_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
-        is_odometry_right: cython.bint = self.has_standing or is_robot_at_rest
+        is_odometry_right: cython.bint = self.has_kinds or is_robot_at_rest
         may_judge: cython.bint = stood >= self._seconds and is_odometry_right
         return may_judge
 

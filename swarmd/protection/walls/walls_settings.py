@@ -6,6 +6,9 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+STILL = 0.02
+"""m by which the noise of ranges may move the line of a wall between two scans."""
+
 
 class WallsStand(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The assumption that long, straight surfaces which have stood still do not begin to move."""
@@ -16,3 +19,8 @@ class WallsStand(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     # s for which the surface must have stood still, seen in each scan. Higher: walls that come into
     # view count later. Lower: a body that stops for a short time counts sooner.
     seconds: Annotated[float, Meta(ge=1.0, le=60.0)] = 2.0
+
+    @property
+    def unnoticed_speed(self) -> float:
+        """The m/s of a wall that moves by less than STILL in `seconds`, which is not noticed."""
+        return STILL / self.seconds

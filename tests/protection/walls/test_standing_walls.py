@@ -266,7 +266,7 @@ def test_all_else_is_charged_as_before(kernel: Any, name: str) -> None:
 @pytest.mark.parametrize("surface", [arc(0.25), arc(0.35), bend(0.7), bend(1.05), staggered(0.06)])
 def test_no_part_of_a_curved_or_rough_surface_stands(surface: list[Segment]) -> None:
     robot = watch(FORMS[0], still(*surface))
-    assert not any(robot.barrier._walls.standing)
+    assert not any(robot.barrier._walls.kinds)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -315,7 +315,7 @@ def test_a_long_wall_stands_beside_a_robot_that_drives() -> None:
     beside = np.abs(BURGER.scan.bearings - 0.5 * math.pi) < 0.2
     for k in range(36):
         robot.see(1.0 + PERIOD * k, [(-2.0, 0.3, 9.0, 0.3)], Pose(0.1 * k))
-        stands = np.all(np.array(robot.barrier._walls.standing)[beside] == 1)
+        stands = np.all(np.array(robot.barrier._walls.kinds)[beside] == 1)
         assert stands == (k >= 10)
 
 
@@ -327,7 +327,7 @@ def test_a_wall_stands_between_its_returns() -> None:
         robot.see(1.0 + PERIOD * k, [(-0.5, 0.3, 1.45, 0.3)], pose)
     bearings = BURGER.scan.bearings
     far = (bearings > math.radians(12.7)) & (bearings < math.radians(14.3))
-    assert np.all(np.array(robot.barrier._walls.standing)[far] == 1)
+    assert np.all(np.array(robot.barrier._walls.kinds)[far] == 1)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
