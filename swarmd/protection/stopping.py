@@ -22,7 +22,7 @@ import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
-from swarmd.protection.buffers import checked, doubles, maximum, sign, view
+from swarmd.protection.buffers import checked, doubles, view
 from swarmd.protection.closing_speed import DECISION_PERIOD
 from swarmd.protection.constraints import Constraints, PlacedPoints, SpeedAxes
 from swarmd.protection.outline import Outline
@@ -33,21 +33,22 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other one
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import cos, fabs, sin, sqrt
+    from cython.cimports.libc.math import copysign, cos, fabs, sin, sqrt
 else:
-    from swarmd.core.cython_shadow import cos, fabs, sin, sqrt
+    from swarmd.core.cython_shadow import copysign, cos, fabs, sin, sqrt
 
 NEGLIGIBLE_SPEED = cython.declare(cython.double, 0.015)
 """m/s: closing at a speed up to this is no approach."""
 FAULT_SPEED = cython.declare(cython.double, 0.02)
 """m/s: a contact at a closing speed up to this is not a fault of the robot."""
+IDEAL_BRAKING = cython.declare(cython.double, 1e9)
+"""m/s2 and rad/s2: an immediate stop."""
 
 _STEPS = cython.declare(cython.Py_ssize_t, 4)  # poses of a simulated stop
 # The simulated stops: with both brakes as assumed (0), and with either brake ideal.
 _BRAKES = cython.declare(cython.Py_ssize_t, 3)
 _IDEAL_LINEAR = cython.declare(cython.Py_ssize_t, 1)
 _IDEAL_ANGULAR = cython.declare(cython.Py_ssize_t, 2)
-_IDEAL_BRAKING = cython.declare(cython.double, 1e9)  # m/s2 and rad/s2: an immediate stop
 # m by which distances may be off by rounding, so that no point that matters is left out
 _ROUNDING = cython.declare(cython.double, 1e-9)
 _SPEED_ROUNDING = cython.declare(cython.double, 1e-12)  # m/s, of the fastest place
@@ -63,6 +64,96 @@ def _speed_shares() -> Array:
 
 _SPEED_SHARES = view(_speed_shares())
 """(24, 2) shares of the two speeds, those nearest to (1, 1) first; the last pair is zero."""
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _slowed(
+    start: cython.double, wanted: cython.double, seconds: cython.double, rate: cython.double
+) -> cython.double:
+    """The speed `seconds` after `start`: for DECISION_PERIOD towards `wanted`, then towards zero.
+
+    It changes at `rate`. NaN if `start` is NaN: such a stop is never clear.
+    """
+    most: cython.double = min(seconds, DECISION_PERIOD) * rate
+    change: cython.double = wanted - start
+    change = -most if change < -most else (most if change > most else change)
+    speed: cython.double = start + change
+    left: cython.double = fabs(speed) - max(seconds - DECISION_PERIOD, 0.0) * rate
+    return 0.0 if left <= 0.0 else copysign(left, speed)
+
+
+@cython.final
+@cython.cclass
+class StopMotion:
+    """The pose of a base in a simulated stop, step by step.
+
+    The base has three speeds: in m/s along a direction (the unit vector `along_x`, `along_y` in the
+    base frame) and aside, to the left of this direction, and in rad/s. The place `x`, `y` and the
+    angle `turned` begin at 0.
+    """
+
+    along_x: cython.double
+    along_y: cython.double
+    heading: cython.double  # rad, the yaw at the begin, in the frame of the place
+    x: cython.double
+    y: cython.double
+    turned: cython.double
+    # Of the last step: m along and aside, and rad.
+    moved: cython.double
+    aside: cython.double
+    arc: cython.double
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def begin(
+        self, along_x: cython.double, along_y: cython.double, heading: cython.double
+    ) -> cython.int:
+        """Begin a stop."""
+        self.along_x, self.along_y, self.heading = along_x, along_y, heading
+        self.x = self.y = self.turned = 0.0
+        return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def advance(
+        self,
+        middle_s: cython.double,
+        step_s: cython.double,
+        along: cython.double,
+        aside: cython.double,
+        turn: cython.double,
+        to_along: cython.double,
+        to_aside: cython.double,
+        to_turn: cython.double,
+        braking: cython.double,
+        turning: cython.double,
+    ) -> cython.int:
+        """Move the pose by a step at the speeds in the middle of the step.
+
+        Args:
+            middle_s: s from the begin of the stop.
+            step_s: s, the duration of the step.
+            along, aside, turn: the speeds at the begin of the stop.
+            to_along, to_aside, to_turn: the command in force until the next decision.
+            braking: m/s2.
+            turning: rad/s2.
+        """
+        self.moved = _slowed(along, to_along, middle_s, braking) * step_s
+        self.aside = _slowed(aside, to_aside, middle_s, braking) * step_s
+        self.arc = _slowed(turn, to_turn, middle_s, turning) * step_s
+        self.turned += self.arc
+        yaw: cython.double = self.heading + self.turned - 0.5 * self.arc
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
+        x: cython.double = cos_yaw * self.along_x - sin_yaw * self.along_y
+        y: cython.double = sin_yaw * self.along_x + cos_yaw * self.along_y
+        self.x += self.moved * x - self.aside * y
+        self.y += self.moved * y + self.aside * x
+        return 0
 
 
 @cython.final
@@ -167,6 +258,7 @@ class StopCheck:
     _points: StopPoints
     _shares: cython.double[:, ::1]
     _forbidding: cython.Py_ssize_t  # the point that forbade the last speeds
+    _motion: StopMotion
     # The simulated stop. At the end of each step: the pose, and the m that a place of the outline
     # has moved at most. At the begin of each step: the speeds.
     _poses: cython.Py_ssize_t  # in the steps after these the outline is too slow to matter
@@ -184,7 +276,7 @@ class StopCheck:
     ) -> None:
         self._assumptions, self._outline = assumptions, outline
         self._constraints, self._points = constraints, StopPoints()
-        self._shares = _SPEED_SHARES
+        self._shares, self._motion = _SPEED_SHARES, StopMotion()
 
     def check_indices(self) -> None:
         """ValueError unless the poses are within the arrays, and the point is in use."""
@@ -312,42 +404,39 @@ class StopCheck:
         j: cython.Py_ssize_t
         axes: SpeedAxes = self._constraints.axes
         radius: cython.double = self._outline.radius
-        speed: cython.double = fabs(linear)
-        turn_rate: cython.double = fabs(angular)
+        motion: StopMotion = self._motion
         linear_braking: cython.double = self._assumptions.braking_linear
         turn_braking: cython.double = self._assumptions.braking_angular
         if brake == _IDEAL_LINEAR:
-            linear_braking = _IDEAL_BRAKING
+            linear_braking = IDEAL_BRAKING
         elif brake == _IDEAL_ANGULAR:
-            turn_braking = _IDEAL_BRAKING
+            turn_braking = IDEAL_BRAKING
         travel: cython.double = 0.0
-        x: cython.double = 0.0
-        y: cython.double = 0.0
-        yaw: cython.double = 0.0
+        motion.begin(axes.along_x, axes.along_y, 0.0)
         self._poses = 0
         for j in range(_STEPS):
-            # 1. Moves the pose at the speeds in the middle of the step. Braking begins at the next
-            # decision, so after DECISION_PERIOD.
-            middle_s: cython.double = step_s * (j + 0.5) - DECISION_PERIOD
-            moved: cython.double = _braked(speed, linear_braking, middle_s) * step_s * sign(linear)
-            turned: cython.double = (
-                _braked(turn_rate, turn_braking, middle_s) * step_s * sign(angular)
+            # 1. Moves the pose. Braking begins at the next decision, so after DECISION_PERIOD.
+            motion.advance(
+                step_s * (j + 0.5),
+                step_s,
+                linear,
+                0.0,
+                angular,
+                linear,
+                0.0,
+                angular,
+                linear_braking,
+                turn_braking,
             )
-            yaw += turned
-            cos_middle: cython.double = cos(yaw - 0.5 * turned)
-            sin_middle: cython.double = sin(yaw - 0.5 * turned)
-            x += moved * (cos_middle * axes.along_x - sin_middle * axes.along_y)
-            y += moved * (sin_middle * axes.along_x + cos_middle * axes.along_y)
-            self._stop_x[j], self._stop_y[j] = x, y
-
-            self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
-            travel += fabs(moved) + fabs(turned) * radius
+            self._stop_x[j], self._stop_y[j] = motion.x, motion.y
+            self._stop_cos[j], self._stop_sin[j] = cos(motion.turned), sin(motion.turned)
+            travel += fabs(motion.moved) + fabs(motion.arc) * radius
             self._stop_travel[j] = travel
 
             # 2. Stores the speeds at the begin of the step, where they are highest.
-            begin_s: cython.double = step_s * j - DECISION_PERIOD
-            self._stop_linear[j] = _braked(speed, linear_braking, begin_s) * sign(linear)
-            self._stop_angular[j] = _braked(turn_rate, turn_braking, begin_s) * sign(angular)
+            begin_s: cython.double = step_s * j
+            self._stop_linear[j] = _slowed(linear, linear, begin_s, linear_braking)
+            self._stop_angular[j] = _slowed(angular, angular, begin_s, turn_braking)
 
             # 3. Is the step fast enough to matter? A speed of NaN is. A turn matters above
             # FAULT_SPEED (`_turns_outwards`), any motion above NEGLIGIBLE_SPEED (`_forbids`).
@@ -509,13 +598,3 @@ def _safe_gap(
     obstacle. `travel`: m that a place of the outline moves at most during the stop.
     """
     return needed_gap + others * seconds + travel + _ROUNDING
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _braked(speed: cython.double, braking: cython.double, seconds: cython.double) -> cython.double:
-    """The speed after `seconds` of braking; `seconds` is negative before braking begins."""
-    braked_s: cython.double = maximum(seconds, 0.0)
-    braked_speed: cython.double = braking * braked_s if braked_s > 0.0 else 0.0
-    return maximum(speed - braked_speed, 0.0)

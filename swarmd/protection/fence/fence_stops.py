@@ -1,9 +1,9 @@
 """The distance to the fence, and stops inside the fence: the arithmetic of fence.py.
 
-A kernel (see `core/kernels.py`). An edge of the fence is a row of five numbers: x and y of its
-start, x and y of its end, and the number of its polygon. Polygon 0 is the outer polygon. Robots
-keep out of the polygons from 1 on. The edges of a polygon follow each other. Units: m, s, rad, in
-the shared frame.
+Part of the library of barrier.py, whose `StopMotion` simulates a stop. An edge of the fence is a
+row of five numbers: x and y of its start, x and y of its end, and the number of its polygon.
+Polygon 0 is the outer polygon. Robots keep out of the polygons from 1 on. The edges of a polygon
+follow each other. Units: m, s, rad, in the shared frame.
 """
 
 from __future__ import annotations
@@ -12,28 +12,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.clock import TICK
 from swarmd.core.values import Array
+from swarmd.protection.buffers import view
+from swarmd.protection.closing_speed import DECISION_PERIOD
+from swarmd.protection.stopping import IDEAL_BRAKING, StopMotion
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, copysign, cos, fabs, hypot, sin, sqrt
+    from cython.cimports.libc.math import INFINITY, fabs, hypot, sqrt
 else:
-    from swarmd.core.cython_shadow import INFINITY, copysign, cos, fabs, hypot, sin, sqrt
+    from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
 
-_STEPS = cython.declare(cython.Py_ssize_t, 8)  # of a simulated stop
-_IDEAL_BRAKING = cython.declare(cython.double, 1e9)  # m/s2 or rad/s2: stops at once
-_ROUNDING = cython.declare(cython.double, 1e-9)  # m
-_TICK = cython.declare(cython.double, TICK)
-
-
-def _view(values: Array):
-    """`values` (n, m) as the kernel reads them: in CPython as numbers of Python."""
-    table = np.ascontiguousarray(values, np.float64)
-    return table if cython.compiled else memoryview(table)
+_FENCE_STEPS = cython.declare(cython.Py_ssize_t, 8)  # of a simulated stop
+_PLACE_ROUNDING = cython.declare(cython.double, 1e-9)  # m
 
 
 @cython.cfunc
@@ -102,8 +96,8 @@ def _clearance(
 
 def clearances(edges: Array, places: Array, radius: cython.double) -> Array:
     """(n,) m from the circles of `radius` around `places` (n, 2) to the fence; negative outside."""
-    table: cython.double[:, ::1] = _view(edges)
-    given: cython.double[:, ::1] = _view(places)
+    table: cython.double[:, ::1] = view(edges)
+    given: cython.double[:, ::1] = view(places)
     i: cython.Py_ssize_t
     found = np.empty(len(places))
     for i in range(len(given)):
@@ -113,7 +107,7 @@ def clearances(edges: Array, places: Array, radius: cython.double) -> Array:
 
 def clearance(edges: Array, x: cython.double, y: cython.double, radius: cython.double) -> float:
     """The clearance of one place."""
-    table: cython.double[:, ::1] = _view(edges)
+    table: cython.double[:, ::1] = view(edges)
     return _clearance(table, table, len(table), x, y, radius)
 
 
@@ -125,10 +119,10 @@ def _nearby(edges: cython.double[:, ::1], x: cython.double, y: cython.double, wa
     count: cython.Py_ssize_t = 0
     least: cython.double = INFINITY
     found = np.empty((len(edges), 5))
-    near: cython.double[:, ::1] = _view(found)
+    near: cython.double[:, ::1] = view(found)
     for i in range(len(edges)):
         least = min(least, _squared_distance(edges, i, x, y))
-    most: cython.double = sqrt(least) + 2.0 * way + _ROUNDING
+    most: cython.double = sqrt(least) + 2.0 * way + _PLACE_ROUNDING
     for i in range(len(edges)):
         if _squared_distance(edges, i, x, y) <= most * most:
             for j in range(5):
@@ -158,6 +152,7 @@ class _Stops:
     speed_turn: cython.double
     braking: cython.double
     turning: cython.double
+    motion: StopMotion
 
     @cython.cfunc
     @cython.exceptval(check=False)
@@ -175,8 +170,8 @@ class _Stops:
         t: cython.double = self.turning
         return (
             self.is_inside(ahead, left, turn, ahead, left, turn, b, t)
-            and self.is_inside(ahead, left, turn, ahead, left, turn, _IDEAL_BRAKING, t)
-            and self.is_inside(ahead, left, turn, ahead, left, turn, b, _IDEAL_BRAKING)
+            and self.is_inside(ahead, left, turn, ahead, left, turn, IDEAL_BRAKING, t)
+            and self.is_inside(ahead, left, turn, ahead, left, turn, b, IDEAL_BRAKING)
             and self.is_inside(
                 self.speed_ahead, self.speed_left, self.speed_turn, ahead, left, turn, b, t
             )
@@ -197,9 +192,9 @@ class _Stops:
     ) -> cython.bint:
         """True if the circle stays clear, or comes inwards, in a stop.
 
-        The base begins at the speeds `ahead`, `left` and `turn`. For TICK these speeds change
-        towards `to_ahead`, `to_left` and `to_turn`, then towards zero, at `braking` in m/s2 and
-        `turning` in rad/s2. At each step of the stop the circle must be clear, or come inwards.
+        The base begins at the speeds `ahead`, `left` and `turn`, which change towards `to_ahead`,
+        `to_left` and `to_turn`, then towards zero (`StopMotion.advance`). At each step of the stop
+        the circle must be clear, or come inwards.
 
         An error of the direction moves the place by `turn_error` times the way. So the clearance of
         a step may be wrong by this distance (`off`):
@@ -211,62 +206,47 @@ class _Stops:
         """
         top_speed: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
         top_turn: cython.double = max(fabs(turn), fabs(to_turn))
-        stop_s: cython.double = _TICK + max(top_speed / braking, top_turn / turning)
-        step: cython.double = stop_s / _STEPS
+        stop_s: cython.double = DECISION_PERIOD + max(top_speed / braking, top_turn / turning)
+        step: cython.double = stop_s / _FENCE_STEPS
         way: cython.double = 0.0
-        east: cython.double = 0.0
-        north: cython.double = 0.0
-        turned: cython.double = 0.0
         last_room: cython.double = self.present  # m, the clearance at the step before
+        motion: StopMotion = self.motion
+        motion.begin(1.0, 0.0, self.yaw)
         i: cython.Py_ssize_t
-        for i in range(_STEPS):
-            # 1. Moves the axle at the speeds in the middle of the step.
-            middle_s: cython.double = step * (i + 0.5)
-            driven: cython.double = min(middle_s, _TICK)  # s towards the command
-            braked: cython.double = max(middle_s - _TICK, 0.0)  # s towards zero
-            along: cython.double = _slowed(ahead, to_ahead, driven, braked, braking) * step
-            aside: cython.double = _slowed(left, to_left, driven, braked, braking) * step
-            arc: cython.double = _slowed(turn, to_turn, driven, braked, turning) * step
-            turned += arc
-            middle_yaw: cython.double = self.yaw + turned - 0.5 * arc
-            cos_yaw: cython.double = cos(middle_yaw)
-            sin_yaw: cython.double = sin(middle_yaw)
-            east += cos_yaw * along - sin_yaw * aside
-            north += sin_yaw * along + cos_yaw * aside
-            moved: cython.double = hypot(along, aside)
+        for i in range(_FENCE_STEPS):
+            # 1. Moves the axle.
+            motion.advance(
+                step * (i + 0.5),
+                step,
+                ahead,
+                left,
+                turn,
+                to_ahead,
+                to_left,
+                to_turn,
+                braking,
+                turning,
+            )
+            moved: cython.double = hypot(motion.moved, motion.aside)
             way += moved
             # 2. The circle must be clear, or come inwards.
             room: cython.double = _clearance(
-                self.edges, self.near, self.count, self.x + east, self.y + north, self.radius
+                self.edges,
+                self.near,
+                self.count,
+                self.x + motion.x,
+                self.y + motion.y,
+                self.radius,
             )
             off: cython.double = self.turn_error * way
             is_clear: cython.bint = room >= self.need + off + 0.5 * moved
-            has_fallen: cython.bint = room < last_room - _ROUNDING
-            has_risen: cython.bint = not room < self.present + off - _ROUNDING
+            has_fallen: cython.bint = room < last_room - _PLACE_ROUNDING
+            has_risen: cython.bint = not room < self.present + off - _PLACE_ROUNDING
             comes_inwards: cython.bint = has_risen and not has_fallen
             if not (is_clear or comes_inwards):
                 return False
             last_room = room
         return True
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _slowed(
-    start: cython.double,
-    wanted: cython.double,
-    driven: cython.double,
-    braked: cython.double,
-    rate: cython.double,
-) -> cython.double:
-    """The speed after `driven` s towards `wanted` and `braked` s towards zero, at `rate`."""
-    most: cython.double = driven * rate
-    change: cython.double = wanted - start
-    change = -most if change < -most else (most if change > most else change)
-    speed: cython.double = start + change
-    left: cython.double = fabs(speed) - braked * rate
-    return copysign(left, speed) if left > 0.0 else 0.0
 
 
 def nearest_permitted(
@@ -295,14 +275,15 @@ def nearest_permitted(
         brakings: m/s2 and rad/s2.
         room: `radius`, `present`, `need` and `turn_error` of `_Stops`.
     """
-    table: cython.double[:, ::1] = _view(edges)
-    given: cython.double[:, ::1] = _view(shares)
+    table: cython.double[:, ::1] = view(edges)
+    given: cython.double[:, ::1] = view(shares)
     ahead: cython.double
     left: cython.double
     turn: cython.double
     linear_size: cython.double
     turn_size: cython.double
     stops: _Stops = _Stops()
+    stops.motion = StopMotion()
     ahead, left, turn = request
     linear_size, turn_size = sizes
     stops.speed_ahead, stops.speed_left, stops.speed_turn = speeds
@@ -314,7 +295,9 @@ def nearest_permitted(
     top_speed: cython.double = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
     top_turn: cython.double = max(fabs(turn), fabs(stops.speed_turn))
     longest_s: cython.double = max(top_speed / stops.braking, top_turn / stops.turning)
-    stops.near, stops.count = _nearby(table, stops.x, stops.y, top_speed * (_TICK + longest_s))
+    stops.near, stops.count = _nearby(
+        table, stops.x, stops.y, top_speed * (DECISION_PERIOD + longest_s)
+    )
     if stops.permits(ahead, left, turn):
         return len(given)
     # 2. The nearest permitted share.
