@@ -81,7 +81,7 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
     # All rays of a sector of a simulated scan are measured at one time. A ROS message has one
     # `time_increment` from ray to ray, so for ROS the sectors must be small.
     world = world_of(scenario, options.seed, sectors=10 if options.emulator is None else 100)
-    if options.shared_frame or any(one.fence for one in scenario.settings.values()):
+    if options.shared_frame or any(one.layers for one in scenario.settings.values()):
         world.posed = frozenset(range(len(world.ids)))  # all robots get their poses in the world
     recorder = LiveRecorder(world, options, _meta(options, scenario))
 

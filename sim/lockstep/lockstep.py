@@ -140,13 +140,13 @@ class Lockstep:
         installed = cache(lambda: _loader(scenario))
         self._find = lambda name: patterns.get(name) or installed()(name)
         self._radio = radio_of(scenario, seed)
-        # A fence needs the pose of each robot in the world.
+        # A layer that bounds commands needs the pose of each robot in the world.
         self.world.posed = frozenset(
             row
             for row, (robot, platform) in enumerate(
                 zip(self.world.ids, self._platforms, strict=True)
             )
-            if scenario.settings[robot].fence is not None or "pose" in platform.provides
+            if scenario.settings[robot].layers or "pose" in platform.provides
         )
         self._begin_schedules()
         self._begin_bodies()

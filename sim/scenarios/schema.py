@@ -127,8 +127,8 @@ class ScenarioFile(RobotSettings, Struct, frozen=True, kw_only=True, forbid_unkn
     - `platforms` overrides values of a platform's own file, or describes a new platform.
     - `start` places the robots of all groups that have no `start` of their own, as one group.
     - `parameters`, by pattern, apply to all robots; the parameters of a group prevail.
-    - The keys of `RobotSettings`, such as `fence`, are as in swarm.yaml, for all robots. The frame
-      of a fence is `world`. The `touch` of a group prevails.
+    - The keys of `RobotSettings`, such as `on_low_battery`, are as in swarm.yaml, for all robots.
+      The shared frame is `world`. The `touch` of a group prevails.
     - `plugin_dir` is relative to the file.
     - `pseudo_reality` has bounds of keys of `realism` and `radio`, such as
       `{realism.lidar.dropout: [0, 0.1]}`. Each seed draws values within the bounds. True: the

@@ -22,7 +22,7 @@ import swarmd.config
 from studies.safety.judgement import Judgement, judge
 from studies.safety.scenes import ATTACKERS, Scene, scenario
 from swarmd.core.errors import ConfigError
-from swarmd.protection.decision import MOVING_WALL
+from swarmd.protection.walls.walls_settings import MOVING_WALL
 from swarmd.sim.experiments.provenance import digest_of_code, git_state
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario

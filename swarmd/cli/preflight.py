@@ -10,6 +10,7 @@ from time import monotonic
 from typing import Any
 
 import click
+import msgspec
 
 from swarmd.cli.plugin_check import Record, check_runs, describe_patterns, parameter_fault
 from swarmd.core.errors import SwarmError, unknown
@@ -26,9 +27,8 @@ from swarmd.kit.touch import describe_zone, granted_zones
 from swarmd.network.settings import ONLY_HERE
 from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
-from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.modes import make_mode, narrowest_passage
-from swarmd.protection.settings import SLOW_SHARE
+from swarmd.protection.settings import SLOW_SHARE, BarrierSettings
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.settings import DaemonSettings
@@ -47,7 +47,7 @@ def check_daemon(settings: DaemonSettings) -> int:
         Finding("platform", True, _platform_text(settings)),
         *_check_passage(settings),
         Finding("peers", True, peers_text(settings)),
-        *_check_fence(settings),
+        *[Finding(key, True, layer.text) for key, layer in settings.robot.layers.items()],
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
@@ -89,22 +89,6 @@ def _check_passage(settings: DaemonSettings) -> list[Finding]:
     return [] if passage is None else [Finding("passes", True, passage_text(passage))]
 
 
-def _check_fence(settings: DaemonSettings) -> list[Finding]:
-    """The fence as configured; its polygons were checked with the settings."""
-    fence = settings.robot.fence
-    return [] if fence is None else [Finding("fence", True, fence_settings_text(fence))]
-
-
-def fence_settings_text(fence: FenceSettings) -> str:
-    """The fence in one line."""
-    areas = f", {len(fence.keep_out)} areas to keep out of" if fence.keep_out else ""
-    without = "stands" if fence.without_pose == "hold" else "drives on without the fence"
-    return (
-        f"{len(fence.polygon)} corners in frame {fence.frame!r}{areas}; keeps {fence.margin:g} m of"
-        f" margin; without a fresh pose the robot {without}"
-    )
-
-
 def peers_text(settings: DaemonSettings) -> str:
     """The platforms of swarmd whose robots make this robot stand, as text.
 
@@ -140,11 +124,10 @@ def protection_text(protection: Mapping[str, Any]) -> str:
             f" their returns, and braking with {barrier['braking_linear']:g} m/s2 and"
             f" {barrier['braking_angular']:g} rad/s2; keeps {barrier['margin']:g} m of margin"
         )
-        keep_out, walls = barrier["keep_out"], barrier["walls_stand"]
+        keep_out = barrier["keep_out"]
         text = text if keep_out is None else f"{text}, and {keep_out:g} m around the sensor"
-        if walls is None:
-            return text
-        return f"{text}; walls of {walls['length']:g} m that stood for {walls['seconds']:g} s stand"
+        settings = msgspec.convert(barrier, BarrierSettings)
+        return "; ".join([text, *[layer.text for layer in settings.layers.values()]])
     if mode == "stop_zone":
         zone = protection["stop_zone"]
         share = f"{SLOW_SHARE:.0%} of the requested speed"

@@ -127,7 +127,7 @@ def cclass(kind: type) -> Any:
     }
 
     def new(cls: type, *_given: object, **_named: object) -> Any:
-        self: Any = kind.__bases__[0].__new__(cls)
+        self: Any = kind.__bases__[0].__new__(cls)  # type: ignore[call-overload]  # no metaclass
         for name, type_ in types.items():
             setattr(self, name, type_.begin())
         return self

@@ -162,10 +162,9 @@ def _fault_of(name: str) -> str:
     views = _opened(VIEWS)
     if path is None or library is None or views is None:
         return _NOT_COMPILED
-    package = f"{name.rpartition('.')[0]}."
-    inside = [kernel.removeprefix(package).replace(".", "/") for kernel in LIBRARIES[name]]
-    files = [path.parent / f"{place}.py" for place in inside]
-    sources = [file.read_bytes() for file in files if file.exists()]
+    # The paths of the kernels in the folder of the library.
+    inside = (one[name.rfind(".") + 1 :].replace(".", "/") for one in LIBRARIES[name])
+    sources = [file.read_bytes() for one in inside if (file := path.parent / f"{one}.py").exists()]
     is_stale = _digest_in(library, "views_digest") != _digest_in(views, "views_digest")
     if sources:
         is_stale |= _digest_in(library, "source_digest") != digest_of(sources)

@@ -22,7 +22,7 @@ over several scans. All motion of the robot itself and the standard deviations a
 rest is compared with `others_speed`. The test finds an object that approaches, but no object that
 passes.
 
-Walls that stand (`walls_stand`): standing_walls.py tells each wall that moved. The second such wall
+Walls that stand (walls/): the layer tells each wall that moved. The second such wall
 within 10 min is a violation. No wall counts as standing then, and the full speed is safe. The
 violation ends _WALL_DOUBT s after the last wall that moved, or by an operator.
 
@@ -46,8 +46,9 @@ import msgspec
 import numpy as np
 
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
-from swarmd.protection.decision import MOVING_WALL, MovedWall
+from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import BarrierSettings
+from swarmd.protection.walls.walls_settings import MOVING_WALL
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Collection

@@ -77,23 +77,6 @@ def take(
 
 
 @cython.cfunc
-def take_indices(
-    values: cython.longlong[::1],
-    order: cython.longlong[::1],
-    count: cython.Py_ssize_t,
-    into: cython.longlong[::1],
-    begin: cython.Py_ssize_t,
-):
-    """As `take`, for indices."""
-    i: cython.Py_ssize_t
-    index: cython.p_longlong = checked_indices(order, count)
-    given: cython.p_longlong = checked_indices(values, count)
-    to: cython.p_longlong = checked_indices(into, begin + count)
-    for i in range(count):
-        to[begin + i] = given[index[i]]
-
-
-@cython.cfunc
 @cython.inline
 @cython.exceptval(check=False)
 def maximum(a: cython.double, b: cython.double) -> cython.double:
@@ -107,14 +90,6 @@ def maximum(a: cython.double, b: cython.double) -> cython.double:
 def at_least(value: cython.double, least: cython.double) -> cython.double:
     """As `maximum` for a `least` that is not NaN: one instruction in place of six."""
     return least if least > value else value
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def sign(a: cython.double) -> cython.double:
-    """-1, 0 or 1; 0 for NaN."""
-    return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0)
 
 
 @cython.cfunc

@@ -252,6 +252,27 @@ def _is_near_corners(
 
 
 @cython.cfunc
+@cython.inline
+@cython.exceptval(-1.0, check=True)
+def _wall_cap(
+    chunk: Chunk,
+    j: cython.Py_ssize_t,
+    linear: cython.double,
+    lever: cython.double,
+    gap: cython.double,
+    assumptions: Assumptions,
+) -> cython.double:
+    """The cap in m/s of one place of the outline towards point `j` of a wall that stands.
+
+    `linear`, `lever`: as of `Constraints._add`. `gap`: m from the place to the point.
+    """
+    braking: cython.double = closing_deceleration(
+        linear, lever, assumptions.braking_linear, assumptions.braking_angular
+    )
+    return wall_cap(gap - chunk.free[j], braking, chunk.age[j], chunk.others[j])
+
+
+@cython.cfunc
 @cython.exceptval(-1)
 def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> cython.int:
     """Replace the caps of points of walls that stand by `wall_cap`.
@@ -265,11 +286,7 @@ def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> c
             linear: cython.double = (
                 chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
             )
-            braking: cython.double = closing_deceleration(
-                linear, chunk.lever[j], assumptions.braking_linear, assumptions.braking_angular
-            )
-            room: cython.double = chunk.gap[j] - chunk.free[j]
-            chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+            chunk.cap[j] = _wall_cap(chunk, j, linear, chunk.lever[j], chunk.gap[j], assumptions)
             chunk.hidden[j] = 0.0
     return 0
 
@@ -300,11 +317,7 @@ def _set_corner_wall_caps(
             dy: cython.double = (chunk.y[j] - corner_y) / distance
             linear: cython.double = dx * axes.along_x + dy * axes.along_y
             lever: cython.double = corner_x * dy - corner_y * dx
-            braking: cython.double = closing_deceleration(
-                linear, lever, assumptions.braking_linear, assumptions.braking_angular
-            )
-            room: cython.double = distance - chunk.free[j]
-            chunk.row_cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+            chunk.row_cap[j] = _wall_cap(chunk, j, linear, lever, distance, assumptions)
     return 0
 
 

@@ -1,15 +1,27 @@
-"""The inputs and the result of one decision of protection."""
+"""The inputs and the result of one decision of protection, and the interface of its layers.
+
+A layer is a folder here, which the settings of a robot add to its mode. All layers are off by
+default. A layer acts in one of two ways:
+
+1. It tells the kind of each return of a scan, and so the speed at which the obstacle may approach:
+   `ReturnLayer` (obstacles.py), of the mode `barrier`. Its settings are a section of `barrier`.
+2. It bounds the command, before and after the mode: `CommandLayer`, which `Protection` calls. Its
+   settings are a section of swarm.yaml (`RobotSettings.layers`).
+
+The settings of a layer are what all others know of it (`LayerSettings`): status, `swarmd --check`
+and the checks of files ask them by their key.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from msgspec import Struct
 
 from swarmd.core.avoided import Avoided
 from swarmd.core.messages import LimitingObstacle, Reason
-from swarmd.core.values import Array, Odometry, Pose, TouchZone, Twist
+from swarmd.core.values import Array, Odometry, Pose, SharedPose, TouchZone, Twist
 
 
 class ToldObstacle(Struct, frozen=True, array_like=True, gc=False):
@@ -29,7 +41,7 @@ class ToldObstacle(Struct, frozen=True, array_like=True, gc=False):
 
 
 class Anchor(Struct, frozen=True, array_like=True, gc=False):
-    """The pose of the robot in the frame of its fence, at the time of a measured pose."""
+    """The pose of the robot in a shared frame, at the time of a measured pose."""
 
     pose: Pose
     """in the shared frame"""
@@ -63,7 +75,7 @@ class DecisionContext(Struct, frozen=True, gc=False):
     near: tuple[ToldObstacle, ...] = ()
     """returns of the platform's ring of range sensors"""
     anchor: Anchor | None = None
-    """the pose in the frame of the fence; None without a fence or without a usable pose"""
+    """for layers that bound commands; None without such a layer or without a usable pose"""
 
     @property
     def near_points(self) -> Array:
@@ -96,12 +108,8 @@ class Permit(Struct, frozen=True):
 NO_PERMIT = Permit()
 
 
-MOVING_WALL = "moving_wall"
-"""How events and the finding about walls that moved begin."""
-
-
 class MovedWall(Struct, frozen=True, gc=False):
-    """A wall that had stood and that the last scans show elsewhere, against `walls_stand`."""
+    """A wall that had stood and that the last scans show elsewhere."""
 
     stood: float
     """s for which the wall had stood"""
@@ -109,6 +117,17 @@ class MovedWall(Struct, frozen=True, gc=False):
     """m that its end which moved farther has moved since the wall was last seen in place"""
     speed: float
     """m/s, the mean since then"""
+
+
+class LayerView(Struct, frozen=True):
+    """The place of a robot against a layer that bounds commands (`CommandLayer`).
+
+    `clearance`: m from the circle around the outline to the bound; negative if the circle is not
+    inside. `error`: m, bound of the error of the clearance.
+    """
+
+    clearance: float
+    error: float
 
 
 class ModeDecision(Struct, frozen=True, gc=False):
@@ -158,5 +177,62 @@ class Decision(Struct, frozen=True, gc=False):
     """the share of the mode's command that the driver gets; below 1 after a violated assumption"""
     avoided: Avoided | None = None
     """what steering led the robot past; None: nothing"""
-    is_fenced: bool = False
-    """the fence changed the command"""
+    is_bounded: bool = False
+    """a layer changed the command (`CommandLayer`)"""
+
+
+class LayerSettings(Protocol):
+    """The settings of a layer."""
+
+    @property
+    def text(self) -> str:
+        """The settings in one line of `swarmd --check`."""
+
+    def summary(
+        self, findings: tuple[str, ...], view: LayerView | None, is_bounded: bool, pose_text: str
+    ) -> Struct:
+        """The value of the layer's field of the status.
+
+        Args:
+            findings: the assumptions that were found violated.
+            view: None without a usable pose, and for a layer that bounds no command.
+            is_bounded: a layer changed the last command.
+            pose_text: why there is no usable pose; empty with one.
+        """
+
+
+class CommandLayer(Protocol):
+    """A bound on commands. Zero is always permitted."""
+
+    def limit(
+        self, requested: Twist, context: DecisionContext, command: Twist, *, is_even: bool = False
+    ) -> Twist:
+        """The permitted command near the request; the request itself if it is permitted."""
+
+    def view(self, context: DecisionContext) -> LayerView | None:
+        """The place of the robot against the bound; None without a usable pose."""
+
+    def points(self, context: DecisionContext, within: float) -> Array:
+        """(k, 2) points of the bound within `within` m of the axle, in m in the base frame."""
+
+
+class PoseAnchors(Protocol):
+    """What decides which poses in a shared frame a `CommandLayer` may use."""
+
+    @property
+    def until(self) -> float:
+        """The time until which the robot may drive; -inf without a usable pose; inf if always."""
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """Take in a reading."""
+
+    def on_pose(
+        self, pose: SharedPose, at: float, errors: tuple[float, float], odometry_at: float
+    ) -> None:
+        """Take in the own pose at the time `at`."""
+
+    def anchor(self, now: float) -> Anchor | None:
+        """The pose in use with its odometry; None without a fresh pose."""
+
+    def text(self, now: float) -> str:
+        """Why there is no anchor; empty with one."""

@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.protection.barrier_assumptions import OTHER, REACTION, Assumptions
-from swarmd.protection.buffers import (
-    checked,
-    checked_indices,
-    doubles,
-    indices,
-    take,
-    take_indices,
-    view,
-)
+from swarmd.protection.buffers import checked, checked_indices, doubles, indices, take, view
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.outline import Outline
 
@@ -34,6 +26,9 @@ else:
 NO_NUMBERS = view(np.empty(0))
 NO_ROWS = view(np.empty((0, 4)))
 """No hidden obstacle, and no disc."""
+
+REACH = cython.declare(cython.double, 1.5)
+"""m from the lidar, up to which a layer of returns looks."""
 
 # The columns of the table of discs.
 DISC_X = cython.declare(cython.Py_ssize_t, 0)  # m, in the base frame when the disc was measured
@@ -55,7 +50,6 @@ class ReturnLayer:
 
     kinds: cython.longlong[::1]  # of the last scan: the kind of the return of each ray
     has_kinds: cython.bint  # the last scan has a return that is not OTHER
-    reach: cython.double  # m from the lidar, up to which `observe` needs the directions of rays
 
     def __init__(self, rays: int) -> None:
         self.kinds = indices(rays)
@@ -72,7 +66,7 @@ class ReturnLayer:
 
         Args:
             ranges: (n,) m. -inf: a return too close to measure, inf: no return.
-            directions: (2n,) the unit vector (x, y) along each ray; set for rays up to `reach`.
+            directions: (2n,) the unit vector (x, y) along each ray; set for rays up to REACH.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
             motion: when and where the scan was taken.
         """
@@ -196,13 +190,11 @@ class NearObstacles:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _find_directions(
-        self, ranges: cython.const[cython.double][::1], reach: cython.double
-    ) -> cython.int:
-        """Find the directions of all rays with a range up to `reach` m."""
+    def _find_directions(self, ranges: cython.const[cython.double][::1]) -> cython.int:
+        """Find the directions of all rays with a range up to REACH m."""
         i: cython.Py_ssize_t
         for i in range(len(ranges)):
-            if ranges[i] <= reach and self._directions[2 * i] != self._directions[2 * i]:
+            if ranges[i] <= REACH and self._directions[2 * i] != self._directions[2 * i]:
                 self._find_direction(i)
         return 0
 
@@ -276,7 +268,7 @@ class NearObstacles:
         # 2. The kinds of the returns.
         layer: ReturnLayer = self._layer
         if layer is not None:
-            self._find_directions(ranges, layer.reach)
+            self._find_directions(ranges)
             layer.observe(ranges, self._directions, ages, self._motion)
 
         # 3. Gaps in m up to which an obstacle matters: for the envelope, and for constraints.
@@ -437,7 +429,8 @@ class NearObstacles:
         take(unsorted.y, self._order, unsorted.count, points.y, rays.count)
         take(unsorted.gap, self._order, unsorted.count, points.gap, rays.count)
         take(unsorted.age, self._order, unsorted.count, points.age, rays.count)
-        take_indices(unsorted.kind, self._order, unsorted.count, points.kind, rays.count)
+        for i in range(unsorted.count):
+            points.kind[rays.count + i] = unsorted.kind[self._order[i]]
         points.count = rays.count + unsorted.count
         return 0
 

@@ -23,11 +23,12 @@ from swarmd.protection.decision import (
     Clearance,
     Decision,
     DecisionContext,
+    LayerView,
     ModeDecision,
     Permit,
     Steered,
 )
-from swarmd.protection.fence.fence import Fence, FenceView
+from swarmd.protection.fence.fence import Fence
 from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_mode, narrowest_passage
@@ -95,7 +96,8 @@ class Protection:
     _limits: object
     _mode = cython.declare(object, visibility="public")
     _monitor = cython.declare(object, visibility="public")
-    _fence: object  # None without a fence
+    _bounds: tuple  # the layers that bound commands
+    _is_bounded: cython.bint  # a bound changed the last command that `_judge` gave
     _footprint: object
     _geometry: object
     _latency: cython.double
@@ -117,9 +119,9 @@ class Protection:
     _last_case: tuple  # of `decide`
     _last_decision: object
 
-    def __init__(self, platform: Platform, fence: FenceSettings | None = None) -> None:
+    def __init__(self, platform: Platform, layers: Collection[FenceSettings] = ()) -> None:
         self._limits = platform.limits
-        self._fence = None if fence is None else Fence(fence, platform)
+        self._bounds = tuple([Fence(layer, platform) for layer in layers])
         self._mode = make_mode(platform)
         self._footprint = Footprint(platform.footprint)
         self._geometry = ScanGeometry(platform.scan)
@@ -240,13 +242,9 @@ class Protection:
         case = clipped, candidate, is_replaced != 0, is_recovering, touch
         if context is self._last_context and case == self._last_case:
             return self._last_decision
-        # 5. The mode limits the candidate, within the fence.
+        # 5. The mode limits the candidate, within the bounds of layers.
         mode_request = self._limits.clip(candidate) if is_replaced else candidate
-        is_fenced: cython.bint = False
-        if self._fence is not None:
-            decision, is_fenced = self._fenced(mode_request, context, touch)
-        else:
-            decision = self._mode.decide(mode_request, context, self._safe, touch)
+        decision = self._judge(mode_request, context, touch)
         twist = decision.twist
         is_active: cython.bint = is_replaced or decision.is_active
         if not _is_finite(twist):
@@ -256,7 +254,7 @@ class Protection:
         if _is_nearly_zero(twist):
             reason = Reason.PROTECTION if is_active else Reason.NO_REQUESTED_COMMAND
         last = self._last_decision = self._decision(
-            clipped, twist, is_active, decision.rows, reason, context, steered, is_fenced
+            clipped, twist, is_active, decision.rows, reason, context, steered, self._is_bounded
         )
         self._last_context, self._last_case = context, case
         return last
@@ -277,34 +275,33 @@ class Protection:
         self, context: DecisionContext, touch: TouchZone | None, requested: Twist
     ) -> Twist:
         """What the mode would permit of any requested command in the situation of `context`."""
-        if self._fence is not None:
-            decision, _ = self._fenced(self._limits.clip(requested), context, touch)
-            return decision.twist
-        return self._mode.decide(self._limits.clip(requested), context, self._safe, touch).twist
+        return self._judge(self._limits.clip(requested), context, touch).twist
 
-    def _fenced(self, request, context, touch):
-        """The decision of the mode within the fence, and whether the fence changed a command.
+    @cython.cfunc
+    def _judge(self, request, context, touch):
+        """The decision of the mode within all bounds; sets `_is_bounded`.
 
-        The fence limits the request, and then the command of a mode that changed the request. The
+        A bound limits the request, and then the command of a mode that changed the request. The
         second limit reduces all speeds by one share: the result still satisfies the constraints of
         the mode, since these are convex and permit zero.
         """
-        fence, command = self._fence, self._safe
-        asked = fence.limit(request, context, command)
+        command, asked = self._safe, request
+        for bound in self._bounds:
+            asked = bound.limit(asked, context, command)
         decision = self._mode.decide(asked, context, command, touch)
         twist = decision.twist
         if twist is not asked:
-            twist = fence.limit(twist, context, command, is_even=True)
-        if asked is request and twist is decision.twist:
-            return decision, False
-        return ModeDecision(twist, True, decision.rows), True
+            for bound in self._bounds:
+                twist = bound.limit(twist, context, command, is_even=True)
+        self._is_bounded = asked is not request or twist is not decision.twist
+        return ModeDecision(twist, True, decision.rows) if self._is_bounded else decision
 
-    def fence_view(self, context: DecisionContext) -> FenceView | None:
-        """The place of the robot against its fence; None without a fence or a usable pose."""
-        return None if self._fence is None else self._fence.view(context)
+    def views(self, context: DecisionContext) -> list[LayerView | None]:
+        """The place of the robot against each bound; None without a usable pose."""
+        return [bound.view(context) for bound in self._bounds]
 
     def points(self, context: DecisionContext, reach: float) -> Array:
-        """(k, 2) returns in m in the base frame: of scan and fence within `reach` m, and the ring.
+        """(k, 2) returns in m in the base frame: of scan and bounds within `reach` m, and the ring.
 
         The last scan's; `reach` is the same in each call.
         """
@@ -317,8 +314,8 @@ class Protection:
         self._take_ring(context)
         if self._ring_points is not None:
             points = np.concatenate((points, self._ring_points))
-        if self._fence is not None:
-            points = np.concatenate((points, self._fence.points(context, reach)))
+        for bound in self._bounds:
+            points = np.concatenate((points, bound.points(context, reach)))
         return points
 
     @cython.cfunc
@@ -338,7 +335,7 @@ class Protection:
         reason: object,
         context: object,
         steered: object,
-        is_fenced: cython.bint = False,
+        is_bounded: cython.bint = False,
     ):
         """The Decision for the command `twist` of the mode; tells the monitors the safe command.
 
@@ -352,7 +349,7 @@ class Protection:
             reason: why the command is zero; None if the robot moves.
             context: the time, and the ages of the inputs.
             steered: what steering asked, for the report; None: nothing.
-            is_fenced: the fence changed the command.
+            is_bounded: a layer changed the command.
         """
         # 1. Clips the command of the mode. To save time, the request and zero are not clipped: they
         # are within the limits.
@@ -390,7 +387,7 @@ class Protection:
             steered is not None and steered.is_recovering,
             share,
             None if steered is None else steered.avoided,
-            is_fenced != 0,
+            is_bounded != 0,
         )
 
     @cython.cfunc

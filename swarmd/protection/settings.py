@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from swarmd.protection.walls.walls_settings import WallsStand
+from swarmd.protection.walls.walls_settings import STILL, WallsStand
 
 Length = Annotated[float, Meta(ge=0.0, le=10.0)]
 Speed = Annotated[float, Meta(gt=0.0, le=20.0)]
@@ -65,16 +65,22 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     walls_stand: WallsStand | None = None
 
     @property
+    def layers(self) -> dict[str, WallsStand]:
+        """The settings of the layers in use, by key."""
+        return {} if self.walls_stand is None else {"walls_stand": self.walls_stand}
+
+    @property
     def standing_speed(self) -> float:
         """The m/s at which the place of a standing return may be wrong, for each s of its age.
 
         Odometry is wrong by ODOMETRY_SHARE of the way of the outline, whose places move at
-        `surface_speed` m/s at most. The speed is `others_speed` at most, and without `walls_stand`.
+        `surface_speed` m/s at most. A wall that moves by less than STILL in `seconds` is not
+        noticed. The speed is `others_speed` at most. Without `walls_stand` it is `others_speed`.
         """
         if self.walls_stand is None:
             return self.others_speed
         error = ODOMETRY_SHARE * (self.surface_speed or self.others_speed)
-        return min(error + self.walls_stand.unnoticed_speed, self.others_speed)
+        return min(error + STILL / self.walls_stand.seconds, self.others_speed)
 
 
 SLOW_SHARE = 0.3

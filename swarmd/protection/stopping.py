@@ -77,9 +77,7 @@ def _slowed(
     It changes at `rate`. NaN if `start` is NaN: such a stop is never clear.
     """
     most: cython.double = min(seconds, DECISION_PERIOD) * rate
-    change: cython.double = wanted - start
-    change = -most if change < -most else (most if change > most else change)
-    speed: cython.double = start + change
+    speed: cython.double = start + max(min(wanted - start, most), -most)
     left: cython.double = fabs(speed) - max(seconds - DECISION_PERIOD, 0.0) * rate
     return 0.0 if left <= 0.0 else copysign(left, speed)
 
@@ -405,12 +403,13 @@ class StopCheck:
         axes: SpeedAxes = self._constraints.axes
         radius: cython.double = self._outline.radius
         motion: StopMotion = self._motion
-        linear_braking: cython.double = self._assumptions.braking_linear
-        turn_braking: cython.double = self._assumptions.braking_angular
-        if brake == _IDEAL_LINEAR:
-            linear_braking = IDEAL_BRAKING
-        elif brake == _IDEAL_ANGULAR:
-            turn_braking = IDEAL_BRAKING
+        assumptions: Assumptions = self._assumptions
+        linear_braking: cython.double = (
+            IDEAL_BRAKING if brake == _IDEAL_LINEAR else assumptions.braking_linear
+        )
+        turn_braking: cython.double = (
+            IDEAL_BRAKING if brake == _IDEAL_ANGULAR else assumptions.braking_angular
+        )
         travel: cython.double = 0.0
         motion.begin(axes.along_x, axes.along_y, 0.0)
         self._poses = 0
@@ -434,9 +433,8 @@ class StopCheck:
             self._stop_travel[j] = travel
 
             # 2. Stores the speeds at the begin of the step, where they are highest.
-            begin_s: cython.double = step_s * j
-            self._stop_linear[j] = _slowed(linear, linear, begin_s, linear_braking)
-            self._stop_angular[j] = _slowed(angular, angular, begin_s, turn_braking)
+            self._stop_linear[j] = _slowed(linear, linear, step_s * j, linear_braking)
+            self._stop_angular[j] = _slowed(angular, angular, step_s * j, turn_braking)
 
             # 3. Is the step fast enough to matter? A speed of NaN is. A turn matters above
             # FAULT_SPEED (`_turns_outwards`), any motion above NEGLIGIBLE_SPEED (`_forbids`).

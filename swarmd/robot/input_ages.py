@@ -40,10 +40,10 @@ class InputAges:
     - `_problem`: why the last scan is not usable; None for a usable scan.
     - `_hazards_until`: a hazard holds the robot until this time.
     - `_peers_due`: after this time the place of a peer is too old, which holds the robot.
-    - `_fence_due`: after this time the pose for the fence is too old, which holds the robot.
+    - `_anchor_due`: after this time the pose for layers is too old, which holds the robot.
     - `_teller`: the `Peers` object while the place of any peer is known; such places are obstacles.
     - `_ring`: the `RangeRing` of a robot with such sensors.
-    - `_fence`: the `FencePose` of a robot with a fence.
+    - `_anchors`: the `PoseAnchors` of a robot whose layers need its pose in a shared frame.
 
     An object that the robot does not have is None.
     """
@@ -69,8 +69,8 @@ class InputAges:
     _problem = cython.declare(object, visibility="public")
     _ring = cython.declare(object, visibility="public")
     _peers_due = cython.declare(cython.double, visibility="public")
-    _fence = cython.declare(object, visibility="public")
-    _fence_due = cython.declare(cython.double, visibility="public")
+    _anchors = cython.declare(object, visibility="public")
+    _anchor_due = cython.declare(cython.double, visibility="public")
     _teller = cython.declare(object, visibility="public")
     _hazards_until = cython.declare(cython.double, visibility="public")
     _ends_run = cython.declare(cython.bint, visibility="public")
@@ -87,7 +87,7 @@ class InputAges:
 
     def __init__(self) -> None:
         self._scan_at = self._odometry_at = self._hazards_until = -INFINITY
-        self._peers_due = self._fence_due = INFINITY
+        self._peers_due = self._anchor_due = INFINITY
         self._neighbors = self._aged = ()
 
     @cython.ccall
@@ -102,9 +102,9 @@ class InputAges:
         self._context, self.odometry = None, odometry
         if is_new:
             self._odometry_at = now
-            if self._fence is not None:
-                self._fence.on_odometry(odometry)
-                self._fence_due = self._fence.until
+            if self._anchors is not None:
+                self._anchors.on_odometry(odometry)
+                self._anchor_due = self._anchors.until
 
     @cython.ccall
     def neighbors(self, now: cython.double) -> tuple:
@@ -158,7 +158,7 @@ class InputAges:
                 self._added,
                 () if self._teller is None else self._teller.told(now),
                 () if self._ring is None else self._ring.obstacles(now),
-                None if self._fence is None else self._fence.anchor(now),
+                None if self._anchors is None else self._anchors.anchor(now),
             )
         return self._context
 
@@ -186,12 +186,12 @@ class InputAges:
             return Reason.STALE_ODOMETRY
         if now > self._peers_due:
             return Reason.INCOMPATIBLE_PEER
-        return Reason.NO_POSE if now > self._fence_due else None
+        return Reason.NO_POSE if now > self._anchor_due else None
 
     @cython.ccall
     def hold_due_at(self) -> float:
         """A time until which `hold` stays None, if `hold` is None now and no input arrives."""
-        due: cython.double = min(self._peers_due, self._fence_due)
+        due: cython.double = min(self._peers_due, self._anchor_due)
         if self._scan_at > -INFINITY:
             due = min(due, self._scan_at + self._stale_after - self._added)
         if self._needs_odometry and self._odometry_at > -INFINITY:

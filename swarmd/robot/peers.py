@@ -26,10 +26,10 @@ from swarmd.protection.compatibility import (
     barrier_settings,
     body_of,
     findings,
-    radius_of,
     sees,
 )
 from swarmd.protection.decision import ToldObstacle
+from swarmd.protection.footprint import radius_of
 
 TOLD_TIMEOUT = 1.0  # s after which the place of a neighbour is no longer used
 BLIND_RING = 0.1  # m around the outline: a robot does not fit into less

@@ -38,6 +38,7 @@ from swarmd.protection.decision import Decision
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.message_limits import EventLimit
+from swarmd.robot.peers import POSE_TIMEOUT
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
@@ -90,14 +91,14 @@ class Robot(Ticker):
         super().__init__()
         self.id = id
         settings = setup.settings
-        self.platform, self.fence = platform, settings.fence
+        self.platform = platform
         self._last_tick = now
         self._handlers = HANDLERS
         accepts = Accepts.of(settings.accepts_unseen, settings.accepts_faster)
         self._sensors = Sensors(
-            platform, accepts, tells_pose=setup.tells_pose, fence=settings.fence
+            platform, accepts, tells_pose=setup.tells_pose, anchors=settings.anchors(POSE_TIMEOUT)
         )
-        self._protection = Protection(platform, settings.fence)
+        self._protection = Protection(platform, settings.layers.values())
         self._steering = Steering(platform, self._protection, f"{seed}/{id}")
         identity = RobotIdentity(
             robot=id, platform=platform, setup=setup, seed=seed, instance=instance

@@ -35,9 +35,7 @@ from swarmd.core.values import (
     Value,
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, barrier_settings, fastest_corner
-from swarmd.protection.decision import ToldObstacle
-from swarmd.protection.fence.fence_pose import FencePose
-from swarmd.protection.fence.fence_settings import FenceSettings
+from swarmd.protection.decision import PoseAnchors, ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
@@ -84,11 +82,11 @@ class Sensors(InputAges):
         accepts: Accepts = ACCEPTS_NONE,
         *,
         tells_pose: bool = False,
-        fence: FenceSettings | None = None,
+        anchors: PoseAnchors | None = None,
     ) -> None:
         """Begin without any input; the parts follow from the sensors of `platform`.
 
-        `accepts`, `fence`: of the `RobotSettings`. `tells_pose`: see `RobotSetup`.
+        `accepts`, `anchors`: of the `RobotSettings`. `tells_pose`: see `RobotSetup`.
         """
         super().__init__()
         self._begin_lidar(platform)
@@ -97,9 +95,9 @@ class Sensors(InputAges):
         self._given: tuple[Neighbor, ...] = ()  # neighbours as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
-        self._fence = None if fence is None else FencePose(fence, POSE_TIMEOUT)
-        if self._fence is not None:  # without a fence `_fence_due` stays inf
-            self._fence_due = self._fence.until
+        self._anchors = anchors
+        if anchors is not None:  # else `_anchor_due` stays inf
+            self._anchor_due = anchors.until
         # Messages of other robots' patterns, kept until the next step of the own pattern.
         self._inbox: deque[_ReceivedMessage] = deque()
         self._inbox_bytes = 0
@@ -192,13 +190,13 @@ class Sensors(InputAges):
         at = self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
         if at is not None:
             self.pose, self.pose_until = pose.pose, at + POSE_TIMEOUT
-            if self._fence is not None:
-                self._fence.on_pose(pose, at, self.peers.pose_errors, self._odometry_at)
-                self._context, self._fence_due = None, self._fence.until
+            if self._anchors is not None:
+                self._anchors.on_pose(pose, at, self.peers.pose_errors, self._odometry_at)
+                self._context, self._anchor_due = None, self._anchors.until
 
-    def fence_text(self, now: float) -> str:
-        """Why the fence has no usable pose; empty with a pose, and without a fence."""
-        return "" if self._fence is None else self._fence.text(now)
+    def pose_text(self, now: float) -> str:
+        """Why layers have no usable pose; empty with a pose, and without a layer that needs one."""
+        return "" if self._anchors is None else self._anchors.text(now)
 
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in the place that a peer reports in a shared frame."""
@@ -222,12 +220,12 @@ class Sensors(InputAges):
         self._hazards_until, self._ends_run = self.hazards.until, self.hazards.ends_run
 
     def hold_text(self, hold: Reason | None, now: float) -> str:
-        """The detail of a hold: hazards with ages, blind sectors, or the pose for the fence."""
+        """The detail of a hold: hazards with ages, blind sectors, or the pose for layers."""
         if hold is Reason.HAZARD:
             return self.hazards.text(now)
         if hold is Reason.INVALID_SCAN:
             return self.blind_text
-        return self.fence_text(now) if hold is Reason.NO_POSE else ""
+        return self.pose_text(now) if hold is Reason.NO_POSE else ""
 
     def on_message(
         self,

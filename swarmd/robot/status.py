@@ -14,17 +14,15 @@ from swarmd.core.host_messages import ParamSources
 from swarmd.core.messages import (
     BatterySummary,
     DecisionSummary,
-    FenceSummary,
     Health,
     Param,
     Reason,
     Status,
-    WallsStandSummary,
 )
 from swarmd.core.values import Platform, Scalar
 from swarmd.core.verbs import shortened
 from swarmd.protection.compatibility import barrier_settings
-from swarmd.protection.decision import MOVING_WALL, Decision
+from swarmd.protection.decision import Decision, LayerSettings
 from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import MAX_TEXT, Lifecycle
@@ -96,14 +94,13 @@ def make_status(
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=protection.passage,
-        walls_stand=_walls_stand(identity.platform, protection.findings),
-        fence=_fence(setup.settings, sensors, decision, protection, now),
         battery=_battery(lifecycle),
         findings=protection.findings,
         not_following=protection.not_following,
         neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
         words=dict(identity.platform.words.get(setup.driver, {})),
+        **_layers(identity.platform, setup.settings, sensors, decision, protection, now),
     )
 
 
@@ -136,36 +133,28 @@ def _health(lifecycle: Lifecycle, sensors: Sensors, now: float) -> Health:
     )
 
 
-def _walls_stand(platform: Platform, findings: tuple[str, ...]) -> WallsStandSummary | None:
-    """The assumption about walls; None unless the platform declares it for mode `barrier`."""
-    settings = barrier_settings(platform)
-    if settings is None or settings.walls_stand is None:
-        return None
-    is_used = not any(text.startswith(MOVING_WALL) for text in findings)
-    return WallsStandSummary(settings.walls_stand.length, settings.walls_stand.seconds, is_used)
-
-
-def _fence(
+def _layers(
+    platform: Platform,
     settings: RobotSettings,
     sensors: Sensors,
     decision: Decision,
     protection: Protection,
     now: float,
-) -> FenceSummary | None:
-    """The fence and the place of the robot against it; None without a fence."""
-    fence = settings.fence
-    if fence is None:
-        return None
-    view = protection.fence_view(sensors.context(now))
-    return FenceSummary(
-        frame=fence.frame,
-        polygons=tuple(tuple(corners) for corners in fence.polygons),
-        clearance=None if view is None else view.clearance,
-        error=0.0 if view is None else view.error,
-        limits=decision.is_fenced,
-        holds=fence.without_pose == "hold",
-        text=sensors.fence_text(now)[:MAX_VALUE],
-    )
+) -> dict[str, Any]:
+    """The summaries of the layers in use, by their fields of the status."""
+    barrier = barrier_settings(platform)
+    layers: dict[str, LayerSettings] = {**(barrier.layers if barrier else {}), **settings.layers}
+    views = protection.views(sensors.context(now)) if settings.layers else ()
+    view_of = dict(zip(settings.layers, views, strict=True))
+    return {
+        key: layer.summary(
+            protection.findings,
+            view_of.get(key),
+            decision.is_bounded,
+            sensors.pose_text(now)[:MAX_VALUE],
+        )
+        for key, layer in layers.items()
+    }
 
 
 def _params(values: ParamSources) -> dict[str, Param]:

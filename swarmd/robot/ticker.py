@@ -144,7 +144,7 @@ class Ticker:
         if now >= self._quiet_until:
             self._look_ahead()
         is_quiet: cython.bint = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
-        if now > self._sensors._fence_due:  # a jump of pose or odometry ends no quiet time
+        if now > self._sensors._anchor_due:  # a jump of pose or odometry ends no quiet time
             is_quiet = False
         effects = None if is_quiet else Ticker._begin(self, now)
         self._last_tick = now

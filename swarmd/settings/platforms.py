@@ -313,7 +313,7 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
             text = f"is barrier, which needs {lacking}, or take another mode"
             yield fault_at(("protection", "mode"), text)
             return
-        yield from _check_walls(file)
+        yield from _check_layers(file)
     yield from _check_sight(_platform("", file))
 
 
@@ -337,19 +337,11 @@ def _lacking_for_barrier(file: PlatformFile) -> str:
     return "" if "odometry" in file.provides else "odometry; add it to provides"
 
 
-def _check_walls(file: PlatformFile) -> Iterator[Fault]:
-    """Check that a wall that stands is longer than this robot."""
-    barrier = file.protection.barrier
-    if barrier is None or barrier.walls_stand is None:
-        return
-    corners = np.array(file.footprint)
-    widest = float(np.hypot(*(corners[:, None] - corners).T).max())
-    if barrier.walls_stand.length <= widest:
-        text = (
-            f"is {barrier.walls_stand.length:g}; expected more than {widest:.2f}, the widest extent"
-            " of the footprint: no body of the swarm may count as a wall"
-        )
-        yield fault_at(("protection", "barrier", "walls_stand", "length"), text)
+def _check_layers(file: PlatformFile) -> Iterator[Fault]:
+    """Check that the layers of the barrier fit the footprint."""
+    for key, layer in file.protection.barrier.layers.items() if file.protection.barrier else ():
+        for keys, text in layer.misfits(file.footprint):
+            yield fault_at(("protection", "barrier", key, *keys), text)
 
 
 def _check_sensors(file: PlatformFile) -> Iterator[Fault]:

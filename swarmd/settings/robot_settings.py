@@ -22,6 +22,7 @@ from swarmd.protection.fence.fence_settings import FenceSettings
 if TYPE_CHECKING:
     from swarmd.core.host_messages import Layers
     from swarmd.core.values import Platform
+    from swarmd.protection.fence.fence_pose import FencePose
 
 PlatformName = Annotated[str, Meta(min_length=1, max_length=63)]
 PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max_length=256)]]
@@ -63,6 +64,20 @@ class RobotSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             section = getattr(self, key)
             if isinstance(section, Struct) and hasattr(section, "faults"):
                 yield from (((key, *keys), text) for keys, text in section.faults())
+
+    @property
+    def layers(self) -> dict[str, FenceSettings]:
+        """The settings of the layers of protection that bound commands, by key."""
+        return {} if self.fence is None else {"fence": self.fence}
+
+    def anchors(self, timeout: float) -> FencePose | None:
+        """What finds the pose that layers need; None without such a layer.
+
+        `timeout`: the age in s beyond which a pose is not used.
+        """
+        from swarmd.protection.fence.fence_pose import FencePose  # it imports numpy
+
+        return None if self.fence is None else FencePose(self.fence, timeout)
 
     def misfits(self, platform: Platform) -> Iterator[Fault]:
         """The faults, as of `faults`, that robots of this platform alone have."""

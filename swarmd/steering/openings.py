@@ -72,7 +72,7 @@ SIGHTINGS = 2
 """Sightings of an opening before right of way uses it."""
 _FORGET_SINGLE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
 _MAX_OPENINGS = 8  # openings
-_MAX_WALL_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or a fence
+_MAX_WALL_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or railings
 
 _half_turn = cython.declare(cython.double, math.pi)
 

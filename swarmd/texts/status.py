@@ -10,7 +10,6 @@ from typing import Any
 from swarmd.core.messages import (
     BatterySummary,
     Body,
-    FenceSummary,
     LimitingObstacle,
     Member,
     NarrowestPassage,
@@ -18,8 +17,9 @@ from swarmd.core.messages import (
     ScanDelaySummary,
     State,
     Status,
-    WallsStandSummary,
 )
+from swarmd.protection.fence.fence_settings import fence_text
+from swarmd.protection.walls.walls_settings import walls_stand_text
 from swarmd.texts.keys import day
 from swarmd.texts.values import NOTHING, megabytes, quantity, sandbox_text, seconds, short_number
 from swarmd.texts.why import activity, obstacles, stop_text
@@ -170,8 +170,8 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
         ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
-        *_walls_stand(status.walls_stand),
-        *_fence(status.fence),
+        *([("walls stand", walls_stand_text(status.walls_stand))] if status.walls_stand else []),
+        *([("fence", fence_text(status.fence))] if status.fence else []),
         *_scan_delay(status.scan_delay),
         *_titled("findings", status.findings),
         *([("base", status.not_following)] if status.not_following else []),
@@ -186,31 +186,6 @@ def _cap_text(row: LimitingObstacle) -> str:
         return text
     cost = f", which costs {row.age_cost:.2f} m/s" if row.age_cost >= _LEAST_COST else ""
     return f"{text}; seen {row.age:.2f} s ago{cost}"
-
-
-def _walls_stand(walls: WallsStandSummary | None) -> list[tuple[str, str]]:
-    return [] if walls is None else [("walls stand", walls_stand_text(walls))]
-
-
-def walls_stand_text(walls: WallsStandSummary) -> str:
-    """The assumption about walls in one line."""
-    text = f"assumed of straight surfaces of {walls.length:g} m that stood for {walls.seconds:g} s"
-    return text if walls.is_used else f"{text}; not used, since walls have moved"
-
-
-def _fence(fence: FenceSummary | None) -> list[tuple[str, str]]:
-    return [] if fence is None else [("fence", fence_text(fence))]
-
-
-def fence_text(fence: FenceSummary) -> str:
-    """The place of the robot against its fence in one line."""
-    frame = f"in frame {fence.frame}"
-    if fence.clearance is None:
-        effect = "the robot stands" if fence.holds else "it does not limit"
-        return f"{frame}; {effect}: {fence.text}"
-    side = "inside" if fence.clearance >= 0.0 else "outside"
-    limits = "; limits the command" if fence.limits else ""
-    return f"{abs(fence.clearance):.2f} m {side} (+- {fence.error:.2f} m), {frame}{limits}"
 
 
 def _scan_delay(delay: ScanDelaySummary | None) -> list[tuple[str, str]]:

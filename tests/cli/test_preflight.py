@@ -12,7 +12,6 @@ import pytest
 from swarmd.cli.effective_config import effective_config
 from swarmd.cli.preflight import (
     _check_commands,
-    _check_fence,
     _check_network,
     _platform_text,
     check_daemon,
@@ -233,8 +232,8 @@ def test_the_fence_is_told_and_must_have_room_for_the_robot(tmp_path: Path) -> N
         fence = {"frame": "mocap", "polygon": corners, "without_pose": "drive"}
         return settings_of(tmp_path, json.dumps({"fence": fence}), platform="jackal")
 
-    (finding,) = _check_fence(given(4.0))
-    assert finding.text == (
+    (layer,) = given(4.0).robot.layers.values()
+    assert layer.text == (
         "4 corners in frame 'mocap'; keeps 0.05 m of margin; without a fresh pose the robot drives"
         " on without the fence"
     )

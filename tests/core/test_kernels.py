@@ -92,13 +92,15 @@ def test_a_library_that_is_older_than_a_source_is_not_loaded_and_named_once(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    name = library.rpartition(".")[2]
+    package, _, name = library.rpartition(".")
     shutil.copy(_library(library), tmp_path)
+    kernels_in = tuple(kernel.removeprefix(f"{package}.") for kernel in LIBRARIES[library])
     sources = [ROOT / source_of(kernel) for kernel in LIBRARIES[library]]
+    copies = [tmp_path / f"{one.replace('.', '/')}.py" for one in kernels_in]
     script = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
-        f"kernels.LIBRARIES = {{{name!r}: {tuple(file.stem for file in sources)}}};"
-        f"print([kernels._compiled({sources[-1].stem!r}) is not None for _ in range(2)],"
+        f"kernels.LIBRARIES = {{{name!r}: {kernels_in}}};"
+        f"print([kernels._compiled({kernels_in[-1]!r}) is not None for _ in range(2)],"
         " kernels.describe_kernels())"
     )
 
@@ -109,15 +111,16 @@ def test_a_library_that_is_older_than_a_source_is_not_loaded_and_named_once(
 
     loaded = ("[True, True] compiled", "")
     assert answer() == loaded, "without a source"
-    for source in sources:
-        (tmp_path / source.name).write_bytes(source.read_bytes())
+    for source, copy in zip(sources, copies, strict=True):
+        copy.parent.mkdir(exist_ok=True)
+        copy.write_bytes(source.read_bytes())
     assert answer() == loaded
     text = "older than its source (run make kernels)"
     stale = f"[False, False] interpreted ({text})", f"kernel {name[1:]} is {text}"
-    for source in sources:
-        (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
+    for source, copy in zip(sources, copies, strict=True):
+        copy.write_bytes(source.read_bytes() + b"\n")
         assert answer() == stale
-        (tmp_path / source.name).write_bytes(source.read_bytes())
+        copy.write_bytes(source.read_bytes())
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_a_run_within_a_fence_is_repeated(tmp_path: Path) -> None:
         pose = SharedPose(story.robot.now, Pose(x, 0.0, 0.1 * math.sin(number)), 0.02, 0.2, "w")
         story.robot.step(PoseInput(pose))
         story.robot.advance(0.1)
-        is_fenced.add(story.robot.robot.decision.is_fenced)
+        is_fenced.add(story.robot.robot.decision.is_bounded)
     assert is_fenced == {False, True}
     assert_equal(story.replayed(), 100)
 

@@ -64,7 +64,7 @@ class Twin:
             self.compared[robot.id] += 1
             self.compared["active"] += robot.decision.is_active
             self.compared["avoids"] += robot.decision.avoided is not None
-            self.compared["fenced"] += robot.decision.is_fenced
+            self.compared["fenced"] += robot.decision.is_bounded
             self._look_at(robot, now)
         return actions
 

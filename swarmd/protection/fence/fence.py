@@ -23,13 +23,12 @@ import math
 
 import msgspec
 import numpy as np
-from msgspec import Struct
 
 from swarmd.core.clock import TICK
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import MAX_EXTRAPOLATION, Array, Platform, Pose, Twist
 from swarmd.protection.binding_range import REACTION_TIME
-from swarmd.protection.decision import Anchor, DecisionContext
+from swarmd.protection.decision import Anchor, DecisionContext, LayerView
 from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.footprint import radius_of
 from swarmd.protection.settings import ODOMETRY_SHARE, BarrierSettings
@@ -42,22 +41,11 @@ _GRID = 40  # cells along each side, in the search for the widest place
 _HALF_STEP = 0.1  # share of the longest stop: more than the half of a step that a stop adds
 
 
-class FenceView(Struct, frozen=True):
-    """The place of a robot against its fence.
-
-    `clearance`: m from the circle around the outline to the fence; negative if the circle is not
-    inside. `error`: m, bound of the error of the clearance.
-    """
-
-    clearance: float
-    error: float
-
-
 class Fence:
     """The fence of one robot. Its only state is stored results, which save computations."""
 
     def __init__(self, settings: FenceSettings, platform: Platform) -> None:
-        self.frame, self._margin = settings.frame, settings.margin
+        self._margin = settings.margin
         self._polygons = [np.array(corners, np.float64) for corners in settings.polygons]
         numbers = np.repeat(np.arange(len(self._polygons)), [len(one) for one in self._polygons])
         starts = np.concatenate(self._polygons)
@@ -67,10 +55,9 @@ class Fence:
         given = platform.protection.get("barrier") or {"others_speed": 0.3, "unseen_extent": 0.0}
         barrier = msgspec.convert(given, BarrierSettings)
         self._braking = barrier.braking_linear, barrier.braking_angular
-        limits = platform.limits
-        self._limits = limits
-        self._top = math.hypot(limits.linear, limits.lateral)
-        stop_s = max(self._top / self._braking[0], limits.angular / self._braking[1])
+        self._limits = platform.limits
+        self._top = math.hypot(platform.limits.linear, platform.limits.lateral)
+        stop_s = max(self._top / self._braking[0], platform.limits.angular / self._braking[1])
         self._longest_stop = self._top * (TICK + stop_s)  # m that the axle moves at most
         self._known = (0.0, 0.0, -math.inf)  # a place of the axle, and its clearance
         part = np.arange(_SHARES + 1) / _SHARES
@@ -164,12 +151,12 @@ class Fence:
             requested.linear * part, requested.angular * turn_part, requested.lateral * part
         )
 
-    def view(self, context: DecisionContext) -> FenceView | None:
+    def view(self, context: DecisionContext) -> LayerView | None:
         """The present clearance; None without an anchor."""
         if context.anchor is None or context.odometry is None:
             return None
         pose, _, error = self._predicted(context, context.anchor, Twist())
-        return FenceView(self._clearance(pose), error)
+        return LayerView(self._clearance(pose), error)
 
     def points(self, context: DecisionContext, within: float) -> Array:
         """(k, 2) points of the fence within `within` m of the axle, in m in the base frame."""

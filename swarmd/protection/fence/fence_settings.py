@@ -1,4 +1,4 @@
-"""The settings of the fence, and the faults of its polygons.
+"""The settings of the fence, the faults of its polygons, and its lines of a check and a status.
 
 The schema of files imports this module, so the module does not import numpy. Units: m in the shared
 frame.
@@ -8,9 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import Meta, Struct
+
+from swarmd.core.messages import FenceSummary
+
+if TYPE_CHECKING:
+    from swarmd.protection.decision import LayerView
 
 _Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Corner = tuple[_Coordinate, _Coordinate]
@@ -41,6 +46,30 @@ class FenceSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         """The outer polygon, then those of `keep_out`."""
         return (self.polygon, *self.keep_out)
 
+    @property
+    def text(self) -> str:
+        """The fence in one line."""
+        areas = f", {len(self.keep_out)} areas to keep out of" if self.keep_out else ""
+        without = "stands" if self.without_pose == "hold" else "drives on without the fence"
+        return (
+            f"{len(self.polygon)} corners in frame {self.frame!r}{areas}; keeps {self.margin:g} m"
+            f" of margin; without a fresh pose the robot {without}"
+        )
+
+    def summary(
+        self, findings: tuple[str, ...], view: LayerView | None, is_bounded: bool, pose_text: str
+    ) -> FenceSummary:
+        """The fence and the place of the robot against it; see `LayerSettings`."""
+        return FenceSummary(
+            frame=self.frame,
+            polygons=tuple(tuple(corners) for corners in self.polygons),
+            clearance=None if view is None else view.clearance,
+            error=0.0 if view is None else view.error,
+            limits=is_bounded,
+            holds=self.without_pose == "hold",
+            text=pose_text,
+        )
+
     def faults(self) -> Iterator[tuple[tuple[str | int, ...], str]]:
         """The keys of each faulty polygon, with the text of its first fault."""
         if not self.frame.isprintable():
@@ -50,6 +79,17 @@ class FenceSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         for keys, corners in keyed:
             if text := polygon_fault(corners):
                 yield keys, text
+
+
+def fence_text(fence: FenceSummary) -> str:
+    """The place of the robot against its fence in one line."""
+    frame = f"in frame {fence.frame}"
+    if fence.clearance is None:
+        effect = "the robot stands" if fence.holds else "it does not limit"
+        return f"{frame}; {effect}: {fence.text}"
+    side = "inside" if fence.clearance >= 0.0 else "outside"
+    limits = "; limits the command" if fence.limits else ""
+    return f"{abs(fence.clearance):.2f} m {side} (+- {fence.error:.2f} m), {frame}{limits}"
 
 
 def polygon_fault(corners: Sequence[Corner]) -> str:

@@ -166,14 +166,19 @@ class _Stops:
         brake changes the path. The fourth stop begins at the speeds of the base, which need not
         have reached the command.
         """
-        b: cython.double = self.braking
-        t: cython.double = self.turning
         return (
-            self.is_inside(ahead, left, turn, ahead, left, turn, b, t)
-            and self.is_inside(ahead, left, turn, ahead, left, turn, IDEAL_BRAKING, t)
-            and self.is_inside(ahead, left, turn, ahead, left, turn, b, IDEAL_BRAKING)
+            self.is_inside(ahead, left, turn, ahead, left, turn, self.braking, self.turning)
+            and self.is_inside(ahead, left, turn, ahead, left, turn, IDEAL_BRAKING, self.turning)
+            and self.is_inside(ahead, left, turn, ahead, left, turn, self.braking, IDEAL_BRAKING)
             and self.is_inside(
-                self.speed_ahead, self.speed_left, self.speed_turn, ahead, left, turn, b, t
+                self.speed_ahead,
+                self.speed_left,
+                self.speed_turn,
+                ahead,
+                left,
+                turn,
+                self.braking,
+                self.turning,
             )
         )
 
@@ -206,8 +211,9 @@ class _Stops:
         """
         top_speed: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
         top_turn: cython.double = max(fabs(turn), fabs(to_turn))
-        stop_s: cython.double = DECISION_PERIOD + max(top_speed / braking, top_turn / turning)
-        step: cython.double = stop_s / _FENCE_STEPS
+        step: cython.double = (
+            DECISION_PERIOD + max(top_speed / braking, top_turn / turning)
+        ) / _FENCE_STEPS
         way: cython.double = 0.0
         last_room: cython.double = self.present  # m, the clearance at the step before
         motion: StopMotion = self.motion
@@ -277,15 +283,13 @@ def nearest_permitted(
     """
     table: cython.double[:, ::1] = view(edges)
     given: cython.double[:, ::1] = view(shares)
-    ahead: cython.double
-    left: cython.double
-    turn: cython.double
-    linear_size: cython.double
-    turn_size: cython.double
+    ahead: cython.double = request[0]
+    left: cython.double = request[1]
+    turn: cython.double = request[2]
+    linear_size: cython.double = sizes[0]
+    turn_size: cython.double = sizes[1]
     stops: _Stops = _Stops()
     stops.motion = StopMotion()
-    ahead, left, turn = request
-    linear_size, turn_size = sizes
     stops.speed_ahead, stops.speed_left, stops.speed_turn = speeds
     stops.braking, stops.turning = brakings
     stops.edges = table

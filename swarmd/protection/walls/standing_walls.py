@@ -34,7 +34,6 @@ from swarmd.protection.decision import MovedWall
 from swarmd.protection.obstacles import ReturnLayer
 from swarmd.protection.settings import ODOMETRY_SHARE
 from swarmd.protection.walls.straight_runs import (
-    REACH,
     RUN_FIELDS,
     RUN_FROM,
     RUN_IS_LONG,
@@ -154,11 +153,10 @@ class StandingWalls(ReturnLayer):
 
     def __init__(self, platform: Platform, walls_stand: WallsStand) -> None:
         ReturnLayer.__init__(self, len(platform.scan.bearings))
-        self.reach = REACH
         self._length, self._seconds = walls_stand.length, walls_stand.seconds
         self.patience = 1.5 * walls_stand.seconds
         self._period = 1.0 / platform.scan.rate
-        self.moved, self._resets, self.is_trusted = None, 0, True
+        self.is_trusted = True
         self.ripe_at = -INFINITY
         self._runs = StraightRuns(platform, walls_stand.length)
         self._walls = doubles(_W_FIELDS * _WALLS)
@@ -194,8 +192,7 @@ class StandingWalls(ReturnLayer):
         self._resets = motion.resets
         self._runs.find(ranges, directions, ages)
         self._compare(motion)
-        if not self.is_trusted:
-            self.has_kinds = False
+        self.has_kinds = self.has_kinds and self.is_trusted
 
     @cython.cfunc
     @cython.exceptval(-1)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.values import Platform
 from swarmd.protection.buffers import doubles, indices
+from swarmd.protection.obstacles import REACH
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -27,7 +28,6 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import NAN, fabs, hypot, sqrt
 
-REACH = cython.declare(cython.double, 1.5)  # m from the lidar within which returns count
 # m between neighbouring returns of a surface: less than a Burger's 0.14 m, and more than the 0.07 m
 # of an e-puck2 and the 0.11 m of a Thymio.
 SPACING = cython.declare(cython.double, 0.12)

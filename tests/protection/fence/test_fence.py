@@ -302,18 +302,18 @@ def a_scan() -> Scan:
 @pytest.mark.parametrize("mode", ["barrier", "stop_zone", "potential_field", "off"])
 def test_the_fence_acts_in_every_mode(mode: str) -> None:
     context = context_at(1.83, 0.0, 0.0)
-    free, fenced = (Protection(in_mode(BURGER, mode), made) for made in (None, SQUARE))
+    free, fenced = (Protection(in_mode(BURGER, mode), made) for made in ([], [SQUARE]))
     for one in (free, fenced):
         one.observe(a_scan(), context)
     asked = Twist(0.2, 0.5)
     assert free.decide(asked, context, True, None).safe == asked
     decision = fenced.decide(asked, context, True, None)
     assert decision.safe == Twist(0.0, 0.5)
-    assert decision.is_fenced
+    assert decision.is_bounded
     assert decision.is_active
     far = context_at(0.0, 0.0, 0.0)
     assert fenced.decide(asked, far, True, None).safe == asked
-    assert not fenced.decide(asked, far, True, None).is_fenced
+    assert not fenced.decide(asked, far, True, None).is_bounded
 
 
 class Told:
