@@ -424,7 +424,7 @@ def test_python_uses_kernels_as_cython_permits() -> None:
         text, names = path.read_text(), classes.keys()
         found += [f"{name_of(path)}: {call}" for call in re.findall(r"\b\w+\(\w+=", text)
                   if call in keywords]  # fmt: skip
-        is_python = name_of(path) not in kernel_mutants.TESTS  # a kernel may replace methods of C
+        is_python = name_of(path) not in mutants.TESTS  # a kernel may replace methods of C
         for node in ast.walk(tree_of(path)) if any(f"({name})" in text for name in names) else ():
             bases = node.bases if isinstance(node, ast.ClassDef) and is_python else []
             for base in map(ast.unparse, bases):
