@@ -3,7 +3,8 @@
 Other work on the machine changes the figures of `lockstep.py` by factors of two. So each sample
 here is a burst: with real-time priority, on one processor, without collection of garbage. A burst
 takes less than a second, and a pause follows it, so that the machine stays usable. The kernel ends
-a process that exceeds `LIMIT` (RLIMIT_RTTIME). Bursts repeat within 5 % on a machine at load 30.
+a process that exceeds `LIMIT` (RLIMIT_RTTIME). Medians of ten bursts repeated within 5 % beside 30
+processes of the same machine, and within 20 % on a virtual machine whose host was busy.
 
 A burst covers whole periods of the scans, since these are the dearest steps. `python -m benchmarks
 bursts --compare COMMIT` runs this file with the sources of both commits in turn.
