@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 _MODULES = {
     "csv": ("sim,table", "pandas", "scipy"),
     "parquet": ("sim,table", "pandas", "pyarrow", "scipy"),
-    "mcap": ("sim,record", "mcap", "rosbags", "scipy"),
 }
 MISSED = 1  # exit code
 
@@ -46,18 +45,16 @@ MISSED = 1  # exit code
     "form",
     type=click.Choice(list(_MODULES)),
     required=True,
-    help="Tables of results and traces as csv or parquet; or a file of each run as mcap.",
+    help="The format of the tables of results and traces.",
 )
 @out_option("Folder of the files [DIR/export].", "-o")
 @click.option("--no-traces", is_flag=True, help="Only the results of each run.")
 def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
-    """Write the experiment in DIR as tables for pandas and R, or as MCAP for Foxglove.
+    """Write the experiment in DIR as tables for pandas and R.
 
     The file `results` has a row for each run; the files in `traces` have a row for each instant
     and robot.
     """
-    if no_traces and form == "mcap":
-        raise click.UsageError("--to mcap exports traces; leave out --no-traces")
     extra, *modules = _MODULES[form]  # the extra of swarmd that installs these modules
     need(*modules, extra=extra)
     from swarmd.sim.cli.progress import progress

@@ -1,20 +1,16 @@
-"""Experiments as tables and as MCAP, read again by other programs' libraries."""
+"""Experiments as tables, read again by other programs' libraries."""
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.experiments.export import export, write_mcap
+from swarmd.sim.experiments.export import export
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import COLUMNS
@@ -64,47 +60,12 @@ def test_tables_are_read_again(results: Results, form: str, tmp_path: Path) -> N
     np.testing.assert_array_equal(table["x"], results.traces[1].pose[..., 0].ravel())
 
 
-def test_a_run_as_mcap_is_read_by_a_ros_decoder(tmp_path: Path) -> None:
-    pose = np.zeros((3, 2, 3))
-    pose[:, 0, 1] = 0.1, 0.2, 0.3  # along y, with heading pi / 2: ahead
-    pose[:, 0, 2] = np.pi / 2
-    pose[2, 1] = np.nan  # taken out of the arena
-    words = np.array([["a", "b"], ["a", "b"], ["c", "b"]], dtype="U24")
-    value = np.array([[1.0, np.nan]] * 3)
-    trace = trace_of(pose, report={"value": value}, words={"state": words})
-    write_mcap(trace, tmp_path / "run.mcap")
-    found: dict[str, list[tuple[int, Any]]] = {}
-    with (tmp_path / "run.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        for _, channel, message, decoded in reader.iter_decoded_messages():
-            found.setdefault(channel.topic, []).append((message.log_time, decoded))
-    truth = [one for _, one in found["/r0/ground_truth"]]
-    assert [at for at, _ in found["/r0/ground_truth"]] == [0, 10**8, 2 * 10**8]
-    assert [one.pose.pose.position.y for one in truth] == [0.1, 0.2, 0.3]
-    assert truth[1].twist.twist.linear.x == pytest.approx(1.0)
-    assert len(found["/r1/ground_truth"]) == 2
-    assert len(found["/r0/command/safe"]) == 3
-    assert "/r0/command/requested" not in found
-    assert "/r1/report" not in found
-    (_, report) = found["/r0/report"][0]
-    assert (report.names, list(report.values)) == (["value"], [1.0])
-    states = [json.loads(one.json) for _, one in found["/r0/status"]]
-    assert states == [{"report:state": "a"}, {"report:state": "c"}]
-
-
-def test_each_run_is_a_file_and_a_missing_trace_leaves_nothing(
-    results: Results, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    assert [path.name for path in export(results, "mcap", out)] == [
-        "speed=0.1_s0000.mcap",
-        "speed=0.2_s0000.mcap",
-    ]
+def test_a_missing_trace_leaves_no_table_of_it(results: Results, tmp_path: Path) -> None:
     shutil.copytree(results.folder, tmp_path / "x", ignore=shutil.ignore_patterns("*.npz"))
     without = load_results(tmp_path / "x")
     with pytest.raises(SwarmError, match="no trace"):
-        list(export(without, "mcap", tmp_path / "other"))
-    assert not (tmp_path / "other").exists()
+        list(export(without, "csv", tmp_path / "other"))
+    assert [path.name for path in (tmp_path / "other").rglob("*")] == ["results.csv"]
     (only,) = export(without, "csv", tmp_path / "other", traces=False)
     assert only.name == "results.csv"
 
