@@ -352,7 +352,23 @@ def main(folder: Path, arguments: Sequence[str]) -> int:
     parser.add_argument("--depth", type=int, default=DEPTH)
     parser.add_argument("--driver", choices=tuple(BASES), action="append")
     chosen = parser.parse_args(arguments)
-    logging.getLogger("swarmd").setLevel(logging.CRITICAL)  # each loss is a warning
+    with _only_critical():
+        return _search_all(folder, chosen)
+
+
+@contextlib.contextmanager
+def _only_critical() -> Iterator[None]:
+    """Log no loss of a base, which is a warning; later tests in this process log as before."""
+    logger = logging.getLogger("swarmd")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+def _search_all(folder: Path, chosen: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"drivers-{chosen.depth}.jsonl"
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
