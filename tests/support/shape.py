@@ -54,7 +54,12 @@ def executable_statements(text: str) -> int:
     Docstrings, imports, `pass`, comments and blank lines count nothing. `a, b = 1, 2` and `a = b =
     1` count as two, so that packing saves nothing.
     """
-    return sum(map(_weight, statements(ast.parse(text))))
+    return statements_in(ast.parse(text))
+
+
+def statements_in(tree: ast.Module) -> int:
+    """As `executable_statements`, of a module that is parsed already."""
+    return sum(map(_weight, statements(tree)))
 
 
 def statements(tree: ast.Module) -> Iterator[ast.stmt]:
