@@ -35,6 +35,10 @@ settings.register_profile(
     "test", deadline=None, max_examples=FULL // 8, derandomize=True, database=None
 )
 settings.register_profile("evidence", deadline=None, max_examples=FULL)
+# The second pass over the same code, with interpreted kernels (tests/core/test_kernel_forms.py).
+settings.register_profile(
+    "interpreted", deadline=None, max_examples=FULL // 25, derandomize=True, database=None
+)
 # Whether a mechanism is missing shows soon; which example shows it best does not matter.
 settings.register_profile(
     "mutants",
