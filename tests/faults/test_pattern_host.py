@@ -85,11 +85,7 @@ def test_an_endless_loop_stops_the_robot_and_not_the_daemon(robot: Bench) -> Non
     before = robot.status()
     back = robot.drive_until_restarted("looper")
     robot.await_reason(Reason.COMMAND_EXPIRED, back.began)
-    now = robot.status()
-    assert (now.epoch.instance, now.health.loop_stalls) == (
-        before.epoch.instance,
-        before.health.loop_stalls,
-    )
+    assert robot.status().epoch.instance == before.epoch.instance
     robot.await_event("looper failed: gave no answer for 1 s", back.began)
     killed = back.failed.at
     hung = [one for one in robot.body.commands if killed - 0.5 < one.at < killed]

@@ -28,17 +28,25 @@ other files would wait for a processor beside them."""
 
 
 LONGEST = (
-    *("core/test_kernel_forms", "network/test_udp", "drivers/crazyflie/test_swarm"),
-    *("cli/test_calibrate", "cli/test_plugin", "examples/test_notebooks", "drivers/test_daemons"),
-    *("faults/test_pattern_host", "swarm/test_watching", "network_faults/test_links"),
-    *("network_faults/test_addresses", "network_faults/test_mesh", "swarm/test_garbage"),
-    *("sim/cli/test_classroom", "view/test_page", "sim/live/test_emulators"),
-    *("drivers/ros2/test_frozen_hub", "network_faults/test_splits", "calibration/test_lockstep"),
-    *("faults/test_daemon", "swarm/test_stolen_robot"),
-    *("drivers/crazyflie/test_driver", "swarm/test_estop", "swarm/test_mcp", "swarm/test_goals"),
-    *("sim/cli/test_tour", "sim/test_portable", "testing/test_driver_contract"),
+    *("core/test_kernel_forms", "cli/test_plugin", "network_faults/test_addresses"),
+    *("cli/test_calibrate", "drivers/ros2/test_bridge", "drivers/ros1/test_driver"),
+    *("swarm/test_garbage", "drivers/crazyflie/test_driver", "calibration/test_lockstep"),
+    *("swarm/test_mcp", "testing/test_driver_contract", "view/test_page_layout"),
+    *("swarm/test_verbs", "drivers/ros1/test_life", "drivers/test_daemons", "network/test_udp"),
+    *("swarm/test_stolen_robot", "sim/cli/test_classroom", "drivers/ros2/test_bridge_bases"),
+    *("drivers/crazyflie/test_swarm", "sim/lockstep/test_broken_assumptions"),
+    *("drivers/ros2/test_rmw_zenoh", "drivers/ros2/test_dds_bridge", "drivers/ros2/test_services"),
+    *("network_faults/test_links", "faults/test_storage", "faults/test_pattern_host"),
+    *("drivers/ros2/test_faults", "faults/test_watchdog", "sim/experiments/test_pool"),
+    *("sim/test_portable", "drivers/ros2/test_bridge_commands", "sensing/test_measured_sweep"),
+    *("swarm/test_estop", "faults/test_daemon", "examples/test_notebooks", "sim/view/test_pages"),
+    *("cli/test_swarmctl", "security/test_files_of_others", "protection/test_barrier_closed_loop"),
+    *("network_faults/test_strangers", "sim/live/test_demo", "faults/test_scans"),
+    *("drivers/ros2/test_node_list", "sim/cli/test_exp", "drivers/ros2/test_last_word"),
+    *("sim/cli/test_tour", "protection/test_assumption_monitor", "network_faults/test_splits"),
+    *("sim/live/test_emulators", "sim/experiments/test_tune"),
 )
-"""Files of tests that take 50 s to 12 s with two cores, the longest first."""
+"""Files of tests that take 60 s to 12 s with two cores, the longest first."""
 _LONG_FOLDERS = {"protection", "sim", "studies"}
 
 
