@@ -141,7 +141,12 @@ class StopMotion:
             turning: rad/s2.
         """
         self.moved = _slowed(along, to_along, middle_s, braking) * step_s
-        self.aside = _slowed(aside, to_aside, middle_s, braking) * step_s
+        # Most bases have no speed aside: the condition takes 3 % off a decision by eight steps.
+        self.aside = (
+            0.0
+            if aside == 0.0 and to_aside == 0.0
+            else _slowed(aside, to_aside, middle_s, braking) * step_s
+        )
         self.arc = _slowed(turn, to_turn, middle_s, turning) * step_s
         self.turned += self.arc
         yaw: cython.double = self.heading + self.turned - 0.5 * self.arc
