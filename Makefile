@@ -233,7 +233,7 @@ ros-study: $(VENV)/tools
 	@$(BIN)/python -m studies.ros $(ARGS)
 
 # Small changes of protection, robot and the ROS conversion, each with the tests that reach it. All
-# of them take a night; ARGS='swarmd.steering.recovery*' selects some, and
+# of them take a night; ARGS='swarmd.robot.goals*' selects some, and
 # studies/mutation_sample.py draws a sample.
 mutants: $(VENV)/tools
 	@$(PIP) install --constraint constraints.txt mutmut

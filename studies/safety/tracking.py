@@ -9,19 +9,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec import Struct, structs
 
 from benchmarks.table import markdown
 from studies.safety.scenes import Scene, scenario
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Scan
 from swarmd.protection.decision import DecisionContext
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.world import World
-from swarmd.steering.tracks import Surroundings, Track
+from swarmd.steering.tracks import Track
+
+if TYPE_CHECKING:
+    from swarmd.steering.tracks import Surroundings
+else:
+    Surroundings = load_kernel("swarmd.steering.tracks").Surroundings
 
 REACH = 2.5  # m, of true tracks
 COMPARED = 1.5  # m within which tracks are compared

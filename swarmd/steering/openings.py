@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.core.values import Array, Pose, Scan
+from swarmd.steering.buffers import doubles, numbers, rows
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -68,39 +69,18 @@ _SAME_AXIS = cython.declare(cython.double, 0.14)
 _SAME_HALF = cython.declare(cython.double, 0.08)
 _SAME_SPAN = cython.declare(cython.double, 0.2)
 _SAME_ANGLE = cython.declare(cython.double, 0.4)
-SIGHTINGS = 2
+SIGHTINGS = cython.declare(cython.longlong, 2)
 """Sightings of an opening before right of way uses it."""
 _FORGET_SINGLE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
 _MAX_OPENINGS = 8  # openings
 _MAX_WALL_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or railings
 
-_half_turn = cython.declare(cython.double, math.pi)
-
-
-@cython.cfunc
-def _numbers(values):
-    """`values` (n,) as the kernel reads them: in CPython as numbers of Python."""
-    values = np.ascontiguousarray(values, np.float64)
-    return values if cython.compiled else values.tolist()
-
-
-@cython.cfunc
-def _table(values):
-    """`values` (n, m) as the kernel reads them: in CPython a memoryview."""
-    values = np.ascontiguousarray(values, np.float64)
-    return values if cython.compiled else memoryview(values)
-
-
-@cython.cfunc
-def _doubles(n: cython.Py_ssize_t) -> cython.double[::1]:
-    """A buffer. Views that are made in one place spare the compiler a part of its work."""
-    return memoryview(np.empty(n))
+HALF_TURN = cython.declare(cython.double, math.pi)
 
 
 @cython.cfunc
 def _reach(places: cython.double[::1], count: cython.Py_ssize_t) -> cython.double:
     """How far in m the first `count` places reach from 0 without a gap of more than _MAX_HOLE."""
-    i: cython.Py_ssize_t
     reach: cython.double = 0.0
     before: cython.double = -1.0
     while reach > before:
@@ -150,9 +130,8 @@ class _ScanReturns:
         minus half a turn. Such a scan is only rotated: the returns from the jump on come first. So
         most scans need no sorting. Returns of the same bearing keep their order.
         """
-        ranges: cython.const[cython.double][::1] = _numbers(scan.ranges)
-        bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
-        i: cython.Py_ssize_t
+        ranges: cython.const[cython.double][::1] = numbers(scan.ranges)
+        bearings: cython.const[cython.double][::1] = numbers(scan.bearings)
         count: cython.Py_ssize_t = 0
         falls: cython.Py_ssize_t = 0  # number of returns whose bearing is below that before
         begin: cython.Py_ssize_t = 0  # the last of these returns
@@ -171,7 +150,7 @@ class _ScanReturns:
         is_rotated: cython.bint = falls == 1 and before < first
         # Where the first return goes: behind the returns from the jump on.
         k: cython.Py_ssize_t = count - begin if is_rotated else 0
-        self.ranges, self.bearings = _doubles(count), _doubles(count)
+        self.ranges, self.bearings = doubles(count), doubles(count)
         for i in range(len(ranges)):
             if ranges[i] > 0.0 and ranges[i] < INFINITY:
                 self.ranges[k], self.bearings[k] = ranges[i], bearings[i]
@@ -187,7 +166,7 @@ class _ScanReturns:
         """Make room for the places of returns, which the sensor at `offset` saw from `pose`."""
         n: cython.Py_ssize_t = len(self.ranges)
         yaw: cython.double = pose.yaw
-        self.x, self.y = _doubles(n), _doubles(n)
+        self.x, self.y = doubles(n), doubles(n)
         self.offset_x, self.offset_y = offset
         self.pose_x, self.pose_y = pose.x, pose.y
         self.pose_cos, self.pose_sin = cos(yaw), sin(yaw)
@@ -206,7 +185,7 @@ class _ScanReturns:
     def set_tracks(self, tracks: tuple) -> cython.int:
         """Set `tracks`, each given as (x, y, radius)."""
         k: cython.Py_ssize_t = 0
-        self.tracks = _doubles(3 * len(tracks))
+        self.tracks = doubles(3 * len(tracks))
         for x, y, radius in tracks:
             self.tracks[k], self.tracks[k + 1], self.tracks[k + 2] = x, y, radius
             k += 3
@@ -250,7 +229,7 @@ class _ScanReturns:
         n: cython.Py_ssize_t = len(self.ranges)
         row: cython.Py_ssize_t
         self.is_wall = memoryview(np.empty(n, np.uint8))
-        self.along, self.side, self.places = _doubles(n), _doubles(n), _doubles(n)
+        self.along, self.side, self.places = doubles(n), doubles(n), doubles(n)
         for row in range(n):
             if self.ranges[row] < _MAX_RANGE:
                 self.place(row)
@@ -271,7 +250,6 @@ class _ScanReturns:
         """
         count: cython.Py_ssize_t = len(self.ranges)
         row: cython.Py_ssize_t = post + direction
-        step: cython.Py_ssize_t
         steps_to_partner: cython.Py_ssize_t = 0
         partner: cython.Py_ssize_t = -1
         least_square: cython.double = _WIDEST * _WIDEST
@@ -313,7 +291,6 @@ class _ScanReturns:
     @cython.cfunc
     def turn_into(self, opening: Opening) -> cython.int:
         """Set `along` and `side`: the returns of walls in the frame of an opening."""
-        row: cython.Py_ssize_t
         k: cython.Py_ssize_t = 0
         cos_angle: cython.double = cos(opening.angle)
         sin_angle: cython.double = sin(opening.angle)
@@ -351,7 +328,10 @@ class Opening:
         """How far the wall reaches to the left and the right of the middle."""
         return self.left, self.right
 
-    def to_local(self, x: cython.double, y: cython.double, sign: cython.double) -> tuple:
+    @cython.ccall
+    def to_local(
+        self, x: cython.double, y: cython.double, sign: cython.double
+    ) -> tuple[cython.double, cython.double]:
         """A place in the frame of the opening: m along the way through, and m to its left.
 
         `sign` is 1 for the way through along `angle`, -1 for the opposite way.
@@ -362,9 +342,12 @@ class Opening:
         dy: cython.double = y - self.y
         return c * dx + s * dy, c * dy - s * dx
 
-    def ends(self, sign: cython.double) -> tuple:
+    @cython.ccall
+    def ends(self, sign: cython.double) -> tuple[cython.double, cython.double]:
         """Where the opening begins and ends in m, along the way through by `sign`."""
-        return (self.first, self.last) if sign > 0.0 else (-self.last, -self.first)
+        if sign > 0.0:
+            return self.first, self.last
+        return -self.last, -self.first
 
     @cython.cfunc
     def measure(self, returns: _ScanReturns) -> cython.int:
@@ -385,7 +368,6 @@ class Opening:
         False with too few returns. Walls are longer than the gap, so their angle is more exact than
         that of the line between the posts.
         """
-        i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
         along: cython.double = 0.0
         side: cython.double = 0.0
@@ -414,7 +396,6 @@ class Opening:
     @cython.cfunc
     def reach_along(self, returns: _ScanReturns, direction: cython.double) -> cython.double:
         """How far in m the sides of the opening reach along its axis, in `direction` 1 or -1."""
-        i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
         for i in range(returns.count):
             if fabs(fabs(returns.side[i]) - self.half) < _ON_WALL:
@@ -425,7 +406,6 @@ class Opening:
     @cython.cfunc
     def reach_beside(self, returns: _ScanReturns, direction: cython.double) -> cython.double:
         """How far in m the wall reaches beyond one side of the opening (1 left, -1 right)."""
-        i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
         for i in range(returns.count):
             along: cython.double = returns.along[i]
@@ -442,7 +422,7 @@ class Opening:
         dx: cython.double = sighting.x - self.x
         dy: cython.double = sighting.y - self.y
         return (
-            fabs(remainder(self.angle - sighting.angle, _half_turn)) < _SAME_ANGLE
+            fabs(remainder(self.angle - sighting.angle, HALF_TURN)) < _SAME_ANGLE
             and fabs(c * dy - s * dx) < _SAME_AXIS
             and fabs(self.half - sighting.half) < _SAME_HALF
             and self.first - _SAME_SPAN < c * dx + s * dy < self.last + _SAME_SPAN
@@ -469,14 +449,14 @@ class Opening:
         right: cython.double = sighting.right
 
         # 1. Begin, end and walls of the sighting in the frame of this opening.
-        if fabs(remainder(turn, 2.0 * _half_turn)) > 0.5 * _half_turn:  # seen from the other side
+        if fabs(remainder(turn, 2.0 * HALF_TURN)) > 0.5 * HALF_TURN:  # seen from the other side
             first, last, left, right = -last, -first, right, left
         first, last = first + along, last + along
 
         # 2. The weighted mean.
         self.x += weight * -sin_angle * side
         self.y += weight * cos_angle * side
-        self.angle += weight * remainder(turn, _half_turn)
+        self.angle += weight * remainder(turn, HALF_TURN)
         self.half += weight * (sighting.half - self.half)
         # Longer lengths count more than shorter ones, see `_grown`.
         self.first = _grown(self.first, first, first < self.first)
@@ -493,25 +473,27 @@ class Openings:
     """The openings that a robot remembers. Times are in s and come with each call."""
 
     _narrowest: cython.double
-    _known: list
+    known: list
 
     def __init__(self, body: float) -> None:
         """`body`: half of the robot's width in m."""
         self._narrowest = 2.0 * _NARROWEST_SHARE * body
-        self._known = []
+        self.known = []
 
     def __iter__(self) -> Iterator[Opening]:
-        return iter(self._known)
+        return iter(self.known)
 
+    @cython.ccall
     def clear(self) -> None:
         """Forget all openings."""
-        self._known = []
+        self.known = []
 
+    @cython.ccall
     def forget(self, opening: object) -> cython.bint:
         """Forget one opening; False if it was not remembered."""
-        before = len(self._known)
-        self._known = [known for known in self._known if known is not opening]
-        return len(self._known) < before
+        before = len(self.known)
+        self.known = [known for known in self.known if known is not opening]
+        return len(self.known) < before
 
     def observe(
         self, scan: Scan, offset: tuple, pose: Pose, now: cython.double, tracks: tuple, kept: object
@@ -531,18 +513,18 @@ class Openings:
         sighting: Opening
         known: Opening
         for sighting in self._openings_in(scan, offset, pose, now, tracks):
-            for known in self._known:
+            for known in self.known:
                 if known.is_same(sighting):
                     known.update(sighting)
                     break
             else:
-                self._known.append(sighting)
-        if not self._known:
+                self.known.append(sighting)
+        if not self.known:
             return
 
         # Forgets openings without a recent sighting.
         remembered: list = []
-        for known in self._known:
+        for known in self.known:
             memory_time: cython.double = _FORGET if known.hits >= SIGHTINGS else _FORGET_SINGLE
             if now - known.seen_at < memory_time or known is kept:
                 remembered.append(known)
@@ -551,7 +533,7 @@ class Openings:
                 key=lambda known: (known is kept, known.hits >= SIGHTINGS, known.seen_at)
             )
             del remembered[: len(remembered) - _MAX_OPENINGS]
-        self._known = remembered
+        self.known = remembered
 
     @cython.cfunc
     def _openings_in(self, scan, offset, pose, now: cython.double, tracks: tuple) -> list:
@@ -624,6 +606,7 @@ def _opening(returns: _ScanReturns, post: cython.Py_ssize_t, partner: cython.Py_
     return opening
 
 
+@cython.ccall
 def gap_middle(
     points: Array, place: tuple, span: tuple, width: tuple, middle: tuple
 ) -> float | None:
@@ -642,7 +625,7 @@ def gap_middle(
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     count: cython.Py_ssize_t = 0
-    table: cython.const[cython.double][:, ::1] = _table(points)
+    table: cython.const[cython.double][:, ::1] = rows(points)
     robot_along: cython.double = place[0]
     robot_aside: cython.double = place[1]
     cos_heading: cython.double = cos(place[2])
@@ -653,7 +636,7 @@ def gap_middle(
     width_error: cython.double = width[1]
     expected: cython.double = middle[0]
     farthest: cython.double = middle[1]
-    sides: cython.double[::1] = _doubles(len(table))
+    sides: cython.double[::1] = doubles(len(table))
 
     # 1. The returns that count, in m to the left of the axis, in rising order. Sorting by insertion
     # is fast, since the order of the scan is nearly this order.

@@ -14,6 +14,8 @@ block each other for good.
 - A robot that can neither turn nor go on takes the fastest twist that protection allows.
 
 A robot in contact creeps by envelope.py (`Creeping`).
+
+A kernel (see `core/kernels.py`), since each decision passes it.
 """
 
 from __future__ import annotations
@@ -21,52 +23,106 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from random import Random
-from typing import TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
 
-from swarmd.core.values import ZERO, Array, Limits, Pose, Twist
+from swarmd.core.values import ZERO, Array, Limits, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
+from swarmd.steering.avoidance import PASSAGE_WIDTHS
+from swarmd.steering.buffers import rows
+from swarmd.steering.openings import HALF_TURN
+from swarmd.steering.tracks import TURN
+from swarmd.steering.velocity_obstacles import passage_between
 
-_BLOCKED_SHARE = 0.5  # a robot with less than this share of the requested speed is blocked
-_MOVE_BLOCKED_TIME = 0.1  # s of blocked motion before recovery begins
-_TURN_BLOCKED_TIME = 1.0  # s of blocked turning before the robot backs off instead
-_MIN_SPEED_SHARE = 0.1  # of the limits: a slower requested command never counts as blocked
-_HARDLY_MOVES = 0.25  # share of this least linear speed: a slower robot hardly moves
-_FOLLOW_TIME = 1.5  # s for which the robot follows a free corridor
-_FOLLOW_GAIN = 2.0  # 1/s: rad/s for each rad that the heading is off the corridor
-_BACK_OFF_TIME = 0.8  # s, the shortest back-off
-_MAX_RECOVERY_TIME = 8.0  # s, in addition to the back-off, after which recovery ends
-_SIDE_HOLD_TIME = 10.0  # s for which the robot keeps the chosen side
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import (
+        INFINITY,
+        atan2,
+        copysign,
+        cos,
+        fabs,
+        fmod,
+        hypot,
+        remainder,
+        sin,
+    )
+else:
+    from swarmd.core.cython_shadow import (
+        INFINITY,
+        atan2,
+        copysign,
+        cos,
+        fabs,
+        fmod,
+        hypot,
+        remainder,
+        sin,
+    )
+
+# A robot with less than this share of the requested speed is blocked.
+_BLOCKED_SHARE = cython.declare(cython.double, 0.5)
+# s of blocked motion before recovery begins
+_MOVE_BLOCKED_TIME = cython.declare(cython.double, 0.1)
+# s of blocked turning before the robot backs off instead
+_TURN_BLOCKED_TIME = cython.declare(cython.double, 1.0)
+# Share of the limits: a slower requested command never counts as blocked.
+_MIN_SPEED_SHARE = cython.declare(cython.double, 0.1)
+# Share of this least linear speed: a slower robot hardly moves.
+_HARDLY_MOVES = cython.declare(cython.double, 0.25)
+# s for which the robot follows a free corridor
+_FOLLOW_TIME = cython.declare(cython.double, 1.5)
+# 1/s: rad/s for each rad that the heading is off the corridor
+_FOLLOW_GAIN = cython.declare(cython.double, 2.0)
+_BACK_OFF_TIME = cython.declare(cython.double, 0.8)  # s, the shortest back-off
+# s, in addition to the back-off, after which recovery ends
+_MAX_RECOVERY_TIME = cython.declare(cython.double, 8.0)
+# s for which the robot keeps the chosen side
+_SIDE_HOLD_TIME = cython.declare(cython.double, 10.0)
 _SIDE_FLIP_PROBABILITY = 0.05  # of the left side, so that two robots do not mirror each other
-_HEADING_TOLERANCE = math.radians(15.0)
-_OTHER_SIDE_COST = math.radians(40.0)  # by which a corridor on the other side must be nearer
-_YIELD_TIME = 12.0  # s, the longest back-off
-_ROUND_TIME = 15.0  # s within which the next block belongs to the same meeting
-_MIN_GAIN = 0.05  # m of progress since the last block after which a robot waits
+_HEADING_TOLERANCE = cython.declare(cython.double, math.radians(15.0))
+# rad by which a corridor on the other side must be nearer
+_OTHER_SIDE_COST = cython.declare(cython.double, math.radians(40.0))
+_YIELD_TIME = cython.declare(cython.double, 12.0)  # s, the longest back-off
+# s within which the next block belongs to the same meeting
+_ROUND_TIME = cython.declare(cython.double, 15.0)
+# m of progress since the last block after which a robot waits
+_MIN_GAIN = cython.declare(cython.double, 0.05)
 _WAIT_TIMES = (1.0, 3.0)  # s for which it waits
-_LIMITED_SHARE = 0.9  # of the requested speed: with less the robot looks for a narrow passage
-_PASSAGE_WIDTHS = 1.4  # times the width of a corridor: a passage up to this width is narrow
+# Of the requested speed: with less the robot looks for a narrow passage.
+_LIMITED_SHARE = cython.declare(cython.double, 0.9)
 _PURSUIT_LENGTH = 0.2  # m ahead on the middle line
-_PASSAGE_GAIN, _PASSAGE_TURN_RATE = 3.0, 0.8  # 1/s, rad/s
-_PASSAGE_REACH = (-0.15, 0.35)  # m ahead of the axle: walls there are the sides of a passage
+# 1/s, rad/s
+_PASSAGE_GAIN = cython.declare(cython.double, 3.0)
+_PASSAGE_TURN_RATE = cython.declare(cython.double, 0.8)
+# m ahead of the axle: walls there are the sides of a passage
+_SIDES_FROM = cython.declare(cython.double, -0.15)
+_SIDES_TO = cython.declare(cython.double, 0.35)
 # In a passage the request is at most this multiple of the allowed speed, plus this share of the
 # linear limit.
-_SPEED_UP, _SPEED_STEP = 1.3, 0.1
-_STOPPED_TIME = 1.0  # s without motion in a passage after which the robot counts as blocked
+_SPEED_UP = cython.declare(cython.double, 1.3)
+_SPEED_STEP = cython.declare(cython.double, 0.1)
+# s without motion in a passage after which the robot counts as blocked
+_STOPPED_TIME = cython.declare(cython.double, 1.0)
 # A robot that moves less than these m and turns less than these rad in these s counts as blocked.
-_STALL_TIME = 5.0
-_STALL_DISTANCE, _STALL_TURN = 0.04, 1.0
-_CREEP_TIME = 4.0  # s, the longest back-off at a creep
+_STALL_DISTANCE = cython.declare(cython.double, 0.04)
+_STALL_TURN = cython.declare(cython.double, 1.0)
+_STALL_TIME = cython.declare(cython.double, 5.0)
+_CREEP_TIME = cython.declare(cython.double, 4.0)  # s, the longest back-off at a creep
 _ESCAPE_TURNS = (0.0, 1.0, -1.0)  # rad/s
-_CROWD_PATIENCE = 2.0  # s of blocked motion before recovery begins, if moving objects are near
-_AXIS_BEARINGS = np.array((0.0, np.pi))
-_BEARINGS = np.radians(np.arange(-180.0, 180.0, 10.0))
+# s of blocked motion before recovery begins, if moving objects are near
+_CROWD_PATIENCE = cython.declare(cython.double, 2.0)
+
+_BEARINGS = np.radians(np.arange(-180.0, 180.0, 10.0)).tolist()  # rad, of corridors
 
 
-Points: TypeAlias = Callable[[], Array]
-Allows: TypeAlias = Callable[[Twist], Twist]
+Points = Callable[[], Array]
+Allows = Callable[[Twist], Twist]
 
 
 class Others(Struct, frozen=True, gc=False):
@@ -82,6 +138,8 @@ class Others(Struct, frozen=True, gc=False):
 NO_OTHERS = Others()
 
 
+@cython.final
+@cython.cclass
 class Recovery:
     """Replaces the requested command of a blocked robot. Times are in s and come with each call.
 
@@ -98,37 +156,56 @@ class Recovery:
         has_taken_over: True while the command does not depend on the requested one.
     """
 
+    lookahead = cython.declare(cython.double, visibility="readonly")
+    is_active = cython.declare(cython.bint, visibility="readonly")
+    has_taken_over = cython.declare(cython.bint, visibility="readonly")
+    _half_width: cython.double  # m, of a corridor
+    _width: cython.double  # m, of the robot
+    _linear_limit: cython.double  # m/s
+    _angular_limit: cython.double  # rad/s
+    _turn_rate: cython.double  # rad/s
+    _turn_weight: cython.double  # m2/s2 for each rad2/s2
+    _rng: object
+    _side: cython.double  # 1 left or -1 right
+    _side_until: cython.double
+    _bearing: cython.double  # rad, of the corridor
+    _planned_at_yaw: cython.double  # rad
+    _speed: cython.double  # m/s, the fastest that was requested during a recovery
+    _is_backing: cython.bint
+    _escape: object  # the twist of state back; None without one
+    _back_off_count: cython.longlong
+    _back_time: cython.double
+    _patience: cython.double
+    _last_block: object  # its time and pose; None without one
+    _request: object  # the last replacement
+    _last_motion: object  # its time and pose; None without one
+    _began_at: cython.double
+    _blocked_since: cython.double  # inf: not blocked
+    _state: str
+    _state_since: cython.double
+
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
         """`clearance` is the room that a corridor needs for nearly full speed under protection.
 
         `seed` seeds the random choices.
         """
         self.lookahead = clearance.ahead + _FOLLOW_TIME * limits.linear
-        self._half_width = clearance.beside
-        self._width = 2.0 * clearance.body
-        self._limits = limits
-        self._least_linear = _MIN_SPEED_SHARE * limits.linear
-        self._least_angular = _MIN_SPEED_SHARE * limits.angular
+        self._half_width, self._width = clearance.beside, 2.0 * clearance.body
+        self._linear_limit, self._angular_limit = limits.linear, limits.angular
         self._turn_rate = min(limits.angular, 1.5)
-        self._turn_weight = (limits.linear / limits.angular) ** 2  # m2/s2 for each rad2/s2
+        self._turn_weight = math.pow(limits.linear / limits.angular, 2.0)
         self._rng = Random(seed)
-        self._side, self._side_until = -1.0, -math.inf
-        self._bearing = self._planned_at_yaw = self._speed = 0.0
-        self._is_backing = False
-        self._escape: Twist | None = None
-        self._back_off_count, self._back_time = 0, _BACK_OFF_TIME
-        self._patience = _MOVE_BLOCKED_TIME
-        self._last_block: tuple[float, Pose] | None = None
+        self._side, self._side_until = -1.0, -INFINITY
+        self._back_time, self._patience = _BACK_OFF_TIME, _MOVE_BLOCKED_TIME
         self.reset()
 
-    def reset(self) -> None:
+    @cython.ccall
+    def reset(self):
         """Become inactive: the requested command passes."""
-        self._request = ZERO
-        self._last_motion: tuple[float, Pose] | None = None
-        self._began_at = -math.inf
-        self._blocked_since: float | None = None
-        self._enter("follow", -math.inf)
+        self._request, self._last_motion, self._began_at = ZERO, None, -INFINITY
+        self._enter("follow", -INFINITY)
 
+    @cython.ccall
     def replacement(
         self,
         requested: Twist,
@@ -153,15 +230,16 @@ class Recovery:
                 tried.
         """
         # The request before avoidance: avoidance may slow a request so much that it seems idle.
-        now, pattern_request = context.now, others.wanted or requested
+        pattern_request = requested if others.wanted is None else others.wanted
+        now: cython.double = context.now
 
         # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),
         # or takes too long.
-        has_taken_over, duration = self.has_taken_over, now - self._began_at
+        has_taken_over: cython.bint = self.has_taken_over
         if (
             others.is_settled
             or not (self._is_moving(pattern_request) or self._is_turning(pattern_request))
-            or (has_taken_over and duration > _MAX_RECOVERY_TIME + self._back_time)
+            or (has_taken_over and now - self._began_at > _MAX_RECOVERY_TIME + self._back_time)
         ):
             self.reset()
             return requested
@@ -169,8 +247,8 @@ class Recovery:
         # 2. Before a recovery. A robot that is neither blocked nor stalled keeps its request, which
         # is led along the middle line in a passage. A blocked robot waits, or begins a recovery.
         # `patience`: s of blocked motion before a recovery begins.
-        patience = _CROWD_PATIENCE if others.are_near else self._patience
-        is_blocked = self._is_blocked(safe, now, max(patience, others.patience))
+        patience: cython.double = _CROWD_PATIENCE if others.are_near else self._patience
+        is_blocked: cython.bint = self._is_blocked(safe, now, max(patience, others.patience))
         if not has_taken_over:
             if not is_blocked and not self._is_stalled(context, points):
                 if others.are_avoided:
@@ -189,16 +267,18 @@ class Recovery:
         self._request = self._recover(safe, context, points, is_blocked, safe_for)
         return self._request
 
-    def _start(self, requested: Twist, context: DecisionContext, points: Array) -> None:
+    @cython.cfunc
+    def _start(self, requested: Twist, context: DecisionContext, points: Array):
         """Begin a recovery: back off if a motion was blocked; choose a corridor if a turn was."""
-        self._began_at, self._speed = context.now, 0.5 * self._limits.linear
+        self._began_at, self._speed = context.now, 0.5 * self._linear_limit
         self._last_motion = None
         if self._is_moving(requested):
             self._back_off(points, context.now)
         else:
             self._plan(0.0, context, points)
 
-    def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
+    @cython.cfunc
+    def _is_blocked(self, safe: Twist, now: cython.double, patience: cython.double) -> cython.bint:
         """Update `_blocked_since`; True once the robot has been blocked for some time.
 
         A robot is blocked while the safe command is far below the last request. The time is
@@ -208,31 +288,43 @@ class Recovery:
         blocked only while it hardly moves.
         """
         request = self._request
-        is_moving = self._is_moving(request)
-        share = 1.0  # of the request that protection allows
-        if self._state == "pass" or self._creeps(safe):
-            share = 1.0 if abs(safe.linear) >= _HARDLY_MOVES * self._least_linear else 0.0
+        is_passing: cython.bint = self._state == "pass"
+        is_moving: cython.bint = self._is_moving(request)
+        share: cython.double = 1.0  # of the request that protection allows
+        if is_passing or self._creeps(safe):
+            share = (
+                1.0
+                if fabs(safe.linear) >= _HARDLY_MOVES * (_MIN_SPEED_SHARE * self._linear_limit)
+                else 0.0
+            )
         elif is_moving or self._is_turning(request):
             share = self._product(safe, request) / self._product(request, request)
         if share >= _BLOCKED_SHARE:
-            self._blocked_since = None
+            self._blocked_since = INFINITY
             return False
-        if self._blocked_since is None:
+        if self._blocked_since == INFINITY:
             self._blocked_since = now
-        if self._state == "pass":
-            return now - self._blocked_since >= max(_STOPPED_TIME, patience)
-        patience_in_state = patience if self._state == "follow" else _MOVE_BLOCKED_TIME
-        return now - self._blocked_since >= (patience_in_state if is_moving else _TURN_BLOCKED_TIME)
+        if is_passing:
+            patience = max(_STOPPED_TIME, patience)
+        elif not is_moving:
+            patience = _TURN_BLOCKED_TIME
+        elif self._state != "follow":
+            patience = _MOVE_BLOCKED_TIME
+        return now - self._blocked_since >= patience
 
-    def _creeps(self, safe: Twist) -> bool:
+    @cython.cfunc
+    def _creeps(self, safe: Twist) -> cython.bint:
         """True if protection lets a robot that backs off only creep, as in contact."""
         if self._state != "back":
             return False
-        asked = self._request.linear
-        allowed = safe.linear if asked > 0.0 else -safe.linear
-        return 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
+        asked: cython.double = self._request.linear
+        allowed: cython.double = safe.linear
+        if asked <= 0.0:
+            allowed = -allowed
+        return 0.0 < allowed < _BLOCKED_SHARE * fabs(asked)
 
-    def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
+    @cython.cfunc
+    def _is_stalled(self, context: DecisionContext, points: Points) -> cython.bint:
         """Update `_last_motion`; True: no progress near obstacles, although the robot may move.
 
         By odometry the robot has stayed near one place and heading for more than `_STALL_TIME` s:
@@ -241,11 +333,13 @@ class Recovery:
         """
         if context.odometry is None:
             return False
-        now, pose = context.now, context.odometry.pose
+        now: cython.double = context.now
+        pose = context.odometry.pose
         if self._last_motion is not None:
             since, start = self._last_motion
-            distance = math.hypot(pose.x - start.x, pose.y - start.y)
-            has_stayed = distance <= _STALL_DISTANCE and abs(pose.yaw - start.yaw) <= _STALL_TURN
+            distance = hypot(pose.x - start.x, pose.y - start.y)
+            turn = fabs(pose.yaw - start.yaw)
+            has_stayed: cython.bint = distance <= _STALL_DISTANCE and turn <= _STALL_TURN
             if has_stayed and now - since <= _STALL_TIME:
                 return False
             if has_stayed and len(points()):
@@ -253,16 +347,19 @@ class Recovery:
         self._last_motion = now, pose
         return False
 
-    def _product(self, a: Twist, b: Twist) -> float:
+    @cython.cfunc
+    def _product(self, a: Twist, b: Twist) -> cython.double:
         """The inner product of two twists in m2/s2.
 
         A turn at its limit weighs as much as motion at its limit. So a robot that may make the turn
         of its request does not count as blocked, even if it may hardly move.
         """
-        weight = self._turn_weight
-        return a.linear * b.linear + a.lateral * b.lateral + weight * a.angular * b.angular
+        return (
+            a.linear * b.linear + a.lateral * b.lateral + self._turn_weight * a.angular * b.angular
+        )
 
-    def _should_wait(self, context: DecisionContext, points: Array) -> bool:
+    @cython.cfunc
+    def _should_wait(self, context: DecisionContext, points: Array) -> cython.bint:
         """Choose how a robot that has just been blocked gives way; True: it waits.
 
         If two robots meet between walls, a robot that has come forward since its last block waits
@@ -270,17 +367,18 @@ class Recovery:
         `_back_off_count` and `_patience`. In the open, or at the first block of a meeting, the
         back-off is short, since the robots can drive around each other.
         """
-        # 1. Is the robot between walls: no corridor ahead is free up to the lookahead?
-        now, pose = context.now, None if context.odometry is None else context.odometry.pose
-        is_ahead = np.abs(_BEARINGS) <= 0.5 * np.pi
-        is_enclosed = self._free_lengths(points, _BEARINGS[is_ahead]).max() < self.lookahead
+        # 1. In the open, or a new meeting.
+        now: cython.double = context.now
+        pose = None if context.odometry is None else context.odometry.pose
         last_block, self._last_block = self._last_block, None if pose is None else (now, pose)
-        has_waited = self._patience != _MOVE_BLOCKED_TIME  # since the last block: set in step 2
+        has_waited: cython.bint = (
+            self._patience != _MOVE_BLOCKED_TIME
+        )  # since the last block: set in step 2
         self._patience = _MOVE_BLOCKED_TIME
         if (
-            not is_enclosed
-            or last_block is None
+            last_block is None
             or pose is None
+            or not self._is_enclosed(points)
             or now - last_block[0] > _ROUND_TIME
         ):
             self._back_off_count, self._back_time = 0, _BACK_OFF_TIME
@@ -288,27 +386,36 @@ class Recovery:
 
         # 2. A further block of the same meeting: waits once after progress.
         dx, dy = pose.x - last_block[1].x, pose.y - last_block[1].y
-        progress_m = math.cos(pose.yaw) * dx + math.sin(pose.yaw) * dy
+        progress_m: cython.double = cos(pose.yaw) * dx + sin(pose.yaw) * dy
         if progress_m > _MIN_GAIN and not has_waited:
             self._patience = self._rng.uniform(*_WAIT_TIMES)
             return True
 
         # 3. Else backs off for a random time whose bound doubles with each block.
         self._back_off_count += 1
-        longest = min(_BACK_OFF_TIME * 2.0**self._back_off_count, _YIELD_TIME)
-        self._back_time = self._rng.uniform(0.5, 1.0) * longest
+        longest: cython.double = _BACK_OFF_TIME * 2.0 ** min(self._back_off_count, 4)
+        self._back_time = self._rng.uniform(0.5, 1.0) * min(longest, _YIELD_TIME)
         return False
 
-    def _through_passage(self, requested: Twist, safe: Twist, points: Points) -> Twist:
+    @cython.cfunc
+    def _is_enclosed(self, points: Array) -> cython.bint:
+        """True between walls: no corridor ahead is free up to the lookahead."""
+        places: cython.const[cython.double][:, ::1] = rows(points)
+        ahead = [bearing for bearing in _BEARINGS if fabs(bearing) <= 0.5 * HALF_TURN]
+        return all([self._free_length(places, bearing) < self.lookahead for bearing in ahead])
+
+    @cython.cfunc
+    def _through_passage(self, requested: Twist, safe: Twist, points: Points):
         """The command that keeps to the middle of a narrow passage; else `requested`.
 
         `requested` passes if the robot is not in a narrow passage, or protection does not limit it.
         """
-        share = safe.linear / requested.linear if requested.linear >= self._least_linear else 1.0
-        is_limited = self._state == "pass" or (
-            self._is_moving(self._request) and share < _LIMITED_SHARE
-        )
-        if requested.linear <= 0.0 or requested.lateral != 0.0 or not is_limited:
+        linear: cython.double = requested.linear
+        allowed: cython.double = safe.linear
+        is_limited: cython.bint = self._state == "pass"
+        if not is_limited and linear > 0.0 and linear >= _MIN_SPEED_SHARE * self._linear_limit:
+            is_limited = self._is_moving(self._request) and allowed / linear < _LIMITED_SHARE
+        if linear <= 0.0 or requested.lateral != 0.0 or not is_limited:
             self._leave_passage()
             return requested
         target = self.middle(points())
@@ -317,19 +424,20 @@ class Recovery:
             return requested
         if self._state == "follow":
             self._enter("pass", self._state_since)
-        speed_bound = _SPEED_UP * max(safe.linear, 0.0) + _SPEED_STEP * self._limits.linear
-        turn = _PASSAGE_GAIN * math.atan2(target[1], target[0])
-        turn = max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)
-        return Twist(min(requested.linear, speed_bound), turn)
+        speed_bound: cython.double = (
+            _SPEED_UP * max(allowed, 0.0) + _SPEED_STEP * self._linear_limit
+        )
+        return Twist(min(linear, speed_bound), _turn_to(target))
 
+    @cython.cfunc
     def _recover(
         self,
         safe: Twist,
         context: DecisionContext,
         points: Points,
-        is_blocked: bool,
+        is_blocked: cython.bint,
         safe_for: Allows | None,
-    ) -> Twist:
+    ):
         """The command of a recovery; changes the state first if necessary.
 
         Args:
@@ -342,9 +450,9 @@ class Recovery:
         """
         # 1. Changes the state. A blocked turn leads to a back-off or an escape; the end of a
         # back-off, or a blocked drive, to a new corridor.
-        now = context.now
+        now: cython.double = context.now
         # At a creep, as in contact, the robot needs longer to get clear.
-        back_time = _CREEP_TIME if self._creeps(safe) else self._back_time
+        back_time: cython.double = _CREEP_TIME if self._creeps(safe) else self._back_time
         if self._state == "turn" and is_blocked:
             self._back_off(points(), now)
             self._escape = None if safe_for is None else self._fastest_escape(safe_for)
@@ -356,19 +464,20 @@ class Recovery:
         # 2. The command of the state.
         if self._state == "back":
             return self._backing(points)
-        yaw_error = math.remainder(self._bearing - self._turned_since_plan(context), 2.0 * math.pi)
+        yaw_error: cython.double = remainder(self._bearing - self._turned_since_plan(context), TURN)
         if self._state == "turn":
-            if abs(yaw_error) > _HEADING_TOLERANCE:
-                return Twist(angular=math.copysign(self._turn_rate, yaw_error))
+            if fabs(yaw_error) > _HEADING_TOLERANCE:
+                return Twist(0.0, copysign(self._turn_rate, yaw_error))
             self._enter("go", now)
         if now - self._state_since >= _FOLLOW_TIME:
             self.reset()  # this command is the last one of the recovery
-        turn = max(min(_FOLLOW_GAIN * yaw_error, self._turn_rate), -self._turn_rate)
+        turn: cython.double = max(min(_FOLLOW_GAIN * yaw_error, self._turn_rate), -self._turn_rate)
         return Twist(self._speed, turn)
 
-    def _backing(self, points: Points) -> Twist:
+    @cython.cfunc
+    def _backing(self, points: Points):
         """The command of state back; a long back-off follows the middle line of a passage."""
-        speed = 0.5 * self._speed
+        speed: cython.double = 0.5 * self._speed
         if self._escape is not None:
             return self._escape
         if not self._is_backing:
@@ -376,54 +485,51 @@ class Recovery:
         if self._back_time <= _BACK_OFF_TIME:
             return Twist(-speed)
         target = self.middle(-points())  # seen from the rear
-        turn = 0.0 if target is None else _PASSAGE_GAIN * math.atan2(target[1], target[0])
-        return Twist(-2.0 * speed, max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE))
+        return Twist(-2.0 * speed, 0.0 if target is None else _turn_to(target))
 
-    def _is_moving(self, twist: Twist) -> bool:
+    @cython.cfunc
+    def _is_moving(self, twist: Twist) -> cython.bint:
         """True if the twist translates faster than the least speed."""
-        if twist.lateral == 0.0:
-            return abs(twist.linear) >= self._least_linear
-        return math.hypot(twist.linear, twist.lateral) >= self._least_linear
+        return hypot(twist.linear, twist.lateral) >= _MIN_SPEED_SHARE * self._linear_limit
 
-    def _is_turning(self, twist: Twist) -> bool:
+    @cython.cfunc
+    def _is_turning(self, twist: Twist) -> cython.bint:
         """True if the twist turns faster than the least speed."""
-        return abs(twist.angular) >= self._least_angular
+        return fabs(twist.angular) >= _MIN_SPEED_SHARE * self._angular_limit
 
-    def _leave_passage(self) -> None:
+    @cython.cfunc
+    def _leave_passage(self):
         if self._state == "pass":
             self._enter("follow", self._state_since)
 
+    @cython.ccall
     def middle(self, points: Array) -> Array | None:
         """(2,) a place in m ahead on the middle line of a narrow passage; None without a passage.
 
         `points` (k, 2) are returns in m in the base frame. The sides of the passage are the two
         returns, one to the left and one to the right, that are nearest to each other.
         """
-        rear_m, front_m = _PASSAGE_REACH
-        widest = 2.0 * _PASSAGE_WIDTHS * self._half_width
-        x, y = points[:, 0], points[:, 1]
-        beside = points[(x > rear_m) & (x < front_m) & (np.abs(y) < widest)]
-        left, right = beside[beside[:, 1] > 0.0], beside[beside[:, 1] <= 0.0]
-        if not len(left) or not len(right):
-            return None
-        across = left[:, None] - right[None]
-        widths = np.hypot(across[..., 0], across[..., 1])
-        i, j = divmod(int(widths.argmin()), len(right))
-        width = widths[i, j]
+        widest = 2.0 * PASSAGE_WIDTHS * self._half_width
+        width, i, k = passage_between(points, _SIDES_FROM, _SIDES_TO, widest)
         if not self._width < width < widest:
             return None
-        direction = np.array((across[i, j, 1], -across[i, j, 0])) / width  # through the passage
-        middle = 0.5 * (left[i] + right[j])
+        left, right = points[i], points[k]
+        across = left - right
+        direction = np.array((across[1], -across[0])) / width  # through the passage
+        middle = 0.5 * (left + right)
         target: Array = middle - direction * (middle @ direction - _PURSUIT_LENGTH)
         return target if target[0] > 0.0 else None
 
-    def _back_off(self, points: Array, now: float) -> None:
+    @cython.cfunc
+    def _back_off(self, points: Array, now: cython.double):
         """Move forward or backward, to the side with more room."""
-        ahead, behind = self._free_lengths(points, _AXIS_BEARINGS)
-        self._is_backing, self._escape = bool(behind > ahead), None
+        places: cython.const[cython.double][:, ::1] = rows(points)
+        ahead = self._free_length(places, 0.0)
+        self._is_backing, self._escape = self._free_length(places, HALF_TURN) > ahead, None
         self._enter("back", now)
 
-    def _fastest_escape(self, safe_for: Allows) -> Twist | None:
+    @cython.cfunc
+    def _fastest_escape(self, safe_for: Allows):
         """The fastest of six twists that protection allows; None if protection allows none."""
         speed, fastest, escape = 0.5 * self._speed, 0.0, None
         for sign in (-1.0, 1.0) if self._is_backing else (1.0, -1.0):
@@ -434,44 +540,68 @@ class Recovery:
                     fastest, escape = allowed, twist
         return escape
 
-    def _plan(self, heading: float, context: DecisionContext, points: Array) -> None:
+    @cython.cfunc
+    def _plan(self, heading: cython.double, context: DecisionContext, points: Array):
         """Choose a free corridor near `heading` (bearing in rad), and enter the state turn.
 
         A corridor costs its angle from the heading. A corridor on the side that was not chosen
         costs more, as does a corridor that is not free up to `lookahead`.
         """
-        now = context.now
+        now: cython.double = context.now
         if now >= self._side_until:
             self._side = 1.0 if self._rng.random() < _SIDE_FLIP_PROBABILITY else -1.0
         self._side_until = now + _SIDE_HOLD_TIME
-        angles_off = np.remainder(_BEARINGS - heading + np.pi, 2.0 * np.pi) - np.pi
-        is_other_side = angles_off * self._side < -1e-9
-        costs = np.abs(angles_off) + _OTHER_SIDE_COST * is_other_side
-        free = self._free_lengths(points, _BEARINGS)
-        # 20 rad for each m that is not free: 0.2 m outweigh any angle.
-        costs += 20.0 * np.maximum(self.lookahead - free, 0.0)
-        best = int(costs.argmin())
-        self._bearing = float(_BEARINGS[best])
+        places: cython.const[cython.double][:, ::1] = rows(points)
+        least_cost: cython.double = INFINITY
+        for bearing in _BEARINGS:
+            angle_off = _positive(bearing - heading + HALF_TURN) - HALF_TURN
+            cost = fabs(angle_off)
+            if angle_off * self._side < -1e-9:
+                cost += _OTHER_SIDE_COST
+            # 20 rad for each m that is not free: 0.2 m outweigh any angle.
+            cost += 20.0 * max(self.lookahead - self._free_length(places, bearing), 0.0)
+            if cost < least_cost:
+                least_cost, self._bearing = cost, bearing
         self._planned_at_yaw = 0.0 if context.odometry is None else context.odometry.pose.yaw
         self._enter("turn", now)
 
-    def _free_lengths(self, points: Array, bearings: Array) -> Array:
-        """(b,) m of free corridor from the axle along each bearing (b,)."""
-        cos, sin = np.cos(bearings)[:, None], np.sin(bearings)[:, None]
-        x, y = points[:, 0], points[:, 1]
-        ahead, aside = cos * x + sin * y, cos * y - sin * x
-        is_in = (ahead > 0.0) & (np.abs(aside) < self._half_width)
-        free: Array = np.where(is_in, ahead, self.lookahead).min(axis=1, initial=self.lookahead)
+    @cython.cfunc
+    def _free_length(
+        self, places: cython.const[cython.double][:, ::1], bearing: cython.double
+    ) -> cython.double:
+        """m of free corridor from the axle along a bearing, up to `lookahead`."""
+        c, s, free = cos(bearing), sin(bearing), self.lookahead
+        for i in range(len(places)):
+            ahead = c * places[i, 0] + s * places[i, 1]
+            aside = c * places[i, 1] - s * places[i, 0]
+            if 0.0 < ahead < free and fabs(aside) < self._half_width:
+                free = ahead
         return free
 
-    def _turned_since_plan(self, context: DecisionContext) -> float:
+    @cython.cfunc
+    def _turned_since_plan(self, context: DecisionContext) -> cython.double:
         """The turn in rad since the corridor was chosen."""
         if context.odometry is None:
-            return math.copysign(self._turn_rate * (context.now - self._state_since), self._bearing)
+            return copysign(self._turn_rate * (context.now - self._state_since), self._bearing)
         return context.odometry.pose.yaw - self._planned_at_yaw
 
-    def _enter(self, state: str, now: float) -> None:
+    @cython.cfunc
+    def _enter(self, state: str, now: cython.double):
         self._state, self._state_since = state, now
         self.is_active = state != "follow"
-        self.has_taken_over = state not in {"follow", "pass"}
-        self._blocked_since = None
+        self.has_taken_over = self.is_active and state != "pass"
+        self._blocked_since = INFINITY
+
+
+@cython.cfunc
+def _turn_to(target) -> cython.double:
+    """The turn in rad/s towards a place (2,) on the middle line of a passage."""
+    turn = _PASSAGE_GAIN * atan2(target[1], target[0])
+    return max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)
+
+
+@cython.cfunc
+def _positive(angle: cython.double) -> cython.double:
+    """The angle in rad, from 0 to a full turn, as numpy's remainder."""
+    rest: cython.double = fmod(angle, TURN)
+    return rest + TURN if rest < 0.0 else rest

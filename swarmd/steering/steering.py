@@ -17,19 +17,18 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from swarmd.core.avoided import Avoided
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Platform, Scan, Twist
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
 from swarmd.steering.avoidance import Avoidance
 from swarmd.steering.recovery import NO_OTHERS, Allows, Others, Points, Recovery
 from swarmd.steering.right_of_way import RightOfWay
+from swarmd.steering.tracks import Track, Tracker
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 
     from swarmd.protection.protection import Protection
-    from swarmd.steering.tracks import Track
 else:
     from swarmd.core import cython_shadow as cython
 
@@ -46,16 +45,16 @@ class Steering:
 
     _protection: object
     _offset: object
-    _recovery: object  # None: this robot is not steered
+    _recovery: Recovery  # None: this robot is not steered
     _is_recovering: cython.bint
     _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
-    _avoidance: object
+    _avoidance: Avoidance
     _tracker = cython.declare(object, visibility="public")
     _avoids: cython.bint  # as the platform says
     _is_avoiding: cython.bint  # as the permit says
     _has_avoided: cython.bint  # right of way may know openings
     _odometry: object  # the last reading; None without one
-    _right_of_way: object
+    _right_of_way: RightOfWay
 
     def __init__(self, platform: Platform, protection: Protection, seed: str = "") -> None:
         self._protection, self._offset = protection, platform.scan.offset
@@ -64,7 +63,7 @@ class Steering:
             self._recovery = Recovery(clearance, platform.limits, seed)
             self._avoids = platform.protection.get("avoidance", "none") == "orca"
             self._avoidance = Avoidance(clearance, platform.limits)
-            self._tracker = load_kernel("swarmd.steering.tracks").Tracker(platform)
+            self._tracker = Tracker(platform)
             self._right_of_way = RightOfWay(clearance, platform.limits, seed)
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
@@ -99,14 +98,13 @@ class Steering:
         Arguments as those of `Protection.decide`; `permit` says what of steering the pattern
         permits.
         """
-        protection = self._protection
         if self._recovery is None:
-            return protection.decide(requested, context, is_running, hold, permit)
+            return self._protection.decide(requested, context, is_running, hold, permit)
         # A hold of a running robot comes without the pattern's permit, so such a hold leaves
         # avoidance as it is.
         if hold is None or not is_running:
             self._switch_avoidance(is_running, permit)
-        clipped = candidate = protection.clip(requested)
+        clipped = candidate = self._protection.clip(requested)
         is_held = hold is not None or context.scan_age is None
         if not is_running or is_held or not permit.may_recover:
             self._end_recovery()
@@ -116,7 +114,7 @@ class Steering:
         if self._is_avoiding or self._is_recovering or candidate is not clipped:
             avoided = self._avoided(context) if self._is_avoiding else None
             steered = Steered(candidate, self._is_recovering != 0, avoided)
-        return protection.decide(requested, context, is_running, hold, permit, steered)
+        return self._protection.decide(requested, context, is_running, hold, permit, steered)
 
     @cython.cfunc
     def _switch_avoidance(self, is_running: cython.bint, permit):
@@ -148,20 +146,20 @@ class Steering:
 
         The result is the object `clipped` if the request is not replaced.
         """
-        protection, recovery = self._protection, self._recovery
         self._may_recover = True
-        allows = partial(protection.permitted, context, touch)
-        points = partial(protection.points, context, recovery.lookahead)
+        allows = partial(self._protection.permitted, context, touch)
+        points = partial(self._protection.points, context, self._recovery.lookahead)
         passing_request, others = self._pass_others(clipped, context, allows, points)
-        patience = protection.wall_patience(context.now)
+        patience = self._protection.wall_patience(context.now)
         if patience > 0.0:  # recovery waits longer while near walls are about to have stood
             others = replace(others, patience=patience)
-        candidate = recovery.replacement(
-            passing_request, protection.mode_command, context, points, others, allows
+        candidate = self._recovery.replacement(
+            passing_request, self._protection.mode_command, context, points, others, allows
         )
-        self._is_recovering = recovery.is_active
+        self._is_recovering = self._recovery.is_active
         return candidate
 
+    @cython.cfunc
     def _pass_others(
         self, requested: Twist, context: DecisionContext, allows: Allows, points: Points
     ) -> tuple[Twist, Others]:
@@ -172,16 +170,15 @@ class Steering:
         then decides, unless right of way is in a state that settles the command, or a recovery is
         under way. `allows` gives what protection permits of any request, `points` the returns.
         """
-        avoidance, recovery = self._avoidance, self._recovery
+        avoidance = self._avoidance
         if not self._is_avoiding:
             return requested, NO_OTHERS
         around = self._tracker.surroundings(context)
-        right_of_way = self._right_of_way
-        requested = right_of_way.command(requested, context, around, allows, points)
-        if right_of_way.is_settled:
+        requested = self._right_of_way.command(requested, context, around, allows, points)
+        if self._right_of_way.is_settled:
             avoidance.avoiding = None
             return requested, Others(requested, is_settled=True)
-        if recovery.has_taken_over:
+        if self._recovery.has_taken_over:
             avoidance.avoiding = None
             return requested, NO_OTHERS
         last = self._protection.mode_command

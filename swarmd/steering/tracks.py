@@ -28,6 +28,7 @@ from msgspec import Struct
 
 from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, Array, Odometry, Platform, Pose, Scan
 from swarmd.protection.decision import DecisionContext
+from swarmd.steering.buffers import doubles, numbers
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -91,9 +92,11 @@ _MAX_MISSES = cython.declare(cython.int, 2)
 # s for which a hidden object is remembered
 _HIDDEN_TIME = cython.declare(cython.double, 1.5)
 _SECTORS = 36  # directions in each of which the nearest place of a wall is kept
-_MAX_AHEAD = cython.declare(cython.double, 1.0)  # s for which a track moves on without a scan
+_MAX_EXTRAPOLATED = cython.declare(
+    cython.double, 1.0
+)  # s for which a track moves on without a scan
 
-_TURN = cython.declare(cython.double, 2.0 * math.pi)
+TURN = cython.declare(cython.double, 2.0 * math.pi)
 _SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # sectors in a rad
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
 
@@ -131,23 +134,12 @@ def pose_after(odometry, seconds: cython.double):
     return Pose(x, y, yaw + seconds * angular)
 
 
-def _doubles(count):
-    """A buffer of `count` doubles; of numbers of Python in CPython."""
-    return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
-
-
 def _places(count):
     """A buffer of `count` whole numbers."""
     return array("q", bytes(8 * count)) if cython.compiled else [0] * count
 
 
-def _numbers(values):
-    """`values` (n,) as the kernel reads them: in CPython as numbers of Python."""
-    values = np.ascontiguousarray(values, np.float64)
-    return values if cython.compiled else values.tolist()
-
-
-_no_doubles = cython.declare(cython.double[::1], _doubles(0))
+_no_doubles = cython.declare(cython.double[::1], doubles(0))
 
 
 @cython.final
@@ -295,7 +287,7 @@ class Surroundings:
     def tracks(self) -> tuple[Track, ...]:
         """The objects that at least _MIN_HITS scans have shown.
 
-        The place of a track is extrapolated at its velocity for _MAX_AHEAD s at most.
+        The place of a track is extrapolated at its velocity for _MAX_EXTRAPOLATED s at most.
         """
         if self._tracks is not None:
             return self._tracks
@@ -306,7 +298,9 @@ class Surroundings:
         for track in self._filters:
             if track.hits < _MIN_HITS:
                 continue
-            seconds_ahead: cython.double = min(max(self._time - track.state_at, 0.0), _MAX_AHEAD)
+            seconds_ahead: cython.double = min(
+                max(self._time - track.state_at, 0.0), _MAX_EXTRAPOLATED
+            )
             dx: cython.double = track.x + track.vx * seconds_ahead - self._x
             dy: cython.double = track.y + track.vy * seconds_ahead - self._y
             tracks.append(
@@ -450,6 +444,7 @@ class Tracker:
                 self._filters.append(track)
                 self._next_id += 1
 
+    @cython.ccall
     def surroundings(self, context: DecisionContext) -> Surroundings:
         """The tracks and the places of walls at the time of `context`, in the base frame.
 
@@ -480,7 +475,7 @@ class Tracker:
             if stamp <= time:
                 fraction: cython.double = (time - stamp) / max(later.stamp - stamp, 1e-9)
                 earlier_pose, later_pose = earlier.pose, later.pose
-                turn: cython.double = remainder(later_pose.yaw - earlier_pose.yaw, _TURN)
+                turn: cython.double = remainder(later_pose.yaw - earlier_pose.yaw, TURN)
                 return Pose(
                     earlier_pose.x + fraction * (later_pose.x - earlier_pose.x),
                     earlier_pose.y + fraction * (later_pose.y - earlier_pose.y),
@@ -527,11 +522,11 @@ class Tracker:
         may fall once, from half a turn to minus half a turn. So most scans need no sorting: the
         returns from this fall on come first, then the returns before the fall.
         """
-        ranges: cython.const[cython.double][::1] = _numbers(scan.ranges)
-        bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
+        ranges: cython.const[cython.double][::1] = numbers(scan.ranges)
+        bearings: cython.const[cython.double][::1] = numbers(scan.bearings)
         has_ages: cython.bint = scan.ages is not None
         # Without ages all ages are 0, and `ages` is not read: any array may take its place.
-        ages: cython.const[cython.double][::1] = _numbers(scan.ages) if has_ages else ranges
+        ages: cython.const[cython.double][::1] = numbers(scan.ages) if has_ages else ranges
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
@@ -579,12 +574,12 @@ class Tracker:
 
     def _make_room(self, count):
         """Make the arrays of returns, runs and walls for `count` rays."""
-        self._x, self._y, self._ranges = _doubles(count), _doubles(count), _doubles(count)
-        self._bearings, self._ages = _doubles(count), _doubles(count)
+        self._x, self._y, self._ranges = doubles(count), doubles(count), doubles(count)
+        self._bearings, self._ages = doubles(count), doubles(count)
         self._order, self._is_gap = _places(count), _places(count)
         self._run_first, self._run_last = _places(count), _places(count)
         # Each place of a wall is a return, or the mean of a run.
-        self._wall_x, self._wall_y = _doubles(count), _doubles(count)
+        self._wall_x, self._wall_y = doubles(count), doubles(count)
 
     @cython.cfunc
     def _cut_into_runs(self) -> cython.Py_ssize_t:
@@ -606,7 +601,7 @@ class Tracker:
             j = i + 1 if i + 1 < count else 0
             step: cython.double = self._bearings[j] - self._bearings[i]
             if j == 0:
-                step -= floor(step / _TURN) * _TURN
+                step -= floor(step / TURN) * TURN
             near: cython.double = min(self._ranges[i], self._ranges[j])
             max_distance: cython.double = _MAX_STEP + near * step / _GRAZING
             dx: cython.double = self._x[j] - self._x[i]
@@ -628,7 +623,6 @@ class Tracker:
         if n < 2:
             return clusters
         runs: cython.Py_ssize_t = self._cut_into_runs()
-        i: cython.Py_ssize_t
         end: cython.Py_ssize_t
         if runs == 0:
             for i in range(0, n, 10):
@@ -684,7 +678,6 @@ class Tracker:
             scan_time: s, the time of the newest ray of the scan.
         """
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
         ranges: cython.double[::1] = self._ranges
         return_count: cython.Py_ssize_t = self._return_count
@@ -733,7 +726,6 @@ class Tracker:
         `index` to `end`. `scan_time`: s, the time of the newest ray of the scan.
         """
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
         x: cython.double = 0.0
         y: cython.double = 0.0
@@ -773,8 +765,6 @@ class Tracker:
         """Add the nearest place of a wall in each of _SECTORS directions, in order of bearing."""
         ranges: cython.double[::1] = self._ranges
         bearings: cython.double[::1] = self._bearings
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         n: cython.Py_ssize_t = self._return_count
         nearest: cython.Py_ssize_t = -1
         sector: cython.double = 0.0

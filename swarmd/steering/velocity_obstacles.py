@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
+from swarmd.steering.buffers import rows
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -85,11 +85,7 @@ def line_of(
     from_cap_y: cython.double = vy - py / horizon
     length: cython.double = hypot(from_cap_x, from_cap_y)
     along: cython.double = from_cap_x * px + from_cap_y * py
-    # Set below: the direction of the line, and the change of velocity in m/s up to the line.
-    dx: cython.double
-    dy: cython.double
-    change_x: cython.double
-    change_y: cython.double
+    # Below: the direction of the line, and the change of velocity in m/s up to the line.
     is_cap_nearest: cython.bint = along < 0.0 and along * along > radius * radius * length * length
     if is_cap_nearest:
         # 1. Projects the velocity on the cap: along the ray from the centre of the cap.
@@ -114,13 +110,7 @@ def line_of(
     return Line(robot_vx + share * change_x, robot_vy + share * change_y, dx, dy)
 
 
-@cython.cfunc
-def _rows(places):
-    """Places (k, 2) as the kernel reads them: in CPython a memoryview, faster than an array."""
-    places = np.ascontiguousarray(places, np.float64)
-    return places if cython.compiled else memoryview(places)
-
-
+@cython.ccall
 def wall_lines(
     walls,
     lead: cython.double,
@@ -131,8 +121,7 @@ def wall_lines(
     horizon: cython.double,
 ) -> list:
     """A line for each place of `walls` (k, 2) within `reach` m of a point `lead` m ahead."""
-    i: cython.Py_ssize_t
-    places: cython.double[:, ::1] = _rows(walls)
+    places: cython.double[:, ::1] = rows(walls)
     lines: list = []
     for i in range(len(places)):
         x: cython.double = places[i, 0] - lead
@@ -144,6 +133,7 @@ def wall_lines(
     return lines
 
 
+@cython.ccall
 def track_lines(
     tracks: tuple,
     lead: cython.double,
@@ -171,24 +161,29 @@ def track_lines(
     """
     lines: list = []
     for track in tracks:
-        x: cython.double = track.x
-        y: cython.double = track.y
         vx: cython.double = track.vx
         vy: cython.double = track.vy
-        track_radius: cython.double = track.radius
-        part: cython.double = 1.0 if hypot(vx, vy) < standing_speed else share
-        to_vx: cython.double = robot_vx - vx  # the velocity of the robot relative to the track
-        to_vy: cython.double = robot_vy - vy
-        away: cython.double = radius + track_radius  # m to keep between the centres of both
-        lines.append(line_of(x - lead, y, to_vx, to_vy, robot_vx, robot_vy, away, part, horizon))
+        lines.append(
+            line_of(
+                track.x - lead,
+                track.y,
+                robot_vx - vx,
+                robot_vy - vy,
+                robot_vx,
+                robot_vy,
+                radius + track.radius,
+                1.0 if hypot(vx, vy) < standing_speed else share,
+                horizon,
+            )
+        )
     return lines
 
 
+@cython.ccall
 def most_violated(
     lines: list, first: cython.Py_ssize_t, x: cython.double, y: cython.double
 ) -> cython.Py_ssize_t:
     """The index of the line, from `first` on, that a velocity violates most; -1 without one."""
-    i: cython.Py_ssize_t
     worst: cython.Py_ssize_t = -1
     worst_excess: cython.double = 0.0
     for i in range(first, len(lines)):
@@ -198,44 +193,49 @@ def most_violated(
     return worst
 
 
-def width_between(
+@cython.ccall
+def passage_between(
     walls,
     nearest_ahead: cython.double,
     farthest_ahead: cython.double,
     farthest_aside: cython.double,
-) -> cython.double:
+) -> tuple:
     """The least distance in m between a place of a wall to the left and a place to the right.
 
+    With the rows of both places; (inf, 0, 0) without places on both sides.
+
     `walls` (k, 2) in m in the base frame. Only places from `nearest_ahead` to `farthest_ahead` m
-    ahead, and within `farthest_aside` m to the side, count. inf without places on both sides.
+    ahead, and within `farthest_aside` m to the side, count.
     """
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    places: cython.double[:, ::1] = _rows(walls)
+    places: cython.const[cython.double][:, ::1] = rows(walls)
     sides: list = []
+    best = INFINITY, 0, 0
     least_width: cython.double = INFINITY
     for i in range(len(places)):
-        x: cython.double = places[i, 0]
-        y: cython.double = places[i, 1]
-        if nearest_ahead < x < farthest_ahead and fabs(y) < farthest_aside:
+        if nearest_ahead < places[i, 0] < farthest_ahead and fabs(places[i, 1]) < farthest_aside:
             sides.append(i)
     for i in sides:
         if places[i, 1] > 0.0:
             for k in sides:
                 if places[k, 1] <= 0.0:
-                    dx: cython.double = places[i, 0] - places[k, 0]
-                    dy: cython.double = places[i, 1] - places[k, 1]
-                    least_width = min(least_width, hypot(dx, dy))
-    return least_width
+                    width: cython.double = hypot(
+                        places[i, 0] - places[k, 0], places[i, 1] - places[k, 1]
+                    )
+                    if width < least_width:
+                        least_width, best = width, (width, i, k)
+    return best
 
 
+@cython.ccall
 def nearest(
     lines: list,
     wall_count: cython.Py_ssize_t,
     x: cython.double,
     y: cython.double,
     max_speed: cython.double,
-) -> tuple:
+) -> tuple[cython.double, cython.double]:
     """The velocity nearest to `x`, `y` that satisfies all lines, of at most `max_speed` m/s.
 
     If no velocity satisfies all lines: the velocity that satisfies the first `wall_count` lines and
@@ -269,7 +269,6 @@ class _Programme:
         below the number of lines is the index of the first line that no velocity satisfies together
         with the lines before.
         """
-        i: cython.Py_ssize_t
         line: Line
         max_speed: cython.double = self.max_speed
         length: cython.double = hypot(x, y)
@@ -300,7 +299,6 @@ class _Programme:
         velocity is the nearest to `x`, `y`. If `is_direction`, it is the farthest in the direction
         of the unit vector `x`, `y`. Positions on the line are in m/s from its point.
         """
-        i: cython.Py_ssize_t
         line: Line = lines[line_count]
         other: Line
 
@@ -354,8 +352,6 @@ class _Programme:
         the permitted side of this line until a line before would be violated as much. The border
         of the velocities that violate two lines equally is a line, too.
         """
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         line: Line
         other: Line
         worst_excess: cython.double = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from random import Random
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -28,11 +28,17 @@ from swarmd.protection.decision import (
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.settings import Mode
 from swarmd.settings.settings import load_platform
-from swarmd.steering.right_of_way import RightOfWay
 from swarmd.testing.scans import scan_from
 from tests.support.kernel_forms import both_forms, compares_forms, interpreted
 from tests.support.platforms import with_mode
 from tests.support.protection import Commander, Protection
+
+if TYPE_CHECKING:
+    from swarmd.steering.right_of_way import RightOfWay
+else:
+    RightOfWay = interpreted(
+        "swarmd.steering.right_of_way", because="a test replaces a part of it"
+    ).RightOfWay
 
 WAFFLE, BURGER = load_platform("waffle_pi"), load_platform("burger")
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone", "off")

@@ -18,15 +18,18 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Limits, Platform, Pose, Twist
 from swarmd.protection.decision import Clearance, Permit
 from swarmd.settings.settings import load_platform
-from swarmd.steering.avoidance import Avoidance
-from swarmd.steering.tracks import Surroundings, Track
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
 from tests.support.kernel_forms import both_forms, compares_forms, long_run
 
 if TYPE_CHECKING:
+    from swarmd.steering.avoidance import Avoidance
+    from swarmd.steering.tracks import Surroundings, Track
     from swarmd.steering.velocity_obstacles import Line, excess, most_violated, nearest
 else:
+    Avoidance = load_kernel("swarmd.steering.avoidance").Avoidance
+    kernel = load_kernel("swarmd.steering.tracks")
+    Surroundings, Track = kernel.Surroundings, kernel.Track
     kernel = load_kernel("swarmd.steering.velocity_obstacles")
     Line, excess, most_violated, nearest = (
         kernel.Line,
@@ -52,7 +55,9 @@ def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Track:
 
 
 def command(*tracks: Track, requested: Twist = AHEAD, limits: Limits = BASE) -> Twist:
-    return made(limits).command(requested, requested, 0.0, Surroundings(tracks, NO_WALLS))
+    around = Surroundings(tracks, NO_WALLS)
+    asked: Twist = made(limits).command(requested, requested, 0.0, around)
+    return asked
 
 
 @pytest.mark.parametrize(
@@ -186,7 +191,7 @@ def test_compiled_and_interpreted_code_give_the_same_lines_and_velocities(
         rows = [(one.x, one.y, one.dx, one.dy) for one in lines]
         velocity = module.nearest(lines, fixed, *wanted, 0.22)
         worst = module.most_violated(lines, fixed, *wanted)
-        found.append((rows, velocity, worst, module.width_between(walls, -0.2, 0.35, 0.3)))
+        found.append((rows, velocity, worst, module.passage_between(walls, -0.2, 0.35, 0.3)))
     assert found[0] == found[1]
 
 

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pytest
 
 from swarmd.core.avoided import WayState
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
-from swarmd.steering.right_of_way import RightOfWay
-from swarmd.steering.tracks import Surroundings, Track
+
+if TYPE_CHECKING:
+    from swarmd.steering.right_of_way import RightOfWay
+    from swarmd.steering.tracks import Surroundings, Track
+else:
+    RightOfWay = load_kernel("swarmd.steering.right_of_way").RightOfWay
+    kernel = load_kernel("swarmd.steering.tracks")
+    Surroundings, Track = kernel.Surroundings, kernel.Track
 
 BASE, ROOM = Limits(0.22, 2.84), Clearance(0.5, 0.18, 0.09)
 AHEAD = Twist(0.22)
@@ -49,7 +56,8 @@ class Ride:
         self.asked = ZERO
 
     def state(self) -> WayState:
-        return self.way.state
+        state: WayState = self.way.state
+        return state
 
     def at(
         self,

@@ -14,11 +14,10 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext, ToldObstacle
 from swarmd.settings.platforms import load_platform
-from swarmd.steering.tracks import Surroundings
 from tests.support.kernel_forms import both_forms, compares_forms
 
 if TYPE_CHECKING:
-    from swarmd.steering.tracks import Tracker
+    from swarmd.steering.tracks import Surroundings, Tracker
 else:
     Tracker = load_kernel("swarmd.steering.tracks").Tracker
 
@@ -97,7 +96,8 @@ class Watch:
             if self.now * self.rate >= self.scans + 1:
                 self.scans += 1
                 self.scan()
-        return self.tracker.surroundings(self.context())
+        around: Surroundings = self.tracker.surroundings(self.context())
+        return around
 
     def scan(self) -> None:
         """Show one scan, all rays of which are of this instant."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,10 +19,16 @@ from studies.safety.tracking import (
     true_tracks,
     with_lidar,
 )
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Scan
 from swarmd.protection.decision import DecisionContext
 from swarmd.sim.lockstep.lockstep import Lockstep
-from swarmd.steering.tracks import Surroundings, Track
+from swarmd.steering.tracks import Track
+
+if TYPE_CHECKING:
+    from swarmd.steering.tracks import Surroundings
+else:
+    Surroundings = load_kernel("swarmd.steering.tracks").Surroundings
 
 DENSE = scenario(Scene("goals", "burger", "body", "orca", duration=6.0))
 
