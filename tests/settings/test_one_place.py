@@ -1,8 +1,8 @@
-"""A new setting of robots is a field of `RobotSettings`, what uses it, and its page: nothing else.
+"""A new setting is a field of `RobotSettings` or `BarrierSettings`, what uses it, and its page.
 
-`reached` adds a field to the source of that one module, in a process of its own, and writes the key
-to swarm.yaml and to a scenario. All other code is as it stands: whatever copies settings by name
-loses the new one.
+`reached` adds a field to the source of each of these modules, in a process of its own, and writes
+one key to swarm.yaml and to a scenario, and the other one to a platform. All other code is as it
+stands: whatever copies settings by name loses the new one.
 """
 
 from __future__ import annotations
@@ -23,16 +23,24 @@ ADDED = "    patience: Annotated[float, Meta(gt=0.0, le=9.0)] = 1.0\n"
 WRITTEN = 2.5
 SQUARE = [[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]]
 KEYS = f"patience: {WRITTEN}\nfence: {{frame: world, polygon: {SQUARE}}}\n"
-WITH_A_FIELD = f"""
+BARRIER_BELOW = "    walls_stand: WallsStand | None = None\n"
+BARRIER_ADDED = "    caution: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0\n"
+CAUTION = 0.25
+PLATFORM = f"{{extends: burger, protection: {{barrier: {{caution: {CAUTION}}}}}}}"
+WITH_FIELDS = f"""
 import sys
 from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 
-spec = find_spec("swarmd.settings.robot_settings")
-text = Path(spec.origin).read_text()
-assert text.count({BELOW!r}) == 1
-module = sys.modules[spec.name] = module_from_spec(spec)
-exec(compile(text.replace({BELOW!r}, {BELOW + ADDED!r}), spec.origin, "exec"), vars(module))
+def add(name, below, added):
+    spec = find_spec(name)
+    text = Path(spec.origin).read_text()
+    assert text.count(below) == 1
+    module = sys.modules[name] = module_from_spec(spec)
+    exec(compile(text.replace(below, below + added), spec.origin, "exec"), vars(module))
+
+add("swarmd.protection.settings", {BARRIER_BELOW!r}, {BARRIER_ADDED!r})
+add("swarmd.settings.robot_settings", {BELOW!r}, {ADDED!r})
 """
 PLACES = """
 import json
@@ -40,6 +48,7 @@ from swarmd.cli.effective_config import effective_config
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import GoalRecord
 from swarmd.daemon.robot_setup import make_robot, recording_head
+from swarmd.protection.compatibility import barrier_settings
 from swarmd.recording.head import head_of
 from swarmd.replay.replay import Replay
 from swarmd.robot.latches import LatchRecord
@@ -53,8 +62,9 @@ from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 places = {}
 folder = Path(sys.argv[1])
 
-def note(place, settings):
-    places[place] = settings.patience, settings.fence and settings.fence.polygon
+def note(place, identity):
+    settings, barrier = identity.setup.settings, barrier_settings(identity.platform)
+    places[place] = settings.patience, settings.fence and settings.fence.polygon, barrier.caution
 
 def settings_of(text):
     (folder / "one.yaml").write_text(text)
@@ -62,7 +72,7 @@ def settings_of(text):
 
 def in_daemon(place, settings):
     made = make_robot(settings, "00", 1, latches=LatchRecord(), goals=GoalRecord())
-    note(place, made.identity.setup.settings)
+    note(place, made.identity)
     return made
 
 def refusal(make, *arguments):
@@ -71,16 +81,16 @@ def refusal(make, *arguments):
     except ConfigError as error:
         return str(error)
 
-settings = settings_of("id: r1\\nplatform: burger\\nswarm_file: swarm.yaml\\n")
+settings = settings_of("id: r1\\nplatform: ./cautious.yaml\\nswarm_file: swarm.yaml\\n")
 robot = in_daemon("daemon", settings)
 in_daemon("effective configuration", settings_of(effective_config(settings)))
 head = head_of(recording_head(robot, "s", 0.0).texts(), "")
-note("head", head.identity.setup.settings)
-note("replay", Replay(head, {}, {})._make_robot(0.0).identity.setup.settings)
-note("memory", recall(remember(robot), head.identity.setup).identity.setup.settings)
+note("head", head.identity)
+note("replay", Replay(head, {}, {})._make_robot(0.0).identity)
+note("memory", recall(remember(robot), head.identity.setup).identity)
 scenario = load_scenario(folder / "scenario.yaml")
-note("lockstep", Lockstep(scenario, 1).shells[1].robot.identity.setup.settings)
-note("again", Lockstep(scenario_of(scenario.effective), 1).shells[1].robot.identity.setup.settings)
+note("lockstep", Lockstep(scenario, 1).shells[1].robot.identity)
+note("again", Lockstep(scenario_of(scenario.effective), 1).shells[1].robot.identity)
 live = LiveScenario(scenario)
 live.write(folder)
 config = {"id": "tb3-02", **live.daemon_config("tb3-02", folder)}
@@ -95,13 +105,15 @@ print(json.dumps([places, faults]))
 
 @pytest.fixture(scope="module")
 def reached(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object], list[str]]:
-    """By place, the values of the new key and of the fence; and the refusals of a wrong value."""
+    """By place, the values of new key, fence and new setting; and the refusals of a wrong value."""
     folder = tmp_path_factory.mktemp("one")
     (folder / "swarm.yaml").write_text(KEYS)
-    group = "groups: {tb3: {platform: burger, count: 2, pattern: random_walk}}\n"
+    (folder / "cautious.yaml").write_text(PLATFORM)
+    group = "groups: {tb3: {platform: cautious, count: 2, pattern: random_walk}}\n"
+    group += f"platforms: {{cautious: {PLATFORM}}}\n"
     (folder / "scenario.yaml").write_text(f"{KEYS}{group}start: {{layout: grid, spacing: 1.0}}\n")
     done = subprocess.run(
-        [sys.executable, "-c", WITH_A_FIELD + PLACES, str(folder)],
+        [sys.executable, "-c", WITH_FIELDS + PLACES, str(folder)],
         capture_output=True,
         text=True,
         check=False,
@@ -112,12 +124,12 @@ def reached(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object]
     return places, faults
 
 
-def test_a_key_reaches_each_robot_and_its_recording_by_one_field(
+def test_a_key_and_a_setting_of_the_barrier_reach_each_robot_by_one_field(
     reached: tuple[dict[str, object], list[str]],
 ) -> None:
     places, _ = reached
     names = "daemon, effective configuration, head, replay, memory, lockstep, again, live"
-    assert places == {name: [WRITTEN, SQUARE] for name in names.split(", ")}
+    assert places == {name: [WRITTEN, SQUARE, CAUTION] for name in names.split(", ")}
 
 
 def test_the_bounds_of_the_field_are_those_of_both_files(
