@@ -23,7 +23,7 @@ from swarmd.core.values import Array
 from swarmd.view.source import Source, hello_of
 
 MODULES = (
-    *("states.js", "colours.js", "gestures.js", "legend.js"),
+    *("body.js", "states.js", "colours.js", "gestures.js", "legend.js"),
     *("model.js", "map.js", "timeline.js"),
 )
 """The modules of the page that the player uses, each after those that it imports."""

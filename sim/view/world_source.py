@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -61,13 +62,19 @@ class WorldSource(LiveSource):
         return state.time, np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
-        """The last status of each robot, and what it touches."""
+        """The last status of each robot, and what it touches; `at` in simulated time."""
         touched: dict[str, str] = {}
+        now = 0.0 if self._state is None else self._state.time
         for a, b in () if self._state is None else self._state.touching:
             touched[a] = b
             touched[b] = a
         return {
-            name: {**row, "touches": touched.get(name, "")} for name, row in super().rows().items()
+            name: {
+                **row,
+                "touches": touched.get(name, ""),
+                **({"at": round(row["at"] + now - time.monotonic())} if "at" in row else {}),
+            }
+            for name, row in super().rows().items()
         }
 
     def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:

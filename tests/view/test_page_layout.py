@@ -26,6 +26,7 @@ SHARE = (
 )
 LINE = "document.querySelector('.answer .line').textContent"
 ENTRIES = "[...document.querySelectorAll('#legend > *')].map((one) => one.textContent)"
+CHIPS = "[...document.querySelectorAll('#chips > *')].map((one) => one.textContent)"
 
 
 def box_of(page: Page, selector: str) -> Any:
@@ -66,7 +67,7 @@ def test_one_key_leaves_the_map_and_its_legend_alone(
         ready(page, address, 3)
         page.until(f"{ENTRIES}.length > 0", "the legend")
         seen = (
-            "['#legend', '#estop', 'header', '#time', '#tools']"
+            "['#legend', '#chips', '#estop', '#time', '#tools']"
             ".filter((one) => document.querySelector(one).checkVisibility())"
         )
         page.key("f")
@@ -75,7 +76,7 @@ def test_one_key_leaves_the_map_and_its_legend_alone(
         assert page.evaluate(seen) == ["#legend"]
         page.key("f")
         page.until(f"{SHARE} < 0.9", "all again")
-        assert page.evaluate(seen) == ["#legend", "#estop", "header", "#time", "#tools"]
+        assert page.evaluate(seen) == ["#chips", "#estop", "#time", "#tools"]
 
 
 def test_refusals_are_one_line_with_what_to_do(
@@ -111,9 +112,8 @@ def test_states_are_told_apart_and_counted(page: Page, capsys: pytest.CaptureFix
         swarm.change("tb3-004", State.ESTOPPED)
         counted = ["estopped1", "held1", "stopped1", "running2", "at rest1"]
         page.until(f"{ENTRIES}.join() === '{','.join(counted)}'", "the legend")
-        counts = "6 robots: 1 estopped, 1 held, 1 stopped, 2 running, 1 at rest"
-        page.until(f"document.getElementById('counts').textContent === '{counts}'", "the counts")
-        page.click("#legend button")
+        page.until(f"{CHIPS}.join() === '{','.join(counted)}'", "the chips")
+        page.click("#chips button")
         assert page.evaluate("[...swarm.model.selected]") == ["tb3-004"]
         page.evaluate("swarm.map.colourBy('protection')")
         # Grey robots and signs have entries whatever the colours mean.
@@ -192,7 +192,7 @@ def test_parameters_are_a_form_of_the_pattern(
 
 COMMANDS_GO = (
     "[document.getElementById('targets').textContent.startsWith('Commands go to'),"
-    " ['run', 'reset', 'param', 'set-labels'].map("
+    " ['run-open', 'run', 'reset', 'estop-reset', 'param', 'set-labels'].map("
     " (id) => document.getElementById(id).getAttribute('aria-disabled'))]"
 )
 """Whether the page says that commands go to robots, and whether buttons look unusable."""
@@ -213,7 +213,10 @@ def test_a_page_looks_back_and_starts_nothing_from_there(
         page.evaluate("swarm.plots.to(window.moment)")
         page.until("swarm.model.robots.get('tb3-001').row.state === 'running'", "the past")
         assert page.evaluate("document.getElementById('past-note').hidden") is False
-        assert page.evaluate(COMMANDS_GO) == [False, ["true"] * 4]
+        assert page.evaluate(COMMANDS_GO) == [False, ["true"] * 6]
+        page.click("#run-open")
+        page.until(f"{LINE} === 'run: not sent: the map shows the past; go back to now'", "why")
+        assert page.evaluate("document.getElementById('commands').hidden") is True
         assert page.evaluate("swarm.model.plots.values.speed.length") > 2
         page.evaluate("swarm.actions.act('run', {targets: ['tb3-002'], pattern: 'dispersion'})")
         page.until(f"{LINE}.includes('not sent')", "refused by the page")
@@ -229,7 +232,8 @@ def test_a_page_looks_back_and_starts_nothing_from_there(
         wait_until(lambda: swarm.states["tb3-002"] is State.STOPPED, "a stop is sent")
         page.click("#past-now")
         page.until("swarm.model.robots.get('tb3-002').row.state === 'stopped'", "the present")
-        assert page.evaluate(COMMANDS_GO) == [True, ["false"] * 4]
+        grey = [one == "reset" for one in ("run-open", "run", "reset", "estop", "param", "label")]
+        assert page.evaluate(COMMANDS_GO) == [True, [str(one).lower() for one in grey]]
 
 
 NOTICES = ("banner", "estop-state", "lost")
@@ -284,6 +288,8 @@ def test_the_question_of_a_reset_is_whole(
         ready(page, address, 40)
         page.evaluate("swarm.model.select(['tb3-001', 'tb3-002'])")
         page.evaluate("swarm.model.select([])")
+        page.click("#estop")
+        page.until(f"{ESTOP}.className === 'good'", "stopped")
         page.click("#reset")
         for name in ("stop", "reset"):
             fits = (
@@ -309,10 +315,10 @@ def test_what_a_finger_touches_is_44_px_and_the_phone_names_swarm_and_silent_rob
         page.resize(390, 844, is_phone=True)
         ready(page, address, 7)
         swarm.change("tb3-002", State.STOPPED)
-        page.until("document.getElementById('counts').textContent.includes('1 silent')", "silent")
-        for name in ("title", "counts"):
-            fits = f"document.getElementById('{name}')"
-            assert page.evaluate(f"{fits}.scrollWidth <= {fits}.clientWidth"), name
+        page.until(f"{CHIPS}[0] === 'silent1: tb3-005'", "silent")
+        assert page.evaluate("(({ scrollWidth: w, clientWidth: h }) => w <= h)(title)")
+        x, _, width, _ = box_of(page, "#chips > *")
+        assert 0 <= x < x + width <= 390
         assert page.evaluate("document.getElementById('title').textContent") == "fed"
         for panel in PANELS[:-1]:
             page.evaluate(f"({OPEN})('{panel}')")
@@ -377,13 +383,18 @@ def test_the_table_of_a_small_phone_has_rows_below_notices(
         assert page.evaluate(f"{bar}.scrollWidth <= {bar}.clientWidth")
 
 
+LONG = "Drives to other robots and stands next to them; alone it searches for others. " * 2
+
+
 def described(platform: str) -> list[dict[str, Any]]:
     """Patterns in two groups, of which one cannot run on any platform."""
     about: dict[str, Any] = {"platform": platform, "params": [], "missing": [], "refused": ""}
     about["report_units"] = {"votes": "votes", "opinion": "m"}
     return [
         {**about, "name": "drive", "summary": "Drives straight ahead.", "group": "move together"},
-        {**about, "name": "attraction", "summary": "Gathers the robots.", "group": "gather"},
+        {**about, "name": "attraction", "summary": LONG, "group": "gather"},
+        {**about, "name": "dispersion", "summary": "Spreads.", "group": "spread"},
+        {**about, "name": "best_of_n", "summary": "Decides.", "group": "decide"},
         {
             **{**about, "missing": ["gripper"]},
             **{"name": "flocking", "summary": "Flies.", "group": "move together"},
@@ -434,11 +445,13 @@ def test_the_search_finds_what_is_shown_and_arms_no_unknown_pattern(
 def test_patterns_are_grouped_with_recent_ones_and_greyed_with_the_reason(
     page: Page, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with shown(2, capsys, describe=described) as (_, (address,)):
+    names = (*PATTERNS, "best_of_n")
+    with shown(2, capsys, describe=described, patterns=names) as (_, (address,)):
         ready(page, address, 2)
         page.click("#run-open")
         heads = "[...document.querySelectorAll('#pattern-list h3')].map((o) => o.textContent)"
-        page.until(f"{heads}.join() === 'gather,move together,yours'", "groups")
+        wanted = ["gather", "spread", "move together", "decide"]
+        page.until(f"{heads}.join() === '{','.join(wanted)}'", "groups")
         grey = "document.querySelector('#pattern-list [data-name=flocking]')"
         assert page.evaluate(f"{grey}.getAttribute('aria-disabled')") == "true"
         assert "lacks gripper" in page.evaluate(f"{grey}.textContent")
@@ -446,7 +459,7 @@ def test_patterns_are_grouped_with_recent_ones_and_greyed_with_the_reason(
         assert page.evaluate("document.getElementById('run').disabled") is True
         page.click("#pattern-list [data-name=drive]")
         page.click("#run")
-        page.until(f"{heads}.join() === 'recent,gather,move together,yours'", "recent")
+        page.until(f"{heads}.join() === '{','.join(['run last', *wanted])}'", "what ran last")
 
 
 COVERED = """(() => {
@@ -729,3 +742,280 @@ def test_names_cover_neither_each_other_nor_robots(
         for i, (x, y, half) in enumerate(names):
             assert not any(abs(u - x) < half + w and abs(v - y) < high for u, v, w in names[:i])
             assert not any(abs(u - x) < half and abs(v - y) < high for u, v in robots)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_alarms_come_first_in_their_colours_and_what_runs_is_told(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
+) -> None:
+    with shown(7, capsys) as (swarm, (address,)):
+        page.resize(width, height, is_phone=width < 900)
+        for name in swarm.names:
+            swarm.patterns[name] = "flocking"
+            swarm.change(name, State.RUNNING)
+        ready(page, address, 7)
+        told = "document.getElementById('counts')"
+        page.until(f"{told}.textContent === '7 robots: flocking 7'", "what they run")
+        page.evaluate(f"{FRAMES}.then(() => null)")
+        assert page.evaluate(f"{told}.scrollWidth <= {told}.clientWidth")
+        swarm.change("tb3-002", State.ESTOPPED)
+        swarm.silent.add("tb3-005")
+        page.until(f"{CHIPS}.join() === 'silent1: tb3-005,estopped1,running5'", "the chips")
+        colours = page.evaluate(
+            "[...document.querySelectorAll('#chips > *')].map((one) =>"
+            " getComputedStyle(one).backgroundColor)"
+        )
+        red = page.evaluate("getComputedStyle(document.getElementById('estop')).backgroundColor")
+        assert colours[1] == red  # as the emergency stop
+        assert len(set(colours)) == 3
+        assert "flocking 5" in page.evaluate(f"{told}.textContent")
+        swarm.silent.clear()
+        swarm.patterns |= {"tb3-001": "attraction", "tb3-003": "drive"}
+        for name in ("tb3-001", "tb3-003"):
+            swarm.change(name, State.RUNNING)
+        wanted = "7 robots: flocking 4, attraction 1, 1 more"
+        page.until(f"{told}.textContent === '{wanted}'", "three patterns")
+
+
+PIXELS = """(name) => {
+  const { map, model } = swarm, robot = model.robots.get(name);
+  map.draw();
+  const [x, y] = map.toScreen(robot.x, robot.y), far = Math.round(1.3 * robot.radius * map.scale);
+  const { data } = map.ctx.getImageData(x - far, y - far, 2 * far, 2 * far);
+  let red = 0;
+  for (let i = 0; i < data.length; i += 4) red += data[i] > data[i + 1] + 60 && data[i] > 180;
+  return red;
+}"""
+"""The number of bright red pixels of the map around a robot."""
+
+
+def test_a_silent_robot_is_red_on_the_map(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+    with shown(2, capsys) as (swarm, (address,)):
+        ready(page, address, 2)
+        page.evaluate("(() => { trails.click(); swarm.map.fit(); })()")
+        assert page.evaluate(f"({PIXELS})('tb3-002')") == 0
+        swarm.silent.add("tb3-002")
+        page.until(f"({PIXELS})('tb3-002') > 20", "red")
+
+
+def test_an_estop_that_stands_has_a_banner_with_its_reset(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (swarm, (address,)):
+        ready(page, address, 3)
+        assert page.evaluate(f"{ESTOP}.hidden") is True
+        why = {"detail": "by anna@desk: a dog is here", "since": 300.0}
+        swarm.change("tb3-002", State.ESTOPPED, **why)
+        text = "document.getElementById('estop-text').textContent"
+        told = "Emergency stop by anna: a dog is here: tb3-002, since"
+        page.until(f'{text}.startsWith("{told}") && {text}.endsWith(" min ago).")', "told")
+        ready(page, address, 3)  # a page that is opened later
+        page.until(f'{text}.startsWith("{told}")', "told again")
+        button = "document.getElementById('estop-reset')"
+        assert page.evaluate(f"[{button}.hidden, {button}.textContent]") == [False, "Reset tb3-002"]
+        swarm.change("tb3-002", State.ESTOPPED, **why)
+        page.click("#estop-reset")
+        wait_until(lambda: swarm.states["tb3-002"] is State.IDLE, "reset")
+        swarm.changes.clear()
+        swarm.change("tb3-002", State.IDLE)
+        page.until(f"{ESTOP}.hidden", "no banner")
+        assert page.errors == []
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_a_needed_reset_is_first_and_moves_no_stop(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
+) -> None:
+    first = (
+        "['reset', 'stop', 'run-open'].sort((one, other) =>"
+        " document.getElementById(one).getBoundingClientRect().x"
+        " - document.getElementById(other).getBoundingClientRect().x).join()"
+    )
+    with shown(7, capsys) as (_, (address,)):
+        page.resize(width, height, is_phone=width < 900)
+        ready(page, address, 7)
+        places = box_of(page, "#stop"), box_of(page, "#estop")
+        grey = "document.getElementById('reset').getAttribute('aria-disabled')"
+        assert page.evaluate(f"[{first}, {grey}]") == ["run-open,stop,reset", "true"]
+        page.click("#reset")
+        page.until(f"{LINE}.startsWith('reset: not sent')", "nothing to reset")
+        page.click("#estop")
+        page.until(f"{first} === 'reset,stop,run-open' && {grey} === 'false'", "Reset is first")
+        page.click("#reset")  # asks
+        assert (box_of(page, "#stop"), box_of(page, "#estop")) == places
+        page.click("#reset")
+        page.until(f"{first} === 'run-open,stop,reset' && {grey} === 'true'", "Run is first")
+
+
+ARENA = (
+    "(() => { const { model, map } = swarm; model.arena = {size: [%f, %f], shapes: [], poles: []};"
+    " map.isTouched = false; map.fit(); const [w, h] = model.arena.size;"
+    " return map.scale * Math.min(w, h) / Math.min(map.canvas.clientWidth, map.canvas.clientHeight)"
+    "; })()"
+)
+"""The share of the shorter side of the map's pane that a walled arena fills."""
+
+
+@pytest.mark.parametrize(("width", "height"), WIDTHS[1:])
+@pytest.mark.parametrize("size", [(6.3, 6.3), (6.0, 4.0)])
+def test_the_arena_fills_the_pane(
+    page: Page,
+    capsys: pytest.CaptureFixture[str],
+    width: int,
+    height: int,
+    size: tuple[float, float],
+) -> None:
+    with shown(7, capsys) as (_, (address,)):
+        page.resize(width, height)
+        ready(page, address, 7)
+        page.until("document.getElementById('caveat').checkVisibility()", "a hint")
+        page.evaluate(f"{FRAMES}.then(() => null)")
+        assert page.evaluate(ARENA % size) >= 0.9
+        # Tools and hints are beside the arena.
+        left = page.evaluate(f"swarm.map.toScreen(-{size[0] / 2}, 0)[0] / swarm.map.ratio")
+        for name in ("#tools", "#hints"):
+            x, _, wide, _ = box_of(page, name)
+            assert x + wide <= left
+
+
+def test_the_card_is_below_the_table_of_a_wide_window(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(7, capsys) as (_, (address,)):
+        page.resize(1280, 720)
+        ready(page, address, 7)
+        page.click("#robots-open")
+        page.evaluate("swarm.model.select(['tb3-003'])")
+        page.until("document.getElementById('detail-pane').offsetHeight > 40", "a card")
+        page.click("#detail-more summary")
+        page.until("document.getElementById('detail-values').offsetHeight > 100", "details")
+        (x, y, wide, high), table = box_of(page, "#detail-pane"), box_of(page, "#list-pane")
+        assert [x, wide] == pytest.approx([table[0], table[2]], abs=1.0)
+        assert y == pytest.approx(table[1] + table[3], abs=1.0)
+        assert table[3] >= 100
+        map_pane = box_of(page, "#map-pane")
+        assert map_pane[0] + map_pane[2] <= x + 1.0
+        assert y + high == pytest.approx(map_pane[1] + map_pane[3], abs=1.0)
+
+
+@pytest.mark.parametrize(("width", "height", "least"), [(320, 640, 120), (390, 844, 200)])
+def test_a_phone_shows_the_map_beside_a_card_and_reaches_its_details(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int, least: int
+) -> None:
+    with shown(7, capsys) as (swarm, (address,)):
+        page.resize(width, height, is_phone=True)
+        swarm.change("tb3-005", State.ESTOPPED)
+        ready(page, address, 7)
+        page.evaluate("swarm.model.select(['tb3-003'])")
+        page.until("document.getElementById('detail-pane').offsetHeight > 40", "a card")
+        free = box_of(page, "#detail-pane")[1] - box_of(page, "#map-pane")[1]
+        assert free >= 0.3 * height
+        page.click("#detail-more summary")
+        page.until("document.getElementById('detail-values').offsetHeight > 100", "details")
+        shown_part = (
+            "(() => { const pane = document.getElementById('detail-pane').getBoundingClientRect();"
+            " const one = document.getElementById('detail-more').getBoundingClientRect();"
+            " const top = Math.max(one.top, pane.top + 44);"
+            " return Math.min(one.bottom, pane.bottom) - top; })()"
+        )
+        page.until(f"{shown_part} >= {least}", "details in view")
+        assert page.evaluate(TARGETS) == []
+        x, y, width, high = box_of(page, "#detail-pane")
+        place = f"{x + width / 2}, {y + high - 20}"
+        assert page.evaluate(f"!!document.elementFromPoint({place})?.closest('#detail-more')")
+
+
+def test_a_touch_opens_a_cut_note(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        page.resize(320, 640, is_phone=True)
+        ready(page, address, 3)
+        note = "document.getElementById('caveat')"
+        page.until(f"{note}.checkVisibility() && {note}.scrollWidth > {note}.clientWidth", "cut")
+        page.click("#caveat")
+        assert page.evaluate(f"{note}.scrollWidth <= {note}.clientWidth")
+        page.click("#caveat")
+        assert page.evaluate(f"{note}.scrollWidth > {note}.clientWidth")
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_titles_are_above_their_columns(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
+) -> None:
+    with shown(7, capsys, ["tb3-003"]) as (_, (address,)):
+        page.resize(width, height, is_phone=width < 900)
+        ready(page, address, 7)
+        page.click("#robots-open")
+        page.until("document.querySelectorAll('tr[data-name]').length > 3", "rows")
+        apart = page.evaluate(
+            "['name', 'state', 'battery', 'age'].flatMap((key) => {"
+            " const [th, td] = ['th', 'tr[data-name] td'].map((one) =>"
+            " document.querySelector(`${one}.${key}`).getBoundingClientRect());"
+            " return [th.left - td.left, th.right - td.right]; })"
+        )
+        assert apart == pytest.approx([0.0] * 8, abs=1.0)
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_lane_has_40_px_and_tells_its_least_its_most_and_the_unit(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int
+) -> None:
+    with shown(2, capsys) as (_, (address,)):
+        page.resize(width, 800, is_phone=width < 900)
+        ready(page, address, 2)
+        page.evaluate("swarm.panels.open('time', true)")
+        drawn = page.evaluate(
+            "(() => { const { plots, model } = swarm, fill = plots.ctx.fillText, texts = [];"
+            " model.plot({ first: 0, times: [100, 101, 102], values:"
+            " { clusters: [4, 3, 2], speed: [0.1, 0.3, 0.2], active: [0.5, 0.5, 0.5] } });"
+            " plots.ctx.fillText = function (text, x, y) { texts.push(String(text));"
+            " fill.call(this, text, x, y); };"
+            " plots.draw(); delete plots.ctx.fillText;"
+            " const axis = 1.1 * parseFloat(getComputedStyle(document.documentElement).fontSize);"
+            " return [texts, plots.canvas.clientHeight - axis]; })()"
+        )
+        texts, high = drawn
+        assert high == pytest.approx(3 * 40, abs=1.0)
+        unit = "" if width < 900 else " m/s"
+        for text in ("4", "2", "0.3" + unit, "0", "0.2 m/s", "50 %"):
+            assert text in texts
+        assert "100" + (" %" if unit else "") in texts
+
+
+def test_the_line_of_a_pattern_is_whole_and_clear_of_the_map(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys, describe=described) as (_, (address,)):
+        page.resize(1280, 720)
+        ready(page, address, 2)
+        page.click("#run-open")
+        line = "document.querySelector('#pattern-list [data-name=attraction] span')"
+        page.until(f"{line}.textContent.length > 100", "a long line")
+        assert page.evaluate(f"{line}.scrollWidth <= {line}.clientWidth")
+        assert page.evaluate(f"getComputedStyle({line}).whiteSpace") == "normal"
+
+
+def test_a_robot_has_a_bar_ahead_and_a_wheel_on_each_side(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen = (
+        "((yaw, platform) => { const { map, model } = swarm; model.robots.clear();"
+        " model.byIndex = []; model.add({ name: 'one', index: 0, platform,"
+        " footprint: [[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]] }, undefined, {});"
+        " const robot = model.robots.get('one'); Object.assign(robot, { x: 0, y: 0, yaw,"
+        " heard: performance.now(), age: 0 }); Object.assign(robot.row, { presence: 'alive',"
+        " state: 'running', stands: '' }); map.isTouched = true; map.hasFitted = true;"
+        " map.shows.names = false; map.centre = [0, 0]; map.scale = 200; map.draw();"
+        " return [[0.136, 0], [0, 0.15], [0, -0.15], [-0.1, 0]].map(([u, v]) => {"
+        " const c = Math.cos(yaw), s = Math.sin(yaw);"
+        " const [x, y] = map.toScreen(c * u - s * v, s * u + c * v);"
+        " const [r, g, b] = map.ctx.getImageData(Math.round(x), Math.round(y), 1, 1).data;"
+        " return r > 200 && g > 200 && b > 200 ? 'light' : r < 80 && g < 80 ? 'dark' : 'body';"
+        " }); })"
+    )
+    with shown(1, capsys) as (_, (address,)):
+        ready(page, address, 1)
+        for yaw in (0.0, 2.0):
+            found = page.evaluate(f"{seen}({yaw}, 'burger')")
+            assert found == ["light", "dark", "dark", "body"]
+        assert page.evaluate(f"{seen}(0, 'crazyflie')")[1:3] != ["dark", "dark"]

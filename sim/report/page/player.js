@@ -16,7 +16,7 @@ const robots = data.hello.robots.length, bodies = robots + data.boxes.length;
 
 const model = new Model();
 const map = new SwarmMap(element('map'), model);
-const legend = new Legend(element('legend'), map);
+const legend = new Legend(element('legend'), () => map.legend());
 let at = 0, applied = -1, last = null;
 
 // x and y in m and yaw in rad of a body at a time, between two samples; null where it is not there.

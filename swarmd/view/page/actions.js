@@ -2,8 +2,12 @@
 
 import { Answers, made } from './answers.js';
 import { PatternForm } from './patterns.js';
+import { ago, plain } from './states.js';
 
+const COMMANDS = ['run-open', 'reset', 'detail-reset', 'estop-reset', 'run', 'param', 'set-labels']; // all but stops
+const RESET = ['estopped', 'faulted']; // states that a reset ends
 const MAX_SHORT = 8; // letters of a robot's name on a button
+const MAX_NAMED = 3; // robots that the banner names
 const CONFIRM = 5000; // ms in which the second click on a reset counts
 const element = (id) => document.getElementById(id);
 let last = 0;
@@ -19,6 +23,8 @@ export class Actions {
     on('estop', () => this.estop());
     on('stop', () => this.act('stop', { targets: this.chosen() }));
     on('reset', () => this.reset(this.named(), element('reset')));
+    on('estop-reset', () => this.reset(this.estoppedNames(), element('estop-reset')));
+    on('run-open', () => { if (this.isPast()) this.act('run', {}); });
     on('param', () => {
       if (element('run-form').reportValidity()) this.act('param', { targets: this.named(), params: this.form.params() });
     });
@@ -37,6 +43,7 @@ export class Actions {
     });
     for (const news of ['selection', 'hello', 'past']) model.addEventListener(news, () => this.show());
     model.addEventListener('hello', () => this.returned());
+    for (const news of ['rows', 'past']) model.addEventListener(news, () => this.mark());
     this.show();
   }
 
@@ -50,15 +57,33 @@ export class Actions {
     const targets = count === 1 ? this.chosen()[0] : count ? `the ${count} selected robots` : `all ${all} robots`;
     const short = count > 1 ? `${count} robots` : !count ? `all ${all}` : targets.length > MAX_SHORT ? '1 robot' : targets;
     document.querySelector('.targets').textContent = targets;
-    const isPast = this.model.past !== null;
-    element('targets').textContent = isPast ? `The map shows the past: only stops are sent, to ${targets}.` : `Commands go to ${targets}.`;
-    // A click still says why nothing is sent.
-    for (const id of ['reset', 'detail-reset', 'run', 'param', 'set-labels']) element(id).setAttribute('aria-disabled', isPast);
+    element('targets').textContent = this.isPast() ? `The map shows the past: only stops are sent, to ${targets}.` : `Commands go to ${targets}.`;
     for (const [id, verb] of [['stop', 'Stop'], ['reset', 'Reset']]) element(id).textContent = `${verb} ${short}`;
+    this.mark();
+  }
+
+  isPast() { return this.model.past !== null; }
+
+  // Which buttons are of use now: in the past none but the stops, and a reset where one is needed.
+  mark() {
+    const isPast = this.isPast(), needs = this.needing(this.named()).length > 0;
+    // A click still says why nothing is sent.
+    for (const id of COMMANDS) element(id).setAttribute('aria-disabled', isPast || (id === 'reset' && !needs));
+    element('actions').classList.toggle('needs-reset', needs && !isPast);
+    this.drawEstop();
+  }
+
+  needing(names) {
+    return names.filter((name) => RESET.includes((this.model.robots.get(name) || { row: {} }).row.state));
   }
 
   // A second click confirms: a dialog would cover the button of the emergency stop.
   reset(names, button) {
+    if (button === element('reset') && !this.isPast() && !this.needing(names).length) {
+      last += 1;
+      this.answers.show(`reset-${last}`, 'reset: not sent: no emergency stop and no fault to clear', [], true);
+      return;
+    }
     if (names.length > 1 && this.armed !== button) {
       this.disarm();
       this.armed = button;
@@ -91,7 +116,7 @@ export class Actions {
   act(verb, fields) {
     last += 1;
     const id = `${Date.now().toString(36)}-${last}`;
-    if (this.model.past !== null && !['stop', 'estop'].includes(verb)) {
+    if (this.isPast() && !['stop', 'estop'].includes(verb)) {
       this.answers.show(id, `${verb}: not sent: the map shows the past; go back to now`, [], true);
       return false;
     }
@@ -163,10 +188,7 @@ export class Actions {
   }
 
   showEstop(text, missing, className) {
-    const pane = element('estop-state');
-    pane.hidden = false;
-    pane.className = className;
-    element('estop-text').textContent = text;
+    this.told = { text, className };
     element('estop-missing').replaceChildren(...missing.map((name) => {
       const item = made('li', ''), button = made('button', name);
       button.type = 'button';
@@ -174,10 +196,54 @@ export class Actions {
       item.append(button);
       return item;
     }));
-    const end = element('estop-end');
-    end.hidden = this.isStopping && (this.model.role !== 'operator' || !this.model.isConnected);
-    end.textContent = this.isStopping ? 'Repeat it no longer' : 'Close';
+    this.drawEstop();
   }
 
-  hideEstop() { element('estop-state').hidden = true; this.isUnsent = false; }
+  hideEstop() {
+    this.told = null;
+    this.isUnsent = false;
+    this.drawEstop();
+  }
+
+  estoppedNames() {
+    return [...this.model.robots.values()].filter(({ row }) => row.state === 'estopped' && row.presence !== 'left').map((one) => one.name);
+  }
+
+  // The banner: the emergency stop under way, or what came of it; then the one that stands, until a reset.
+  drawEstop() {
+    const names = this.estoppedNames(), pane = element('estop-state');
+    if (this.told && this.told.className === 'good' && !names.length) this.told = null;
+    const { text = '', className = 'stands' } = this.told || {}, isGood = className === 'good';
+    const lines = !this.told ? this.standing(names) : isGood ? `${this.standing(names)} All have acknowledged.` : text;
+    pane.hidden = !this.told && !names.length;
+    if (pane.className !== className) pane.className = className;
+    if (element('estop-text').textContent !== lines) element('estop-text').textContent = lines;
+    const [end, reset] = [element('estop-end'), element('estop-reset')];
+    end.hidden = !this.told || isGood || (this.isStopping && (this.model.role !== 'operator' || !this.model.isConnected));
+    end.textContent = this.isStopping ? 'Repeat it no longer' : 'Close';
+    if (!this.told) element('estop-missing').replaceChildren();
+    reset.hidden = !names.length || Boolean(this.isStopping);
+    const all = this.model.robots.size;
+    if (this.armed !== reset) reset.textContent = names.length === 1 ? `Reset ${names[0]}` : `Reset ${names.length === all ? `all ${all}` : names.length}`;
+  }
+
+  // Who stopped robots, why, which ones and since when.
+  standing(names) {
+    const groups = new Map(), { robots, plots, time } = this.model;
+    for (const { name, row } of names.map((one) => robots.get(one))) {
+      const why = plain(row.why || 'emergency stop').replace(/:? base lost .*/, '');
+      if (!groups.has(why)) groups.set(why, []);
+      groups.get(why).push(name);
+    }
+    const since = Math.min(...names.map((name) => robots.get(name).row.at).filter(Number.isFinite));
+    const of = (some) => (some.length === robots.size && some.length > 1 ? `all ${some.length} robots` : some.length > MAX_NAMED ? `${some.length} of ${robots.size} robots` : some.join(', '));
+    const told = [...groups].map(([why, some]) => `${why}: ${of(some)}`).join('; ');
+    const passed = time - since;
+    if (passed >= 0 && !(Math.abs(since - this.since) <= 2)) { // `at` has whole seconds: a clock that flickers would be read out
+      this.since = since;
+      this.clock = new Date(Date.now() - 1000 * ((this.isPast() ? plots.times.at(-1) : time) - since)).toLocaleTimeString([], { hour12: false });
+    }
+    const when = this.model.playback || !(passed >= 0) ? '' : `, since ${this.clock}${passed < 60 ? '' : ` (${ago(passed)})`}`;
+    return `${told.charAt(0).toUpperCase()}${told.slice(1)}${when}.`;
+  }
 }

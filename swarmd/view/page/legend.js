@@ -1,36 +1,46 @@
-// The legend: each colour and sign on the map, with its number of robots.
+// The legend, and the chips of the states: colours and signs with their numbers of robots.
 
 export class Legend {
-  // `pick` selects the robots of an entry; without it entries are no buttons.
-  constructor(box, map, pick) {
-    Object.assign(this, { box, map, pick });
+  // `found()` gives the entries. `pick` selects the robots of an entry; without it entries are no buttons.
+  constructor(box, found, pick) {
+    Object.assign(this, { box, found, pick });
     this.shown = '';
   }
 
   draw() {
-    const entries = this.map.legend();
+    const entries = this.found();
     const shown = JSON.stringify(entries.map(({ robots, ...rest }) => [rest, robots && robots.length]));
     this.entries = entries; // a click selects the robots of now
     if (shown === this.shown) return;
     this.shown = shown;
     this.box.replaceChildren(...entries.map((entry, i) => this.item(entry, i)));
+    this.fit();
   }
 
-  item({ colour, text, sign, shade, line, robots }, i) {
+  // Without room for the words of all entries, those of calm ones are left out.
+  fit() {
+    this.box.classList.remove('tight');
+    this.box.classList.toggle('tight', this.box.scrollWidth > this.box.clientWidth);
+  }
+
+  item({ colour, text, sign, shade, line, look, names, robots }, i) {
     const item = document.createElement(robots && this.pick ? 'button' : 'span'), mark = document.createElement('i');
-    mark.style.setProperty('--mark', colour);
+    item.style.setProperty('--mark', colour);
+    if (look) item.className = look;
     mark.style.setProperty('--shade', `${100 * (shade ?? 1)}%`);
     if (line) mark.className = line;
     if (sign) mark.dataset.sign = sign;
-    item.append(mark, text);
+    const word = document.createElement('span');
+    word.textContent = text;
+    item.append(mark, word);
     if (robots) {
       const count = document.createElement('b');
-      count.textContent = robots.length;
+      count.textContent = names ? `${robots.length}: ${names}` : robots.length;
       item.append(count);
     }
     if (item.tagName === 'BUTTON') {
       item.type = 'button';
-      item.title = `Select ${robots.length === 1 ? robots[0].name : `these ${robots.length} robots`}`;
+      item.title = `${text}: select ${robots.length === 1 ? robots[0].name : `these ${robots.length} robots`}`;
       item.addEventListener('click', () => this.pick(this.entries[i].robots));
     }
     return item;

@@ -133,9 +133,9 @@ export class RobotList {
       }
       if (cell.dataset.shown === value) return;
       cell.dataset.shown = cell.title = value;
-      cell.firstChild.style.background = colourOf(isHeard ? value : '');
+      cell.firstChild.style.background = colourOf(value);
       cell.firstChild.className = value === 'at rest' ? 'shade' : '';
-      cell.lastChild.data = `${signOf(isHeard ? value : '')} ${value}`;
+      cell.lastChild.data = `${signOf(value)} ${value}`;
     });
   }
 

@@ -2,34 +2,42 @@ import { Actions } from './actions.js';
 import { Detail } from './detail.js';
 import { Legend } from './legend.js';
 import { RobotList } from './list.js';
-import { SwarmMap } from './map.js';
+import { ABOVE_SCALE, SwarmMap } from './map.js';
 import { Model } from './model.js';
 import { Panels, isOnPhone } from './panels.js';
 import { Plots } from './plots.js';
 import { Link } from './socket.js';
-import { byOrder, wordOf } from './states.js';
+import { wordOf } from './states.js';
 import { Timeline } from './timeline.js';
 
+const MAX_PATTERNS = 2; // that are named in the head
 const element = (id) => document.getElementById(id);
 const model = new Model();
 const map = new SwarmMap(element('map'), model);
 const list = new RobotList(model);
 new Detail(model);
-const legend = new Legend(element('legend'), map, (robots) => model.select(robots.map((one) => one.name)));
+const pick = (robots) => model.select(robots.map((one) => one.name));
+const legend = new Legend(element('legend'), () => map.legend(), pick), chips = new Legend(element('chips'), () => map.states(), pick);
 const panels = new Panels(map);
 const banner = element('banner');
 const free = () => { // what the map shows by Fit is not covered
   const size = (id, key) => (element(id)[key] ? element(id)[key] + 12 : 0), isPhone = isOnPhone();
+  const isColumn = !isPhone && !document.body.matches('.present'); // beside the map, which is wider than an arena
   const [tools, hints, legend] = ['tools', 'hints', 'legend'].map((id) => size(id, 'offsetHeight'));
   const side = (...ids) => (isPhone ? 0 : Math.max(...ids.map((id) => size(id, 'offsetWidth'))));
+  const isShort = isPhone && matchMedia('(max-height: 700px)').matches; // its tools are a column at the right
+  const column = isColumn ? side('tools', 'hints', 'legend') : 0, commands = side('commands');
   // The card of a robot counts on a phone alone: in a wide window a click that selects a robot must not move the map.
   const sheet = isPhone ? Math.max(...['detail-pane', 'look', 'list-pane'].map((id) => element(id).offsetHeight)) : 0;
-  const insets = [tools + hints, Math.max(legend, sheet), side('commands'), side('look')], isSame = `${insets}` === `${map.insets}`;
+  const insets = isColumn ? [0, 0, commands + column, side('look')] : [(isShort ? 8 : tools) + hints, Math.max(legend, sheet) + ABOVE_SCALE, commands, isShort ? size('tools', 'offsetWidth') : side('look')];
+  const isSame = `${insets}` === `${map.insets}`;
   map.insets = insets;
-  for (const [name, value] of [['--legend', legend], ['--tools', tools], ['--above', tools + hints]]) document.documentElement.style.setProperty(name, `${value}px`);
+  map.corner = [commands, isColumn ? legend : Math.max(legend, sheet)];
+  for (const [name, value] of [['--tools', tools], ['--tools-width', size('tools', 'offsetWidth')], ['--above', insets[0]]]) document.documentElement.style.setProperty(name, `${value}px`);
   if (map.hasFitted && !map.isTouched && !isSame) map.fit();
 };
-for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane', 'list-pane']) new ResizeObserver(free).observe(element(id));
+for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane', 'list-pane']) new ResizeObserver(() => requestAnimationFrame(free)).observe(element(id)); // not within: it changes sizes
+addEventListener('resize', () => chips.fit());
 
 const actions = new Actions(model, (message) => link.send(message), () => panels.open('commands', false));
 const link = new Link(model, {
@@ -81,23 +89,24 @@ const isByOdometry = () => ['live', 'recording'].includes(model.source);
 function show(id, text) { if (element(id).textContent !== text) element(id).textContent = text; }
 
 function counts() {
-  const states = new Map();
-  let silent = 0;
-  const now = performance.now();
-  for (const robot of model.robots.values()) {
-    const { row } = robot;
-    if (!model.isHeard(robot, now)) silent += 1;
-    else states.set(wordOf(row), (states.get(wordOf(row)) || 0) + 1);
-  }
-  const parts = [...states].sort(([one], [other]) => byOrder(one, other)).map(([state, count]) => `${count} ${state}`);
-  if (silent) parts.unshift(`${silent} silent`);
   const size = model.robots.size;
-  show('counts', `${size} ${size === 1 ? 'robot' : 'robots'}: ${parts.join(', ') || '-'}`);
+  show('counts', `${size} ${size === 1 ? 'robot' : 'robots'}: ${running()}`);
+  element('counts').title = element('counts').textContent;
+  chips.draw();
   show('clock', clock());
   const isUnaligned = isByOdometry() && model.isUnaligned();
   element('caveat').hidden = !isUnaligned || map.mode === 'align';
   element('map').classList.toggle('unaligned', isUnaligned && map.mode !== 'align');
   legend.draw();
+}
+
+// The patterns that run, each with its number of robots, the most frequent first.
+function running() {
+  const numbers = new Map();
+  for (const { row } of map.heard()[0]) if (row.pattern) numbers.set(row.pattern, (numbers.get(row.pattern) || 0) + 1);
+  const some = [...numbers].sort(([, one], [, other]) => other - one).map(([name, number]) => `${name.replaceAll('_', ' ')} ${number}`);
+  const rest = some.splice(MAX_PATTERNS).length;
+  return some.length ? some.join(', ') + (rest ? `, ${rest} more` : '') : 'none runs';
 }
 
 function clock() {
@@ -140,6 +149,7 @@ function fill(select, entries) {
   if (entries.some(([key]) => key === chosen)) select.value = chosen;
 }
 
+let hasPlayed = false;
 model.addEventListener('hello', () => {
   element('title').textContent = `${model.swarm || 'swarmd'}${model.role === 'viewer' ? ' (read only)' : ''}`;
   document.title = element('title').textContent;
@@ -150,10 +160,13 @@ model.addEventListener('hello', () => {
   const fields = Object.keys((model.arena || {}).fields || {});
   element('fields').hidden = !fields.length;
   fill(element('field'), [['', 'none'], ...fields.map((one) => [one, one])]);
+  if (model.playback && !hasPlayed) panels.set('time', true); // its play button, on a phone, too
+  hasPlayed = Boolean(model.playback);
   map.showField(fields[0] || '');
   element('field').value = map.field;
 });
 model.addEventListener('selection', choose);
+model.addEventListener('past', () => { if (model.past !== null) panels.open('commands', false); });
 setInterval(() => { counts(); choices(); }, 500);
 
 element('fit').addEventListener('click', () => map.fit());
@@ -194,6 +207,8 @@ element('colour').addEventListener('change', (event) => { map.colourBy(event.tar
 element('all').addEventListener('click', () => model.select(list.chosen().map((robot) => robot.name)));
 element('none').addEventListener('click', () => model.select([]));
 element('detail-close').addEventListener('click', () => model.select([]));
+element('hints').addEventListener('click', (event) => { const note = event.target.closest('p'); if (note) note.classList.toggle('open'); });
+element('detail-more').addEventListener('toggle', (event) => { if (event.target.open && isOnPhone()) element('detail-pane').scrollTop = event.target.offsetTop - 44; });
 element('detail-reset').addEventListener('click', () => actions.reset([[...model.selected].at(-1)], element('detail-reset')));
 for (const id of ['present', 'present-end']) element(id).addEventListener('click', () => panels.present());
 

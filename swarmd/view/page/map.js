@@ -1,8 +1,9 @@
 // The map, seen from above: robots, trails, scans of selected robots, walls and boxes.
 
+import { addBody } from './body.js';
 import { Colouring, scale } from './colours.js';
 import { Gestures } from './gestures.js';
-import { LOST, SHADE, wordOf } from './states.js';
+import { LOST, SHADE, colourOf, isAlarm, signOf, wordOf } from './states.js';
 
 const LIMIT = '#d55e00'; // of an obstacle that limits a robot
 const MANY = 60; // robots from which on only some trails are drawn
@@ -13,14 +14,20 @@ const KEEP_OUT = 'rgba(213, 94, 0, 0.22)'; // areas of a fence that robots do no
 const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const OLD = 3000; // ms after which a scan is not shown
 const STEPS = [0.1, 0.5, 1, 5, 10, 50, 100, 500]; // m between two lines of the grid, and of the scale bar
-const BAR = 140, ABOVE_SCALE = 30; // pixels: the length of the scale bar, at most; its height
+const BAR = 140; // pixels of the scale bar, at most
+export const ABOVE_SCALE = 30; // pixels of its height
 const LEAST_ROOM = 24; // pixels: the smallest side of the part of the map in which robots are fitted
-const EDGE = 0.6; // m around what is shown by Fit
+const EDGE = 0.6, WALL = 12; // m around robots, and pixels around walls, that are shown by Fit
 const NEAR = 10; // pixels from an edge within which a robot leaves the map
 const REFIT = 1000; // ms from one fit to the next, while nobody has moved the view
 const SMALL = 16; // pixels of a robot's radius below which its sign has its colour
+const BODY = 8; // pixels of a robot's radius from which on it has a bar and wheels; below, a line ahead
+const DARK = '#20262d', LIGHT = '#ffffff'; // of wheels, and of bars and the edges of signs
 const SIGN = 5; // pixels from the middle of a sign to its edge, at least
 
+const MAX_NAMES = 3; // of silent robots beside their number
+
+const short = (robots) => robots.slice(0, MAX_NAMES).map((one) => one.name).join(', ') + (robots.length > MAX_NAMES ? ' ...' : '');
 const rangeOf = (rows) => [Math.min(...rows.flat()), Math.max(...rows.flat())];
 
 export class SwarmMap {
@@ -36,7 +43,8 @@ export class SwarmMap {
     this.isFollowing = false;
     this.hovered = null; // the robot below the mouse
     this.nameSize = 0.78; // rem
-    this.insets = [0, 0, 0, 0]; // pixels above, below, left and right that something covers
+    this.insets = [0, ABOVE_SCALE, 0, 0]; // pixels above, below, left and right that something covers
+    this.corner = [0, 0]; // pixels left of the scale bar and below it that something covers
     this.fittedAt = 0;
     this.hasFitted = false;
     this.ruler = null;
@@ -76,21 +84,37 @@ export class SwarmMap {
       this.centre[1] - (event.clientY - box.top - box.height / 2) / this.scale];
   }
 
-  // The entries of the legend: colours and their meanings.
+  // The robots in two lists: those that are heard, and those that are not.
+  heard() {
+    const now = performance.now(), lists = [[], []];
+    for (const robot of this.model.robots.values()) lists[Number(!this.model.isHeard(robot, now))].push(robot);
+    return lists;
+  }
+
+  // The entries of the states, alarms first, with the names of silent robots.
+  states() {
+    const [heard, silent] = this.heard(), found = new Colouring('state').legend(heard, '');
+    if (silent.length) found.unshift({ colour: colourOf('silent'), text: 'silent', sign: signOf('silent'), robots: silent, names: short(silent) });
+    const lost = heard.filter((one) => one.row.lost);
+    if (lost.length) found.push({ colour: LOST, text: 'base lost', line: 'ring', robots: lost });
+    return found.map((one) => ({ ...one, look: isAlarm(one.text) ? 'alarm' : '' }));
+  }
+
+  // The entries of the legend: colours and their meanings. `look`: of entries that `states` has, too.
   legend() {
-    const now = performance.now(), all = [...this.model.robots.values()];
-    const heard = all.filter((one) => this.model.isHeard(one, now)), silent = all.filter((one) => !this.model.isHeard(one, now));
+    const [heard, silent] = this.heard(), isState = this.colouring.key === 'state';
     const found = this.colouring.legend(heard, this.model.unitOf(this.colouring.key));
-    const mark = (colour, text, line, robots) => { if (robots.length) found.push({ colour, text, line, robots }); };
-    if (this.colouring.key !== 'state') { // the signs are on the map whatever the colours mean
+    if (isState) for (const one of found) one.look = 'state';
+    const mark = (colour, text, line, robots, look) => { if (robots.length) found.push({ colour, text, line, robots, look }); };
+    if (!isState) { // the signs are on the map whatever the colours mean
       for (const [word, sign] of [['estopped', '\u2716'], ['stopped', '\u25a0'], ['held', '\u2016'], ['faulted', '\u26a0']]) {
         const robots = heard.filter((one) => wordOf(one.row) === word);
-        if (robots.length) found.push({ colour: 'transparent', text: word, sign, robots });
+        if (robots.length) found.push({ colour: 'transparent', text: word, sign, robots, look: 'state' });
       }
     }
-    mark(LOST, 'base lost', 'ring', heard.filter((one) => one.row.lost));
+    mark(LOST, 'base lost', 'ring', heard.filter((one) => one.row.lost), 'state');
     mark(CONTACT, 'in contact', 'ring', heard.filter((one) => one.row.touches));
-    mark('transparent', 'silent', 'dashed', silent);
+    mark(colourOf('silent'), 'silent', 'dashed', silent, 'state');
     if (this.chosen().some((one) => (one.row.rows || []).length)) found.push({ colour: LIMIT, text: 'limits it', line: 'arc' });
     const fences = this.fencesOf();
     if (fences.length) found.push({ colour: 'transparent', text: 'fence', line: 'fence' });
@@ -139,9 +163,9 @@ export class SwarmMap {
     for (const [outer] of this.fencesOf()) for (const [x, y] of outer) take(x, y);
     if (arena) { take(-arena.size[0] / 2, -arena.size[1] / 2); take(arena.size[0] / 2, arena.size[1] / 2); }
     if (left > right) return;
-    const { clientWidth: w, clientHeight: h } = this.canvas, [above, under, before, after] = this.insets, below = under + ABOVE_SCALE;
-    const edge = arena ? EDGE / 3 : EDGE;
-    this.scale = Math.min(Math.max(w - before - after, LEAST_ROOM) / (right - left + 2 * edge), Math.max(h - above - below, LEAST_ROOM) / (top - bottom + 2 * edge), 220);
+    const { clientWidth: w, clientHeight: h } = this.canvas, [above, below, before, after] = this.insets;
+    const [edge, wall] = arena ? [0, 2 * WALL] : [EDGE, 0];
+    this.scale = Math.min(Math.max(w - before - after - wall, LEAST_ROOM) / (right - left + 2 * edge), Math.max(h - above - below - wall, LEAST_ROOM) / (top - bottom + 2 * edge), 220);
     this.centre = [(left + right) / 2 + (after - before) / 2 / this.scale, (bottom + top) / 2 + (above - below) / 2 / this.scale];
     this.fittedAt = performance.now();
     this.hasFitted = true;
@@ -373,7 +397,7 @@ export class SwarmMap {
   // One path for each colour is drawn faster than one path for each robot.
   drawRobots(robots, now, zoom, text) {
     const { ctx, model } = this, filled = new Map(), silent = new Path2D(), heads = new Path2D();
-    const touched = new Path2D(), chosen = new Path2D(), lost = new Path2D(), shaded = new Map(), signs = new Map();
+    const bars = new Path2D(), wheels = new Path2D(), touched = new Path2D(), chosen = new Path2D(), lost = new Path2D(), shaded = new Map(), signs = new Map();
     const ring = (path, x, y, radius) => { path.moveTo(x + radius, y); path.arc(x, y, radius, 0, 2 * Math.PI); };
     for (const robot of robots) {
       const { x, y, radius } = robot, isHeard = model.isHeard(robot, now);
@@ -381,23 +405,26 @@ export class SwarmMap {
       const c = grown * Math.cos(robot.yaw), s = grown * Math.sin(robot.yaw);
       let path = silent;
       if (isHeard) {
-        const colour = this.colouring.of(robot), word = wordOf(robot.row), paths = word === 'at rest' ? shaded : filled;
+        const colour = this.colouring.of(robot), paths = wordOf(robot.row) === 'at rest' ? shaded : filled;
         path = paths.get(colour);
         if (!path) paths.set(colour, path = new Path2D());
-        const sign = SIGNS[word];
-        if (sign) {
-          const isSmall = radius * this.scale < SMALL, look = isSmall ? colour : '';
-          if (!signs.has(look)) signs.set(look, new Path2D());
-          const [u, v] = robot.middle;
-          sign(signs.get(look), x + c * u - s * v, y + s * u + c * v, Math.max(0.7 * radius, SIGN * this.ratio / zoom));
-        }
         if (robot.row.lost) ring(lost, x, y, 1.4 * radius * grown);
+      }
+      const word = isHeard ? wordOf(robot.row) : 'silent', sign = SIGNS[word];
+      if (sign) {
+        const look = !isHeard || radius * this.scale < SMALL ? isHeard ? this.colouring.of(robot) : colourOf('silent') : '';
+        if (!signs.has(look)) signs.set(look, new Path2D());
+        const [u, v] = robot.middle;
+        sign(signs.get(look), x + c * u - s * v, y + s * u + c * v, Math.max(0.7 * radius, SIGN * this.ratio / zoom));
       }
       robot.footprint.forEach(([u, v], i) => path[i ? 'lineTo' : 'moveTo'](x + c * u - s * v, y + s * u + c * v));
       path.closePath();
-      const head = isHeard ? heads : silent;
-      head.moveTo(x, y);
-      head.lineTo(x + 1.6 * radius * c, y + 1.6 * radius * s);
+      if (isHeard && radius * grown * this.scale >= BODY) addBody(bars, wheels, robot, c, s);
+      else {
+        const head = isHeard ? heads : silent;
+        head.moveTo(x, y);
+        head.lineTo(x + 1.6 * radius * c, y + 1.6 * radius * s);
+      }
       if (model.selected.has(robot.name)) ring(chosen, x, y, 1.5 * radius * grown);
       if (robot.row.touches) ring(touched, x, y, 1.25 * radius * grown);
     }
@@ -411,19 +438,24 @@ export class SwarmMap {
       ctx.fillStyle = colour;
       ctx.fill(path);
       ctx.globalAlpha = 1;
-      stroke(path, 1.5, colour);
+      stroke(path, 3, colour);
     }
     for (const [colour, path] of filled) {
       ctx.fillStyle = colour;
       ctx.fill(path);
       stroke(path, 1, text);
     }
+    for (const [path, colour, edge] of [[wheels, DARK, LIGHT], [bars, LIGHT, DARK]]) {
+      ctx.fillStyle = colour;
+      ctx.fill(path);
+      stroke(path, 0.6, edge);
+    }
     stroke(heads, 2, text);
-    ctx.setLineDash([4 * this.ratio / zoom, 4 * this.ratio / zoom]);
-    stroke(silent, 1, text); // an empty outline where it was last
+    ctx.setLineDash([5 * this.ratio / zoom, 3 * this.ratio / zoom]);
+    stroke(silent, 3, colourOf('silent')); // an empty outline where it was last
     ctx.setLineDash([]);
     for (const [colour, path] of signs) { // a dark sign, of a small robot in its colour, with a light edge
-      stroke(path, 5, '#ffffff');
+      stroke(path, 5, LIGHT);
       stroke(path, 2.5, colour || '#16191d');
     }
     stroke(lost, 4, LOST);
@@ -463,7 +495,7 @@ export class SwarmMap {
       ctx.lineWidth = 3 * this.ratio;
       ctx.strokeStyle = back;
       ctx.strokeText(robot.name + word, ...place); // readable on trails and other robots
-      ctx.fillStyle = isMarked(robot) ? text : dim;
+      ctx.fillStyle = !this.model.isHeard(robot, performance.now()) ? colourOf('silent') : isMarked(robot) ? text : dim;
       ctx.fillText(robot.name + word, ...place);
     }
     ctx.textBaseline = 'alphabetic';
@@ -472,7 +504,7 @@ export class SwarmMap {
   // The scale bar above the legend, with a round length.
   drawScale(text, back) {
     const { ctx, ratio } = this, length = STEPS.findLast((step) => step * this.scale <= BAR) || STEPS[0];
-    const width = length * this.scale * ratio, y = this.canvas.height - (this.insets[1] + 10) * ratio, x = (this.insets[2] + 12) * ratio;
+    const width = length * this.scale * ratio, y = this.canvas.height - (this.corner[1] + 10) * ratio, x = (this.corner[0] + 12) * ratio;
     if (y < (this.insets[0] + 40) * ratio) return; // a sheet leaves no room
     ctx.beginPath();
     ctx.moveTo(x, y - 4 * ratio); ctx.lineTo(x, y); ctx.lineTo(x + width, y); ctx.lineTo(x + width, y - 4 * ratio);
@@ -508,8 +540,14 @@ export class SwarmMap {
   }
 }
 
-// The signs of robots that stand against their will, as paths around a place; each has its own shape.
+// The signs of robots that stand against their will, and of silent robots, as paths around a place; each has its own shape.
 const SIGNS = {
+  silent(path, x, y, size) { // a question mark
+    path.moveTo(x - 0.4 * size, y + 0.45 * size);
+    path.arc(x, y + 0.45 * size, 0.4 * size, Math.PI, -0.4 * Math.PI, true);
+    path.lineTo(x, y - 0.3 * size);
+    path.moveTo(x, y - 0.75 * size); path.lineTo(x, y - 0.85 * size);
+  },
   estopped(path, x, y, size) {
     path.moveTo(x - size, y - size); path.lineTo(x + size, y + size);
     path.moveTo(x - size, y + size); path.lineTo(x + size, y - size);

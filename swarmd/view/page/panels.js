@@ -14,7 +14,7 @@ export class Panels {
     this.map = map;
     for (const [opener, panel] of PANELS) {
       element(opener).setAttribute('aria-controls', panel);
-      element(opener).addEventListener('click', () => this.open(panel, element(panel).hidden));
+      element(opener).addEventListener('click', () => { if (element(opener).getAttribute('aria-disabled') !== 'true') this.open(panel, element(panel).hidden); });
     }
     for (const one of document.querySelectorAll('.close')) {
       one.addEventListener('click', () => this.open(one.closest('[data-panel]').id, false));

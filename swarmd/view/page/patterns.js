@@ -4,8 +4,8 @@ import { made } from './answers.js';
 
 const element = (id) => document.getElementById(id);
 
-const LAST = ['yours', 'missions']; // groups after those of our patterns
-const MAX_RECENT = 4;
+const FIRST = ['gather', 'spread', 'move together'], LAST = ['yours', 'missions']; // groups: those that people look for, and the last ones
+const RECENT = 'run last', MAX_RECENT = 4;
 const FAR = 0.5; // edits for each letter from which on a name is not proposed
 
 const wordsOf = (text) => text.toLowerCase().replace(/[_\s]+/g, ' ').trim();
@@ -86,14 +86,15 @@ export class PatternForm {
     if (key === this.drawn) return; // a hello must not take the focus
     this.drawn = key;
     const groupOf = (one) => one.group || 'yours', isGrey = (one) => Number(this.refusal(one).isAll);
-    const order = (group) => `${Math.min(...shown.filter((one) => groupOf(one) === group).map(isGrey))}${LAST.indexOf(group) + 1}${group}`;
-    const groups = new Map([['recent', recent.map((name) => all.find((one) => one.name === name)).filter(Boolean)]]);
+    const rank = (group) => (FIRST.includes(group) ? FIRST.indexOf(group) : FIRST.length + 1 + LAST.indexOf(group));
+    const order = (group) => `${Math.min(...shown.filter((one) => groupOf(one) === group).map(isGrey))}${rank(group)}${group}`;
+    const groups = new Map([[RECENT, recent.map((name) => all.find((one) => one.name === name)).filter(Boolean)]]);
     for (const group of [...new Set(shown.map(groupOf))].sort((one, other) => (order(one) < order(other) ? -1 : 1))) {
       groups.set(group, shown.filter((one) => groupOf(one) === group).sort((one, other) => isGrey(one) - isGrey(other)));
     }
     const isGrouped = all.some((one) => one.group);
     this.list.replaceChildren(...[...groups].flatMap(([group, some]) => (
-      some.length ? [...(isGrouped || group === 'recent' ? [made('h3', group)] : []), ...some.map((one) => this.rowOf(one, known))] : [])));
+      some.length ? [...(isGrouped || group === RECENT ? [made('h3', group)] : []), ...some.map((one) => this.rowOf(one, known))] : [])));
     if (!shown.length) this.list.append(this.nothing(typed, all));
     this.drawFields(known);
   }

@@ -5,7 +5,9 @@ import { plain } from './states.js';
 const SPAN = 300; // s of a living swarm
 const LEAST = 60; // s that are shown from the beginning on
 const NOW = 1.5; // s before the last moment that count as now
-const TITLES = { clusters: ['clusters', ''], speed: ['mean speed', ' m/s'], active: ['protection active', ' %'] };
+// By key: the title, the unit, and what the lane shows at least (least and most).
+const TITLES = { clusters: ['clusters', '', []], speed: ['mean speed', ' m/s', [0]], active: ['protection active', ' %', [0, 100]] };
+const LANE = 40; // pixels of a lane
 const NEAR = 7; // pixels between the mouse and the tick of events
 const APART = 28; // pixels from a tick to the next one: nearer events have one tick
 const MAX_TOLD = 4; // events of a tick that are told
@@ -120,23 +122,24 @@ export class Plots {
   draw() {
     if (!this.canvas.clientWidth) return;
     const { canvas, ctx, model } = this, ratio = Math.min(window.devicePixelRatio || 1, 2);
-    const { clientWidth: w, clientHeight: h } = canvas;
+    const style = getComputedStyle(document.documentElement), rem = parseFloat(style.fontSize);
+    const lanes = this.lanes(), axis = 1.1 * rem;
+    canvas.style.height = `${Math.round(lanes.length * LANE + axis)}px`;
+    const { clientWidth: w, clientHeight: h } = canvas, isNarrow = w < 600;
     if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
       [canvas.width, canvas.height] = [Math.round(w * ratio), Math.round(h * ratio)];
     }
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     ctx.clearRect(0, 0, w, h);
-    const style = getComputedStyle(document.documentElement), rem = parseFloat(style.fontSize);
     const [text, dim, line, accent] = ['--text', '--dim', '--line', '--accent'].map((key) => style.getPropertyValue(key));
-    const lanes = this.lanes(), axis = 1.1 * rem, height = (h - axis) / lanes.length, isNarrow = w < 600;
-    [this.left, this.right] = [(isNarrow ? 9 : 12.5) * rem, 0.8 * rem];
+    [this.left, this.right] = [(isNarrow ? 9 : 14) * rem, 0.8 * rem];
     // The slider has the same axis.
     canvas.parentElement.style.setProperty('--axis-left', `${this.left}px`);
     canvas.parentElement.style.setProperty('--axis-right', `${this.right}px`);
     const [from, until] = this.range(), width = w - this.left - this.right;
     const x = (time) => this.left + (time - from) / (until - from) * width;
     this.drawAxis({ x, from, until, text, dim, line, rem, h, axis, isNarrow });
-    lanes.forEach((key, i) => this.drawLane(key, i * height, height, { x, from, until, text, dim, accent, line, rem, isNarrow }));
+    lanes.forEach((key, i) => this.drawLane(key, i * LANE, { x, from, until, text, dim, accent, line, rem, isNarrow }));
     this.drawMarks(x, from, until, h - axis, rem, dim);
     const shown = this.shown();
     ctx.strokeStyle = ctx.fillStyle = text;
@@ -215,22 +218,24 @@ export class Plots {
     }
   }
 
-  drawLane(key, top, height, { x, from, until, text, dim, accent, line, rem, isNarrow }) {
+  // The least and most value that a lane shows, in its unit.
+  bounds(key, from, until) {
+    const { times, values } = this.model.plots, factor = factorOf(key);
+    const known = (values[key] || []).filter((one, i) => one !== null && one !== undefined && times[i] >= from && times[i] <= until).map((one) => factor * one);
+    const all = [...known, ...(TITLES[key] ? TITLES[key][2] : [])];
+    return all.length ? [Math.min(...all), Math.max(...all)] : [0, 1];
+  }
+
+  drawLane(key, top, { x, from, until, text, dim, accent, line, rem, isNarrow }) {
     const { ctx } = this, { times } = this.model.plots, values = this.model.plots.values[key] || [];
     const factor = factorOf(key);
     const now = this.valueAt(key, this.shown());
-    let most = key === 'active' ? 100 : 0, least = 0;
-    values.forEach((value, i) => {
-      if (value === null || value === undefined || times[i] < from) return;
-      most = Math.max(most, factor * value);
-      least = Math.min(least, factor * value);
-    });
-    if (most === least) most = least + 1;
-    const y = (value) => top + height - 3 - (value * factor - least) / (most - least) * (height - 8);
+    const [least, most] = this.bounds(key, from, until), isFlat = most === least; // a flat line is in the middle
+    const y = (value) => top + LANE - 4 - (isFlat ? 0.5 : (value * factor - least) / (most - least)) * (LANE - 9);
     ctx.strokeStyle = line;
     ctx.lineWidth = 1;
     ctx.beginPath();
-    ctx.moveTo(this.left, top + height - 0.5); ctx.lineTo(x(until), top + height - 0.5);
+    ctx.moveTo(this.left, top + LANE - 0.5); ctx.lineTo(x(until), top + LANE - 0.5);
     ctx.stroke();
     ctx.strokeStyle = accent;
     ctx.lineWidth = isNarrow ? 1.2 : 2;
@@ -242,21 +247,19 @@ export class Plots {
       isOn = isThere;
     });
     ctx.stroke();
-    if (height > 1.2 * rem) { // the top of the lane
-      ctx.textAlign = 'left';
-      ctx.fillStyle = dim;
-      ctx.font = `${0.62 * rem}px system-ui, sans-serif`;
-      this.label(Number(most.toPrecision(2)), this.left + 0.25 * rem, top + 0.75 * rem);
-    }
-    const title = titleOf(key), middle = top + height / 2 + 0.28 * rem;
-    ctx.textAlign = 'left';
-    ctx.fillStyle = dim;
-    ctx.font = `${(isNarrow ? 0.68 : 0.8) * rem}px system-ui, sans-serif`;
-    ctx.fillText(isNarrow ? title.replace(/^mean | active$/, '') : title, 0.4 * rem, middle);
-    ctx.fillStyle = text;
+    // Left of the lane: its title above its value, and at the axis the ends of the lane.
+    const title = titleOf(key), small = `${0.68 * rem}px system-ui, sans-serif`, [upper, lower] = [top + 0.42 * LANE, top + 0.85 * LANE];
     ctx.textAlign = 'right';
-    ctx.font = `600 ${(isNarrow ? 0.72 : 0.85) * rem}px system-ui, sans-serif`;
-    ctx.fillText(now === null ? '-' : this.text(key, now), this.left - 0.5 * rem, middle);
+    ctx.fillStyle = dim;
+    ctx.font = small;
+    ctx.fillText(isNarrow ? Number(most.toPrecision(2)) : this.text(key, most / factor), this.left - 0.4 * rem, top + 0.75 * rem);
+    if (!isFlat) ctx.fillText(Number(least.toPrecision(2)), this.left - 0.4 * rem, top + LANE - 3);
+    ctx.textAlign = 'left';
+    if (!isNarrow) ctx.font = `${0.8 * rem}px system-ui, sans-serif`;
+    ctx.fillText(isNarrow ? title.replace(/^mean | active$/, '') : title, 0.4 * rem, upper);
+    ctx.fillStyle = text;
+    ctx.font = `600 ${(isNarrow ? 0.75 : 0.85) * rem}px system-ui, sans-serif`;
+    ctx.fillText(now === null ? '-' : this.text(key, now), 0.4 * rem, lower);
   }
 
   // A text that stays readable on lines.

@@ -1,13 +1,14 @@
 // The states of robots as a page shows them, and the page's form of texts for swarmctl.
 
 // Each with a colour that people with colour blindness can tell apart (after Okabe and Ito 2008), a
-// sign, and its order in counts. A robot at rest is shaded: see `SHADE`.
+// sign, and its order in counts, alarms first. A robot at rest is shaded: see `SHADE`.
 const STATES = {
-  estopped: ['#b3001b', '\u2716'], faulted: ['#aa3f8f', '\u26a0'], held: ['#e07b00', '\u2016'],
+  silent: ['#ee1f45', '?'], estopped: ['#b3001b', '\u2716'], faulted: ['#aa3f8f', '\u26a0'], held: ['#e07b00', '\u2016'],
   stopped: ['#f0d800', '\u25a0'], running: ['#009e73', '\u25b6'], 'at rest': ['#009e73', '\u25cc'],
   idle: ['#56b4e9', '\u25cb'],
 };
 const ORDER = Object.keys(STATES);
+const ALARMS = ['silent', 'estopped', 'faulted']; // the chips of which are filled
 export const UNKNOWN = '#999999';
 export const SHADE = 0.3; // the opacity of a robot at rest
 export const LOST = '#ff00c8'; // a ring around a robot whose base is lost
@@ -15,6 +16,8 @@ export const LOST = '#ff00c8'; // a ring around a robot whose base is lost
 export function colourOf(state) { return (STATES[state] || [UNKNOWN])[0]; }
 
 export function signOf(state) { return (STATES[state] || ['', '\u2026'])[1]; }
+
+export function isAlarm(state) { return ALARMS.includes(state); }
 
 export function byOrder(one, other) { return ORDER.indexOf(one) - ORDER.indexOf(other); }
 
@@ -28,7 +31,7 @@ export function reasonOf(row, time = NaN) {
   return plain(row.why || '') + (passed >= 0 ? `, ${ago(passed)}` : '');
 }
 
-function ago(seconds) {
+export function ago(seconds) {
   const [size, unit] = seconds < 60 ? [1, 's'] : seconds < 3600 ? [60, 'min'] : [3600, 'h'];
   return `${Math.floor(seconds / size)} ${unit} ago`;
 }
