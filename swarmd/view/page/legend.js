@@ -40,7 +40,7 @@ export class Legend {
     }
     if (item.tagName === 'BUTTON') {
       item.type = 'button';
-      item.title = `${text}: select ${robots.length === 1 ? robots[0].name : `these ${robots.length} robots`}`;
+      item.title = `${names || text}: select ${robots.length === 1 ? robots[0].name : `these ${robots.length} robots`}`;
       item.addEventListener('click', () => this.pick(this.entries[i].robots));
     }
     return item;

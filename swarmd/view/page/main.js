@@ -37,7 +37,7 @@ const free = () => { // what the map shows by Fit is not covered
   if (map.hasFitted && !map.isTouched && !isSame) map.fit();
 };
 for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane', 'list-pane']) new ResizeObserver(() => requestAnimationFrame(free)).observe(element(id)); // not within: it changes sizes
-addEventListener('resize', () => chips.fit());
+new ResizeObserver(() => chips.fit()).observe(element('chips'));
 
 const actions = new Actions(model, (message) => link.send(message), () => panels.open('commands', false));
 const link = new Link(model, {
@@ -103,10 +103,11 @@ function counts() {
 // The patterns that run, each with its number of robots, the most frequent first.
 function running() {
   const numbers = new Map();
-  for (const { row } of map.heard()[0]) if (row.pattern) numbers.set(row.pattern, (numbers.get(row.pattern) || 0) + 1);
+  const [heard] = map.heard();
+  for (const { row } of heard) if (row.pattern) numbers.set(row.pattern, (numbers.get(row.pattern) || 0) + 1);
   const some = [...numbers].sort(([, one], [, other]) => other - one).map(([name, number]) => `${name.replaceAll('_', ' ')} ${number}`);
   const rest = some.splice(MAX_PATTERNS).length;
-  return some.length ? some.join(', ') + (rest ? `, ${rest} more` : '') : 'none runs';
+  return some.length ? some.join(', ') + (rest ? `, ${rest} more` : '') : heard.length ? 'none runs' : 'none is heard'; // a silent robot may still run
 }
 
 function clock() {

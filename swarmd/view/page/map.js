@@ -25,7 +25,7 @@ const BODY = 8; // pixels of a robot's radius from which on it has a bar and whe
 const DARK = '#20262d', LIGHT = '#ffffff'; // of wheels, and of bars and the edges of signs
 const SIGN = 5; // pixels from the middle of a sign to its edge, at least
 
-const MAX_NAMES = 3; // of silent robots beside their number
+const MAX_NAMES = 12; // of silent robots beside their number
 
 const short = (robots) => robots.slice(0, MAX_NAMES).map((one) => one.name).join(', ') + (robots.length > MAX_NAMES ? ' ...' : '');
 const rangeOf = (rows) => [Math.min(...rows.flat()), Math.max(...rows.flat())];
@@ -105,6 +105,7 @@ export class SwarmMap {
     const [heard, silent] = this.heard(), isState = this.colouring.key === 'state';
     const found = this.colouring.legend(heard, this.model.unitOf(this.colouring.key));
     if (isState) for (const one of found) one.look = 'state';
+    if (silent.length) found.unshift({ colour: colourOf('silent'), text: 'silent', line: 'dashed', robots: silent, look: 'state' });
     const mark = (colour, text, line, robots, look) => { if (robots.length) found.push({ colour, text, line, robots, look }); };
     if (!isState) { // the signs are on the map whatever the colours mean
       for (const [word, sign] of [['estopped', '\u2716'], ['stopped', '\u25a0'], ['held', '\u2016'], ['faulted', '\u26a0']]) {
@@ -114,7 +115,6 @@ export class SwarmMap {
     }
     mark(LOST, 'base lost', 'ring', heard.filter((one) => one.row.lost), 'state');
     mark(CONTACT, 'in contact', 'ring', heard.filter((one) => one.row.touches));
-    mark(colourOf('silent'), 'silent', 'dashed', silent, 'state');
     if (this.chosen().some((one) => (one.row.rows || []).length)) found.push({ colour: LIMIT, text: 'limits it', line: 'arc' });
     const fences = this.fencesOf();
     if (fences.length) found.push({ colour: 'transparent', text: 'fence', line: 'fence' });

@@ -57,7 +57,7 @@ export class Panels {
   check(name, usual) {
     const box = element(name);
     box.checked = (kept(name) ?? String(usual)) === 'true';
-    const paint = () => { document.documentElement.classList.toggle(name, box.checked); this.map.resize(); this.map.wake(); };
+    const paint = () => { document.documentElement.classList.toggle(name, box.checked); this.map.resize(); this.map.wake(); this.map.model.tell('plots'); };
     box.addEventListener('change', () => { kept(name, box.checked); paint(); });
     paint();
   }

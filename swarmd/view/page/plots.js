@@ -235,7 +235,7 @@ export class Plots {
     ctx.strokeStyle = line;
     ctx.lineWidth = 1;
     ctx.beginPath();
-    ctx.moveTo(this.left, top + LANE - 0.5); ctx.lineTo(x(until), top + LANE - 0.5);
+    ctx.moveTo(0, top + LANE - 0.5); ctx.lineTo(x(until), top + LANE - 0.5);
     ctx.stroke();
     ctx.strokeStyle = accent;
     ctx.lineWidth = isNarrow ? 1.2 : 2;

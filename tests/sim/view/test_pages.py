@@ -152,3 +152,41 @@ def test_a_demo_shows_true_positions_answers_and_ends(tmp_path: Path, page: Page
         page.until("document.getElementById('banner').textContent.includes('ended')", "an end")
         page.until("document.querySelectorAll('tr.stale').length === 2", "robots that are gone")
         assert process.wait(timeout=60) == 130
+
+
+def test_a_recorded_run_has_its_whole_name_and_its_play_button_on_a_phone(
+    results: Path, page: Page
+) -> None:
+    with begun(results.parent, "exp", "view", "results", "--seed", "1") as process:
+        page.resize(390, 844, is_phone=True)
+        page.open(address_in(process.stdout))
+        page.until(f"{ROBOTS}.length === 2 && {ROBOTS}.every((one) => one.row.state)", "the robots")
+        box = page.evaluate(
+            "(() => { const { left, right, top, bottom } = play.getBoundingClientRect();"
+            " return [left, right, top, bottom, document.elementFromPoint((left + right) / 2,"
+            " (top + bottom) / 2).id]; })()"
+        )
+        assert 0 <= box[0] < box[1] <= 390
+        assert 0 <= box[2] < box[3] <= 844
+        assert box[4] == "play"
+        page.evaluate("swarm.timeline.play(true)")
+        page.click("#play")
+        page.until("!swarm.model.playback.is_playing", "a pause")
+        # No command looks alive in a recorded run.
+        hidden = "['run-open', 'stop', 'reset', 'estop-reset'].filter((id) =>"
+        hidden += " document.getElementById(id).checkVisibility())"
+        assert page.evaluate(hidden) == []
+        for width in (390, 1280):
+            page.resize(width, 844, is_phone=width < 900)
+            fits = page.evaluate(
+                "(() => { const box = document.getElementById('run-shown'), name ="
+                " 'gather 0.3 m, 40 robots, with walls, variant fast, seed 1';"
+                " box.replaceChildren(new Option(name)); const range = document.createElement("
+                "'span'); range.textContent = name; range.style.font = getComputedStyle(box).font;"
+                " range.style.position = 'absolute'; range.style.whiteSpace = 'nowrap';"
+                " document.body.append(range); const wanted = range.offsetWidth; range.remove();"
+                " return [wanted, box.clientWidth, box.getBoundingClientRect().right]; })()"
+            )
+            assert fits[2] <= width
+            assert fits[1] >= min(fits[0], 0.8 * width)
+        assert page.errors == []
