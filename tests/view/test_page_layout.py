@@ -869,7 +869,7 @@ def test_the_arena_fills_the_pane(
         page.resize(width, height)
         ready(page, address, 7)
         page.until("document.getElementById('caveat').checkVisibility()", "a hint")
-        page.evaluate(f"{FRAMES}.then(() => null)")
+        page.until("swarm.map.insets[2] > document.getElementById('hints').offsetWidth", "measured")
         assert page.evaluate(ARENA % size) >= 0.9
         # Tools and hints are beside the arena.
         left = page.evaluate(f"swarm.map.toScreen(-{size[0] / 2}, 0)[0] / swarm.map.ratio")

@@ -38,7 +38,7 @@ export class Timeline {
   state() {
     const { playback, runs, role } = this.model;
     this.button.textContent = playback.is_playing ? 'Pause' : 'Play';
-    this.run.value = playback.run;
+    this.run.value = this.run.title = playback.run;
     this.seek.max = playback.duration;
     element('speed').value = String(playback.speed);
     const at = runs.indexOf(playback.run);
