@@ -849,11 +849,12 @@ def test_a_needed_reset_is_first_and_moves_no_stop(
 
 ARENA = (
     "(() => { const { model, map } = swarm; model.arena = {size: [%f, %f], shapes: [], poles: []};"
-    " map.isTouched = false; map.fit(); const [w, h] = model.arena.size;"
+    " for (const one of model.robots.values()) one.x = one.y = 0; map.isTouched = false; map.fit();"
+    " const [w, h] = model.arena.size;"
     " return map.scale * Math.min(w, h) / Math.min(map.canvas.clientWidth, map.canvas.clientHeight)"
     "; })()"
 )
-"""The share of the shorter side of the map's pane that a walled arena fills."""
+"""The share of the shorter side of the map's pane that an arena fills, with its robots inside."""
 
 
 @pytest.mark.parametrize(("width", "height"), WIDTHS[1:])
