@@ -95,6 +95,20 @@ def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> No
         pause.wait(0.02)
 
 
+def stop_process(pid: int) -> None:
+    """Send SIGSTOP, and return once each thread of the process is stopped."""
+    os.kill(pid, signal.SIGSTOP)
+    threads = Path(f"/proc/{pid}/task")
+
+    def is_stopped() -> bool:
+        with contextlib.suppress(OSError):  # a thread has ended meanwhile
+            files = threads.glob("*/stat")
+            return {file.read_text().rpartition(")")[2].split()[0] for file in files} == {"T"}
+        return False
+
+    wait_until(is_stopped, f"process {pid} is stopped")
+
+
 class DaemonProcess:
     """One `swarmd` in a process of its own, forked where it can be; a context manager.
 

@@ -15,7 +15,7 @@ import socket
 import subprocess
 from pathlib import Path
 
-from tests.support.processes import CAP, free_endpoint, wait_until
+from tests.support.processes import CAP, free_endpoint, stop_process, wait_until
 
 NAME = "zenoh-bridge-ros2dds"
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -130,7 +130,7 @@ class Bridge:
 
     def freeze(self) -> None:
         assert self._process is not None
-        self._process.send_signal(signal.SIGSTOP)
+        stop_process(self._process.pid)
 
     def thaw(self) -> None:
         assert self._process is not None

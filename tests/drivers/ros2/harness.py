@@ -31,7 +31,6 @@ async def freeze(harness: DriverHarness, stop: Callable[[], None]) -> None:
         pass  # a command that left before
     await asyncio.sleep(0.05)  # the last message of the hub is no fresh sign of life
     stop()
-    await asyncio.sleep(0.05)  # its threads stop one after the other
 
 
 async def drive_on(harness: DriverHarness, thaw: Callable[[], None]) -> list[Twist]:

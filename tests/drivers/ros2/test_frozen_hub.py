@@ -16,7 +16,7 @@ from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.harness import drive, drive_on, freeze
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot, open_session
-from tests.support.processes import CAP
+from tests.support.processes import CAP, stop_process
 from tests.support.stories import story
 
 ROOT = Path(__file__).parents[3]
@@ -38,7 +38,7 @@ class ApartRobot(Robot):
         self.hub.declare_subscriber(self.command_key(), commands.append)
 
     def freeze(self) -> None:
-        self._router.send_signal(signal.SIGSTOP)
+        stop_process(self._router.pid)
 
     def thaw(self) -> None:
         self._router.send_signal(signal.SIGCONT)

@@ -120,7 +120,7 @@ def test_the_likeliest_cause_of_other_results_comes_first(manifest: Manifest) ->
     changed = dict.fromkeys(("blas", "libm", "machine", "mujoco", "code"), "x")
     new = msgspec.structs.replace(manifest, made_with={**manifest.made_with, **changed}, plugins={})
     found = [text.split()[0] for text in differences(manifest, new)]
-    assert found == ["plugin", "swarmd's", "mujoco", "the", "blas", "machine"]
+    assert found == ["plugin", "swarmd's", "the", "mujoco", "blas", "machine"]
 
 
 def test_what_an_older_manifest_does_not_tell_is_unknown(manifest: Manifest) -> None:
