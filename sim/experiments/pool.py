@@ -226,7 +226,7 @@ def run_jobs(
                     if waiting:
                         start_worker(waiting.popleft())
                 yield result
-            if now >= last_report + _PROGRESS_PERIOD:
+            if workers and now >= last_report + _PROGRESS_PERIOD:
                 last_report = now
                 yield {worker.run: worker.share for worker in workers.values()}
     finally:

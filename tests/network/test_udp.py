@@ -356,7 +356,7 @@ def test_a_reader_with_little_time_hears_a_robot_in_a_flood(peers: Peers, kind: 
 
     for number in range(80):
         read(beacon(number))
-    words = [payload.hex(), str(a.port), str(sources), "20000", "90"]
+    words = [payload.hex(), str(a.port), str(sources), "12000", "90"]
     with subprocess.Popen(
         [sys.executable, "-m", "tests.support.flood", *words], cwd=Path(__file__).parents[2]
     ) as flood:
