@@ -188,7 +188,7 @@ class Replay:
         try:
             self._take(message, now)
         except (CodecError, msgspec.MsgspecError) as error:
-            self._note(f"{message.topic} could not be read: {error}")
+            self._lose(f"{message.topic} cannot be read: {error}")
         except Exception as error:  # a damaged memory may give fields of any value
             if not self._recalls or isinstance(error, SwarmError):
                 raise
@@ -199,12 +199,8 @@ class Replay:
 
     def _take(self, message: RecordedMessage, now: float) -> None:
         if message.topic == "/dropped" or message.follows_gap:
-            self._awaits_memory = self._recalls
-            after = "are compared from the next memory on" if self._awaits_memory else "may differ"
-            self._note(
-                f"before {self._place(now):.3f} s entries were dropped or are damaged or missing;"
-                f" later commands {after}"
-            )
+            before = f"before {self._place(now):.3f} s"
+            self._lose(f"{before} entries were dropped or are damaged or missing")
         # Also while inputs are skipped: the ray directions of a scan are needed for later scans.
         input = self._inputs.read(message)
         if message.topic == MEMORY and self._awaits_memory:
@@ -218,6 +214,12 @@ class Replay:
             self._compare(message, now)
         elif input is not None:
             self._step(*input)
+
+    def _lose(self, what: str) -> None:
+        """Note that an input is lost, so that the robot here knows less than the recorded one."""
+        self._awaits_memory = self._recalls
+        after = "are compared from the next memory on" if self._awaits_memory else "may differ"
+        self._note(f"{what}; later commands {after}")
 
     def _step(self, input: Input, now: float) -> None:
         if isinstance(input, RequestInput) and not self._recalls:

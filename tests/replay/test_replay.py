@@ -24,6 +24,7 @@ from swarmd.pattern_host.loader import PatternLoader
 from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.recording import frames
 from swarmd.recording.head import head_of
+from swarmd.recording.inputs import GEOMETRY
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.replay.replay import Compared, Parity, recordings_of, total
 from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story, repeat, rewritten
@@ -288,6 +289,18 @@ def test_nothing_is_compared_behind_a_damaged_chunk_until_the_next_memory(tmp_pa
     assert parity.safe.is_equal
     assert parity.requested.is_equal
     assert parity.safe.count == decisions_in(kept)
+
+
+def test_nothing_is_compared_behind_a_scan_without_the_directions_of_its_rays(
+    tmp_path: Path,
+) -> None:
+    first, *others = parts_of_three(tmp_path)
+    at = next(n for n, one in enumerate(first.messages) if one.topic.endswith(GEOMETRY))
+    cut = replace(first, messages=[*first.messages[:at], *first.messages[at + 1 :]])
+    _, parity = repeat([cut, *others], ORIGINS)
+    assert 0 < parity.safe.equal == parity.safe.count < decisions_in([first, *others])
+    assert parity.difference is None
+    assert "a scan without the directions of its rays" in parity.notes[0]
 
 
 def test_a_recording_in_a_run_without_a_readable_memory_is_refused(tmp_path: Path) -> None:
