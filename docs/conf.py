@@ -41,6 +41,7 @@ html_theme = "furo"
 html_title = "swarmd"
 html_static_path = ["site/static"]
 html_css_files = ["site.css"]
+html_search_scorer = str(DOCS / "site" / "scorer.js")
 html_copy_source = False
 html_show_sphinx = False
 

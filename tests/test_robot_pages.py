@@ -21,12 +21,14 @@ from swarmd.testing.driver_contract import DetachableRig, Rig, ScriptedRig
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "robots"
-GENERAL = ("new_robot.md", "last_word.md", "calibration.md")
+GENERAL = ("README.md", "new_robot.md", "calibration.md")
+LAST_WORD = "](../ros.md#the-last-word-on-the-command-topic)"
 BLOCK = re.compile(r"^```yaml\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
-def blocks(page: str) -> list[str]:
-    return BLOCK.findall((PAGES / page).read_text())
+def blocks(page: str, section: str = "") -> list[str]:
+    text = (PAGES / page).read_text()
+    return BLOCK.findall(text.partition(f"\n## {section}\n")[2] if section else text)
 
 
 def parts_of_the_thymio() -> list[str]:
@@ -122,14 +124,14 @@ def test_each_page_explains_how_its_robot_is_stopped() -> None:
 
 
 def test_each_page_names_the_page_on_the_last_word_once() -> None:
-    pages = {page.name: page.read_text().count("](last_word.md)") for page in PAGES.glob("*.md")}
-    del pages["last_word.md"], pages["calibration.md"]
+    pages = {page.name: page.read_text().count(LAST_WORD) for page in PAGES.glob("*.md")}
+    del pages["README.md"], pages["calibration.md"]
     assert set(pages.values()) == {1}, pages
 
 
 def test_the_multiplexer_gives_swarmd_the_last_word() -> None:
     """A lock masks the inputs of a lower priority (twist_mux)."""
-    driver, block = blocks("last_word.md")
+    driver, block = blocks("../ros.md", "The last word on the command topic")
     mux = yaml.safe_load(block)
     priorities = {name: topic["priority"] for name, topic in mux["topics"].items()}
     assert priorities["swarmd"] == max(priorities.values())

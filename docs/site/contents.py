@@ -10,43 +10,17 @@ def _inside(folder: str, *pages: str) -> list[str]:
 
 
 CONTENTS = {
-    "Begin": ["README", *_inside("docs", "problems", "tutorial/README", "glossary")],
+    "Begin": ["README", *_inside("docs", "tutorial/README", "five_robots", "glossary")],
     "Behaviours": ["patterns/README", *_inside("docs", "patterns", "missions", "learning")],
-    "Experiments": _inside(
-        "docs", "experiments", "tuning", "figures", "benchmark_suite", "paper", "from_ros2swarm"
-    ),
+    "Experiments": _inside("docs", "experiments", "tuning", "figures", "from_ros2swarm"),
     "Operating": _inside(
-        "docs",
-        "operating",
-        "watching",
-        "recording",
-        "python",
-        "zenoh",
-        "agents",
-        "configuration",
-        "trouble",
+        "docs", "operating", "watching", "recording", "python", "zenoh", "configuration", "trouble"
     ),
-    "Robots": [
-        *_inside("docs", "installation", "field", "security", "ros", "ros_faults", "drivers"),
-        *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
-        *_inside(
-            "docs/robots", "thymio", "epuck2", "crazyflie", "new_robot", "calibration", "last_word"
-        ),
-    ],
-    "Safety and evidence": [
-        "docs/safety",
-        *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals"),
-        *_inside("docs/evidence", "network", "security", "simulation"),
-        "studies/ros/faults",
-    ],
-    "Reference": [
-        *_inside("docs/reference", "commands", "patterns", "comparison", "platforms", "scenarios"),
-        *_inside("docs/reference", "metrics", "python", "api", "testing", "experiments"),
-    ],
-    "Changing swarmd": [
-        *("ARCHITECTURE", "CONTRIBUTING", "benchmarks/README", "CHANGELOG"),
-        *("SECURITY", "CODE_OF_CONDUCT"),
-    ],
+    "Robots": _inside(
+        "docs", "installation", "field", "security", "robots/README", "ros", "drivers"
+    ),
+    "Safety and evidence": _inside("docs", "safety", "evidence/README"),
+    "Reference and changes": ["docs/reference/README", "CONTRIBUTING", "CHANGELOG"],
 }
 """The captions of the start page, with their pages."""
 
@@ -58,7 +32,28 @@ INNER = {
     "patterns/README": [
         f"patterns/{page.parent.name}/page" for page in sorted(_ROOT.glob("patterns/*/page.md"))
     ],
+    "docs/experiments": ["docs/benchmark_suite"],
+    "docs/from_ros2swarm": ["docs/from_argos"],
+    "docs/python": ["docs/agents"],
+    "docs/robots/README": [
+        *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
+        *_inside("docs/robots", "thymio", "epuck2", "crazyflie", "new_robot", "calibration"),
+    ],
+    "docs/evidence/README": [
+        *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals"),
+        *_inside("docs/evidence", "network", "security", "simulation"),
+        *("docs/paper", "docs/ros_faults", "studies/ros/faults", "benchmarks/README"),
+        "ARCHITECTURE",
+    ],
     "ARCHITECTURE": _inside("docs/architecture", "robot", "operator", "laboratory"),
-    "CONTRIBUTING": _inside("docs/architecture", "changes", "gates"),
+    "docs/reference/README": _inside(
+        "docs/reference",
+        *("commands", "patterns", "platforms", "scenarios", "metrics"),
+        *("api", "python", "experiments", "testing"),
+    ),
+    "CONTRIBUTING": [
+        *_inside("docs/architecture", "changes", "gates"),
+        *("SECURITY", "CODE_OF_CONDUCT"),
+    ],
 }
 """The pages that the contents show below another page, by that page."""

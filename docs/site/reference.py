@@ -165,11 +165,11 @@ def comparison() -> Iterator[str]:
             outcomes.append((name, *_first_outcome(text.partition("\n## Measured\n")[2])))
             fails = text.partition("\n## When it fails\n")[2].strip().removeprefix("- ")
             breaks.append((name, fails.partition("\n- ")[0].replace("**", "")))
-    yield "## What it needs and sends"
+    yield "### What it needs and sends"
     yield _table(("pattern", "needs", "sends"), inputs)
-    yield "## The first outcome"
+    yield "### The first outcome"
     yield _table(("pattern", "what", "wanted", "reached", "from"), outcomes)
-    yield "## What breaks it"
+    yield "### What breaks it"
     yield _table(("pattern", "first of its failures"), breaks)
 
 

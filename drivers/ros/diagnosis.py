@@ -30,7 +30,7 @@ from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
 from swarmd.sensing.scan_pipeline import ScanConditioner
 
-LAST_WORD = "docs/robots/last_word.md"
+LAST_WORD = "docs/ros.md, The last word"
 ENOUGH_MESSAGES = 5
 MIN_CHECK_TIME = 1.0
 WAKE_TIME = 12.0

@@ -148,6 +148,7 @@ def test_the_pattern_in_the_readme_is_the_example() -> None:
     [
         ("tutorial/2-own-behaviour.md", "beeclust.py"),
         ("patterns.md", "waiting_walk.py"),
+        ("from_argos.md", "diffusion.py"),
         ("zenoh.md", "zenoh/stop.py"),
     ],
 )
@@ -187,6 +188,12 @@ def test_each_page_has_its_place_on_the_site() -> None:
     contents = [*made["CONTENTS"].values(), *made["INNER"].values()]
     listed = [f"{page}.md" for pages in contents for page in pages]
     assert sorted(["docs/README.md", *listed]) == sorted(map(name_of, PAGES))
+
+
+def test_the_sidebar_has_at_most_30_entries() -> None:
+    """Further pages stand below one of these."""
+    made = runpy.run_path(str(ROOT / "docs" / "site" / "contents.py"))
+    assert sum(map(len, made["CONTENTS"].values())) <= 30
 
 
 def test_commands_are_as_swarmctl_takes_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,7 @@
-"""docs/problems.md: its cheap commands end as the page says; test_docs.py parses all of them."""
+"""Problems that others report (docs/trouble.md): their cheap commands end as the page says.
+
+test_docs.py parses all of them.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,8 @@ from click.testing import CliRunner
 from swarmd.core.errors import ConfigError
 from swarmd.sim.cli.exp import exp
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs/problems.md").read_text()
+PAGE = (Path(__file__).resolve().parents[2] / "docs/trouble.md").read_text()
+PAGE = PAGE.partition("\n## Problems that others report\n")[2]
 
 
 def command(start: str) -> list[str]:
@@ -42,9 +46,9 @@ def test_robots_that_cannot_see_each_other_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("section", re.findall(r"^## (.+)$", PAGE, re.MULTILINE))
+@pytest.mark.parametrize("section", re.findall(r"^### (.+)$", PAGE, re.MULTILINE))
 def test_each_problem_names_its_source_and_has_a_command_with_output(section: str) -> None:
-    body = PAGE.partition(f"## {section}\n")[2].partition("\n## ")[0]
+    body = PAGE.partition(f"### {section}\n")[2].partition("\n### ")[0]
     assert re.search(r"\([\w-]+/[\w-]+#\d+\)", body)
     assert re.search(
         r"^```\n(?:swarmctl|make) .+?^```\n(?:<!-- example -->\n)?```text\n",
