@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from swarmd.core.errors import PluginError
 from swarmd.core.verbs import shortened
 from swarmd.texts.values import NOTHING, printable, short_number
 
-LIST_WIDTH, NEEDS_WIDTH, FROM_WIDTH = 100, 22, 16  # columns
+NEEDS_WIDTH, FROM_WIDTH = 22, 16  # columns on a terminal
 
 _plugin_dir = click.option(
     "--plugin-dir",
@@ -48,11 +49,12 @@ def patterns(options: CommonOptions) -> None:
 def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str) -> None:
     """Print all patterns, a line each. `--timeout` is for each pattern [15s].
 
-    NEEDS and SUMMARY are cut to the width of the terminal, or to 100 columns without a terminal;
-    `patterns show NAME` and `-o json` show both in full. FROM is left out if all patterns come with
-    swarmd.
+    On a terminal, NEEDS, FROM and SUMMARY are cut to its width; in a pipe or a file they are whole.
+    FROM is left out if all patterns come with swarmd.
     """
     rows = describe_patterns((), plugin_dir, platform, options.timeout or DESCRIBE_TIMEOUT)
+    width = line_width()  # None in a pipe or a file
+    uncut = 0 if width else sys.maxsize
     if options.is_json:
         print_json("Patterns", {"patterns": rows})
         return
@@ -61,14 +63,14 @@ def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str
         (
             row["name"],
             row.get("kind", NOTHING),
-            shortened(", ".join(row.get("needs", ())), NEEDS_WIDTH) or NOTHING,
-            *([shortened(row["source"], FROM_WIDTH)] if has_others else []),
+            shortened(", ".join(row.get("needs", ())), max(NEEDS_WIDTH, uncut)) or NOTHING,
+            *([shortened(row["source"], max(FROM_WIDTH, uncut))] if has_others else []),
             f"cannot be loaded: {row['error']}" if "error" in row else row["summary"],
         )
         for row in rows
     ]
     header = ("NAME", "KIND", "NEEDS", *(["FROM"] if has_others else []), "SUMMARY")
-    print_table(header, table, width=line_width() or LIST_WIDTH)
+    print_table(header, table, width=width)
 
 
 @patterns.command("show")

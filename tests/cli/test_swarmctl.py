@@ -231,6 +231,13 @@ def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
     assert "nothing_of_that_name" in rows["broken"]["error"]
 
 
+def test_the_list_of_patterns_is_whole_in_a_pipe(tmp_path: Path) -> None:
+    lines = fork_command("swarmctl", "patterns", "list", cwd=tmp_path).stdout.splitlines()
+    (line,) = (line for line in lines if line.startswith("foraging "))
+    assert "reading:light_1, reading:light_2, scan  " in line  # the end of what it needs
+    assert not [line for line in lines if "..." in line]
+
+
 def test_a_plugin_that_ends_its_process_is_named_and_others_are_shown(tmp_path: Path) -> None:
     (tmp_path / "able.py").write_text(OWN)
     (tmp_path / "ends.py").write_text("import os\nos._exit(3)")
