@@ -18,7 +18,15 @@ from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_bench import bench
-from swarmd.sim.cli.exp_results import check, exit_if_incomplete, export, plot, report, view
+from swarmd.sim.cli.exp_results import (
+    check,
+    exit_if_incomplete,
+    export,
+    metrics_of,
+    plot,
+    report,
+    view,
+)
 from swarmd.sim.cli.exp_tune import tune
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.options import (
@@ -362,6 +370,8 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     If A is the folder of a sweep and B is left out, one table shows all variants of A. For two
     swept keys a second table shows the mean for each value and the interaction of the keys.
 
+    Without --metrics, the metrics that were given to `exp run` are compared, if any.
+
     Exit code 1 if planned runs of A or B are missing.
     """
     from swarmd.sim.experiments import compare as comparing
@@ -372,7 +382,7 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     side_pairs = comparing.sides(a, b, is_trusted=is_trusted)  # a side: a variant of A or of B
     # Each side holds the results of its whole experiment, so the first pair has all results.
     results_a, results_b = (side.results for side in side_pairs[0])
-    chosen = chosen_metrics(metrics, results_a.asked)
+    chosen = metrics_of(results_a, metrics) or metrics_of(results_b, metrics)
     comparisons = [
         (left, right, comparing.compare(left, right, chosen)) for left, right in side_pairs
     ]
@@ -595,7 +605,7 @@ def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_
         raise ConfigError(
             f"{folder}: nothing was swept; name a second experiment, or run a --sweep"
         )
-    chosen = chosen_metrics(metrics, results.asked)
+    chosen = metrics_of(results, metrics)
     listed_metrics, _ = shown_metrics(results, chosen)
     # For each metric: the mean for each value of both keys, and the interaction of the keys. Empty
     # unless exactly two keys were swept.

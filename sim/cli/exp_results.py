@@ -185,7 +185,7 @@ def report(
         from swarmd.sim.report.html import report_of
 
         results = load_results(place, is_trusted=is_trusted)
-        chosen = _metrics_of(results, metrics)
+        chosen = metrics_of(results, metrics)
         warn(f"measuring, drawing and writing {len(results.runs)} runs ...")
         # `report_of` loads the folder again, without trust. That is no obstacle: the metrics of
         # `chosen` hold the code that `is_trusted` has allowed.
@@ -321,7 +321,7 @@ def plot(
         only=None if only is None else parse_kinds(only),
         labels=parse_labels(labels),
     )
-    chosen = _metrics_of(results, metrics)
+    chosen = metrics_of(results, metrics)
     # `draw_experiment` loads the folder again, without trust. That is no obstacle: the metrics of
     # `chosen` hold the code that `is_trusted` has allowed.
     paths = draw_experiment(folder, out, metrics=chosen, seeds=chosen_seeds, look=look)
@@ -339,7 +339,7 @@ def _seeds_to_draw(text: str) -> Sequence[int]:
     return parse_seeds(f"{text}-{text}" if text.isdecimal() else text)
 
 
-def _metrics_of(results: Results, text: str | None) -> Sequence[Metric] | None:
+def metrics_of(results: Results, text: str | None) -> Sequence[Metric] | None:
     """The metrics of `--metrics`, else the metrics given to `exp run`; None without both.
 
     `text`: the value of `--metrics`, or None.

@@ -406,6 +406,22 @@ def test_plots_are_of_the_metrics_of_the_run(tmp_path: Path, duo: Path, swarmctl
 
 
 @pytest.mark.integration
+def test_what_the_run_was_asked_for_is_compared(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    words = ("--seeds", 2, "--set", "duration=0.5", "--out", "y", "--sweep", "start.radius=0.6,0.8")
+    assert swarmctl("exp", "run", duo, *words, "--metrics", "path_length").returncode == 0
+    assert swarmctl("exp", "run", duo, *words[:5], "z").returncode == 0
+    for sides in (("y:radius=0.6", "y:radius=0.8"), ("z", "y:radius=0.6"), ("y",)):
+        for more, wanted in (((), "path_length"), (("--metrics", "mean_speed"), "mean_speed")):
+            done = swarmctl("exp", "compare", *sides, *more, "-o", "json")
+            found = json.loads(done.stdout)
+            tested = [one["metrics"] for one in found.get("comparisons", ())]
+            tested += found.get("variants", {}).values()
+            assert [[*metrics] for metrics in tested] == [[wanted]], done
+
+
+@pytest.mark.integration
 def test_compare_finds_what_a_sweep_has_changed(x: Path, swarmctl: Swarmctl) -> None:
     words = ("exp", "compare", "x:speed=0.1", "x:speed=0.2")
     done = swarmctl(*words)
