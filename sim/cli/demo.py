@@ -26,6 +26,7 @@ from swarmd.sim.cli.exp_video import film, need_film
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 from swarmd.sim.cli.world_page import page_option, world_page
 from swarmd.texts.assignments import read_assignments
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
@@ -188,7 +189,7 @@ def perform(
     from swarmd.sim.live.link import WorldView
 
     assert spec.trace is not None  # `demo` has set it; the summary is measured on the trace
-    warn(f"Starting a world and {len(spec.robots)} daemons; logs are in {spec.folder}/")
+    warn(f"Starting a world and {counted(len(spec.robots), 'daemon')}; logs are in {spec.folder}/")
     with (
         Fleet(spec) as fleet,
         WorldView(spec.swarm, fleet.endpoint) as world,

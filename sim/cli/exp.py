@@ -43,6 +43,7 @@ from swarmd.sim.cli.options import (
     workers,
 )
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
@@ -204,7 +205,7 @@ def run(
     measured = None if chosen is None else [results.about(metric.name) for metric in chosen]
     _print_results(results, measured, is_json)
     duration = time_span(time.monotonic() - start_time)
-    warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {duration}")
+    warn(f"{len(results.runs)} of {counted(len(plan.runs), 'run')} done after {duration}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
     faultless = len(results.runs) - len(results.pattern_faults)
     ctx.exit(_exit_code(faultless, is_complete=faultless == len(plan.runs)))
@@ -250,7 +251,7 @@ def _tell_how_to_resume(folder: Path, plan: Plan, command: Sequence[str]) -> Non
     from swarmd.sim.experiments.results import load_results
 
     with suppress(SwarmError):  # no results
-        done = f"{len(load_results(folder).rows)} of {len(plan.runs)} runs are kept"
+        done = f"{len(load_results(folder).rows)} of {counted(len(plan.runs), 'run')} kept"
         warn(f"{done}; to go on: {shlex.join(command)}")
 
 
@@ -313,7 +314,7 @@ def rerun(
         print_table(("RUN", "RESULT"), rows)
     identical_runs = [run for run, difference in difference_by_run.items() if not difference]
     is_complete = len(identical_runs) == len(difference_by_run)
-    warn(f"{len(identical_runs)} of {len(difference_by_run)} runs are identical")
+    warn(f"{len(identical_runs)} of {counted(len(difference_by_run), 'run')} identical")
     if not is_complete:
         nothing = "nothing that the manifest names has changed, so something else has"
         warn(f"likely cause: {next(iter(known_differences), nothing)}")
@@ -582,7 +583,8 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
     click.echo("p of permutations, or of the log-rank test, with Holm's correction\n")
     print_table(DIFFERENCE_HEADER, [difference_row(difference) for difference in differences])
     differing = sum(d.differs for d in differences)
-    click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
+    noun = "metric differs" if len(differences) == 1 else "metrics differ"
+    click.echo(f"\n{differing} of {len(differences)} {noun}", nl=False)
     # Intervals of 95 %: of metrics without a true difference, 5 % still differ.
     by_chance = 0.05 * sum(d.interval is not None for d in differences)
     click.echo(f"; {by_chance:.2g} would by chance if nothing did", nl=False)

@@ -19,6 +19,7 @@ from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError
 from swarmd.sim.cli.options import need, new_folder, out_option, output_option, warn_of_few
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -149,7 +150,8 @@ def bench(
     )
     duration = time_span(time.monotonic() - start_time)
     warn(
-        f"{finished} of {planned} runs are there after {duration}; results: {folder}/TASK/PATTERN/"
+        f"{finished} of {counted(planned, 'run')} done after {duration};"
+        f" results: {folder}/TASK/PATTERN/"
     )
     if finished < planned:
         ctx.exit(PARTIAL if finished else FAILED)

@@ -22,7 +22,7 @@ from swarmd.sim.cli.options import (
     output_option,
     trust_option,
 )
-from swarmd.texts.values import megabytes
+from swarmd.texts.values import counted, megabytes
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form
@@ -115,7 +115,7 @@ def check(
         _print_findings(findings)
     if missing_runs:
         warn(f"not complete: {missing_runs}")
-    warn(f"{sum(f.is_met for f in findings)} of {len(findings)} requirements are met")
+    warn(f"{sum(f.is_met for f in findings)} of {counted(len(findings), 'requirement')} met")
     ctx.exit(0 if is_passed else MISSED)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -17,6 +18,7 @@ from swarmd.client.network_options import DEFAULT_SWARM
 from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.sim.cli.world_page import page_option, world_page
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
@@ -126,7 +128,7 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
         names = list(spec.robots)
         shown = {key: config[key] for key in ("platform", "driver", "driver_options")}
         with suppress(KeyboardInterrupt):
-            click.echo(f"{len(names)} bases are up: {names[0]} to {names[-1]}")
+            click.echo(f"{counted(len(names), 'base')} up: {_ends(names)}")
             click.echo("add to the file of each daemon:")
             click.echo(text_of(shown, flow=None).rstrip())
             _report_ends(fleet)
@@ -162,7 +164,7 @@ def _print_usage(spec: FleetSpec) -> None:
         warn(f"the simulated robots have no keys; a secured swarm {spec.swarm} ignores them")
         swarmctl += " --insecure"
     names = list(spec.robots)
-    click.echo(f"{len(names)} robots are up in swarm {spec.swarm}: {names[0]} to {names[-1]}")
+    click.echo(f"{counted(len(names), 'robot')} up in swarm {spec.swarm}: {_ends(names)}")
     print_section(
         "In another terminal:",
         [
@@ -173,6 +175,11 @@ def _print_usage(spec: FleetSpec) -> None:
         ],
     )
     click.echo(f"Logs: {spec.folder}/  Ctrl-C ends everything.")
+
+
+def _ends(names: Sequence[str]) -> str:
+    """The first and the last name; a single name once."""
+    return " to ".join(dict.fromkeys((names[0], names[-1])))
 
 
 def _runs(spec: FleetSpec, swarmctl: str) -> list[tuple[str, str]]:

@@ -13,6 +13,7 @@ import click
 
 from swarmd.cli.output import signals_end, warn
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -76,7 +77,8 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
     os.environ |= {"TMPDIR": str(folder), "XDG_CACHE_HOME": str(folder), "SWARM": swarm}
     count = len(spec.robots)
     click.echo(
-        f"Starting a simulated swarm of {count} robots, as `swarmctl sim up -n {count}` does."
+        f"Starting a simulated swarm of {counted(count, 'robot')},"
+        f" as `swarmctl sim up -n {count}` does."
     )
     with (
         signals_end(),  # SIGTERM also ends the processes

@@ -29,6 +29,7 @@ from swarmd.sim.metrics.catalog import (
 from swarmd.sim.metrics.own import MetricError, digest_of_file
 from swarmd.sim.metrics.protection import FAILED_PATTERNS
 from swarmd.sim.trace import Trace, load_trace, pandas
+from swarmd.texts.values import counted
 
 YES_OR_NO = "0 or 1"
 """The unit of metrics that are true or false for a run."""
@@ -142,7 +143,7 @@ class Results:
         if planned == finished:
             return ""
         failed = f", {len(self.failures)} failed" if self.failures else ""
-        return f"{finished} of {planned} runs are there{failed}"
+        return f"{finished} of {counted(planned, 'run')} done{failed}"
 
     @property
     def traces(self) -> Traces:
@@ -335,7 +336,7 @@ class Results:
         """The number of runs, the speed, and a line about kernels that are not compiled."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         part = f"part {self.plan.shard}, " if self.plan.shard else ""
-        count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
+        count = f"{len(self._rows)} of {counted(len(self.plan.runs), 'run')}"
         lines = [f"{self.plan.scenario}: {part}{count}{failed}"]
         if (speed := self._speed()) is not None:
             least_and_most = f"{speed['min']:.3g} to {speed['max']:.3g}"

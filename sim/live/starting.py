@@ -18,6 +18,7 @@ from swarmd.network.operator.outcome import Outcome
 from swarmd.robot.status import MAX_NEIGHBORS
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.scenarios.scenario import ScheduledEvent
+from swarmd.texts.values import counted
 
 # s between two queries of all robots while they start. Without a pause the queries take up to half
 # a second of processor time from seven daemons that start on two cores.
@@ -65,7 +66,10 @@ def await_robots(
             raise NetworkError(f"no robot is up after {timeout:.0f} s (logs: {fleet.spec.folder})")
         if tell is not None and time.monotonic() - last_told > TELL_PERIOD:
             last_told = time.monotonic()
-            tell(f"{len(up)} of {len(robots)} robots are up after {last_told - start_time:.0f} s")
+            tell(
+                f"{len(up)} of {counted(len(robots), 'robot')} up after"
+                f" {last_told - start_time:.0f} s"
+            )
         time.sleep(UP_PERIOD)
 
 

@@ -17,6 +17,7 @@ from swarmd.sim.plots import scene
 from swarmd.sim.plots.theme import GUIDE_COLOUR, NOTE, ROBOT_COLOURS, fit, new_figure
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.scalar_fields import Field
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,7 +132,7 @@ def by_opinion(part: Trace, opinions: Sequence[float]) -> Grouping:
 def by_cluster(part: Trace, link: float | None) -> Grouping:
     """Robots by cluster at the first instant of `part`; one colour without a `link`."""
     n = int(presence(part)[0].sum())
-    robots = f"{n} robot" if n == 1 else f"{n} robots"
+    robots = counted(n, "robot")
     if link is None:
         return Grouping([ROBOT_COLOURS[0]] * len(part.ids), robots)
     labels = [int(label) for label in clusters(part, link)[0]]

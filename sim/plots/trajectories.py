@@ -17,6 +17,7 @@ from swarmd.sim.plots.theme import CONTACT_COLOUR, GUIDE_COLOUR, NOTE, fit, new_
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import radius
 from swarmd.sim.world.scalar_fields import Field
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +61,7 @@ def trajectories_figure(
     scene.prepare(axes, extent)
     scene.paint_fields(axes, trace, extent, fields)
     paths_by_time = paint_run(axes, trace, is_small=width is not None)
-    title = title or f"{len(trace.ids)} robots, {trace.duration:.0f} s"
+    title = title or f"{counted(len(trace.ids), 'robot')}, {trace.duration:.0f} s"
     axes.set_title(title, fontsize=11, gid=NOTE)
     axes.set_xlabel(", ".join(word for word in ("x [m]", scene.cut_note(trace)) if word))
     axes.set_ylabel("y [m]")

@@ -23,6 +23,7 @@ from swarmd.core.verbs import DOCTOR
 from swarmd.network.carriers.network_facts import measure_network
 from swarmd.texts import doctor as findings_of
 from swarmd.texts.doctor import worst
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -139,10 +140,7 @@ def _findings_of(
 def _print(lines: list[_Line], *, only_problems: bool) -> None:
     print_table(HEADER, rows_of(lines, only_problems=only_problems))
     count = {level: sum(line.finding.level is level for line in lines) for level in Level}
-    faults, warnings = (
-        f"{count[level]} {level}" if count[level] == 1 else f"{count[level]} {level}s"
-        for level in (Level.FAULT, Level.WARNING)
-    )
+    faults, warnings = (counted(count[level], level) for level in (Level.FAULT, Level.WARNING))
     click.echo(f"{len(lines)} checked: {faults}, {warnings}, {count[Level.UNKNOWN]} not known")
 
 

@@ -12,6 +12,7 @@ import click
 from swarmd.cli.options import FILE, root_option
 from swarmd.core.errors import ConfigError
 from swarmd.texts.keys import end_of_certificate
+from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.security.identity import Identity
@@ -94,7 +95,7 @@ def report_identity(identity: Identity, roster: Roster) -> None:
     """Print what was written and how long it is valid."""
     info = identity.info
     counts = {"robot": roster.robots, "operator": roster.operators, "viewer": roster.viewers}
-    names = (f"{len(of)} {role}{'' if len(of) == 1 else 's'}" for role, of in counts.items())
+    names = (counted(len(of), role) for role, of in counts.items())
     click.echo(
         f"{info.role} {info.name} of swarm {info.swarm}, roster of generation {roster.generation}:"
         f" {', '.join(names)}"

@@ -16,7 +16,7 @@ from swarmd.cli.targets import takes_targets
 from swarmd.client.ask_robots import in_reach
 from swarmd.client.targets import Targets, robots_of
 from swarmd.core.verbs import LINKS, LinkReport, LinksQuery, LinksReply
-from swarmd.texts.values import NOTHING, printable, seconds
+from swarmd.texts.values import NOTHING, counted, printable, seconds
 
 PING_TIME = 0.6  # s at least for robots to measure round trips, between two questions
 MAX_ROWS = 60
@@ -86,7 +86,7 @@ def pairs_of(replies: Mapping[str, LinksReply], expected: Iterable[str]) -> list
 
 def summary(pairs: list[_Pair], shown: int) -> Iterable[str]:
     """The conspicuous pairs: no beacons, many losses, or only one direction."""
-    yield f"{len(pairs)} pairs" + (f", the {shown} worst shown" if shown < len(pairs) else "")
+    yield counted(len(pairs), "pair") + (f", the {shown} worst shown" if shown < len(pairs) else "")
     deaf = {(pair.robot, pair.other) for pair in pairs if pair.loss >= 1.0}
     asked = {pair.robot for pair in pairs}
     for robot, other in sorted(deaf):
@@ -94,7 +94,7 @@ def summary(pairs: list[_Pair], shown: int) -> Iterable[str]:
         yield f"{robot} does not hear {other}" + (", which hears it" if is_one_way else "")
     bad = [pair for pair in pairs if 0.2 <= pair.loss < 1.0]
     if bad:
-        yield f"{len(bad)} pairs lose a fifth of the beacons or more"
+        yield f"{counted(len(bad), 'pair')} with a loss of a fifth of the beacons or more"
 
 
 def _row(pair: _Pair) -> tuple[str, ...]:

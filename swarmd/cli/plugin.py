@@ -31,7 +31,7 @@ from swarmd.core.files import read_regular
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest
 from swarmd.plugins import PATTERN_FILE, check_module_name, class_name, installed_patterns
-from swarmd.texts.values import printable
+from swarmd.texts.values import counted, printable
 
 RELOAD_TIMEOUT = 15.0  # s: a trial on a robot may take 10 s, and loading again 3 s more
 CHECK_TIMEOUT = 30.0  # s for one point
@@ -136,9 +136,9 @@ def check(options: CommonOptions, file: Path) -> None:
         ]
         print_json("Check", {"file": str(file), "is_well": is_well, "points": rows})
     else:
-        summary = "1 fault" if counts["fault"] == 1 else f"{counts['fault']} faults"
+        summary = counted(counts["fault"], "fault")
         if repeated := counts["repeated"]:
-            summary += f", repeated at {repeated} other point{'s' if repeated > 1 else ''}"
+            summary += f", repeated at {counted(repeated, 'other point')}"
         click.echo(f"{len(points)} checked, {'all ok' if is_well else summary}")
     click.get_current_context().exit(0 if is_well else 1)
 

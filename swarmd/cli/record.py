@@ -19,7 +19,7 @@ from swarmd.client.targets import Targets, targets_of
 from swarmd.core.errors import NetworkError
 from swarmd.core.verbs import RecordRequest
 from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT
-from swarmd.texts.values import NOTHING, megabytes, seconds
+from swarmd.texts.values import NOTHING, counted, megabytes, seconds
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import RecordingFile, RecordingsReply
@@ -55,10 +55,10 @@ def stop(options: CommonOptions, targets: Targets) -> None:
 
 
 @record.command("list")
-@takes_targets(is_required=True)
+@takes_targets(is_required=False)
 @common_options
 def list_(options: CommonOptions, targets: Targets) -> None:
-    """List the recordings of TARGETS, with their sizes and times."""
+    """List the recordings of TARGETS, or of all robots, with their sizes and times."""
     with options.operator() as operator:
         replies, without_answer = _recordings(options, operator, targets)
         faults = {robot: reply.fault for robot, reply in replies.items() if reply.fault}
@@ -85,7 +85,7 @@ def list_(options: CommonOptions, targets: Targets) -> None:
                     size, times = megabytes(file.size, 2), _times(file, reply.now)
                     rows.append((robot, file.name, size, *times, str(file.dropped)))
             print_table(("NAME", "FILE", "SIZE", "LENGTH", "ENDED", "DROPPED"), rows)
-            click.echo(f"{len(rows)} files of {len(replies)} robots")
+            click.echo(f"{counted(len(rows), 'file')} of {counted(len(replies), 'robot')}")
             for robot, fault in faults.items():
                 warn(f"{robot} ended its recording: {fault}")
         _exit_if_failed(replies.keys(), without_answer)

@@ -9,7 +9,7 @@ import click
 from swarmd.cli.options import CommonOptions, recordings_argument
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.plugins import need
-from swarmd.texts.values import clock_cells
+from swarmd.texts.values import clock_cells, counted
 
 
 @click.command()
@@ -77,7 +77,7 @@ def merge(
     cells = [(clock["robot"], clock["clock"], *clock_cells(clock)) for clock in clocks]
     print_table(("NAME", "CLOCK", "OFFSET", "DRIFT", "ERROR", "VIA"), cells)
     robot_count = len({clock["robot"] for clock in clocks})
-    click.echo(f"{message_count} messages of {robot_count} robots in {target}")
+    click.echo(f"{message_count} messages of {counted(robot_count, 'robot')} in {target}")
 
 
 def _target(outputs: tuple[str, ...]) -> Path:

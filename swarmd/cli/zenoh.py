@@ -14,6 +14,7 @@ from swarmd.cli.output import print_json, warn
 from swarmd.cli.send import known_members
 from swarmd.client.session import unreachable
 from swarmd.core.errors import ConfigError, NetworkError
+from swarmd.texts.values import counted
 
 
 @click.command()
@@ -64,7 +65,9 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     elif out is None:
         click.echo(text)
     else:
-        click.echo(f"{out}: a session to {len(endpoints)} robots of swarm {settings.swarm}")
+        click.echo(
+            f"{out}: a session to {counted(len(endpoints), 'robot')} of swarm {settings.swarm}"
+        )
 
 
 def _write(out: Path, text: str) -> None:

@@ -10,6 +10,7 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Presence, State
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.goal import differences
+from swarmd.texts.values import counted
 from swarmd.texts.why import absence
 
 KINDS = ("state", "pattern", "presence", "goal", "count")
@@ -85,7 +86,7 @@ def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str
     count = len(names) - len(lacking)
     if count >= awaited.count:
         return {}
-    return {"": f"{count} of {awaited.count} robots", **lacking}
+    return {"": f"{count} of {counted(awaited.count, 'robot')}", **lacking}
 
 
 def _unmet_by(view: MembersView, name: str, member: SeenMember | None, awaited: Awaited) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.messages import Status
-from swarmd.texts.values import seconds
+from swarmd.texts.values import counted, seconds
 
 WARN_DAYS = 14
 """A certificate that ends within so many days is warned of."""
@@ -54,7 +54,7 @@ def own_end(name: str, expires: float, now: float) -> str:
 def life(left: float) -> str:
     """The time that a certificate has left, in whole days; below a day in hours or minutes."""
     days = int(left // _DAY)
-    return f"{days} day{'s' * (days != 1)}" if days else seconds(left)
+    return counted(days, "day") if days else seconds(left)
 
 
 def key_warnings(statuses: Iterable[Status], now: float) -> Iterator[str]:

@@ -16,6 +16,11 @@ def printable(text: str) -> str:
     return "".join(char if char.isprintable() else "?" for char in text)
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things: `1 robot`, `2 robots`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def seconds(value: float) -> str:
     """A time span in short: `3 ms`, `1.2 s`, `5 min`, `3 h`."""
     if value < 0.9995:

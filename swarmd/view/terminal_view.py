@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
+from swarmd.texts.values import counted
 from swarmd.texts.why import absence, lost_base, stops_text, why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
@@ -217,7 +218,7 @@ class TerminalView:
         counts += [f"{len(notes)} silent"] if notes else []
         lost = sum(bool(lost_base(status)) for status in statuses.values())
         counts += [f"{lost} WITHOUT THEIR BASE"] if lost else []
-        parts = [f"{swarm}: {len(states) + len(notes)} robots: {', '.join(counts)}"]
+        parts = [f"{swarm}: {counted(len(states) + len(notes), 'robot')}: {', '.join(counts)}"]
         if controls.selected:
             hidden = len(controls.selected.difference(self._robots))
             parts.append(f"{len(controls.selected)} selected{f' ({hidden} hidden)' * bool(hidden)}")

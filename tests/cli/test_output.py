@@ -18,7 +18,7 @@ from swarmd.cli.output import (
     print_table,
 )
 from swarmd.core.verbs import shortened
-from swarmd.texts.values import seconds
+from swarmd.texts.values import counted, seconds
 
 
 def test_a_table_is_aligned_and_plain_without_a_terminal(
@@ -40,6 +40,11 @@ def test_a_table_is_aligned_and_plain_without_a_terminal(
 )
 def test_a_text_is_cut_between_words(text: str, length: int, cut: str) -> None:
     assert shortened(text, length) == cut
+
+
+@pytest.mark.parametrize(("count", "text"), [(0, "0 robots"), (1, "1 robot"), (2, "2 robots")])
+def test_one_thing_is_singular(count: int, text: str) -> None:
+    assert counted(count, "robot") == text
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])

@@ -100,7 +100,7 @@ def test_ten_commands_lead_to_a_secured_swarm(shell: Shell) -> None:
     shell.run("\n".join(SETUP.splitlines()[:-1]))
     for line in install:
         shell.run(line)
-    shell.start(bases, "2 bases are up")
+    shell.start(bases, "2 bases up")
     for line in (first, second):
         shell.start(line, "ready in swarm meadow")
     listed = shell.run(members)

@@ -43,7 +43,7 @@ def test_a_run_is_recorded_listed_and_fetched(swarm: Swarm, tmp_path: Path) -> N
         lambda: any("/scan" in topics(read_file(one)) for one in folder.glob("*.mcap")),
         "scans on the disk",
     )
-    listed = swarm.ctl("record", "list", "--all", "-o", "json").json["robots"]["tb3-01"]
+    listed = swarm.ctl("record", "list", "-o", "json").json["robots"]["tb3-01"]
     assert [one["is_open"] for one in listed] == [True]
 
     here = tmp_path / "here"

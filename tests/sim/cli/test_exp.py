@@ -151,7 +151,7 @@ def test_a_rerun_with_another_hash_seed_finds_the_run_that_differs(
     words = ("exp", "rerun", x, "--out", "b", "-j", 1, "-o", "json")
     done = swarmctl(*words, PYTHONHASHSEED="2")
     assert done.returncode == 3, done.stderr
-    assert "5 of 6 runs are identical" in done.stderr
+    assert "5 of 6 runs identical" in done.stderr
     assert "warning: kernels was of another kind, now " in done.stderr
     assert traces(tmp_path / "b") == traces(swept[0])
     found = {run["run"]: run["identical"] for run in json.loads(done.stdout)["runs"]}
@@ -215,7 +215,7 @@ def test_a_pattern_that_raises_in_the_first_second_begins_no_run(
 def test_a_sweep_that_is_ended_keeps_finished_runs_and_leaves_no_worker(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl, signals: list[tuple[signal.Signals, int]]
 ) -> None:
-    folder, begin, end = tmp_path / "x", "", "2 of 4 runs are kept; to go on: swarmctl exp run "
+    folder, begin, end = tmp_path / "x", "", "2 of 4 runs kept; to go on: swarmctl exp run "
     words = ("exp", "run", duo, "--seeds", 2, "--sweep", f"{END}=none,hang", "--out", folder)
     for number, code in signals:
         process = started(*words, "-j", 1, cwd=tmp_path)
@@ -362,7 +362,7 @@ def test_the_summary_tells_the_speed_and_which_code_ran(
     assert done.returncode == 0, done.stderr
     assert " times real time (" in done.stdout
     assert "kernels: interpreted" in done.stdout
-    assert "1 of 1 runs are there after " in done.stderr
+    assert "1 of 1 run done after " in done.stderr
     summary = json.loads((tmp_path / "x" / "summary.json").read_text())
     walls = [
         float(line.split(",")[-1]) for line in (tmp_path / "x/runs.csv").read_text().split()[1:]
@@ -391,7 +391,7 @@ def test_an_answer_of_an_incomplete_experiment_says_so(
     lines = (x / "runs.csv").read_text().splitlines(keepends=True)
     (x / "runs.csv").write_text("".join(lines[:-1]))
     done = swarmctl("exp", *words)
-    assert (done.returncode, "5 of 6 runs are there" in done.stderr) == (1, True), done
+    assert (done.returncode, "5 of 6 runs done" in done.stderr) == (1, True), done
     assert done.stdout
 
 

@@ -260,10 +260,10 @@ def test_bench_prints_one_table_resumes_and_takes_other_results(tmp_path: Path) 
     assert [row[0] for row in rows] == ["argos", "drive", "random_walk"]
     assert rows[0][1:] == ["0.5", "(0.25", "to", "0.75)", "#1"]
     assert "only 2 runs" in done.stderr
-    assert "4 of 4 runs are there" in done.stderr
+    assert "4 of 4 runs done" in done.stderr
     rerun = CliRunner().invoke(exp, [*words, "-o", "json"])
     assert rerun.exit_code == 0
-    assert "4 of 4 runs are there" in rerun.stderr
+    assert "4 of 4 runs done" in rerun.stderr
     found = json.loads(rerun.stdout)
     (listed,) = found["tasks"]
     assert [one["name"] for one in listed["results"]] == ["argos", "drive", "random_walk"]

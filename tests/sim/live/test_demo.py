@@ -263,7 +263,7 @@ def test_sim_up_of_a_swarm_whose_keys_are_here_prints_commands_that_reach_it(
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
         assert process.stdout is not None
         try:
-            assert "1 robots are up" in process.stdout.readline()
+            assert "1 robot up" in process.stdout.readline()
             lines = [process.stdout.readline() for _ in range(2)]
             environment, _, *words = lines[1].split()[:-5]
             answered = run_command("swarmctl", *words, "--swarm", swarm, cwd=tmp_path)
@@ -294,7 +294,7 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
         assert process.stderr is not None
         config = str(tmp_path / "tb3-02.yaml")
         try:
-            assert "2 robots are up" in process.stdout.readline()
+            assert "2 robots up" in process.stdout.readline()
             run = swarmctl_in_time("run", "dispersion", "--all", environ={"SWARM": swarm})
             again = run_command("swarmctl", "sim", "up", "-n", "2", cwd=tmp_path, SWARM=swarm)
             # A process that it forks has its name for a moment.
