@@ -9,7 +9,6 @@ pattern in a task are an experiment in a folder of its own.
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -217,15 +216,6 @@ def _check_metric(file: TaskFile, layers: Layered) -> None:
     if metric.better != file.metric.better or metric.unit != file.metric.unit:
         text = f"metric: {metric.name} is in {metric.unit}, and {metric.better} is better"
         raise layers.error(("metric",), f"{text}; expected the same unit and direction")
-
-
-def schema_text() -> str:
-    """The JSON schema of a file of the suite, a line for each of its structs."""
-    schema = msgspec.json.schema(CompleteTaskFile)
-    defs = schema.pop("$defs")
-    lines = [f"{json.dumps(name)}: {json.dumps(defs[name])}" for name in sorted(defs)]
-    head = json.dumps(schema).rstrip("}")
-    return f'{head}, "$defs": {{\n' + ",\n".join(lines) + "\n}}\n"
 
 
 def _folder() -> Path:

@@ -115,7 +115,7 @@ def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool =
 
 def mean_interval(values: Array) -> Interval | None:
     """The BCa interval of the mean of values (n,); None with fewer than two or infinite values."""
-    return _of_equal(values) or _bootstrap((values,), np.mean, "BCa")
+    return _of_equal(values) or bootstrap_interval((values,), np.mean, "BCa")
 
 
 def median_interval(values: Array) -> Interval | None:
@@ -123,7 +123,7 @@ def median_interval(values: Array) -> Interval | None:
 
     None with fewer than two or infinite values.
     """
-    return _of_equal(values) or _bootstrap((values,), np.median, "percentile")
+    return _of_equal(values) or bootstrap_interval((values,), np.median, "percentile")
 
 
 def _of_equal(values: Array) -> Interval | None:
@@ -143,21 +143,7 @@ def difference_interval(a: Array, b: Array) -> Interval | None:
     def difference(a: Array, b: Array, axis: int) -> Array:
         return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
 
-    return _bootstrap((a, b), difference, "percentile")
-
-
-def ratio_interval(above: Array, below: Array) -> Interval | None:
-    """The interval of mean(above) / mean(below) of independent samples, as `difference_interval`.
-
-    None also if a resampled mean of `below` is 0.
-    """
-
-    def ratio(above: Array, below: Array, axis: int) -> Array:
-        return np.asarray(above.mean(axis=axis) / below.mean(axis=axis))
-
-    with np.errstate(divide="ignore"):
-        bounds = _bootstrap((above, below), ratio, "percentile")
-    return bounds if bounds is not None and np.isfinite(bounds).all() else None
+    return bootstrap_interval((a, b), difference, "percentile")
 
 
 def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
@@ -276,7 +262,7 @@ def wilson(count: int, n: int) -> Interval:
     return Interval(float(bounds.low), float(bounds.high))
 
 
-def _bootstrap(
+def bootstrap_interval(
     samples: tuple[Array, ...], statistic: Callable[..., Array], method: str
 ) -> Interval | None:
     """A bootstrap interval of `statistic` of the samples, with a fixed random seed.
@@ -303,7 +289,7 @@ def _bootstrap(
             rng=np.random.default_rng([_SEED, 0]),
         ).confidence_interval
     if method == "BCa" and np.isnan((bounds.low, bounds.high)).any():
-        return _bootstrap(samples, statistic, "percentile")
+        return bootstrap_interval(samples, statistic, "percentile")
     return Interval(float(bounds.low), float(bounds.high))
 
 

@@ -16,15 +16,16 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from swarmd.core.values import Array
 from swarmd.sim.experiments.manifest import PROCESSOR
 from swarmd.sim.experiments.provenance import git_state, made_with
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import (
     Interval,
+    bootstrap_interval,
     difference_interval,
     mean_interval,
     median_interval,
-    ratio_interval,
     wilson,
 )
 
@@ -73,6 +74,20 @@ def share_of(is_so: Iterable[bool]) -> Joined:
     """The share of runs with a true value."""
     (some,) = samples = (tuple(map(float, is_so)),)
     return Joined("share", float(np.mean(some)), wilson(int(sum(some)), len(some)), samples)
+
+
+def ratio_interval(above: Array, below: Array) -> Interval | None:
+    """The interval of mean(above) / mean(below) of independent samples, as `difference_interval`.
+
+    None also if a resampled mean of `below` is 0.
+    """
+
+    def ratio(above: Array, below: Array, axis: int) -> Array:
+        return np.asarray(above.mean(axis=axis) / below.mean(axis=axis))
+
+    with np.errstate(divide="ignore"):
+        bounds = bootstrap_interval((above, below), ratio, "percentile")
+    return bounds if bounds is not None and np.isfinite(bounds).all() else None
 
 
 def ratio_of(above: Iterable[float], below: Iterable[float]) -> Joined:

@@ -15,6 +15,7 @@ import yaml
 from click.testing import CliRunner
 
 import swarmd.config
+from studies.benchmark_suite import schema_text
 from swarmd.core.errors import ConfigError, UnknownPatternError
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import PlatformFile, platform_of, platform_sources
@@ -236,7 +237,7 @@ def test_a_candidate_of_a_file_that_does_not_fit_is_an_error_of_the_file(tmp_pat
 
 
 def test_the_schema_in_the_repository_is_that_of_the_struct() -> None:
-    assert (SUITE / "schema.json").read_text() == benchmark.schema_text()
+    assert (SUITE / "schema.json").read_text() == schema_text()
 
 
 def _short(data: dict[str, Any]) -> None:
