@@ -27,6 +27,7 @@ from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, o
 from swarmd.sim.cli.world_page import page_option, world_page
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.values import counted
+from swarmd.texts.why import SILENT, state_word
 
 if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
@@ -254,8 +255,8 @@ def progress_lines(clock: Callable[[], float] = time.monotonic) -> Callable[[Sce
 
     def tell(scene: Scene) -> None:
         if pace.take(1.0, clock()):
-            states = {robot: status.state.value for robot, status in scene.statuses.items()}
-            words = [states.get(robot, "silent") for robot in scene.poses]
+            states = {robot: state_word(status) for robot, status in scene.statuses.items()}
+            words = [states.get(robot, SILENT) for robot in scene.poses]
             counts = (f"{words.count(word)} {word}" for word in sorted(set(words)))
             warn(f"{scene.title}; {', '.join(counts)}")
 

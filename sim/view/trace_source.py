@@ -28,8 +28,9 @@ from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field
 from swarmd.texts.values import quantity
+from swarmd.texts.why import standing_of
 from swarmd.view.playback import Playback
-from swarmd.view.source import ShownArena, ShownRobot, points_of, standing_of
+from swarmd.view.source import ShownArena, ShownRobot, points_of
 
 CONTACT_TIME = 1.0
 """Seconds for which a contact is shown after its last step: rows go to the page twice a second."""

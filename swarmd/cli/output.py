@@ -18,11 +18,14 @@ API_VERSION = "swarm/v1"
 
 _COLOURS = {
     "running": "green",
+    "at rest": "green",
+    "held": "yellow",
     "applied": "green",
     "alive": "green",
     "estopped": "red",
     "faulted": "red",
     "failed": "red",
+    "silent": "red",
     "refused": "red",
     "no answer": "red",
     "fault": "red",

@@ -12,7 +12,7 @@ from swarmd.core.messages import Presence, State, Status
 from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.keys import key_warnings
 from swarmd.texts.values import NOTHING, number, seconds
-from swarmd.texts.why import activity, stop_text
+from swarmd.texts.why import SILENT, activity, state_word, stop_text
 
 if TYPE_CHECKING:
     from swarmd.core.values import Scalar
@@ -26,29 +26,34 @@ _NOW = 1.0  # figures that are newer than this are `now`, in s
 def row(member: SeenMember) -> tuple[str, ...]:
     """The cells of a member's line in the table, below HEADER.
 
-    A member that answered shows its status. For any other member, STATE says why there is no
-    status. REASON and PATTERN then come from the head of the status, which is readable also in a
-    status of another version. A cell without a value shows NOTHING.
+    A member that answered shows its status. Any other member is silent, or has left, and REASON
+    says how it is known. Of another version, STATE is that of the beacon, and REASON and PATTERN
+    come from the head of the status, which is readable. A cell without a value shows NOTHING.
     """
     status, status_head = member.status, member.header
     if member.contact is Contact.ANSWERED and status is not None:
         return (
             member.robot,
-            status.state,
+            state_word(status),
             status.reason or NOTHING,
             status.pattern or NOTHING,
             activity(status.decision),
             _seen(member),
             _report(status.report if status.state is State.RUNNING else {}),
         )
-    state_texts = {
-        Contact.GONE: member.presence.value,
+    has_left = member.presence is Presence.LEFT
+    states = {
+        Contact.GONE: member.presence.value if has_left else SILENT,
         Contact.OTHER_VERSION: member.state or "other version",
+    }
+    reasons = {
+        Contact.GONE: None if has_left else member.presence.value,
+        Contact.OTHER_VERSION: status_head.reason if status_head else None,
     }
     return (
         member.robot,
-        state_texts.get(member.contact, member.contact.value),
-        (status_head.reason if status_head else None) or NOTHING,
+        states.get(member.contact, SILENT),
+        reasons.get(member.contact, member.contact.value) or NOTHING,
         (status_head.pattern if status_head else None) or NOTHING,
         NOTHING,
         _seen(member),

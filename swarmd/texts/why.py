@@ -26,6 +26,9 @@ MAX_STOPS = 3
 _MAX_REASON = 256  # characters of the reason of an emergency stop, as operators may send
 _START = "start it with `swarmctl run PATTERN {robot}`"
 
+SILENT = "silent"
+"""The word of all displays for the state of a robot that is not heard."""
+
 SENTENCES = {
     Reason.NEVER_ASKED: f"has not been run yet; {_START}",
     Reason.FINISHED: f"the pattern has finished{{detail}}; {_START}",
@@ -87,6 +90,21 @@ _LASTING_HOLDS = {
     Reason.NO_POSE: "it has a fence and had no usable pose",
     Reason.PATTERN_RESTARTING: "the pattern failed and could not be loaded again",
 }
+
+
+def standing_of(state: str, reason: str) -> str:
+    """Why a running robot stands: `at rest` if its pattern wants so, else `held`.
+
+    Empty for a robot that moves, or that does not run.
+    """
+    if state != State.RUNNING or not reason:
+        return ""
+    return "at rest" if reason == Reason.NO_REQUESTED_COMMAND else "held"
+
+
+def state_word(status: Status) -> str:
+    """The state of a robot in the word of all displays; of a running robot that stands, why."""
+    return standing_of(status.state, status.reason or "") or status.state.value
 
 
 def why(member: SeenMember) -> str:

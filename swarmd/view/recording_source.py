@@ -15,9 +15,9 @@ from swarmd.core.messages import Member, Presence, Reason
 from swarmd.core.values import Array, Twist
 from swarmd.recording import messages
 from swarmd.texts.status import NOT_DESCRIBED, sections
-from swarmd.texts.why import protection_word
+from swarmd.texts.why import protection_word, standing_of
 from swarmd.view.playback import Playback
-from swarmd.view.source import ShownArena, ShownRobot, link_of, points_of, row_of, standing_of
+from swarmd.view.source import ShownArena, ShownRobot, link_of, points_of, row_of
 from swarmd.view.timeline import Track, read_timeline
 
 MAX_EVENTS = 20

@@ -11,10 +11,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from swarmd.core.messages import LimitingObstacle, Reason, State, Status
+from swarmd.core.messages import LimitingObstacle, Reason, Status
 from swarmd.core.values import Array, Platform
 from swarmd.texts.values import printable
-from swarmd.texts.why import lost_base, protection_word_of
+from swarmd.texts.why import lost_base, protection_word_of, standing_of
 from swarmd.view.playback import Playback
 
 FRAME, SCAN = 1, 2
@@ -250,16 +250,6 @@ def row_of(status: Status) -> dict[str, Any]:
 def limits_of(rows: Iterable[LimitingObstacle]) -> list[list[float]]:
     """Bearing (rad), gap (m) and cap (m/s) of each limiting obstacle."""
     return [[obstacle.bearing, obstacle.gap, obstacle.cap] for obstacle in rows]
-
-
-def standing_of(state: str, reason: str) -> str:
-    """Why a running robot stands: `at rest` if its pattern wants so, else `held`.
-
-    Empty for a robot that moves, or that does not run.
-    """
-    if state != State.RUNNING or not reason:
-        return ""
-    return "at rest" if reason == Reason.NO_REQUESTED_COMMAND else "held"
 
 
 _WORDS = {

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from swarmd.core.messages import State, Status
 from swarmd.texts.values import printable
-from swarmd.texts.why import lost_base
+from swarmd.texts.why import SILENT, lost_base, state_word
 from swarmd.view.scene import Area, Scene
 
 ARROWS = "→↗↑↖←↙↓↘"
@@ -160,7 +160,7 @@ def _row(scene: Scene, robot: str, mark: str, name_width: int) -> Text:
     row = Text(style="reverse" if robot == scene.cursor else "", no_wrap=True)
     row.append(_cell(f"{sign}{mark} {robot}", name_width), "bold" if sign.strip() else "")
     if status is None or note:
-        row.append(f" {printable(note or 'no answer')}", "red")
+        row.append(f" {SILENT:9} {printable(note or '')}".rstrip(), "red")
         return row
     for (title, width), text in zip(COLUMNS, _values(status), strict=True):
         is_number = title in NUMBERS
@@ -173,7 +173,7 @@ def _row(scene: Scene, robot: str, mark: str, name_width: int) -> Text:
 def _values(status: Status) -> tuple[str, ...]:
     near = status.decision.min_gap
     return (
-        status.state.value,
+        state_word(status),
         "base lost" if lost_base(status) else status.reason.value if status.reason else "",
         status.pattern or "",
         f"{status.health.scan_rate:.1f} Hz",

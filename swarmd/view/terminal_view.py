@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.values import counted
-from swarmd.texts.why import absence, lost_base, stops_text, why
+from swarmd.texts.why import SILENT, absence, lost_base, state_word, stops_text, why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.live import LiveSource
@@ -175,7 +175,10 @@ class TerminalView:
         notes = {name: note for name, note in all_notes.items() if note}
         present = {name: status for name, (status, _) in statuses.items() if name not in notes}
         # 2. The shown robots, whose text matches the filter.
-        search_texts = {name: notes.get(name) or _searched(present[name]) for name in self._known}
+        search_texts = {
+            name: f"{SILENT} {notes[name]}" if name in notes else _searched(present[name])
+            for name in self._known
+        }
         shown_before = self._robots
         self._robots = controls.shown(search_texts)
         controls.follow(self._robots, shown_before)
@@ -213,9 +216,9 @@ class TerminalView:
             if not view.seconds:
                 return f"{swarm}: looking for robots"
             return f"{swarm}: no robot is heard; start swarmd, or see --swarm and --profile"
-        states = [status.state.value for status in statuses.values()]
+        states = [state_word(status) for status in statuses.values()]
         counts = [f"{states.count(state)} {state}" for state in sorted(set(states))]
-        counts += [f"{len(notes)} silent"] if notes else []
+        counts += [f"{len(notes)} {SILENT}"] if notes else []
         lost = sum(bool(lost_base(status)) for status in statuses.values())
         counts += [f"{lost} WITHOUT THEIR BASE"] if lost else []
         parts = [f"{swarm}: {counted(len(states) + len(notes), 'robot')}: {', '.join(counts)}"]
@@ -286,7 +289,8 @@ def _with_status(member: SeenMember, status: Status) -> SeenMember:
 
 
 def _searched(status: Status) -> str:
-    return f"{status.state} {status.reason or ''} {status.pattern or ''} {status.platform}"
+    words = (state_word(status), status.state, status.reason, status.pattern, status.platform)
+    return " ".join(filter(None, words))
 
 
 async def _wait(event: asyncio.Event, timeout: float) -> None:

@@ -97,9 +97,14 @@ def test_the_last_column_is_cut_to_the_width(capsys: pytest.CaptureFixture[str])
         ({"decision": DecisionSummary()}, {"PROTECTION": "clear"}),
         (
             {"presence": Presence.FAILED, "age": 38.0},
-            {"STATE": "failed", "PATTERN": "-", "SCAN": "-", "SEEN": "38.0 s ago"},
+            {"STATE": "silent", "REASON": "failed", "PATTERN": "-", "SEEN": "38.0 s ago"},
         ),
-        ({"presence": Presence.LEFT, "pattern": None}, {"STATE": "left", "PATTERN": "-"}),
+        ({"presence": Presence.LEFT, "pattern": None}, {"STATE": "left", "REASON": "-"}),
+        (
+            {"reason": Reason.NO_REQUESTED_COMMAND},
+            {"STATE": "at rest", "REASON": "no_requested_command", "PATTERN": "drive"},
+        ),
+        ({"reason": Reason.STALE_SCAN}, {"STATE": "held", "REASON": "stale_scan"}),
     ],
 )
 def test_shows_a_robot_in_each_presence(changes: dict[str, Any], cells: dict[str, str]) -> None:
@@ -123,8 +128,11 @@ OTHER = replace(
 @pytest.mark.parametrize(
     ("member", "cells"),
     [
-        (HEARD, {"STATE": "no answer", "SEEN": "300 ms ago"}),
-        (DISTANT, {"STATE": "unreachable", "SEEN": "400 ms ago by r1"}),
+        (HEARD, {"STATE": "silent", "REASON": "no answer", "SEEN": "300 ms ago"}),
+        (
+            DISTANT,
+            {"STATE": "silent", "REASON": "unreachable", "SEEN": "400 ms ago by r1"},
+        ),
         (OTHER, {"STATE": "running", "VERSION": "9.9", "SEEN": "now", "REASON": "-"}),
         (
             replace(

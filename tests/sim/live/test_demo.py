@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import SwarmError
-from swarmd.core.messages import Presence, State
+from swarmd.core.messages import Presence, Reason, State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.cli.demo import progress_lines, report
@@ -133,16 +133,18 @@ def test_without_a_screen_a_demo_tells_its_states_every_five_seconds(
 ) -> None:
     now = iter((10.0, 14.9, 15.0, 19.0))
     tell = progress_lines(lambda: next(now))
-    names = ("r1", "r2", "r3")
+    names = ("r1", "r2", "r3", "r4", "r5")
     statuses = {"r1": status("r1"), "r2": status("r2", state=State.ESTOPPED)}
+    statuses["r4"] = status("r4", reason=Reason.NO_REQUESTED_COMMAND)
+    statuses["r5"] = status("r5", reason=Reason.STALE_SCAN)
     for number in range(4):
         poses = dict.fromkeys(names, (0.0, 0.0, 0.0))
         tell(Scene(f"drive: {number} of 60 s\x1b[2J", Area((1.0, 1.0)), poses, statuses))
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.splitlines() == [
-        "drive: 0 of 60 s?[2J; 1 estopped, 1 running, 1 silent",
-        "drive: 2 of 60 s?[2J; 1 estopped, 1 running, 1 silent",
+        "drive: 0 of 60 s?[2J; 1 at rest, 1 estopped, 1 held, 1 running, 1 silent",
+        "drive: 2 of 60 s?[2J; 1 at rest, 1 estopped, 1 held, 1 running, 1 silent",
     ]
 
 
