@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ from swarmd.cli import completion
 from swarmd.cli.options import Duration
 from swarmd.cli.output import print_json, print_section, signals_end, warn
 from swarmd.core.clock import process_start
-from swarmd.core.errors import SwarmError
+from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.sim.cli.exp_video import film, need_film
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
@@ -49,7 +48,14 @@ if TYPE_CHECKING:
 @click.option(
     "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."
 )
-@click.option("--seconds", type=Duration(), default=60.0, help="How long, in simulated time [60].")
+@click.option(
+    "--for",
+    "--seconds",
+    "seconds",
+    type=Duration(),
+    default=60.0,
+    help="How long, in simulated time [60s].",
+)
 @click.option(
     "--video",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -230,8 +236,10 @@ def _keep(summary: DemoSummary, folder: Path) -> None:
     """Write summary.json and trajectories.png."""
     try:
         (folder / "summary.json").write_text(json.dumps(summary.as_json(), indent=2) + "\n")
-        if find_spec("matplotlib") is None:
-            warn("no trajectories.png: matplotlib is missing; run: pip install 'swarmd[sim,plot]'")
+        try:
+            need("matplotlib")
+        except PluginError as error:
+            warn(f"no trajectories.png: {error}")
             return
         from swarmd.sim.plots.theme import save
         from swarmd.sim.plots.trajectories import trajectories_figure

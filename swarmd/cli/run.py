@@ -42,7 +42,9 @@ class _Ahead(Duration):
 @click.option(
     "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."
 )
-@click.option("--for", "duration", type=Duration(), help="End after this time, such as 60s.")
+@click.option(
+    "--for", "--seconds", "duration", type=Duration(), help="End after this time, such as 60s."
+)
 @click.option(
     "--until",
     multiple=True,

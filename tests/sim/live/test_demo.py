@@ -64,7 +64,7 @@ def named(name: str, folder: Path) -> list[int]:
 @pytest.mark.integration
 def test_a_pattern_that_fails_is_a_problem_in_a_plain_summary(tmp_path: Path) -> None:
     (tmp_path / "clumsy.py").write_text(RAISES)
-    words = ("-n", "2", "--seconds", "1", "--pattern", "clumsy", "--plugin-dir", str(tmp_path))
+    words = ("-n", "2", "--for", "1", "--pattern", "clumsy", "--plugin-dir", str(tmp_path))
     done = demo(tmp_path, *words)
     assert done.returncode == 1
     assert done.stdout.startswith("Summary\n")
