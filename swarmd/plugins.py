@@ -169,8 +169,9 @@ def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
     """The origin of a pattern; PluginError if no pattern or more than one has that name."""
     origins = pattern_names(plugin_dir)
     if name not in origins:
+        hint = "" if plugin_dir else " (one in a file of your own: with --plugin-dir FOLDER)"
         raise UnknownPatternError(
-            _bad_file_name(name, plugin_dir) or unknown("pattern", name, origins)
+            _bad_file_name(name, plugin_dir) or unknown("pattern", name, origins) + hint
         )
     check_single(name, origins[name])
     return origins[name]

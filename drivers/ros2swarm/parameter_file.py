@@ -231,9 +231,14 @@ def read_parameter_file(path: Path) -> Conversion:
 
 def _parameters(path: Path) -> Mapping[str, Any]:
     """The parameters of the one node in a file, by name."""
+    try:
+        contents = yamlfile.read(path)
+    except ConfigError as error:
+        text = "expected a parameter file of ROS2swarm, such as attraction_pattern.yaml"
+        raise ConfigError(f"{error}; {text}") from error
     nodes = [
         (node, content[_NODE_PARAMETERS])
-        for node, content in yamlfile.read(path).items()
+        for node, content in contents.items()
         if isinstance(content, Mapping) and isinstance(content.get(_NODE_PARAMETERS), Mapping)
     ]
     if len(nodes) != 1:

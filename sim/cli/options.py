@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 import os
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.options import CommonOptions
+from swarmd.cli.options import CommonOptions, plugin_dir_option
 from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError, PluginError
 from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
@@ -86,12 +87,7 @@ _OPTIONS = (
         metavar="NAME",
         help="Simulate the wire protocol of this driver, such as ros2dds; daemons use that driver.",
     ),
-    click.option(
-        "--plugin-dir",
-        type=click.Path(exists=True, file_okay=False, path_type=Path),
-        envvar="SWARM_PLUGIN_DIR",
-        help="Folder of one-file patterns, in addition to the installed ones [$SWARM_PLUGIN_DIR].",
-    ),
+    plugin_dir_option,
 )
 
 
@@ -205,6 +201,8 @@ def need(*modules: str, extra: str = "sim,plot") -> None:
                 f"this verb needs {module}, which is not installed;"
                 f" run: pip install 'swarmd[{extra}]'"
             )
+    if "matplotlib" in modules:  # where the home cannot be written, it tells of its own cache
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
     if "mujoco" in modules and (backend := os.environ.get("MUJOCO_GL")):
         try:
             import_module("mujoco")

@@ -182,9 +182,9 @@ def read_manifest(folder: Path) -> Manifest:
             if manifest.variants:
                 return manifest
             raise ConfigError("no variants")
-    except FileNotFoundError:
-        text = f"{folder}: no experiment: there is no {NAME}"
-        raise ConfigError(f"{text}; name a folder that `swarmctl exp run` has made") from None
+    except (FileNotFoundError, NotADirectoryError):
+        text = f"{folder}: no experiment: there is no folder with a {NAME}"
+        raise ConfigError(f"{text}; name one that `swarmctl exp run SCENARIO` has made") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except (msgspec.MsgspecError, ConfigError, RecursionError) as error:

@@ -156,7 +156,7 @@ class Results:
             return self._custom[which]
         if isinstance(which, str) and which in self.metrics and which not in METRICS:
             return Metric(which, "", "", "another version of swarmd", value=lambda trace: None)
-        return metric_of(which, report_units=self.report_units)
+        return metric_of(which, report_units=self.report_units, others=self._custom)
 
     def asked(self, name: str | Metric) -> Metric:
         """The metric that the user asks for by name; that of a Python file has its present code.

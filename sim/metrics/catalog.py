@@ -37,7 +37,7 @@ from swarmd.sim.metrics.placed import KINDS, is_placed, placed_metric
 from swarmd.sim.metrics.reported import PREFIXES, check_reported, reported_metric
 from swarmd.sim.trace import Trace
 
-__all__ = ["METRICS", "Better", "Metric", "measure", "metric_of", "series", "table"]
+__all__ = ["METRICS", "Better", "Metric", "measure", "metric_of", "series"]
 
 _ALL = (
     *aggregation.METRICS,
@@ -83,13 +83,17 @@ def series(trace: Trace, name: str | Metric) -> Array | None:
 
 
 def metric_of(
-    name: str | Metric, digest: str = "", report_units: Mapping[str, str] = NO_UNITS
+    name: str | Metric,
+    digest: str = "",
+    report_units: Mapping[str, str] = NO_UNITS,
+    others: Iterable[str] = (),
 ) -> Metric:
     """The metric of that name; ConfigError with the nearest name if it is unknown.
 
     A name is one of METRICS, `report:KEY...`, `reading:KEY...`, one of `placed.KINDS` with its
     values, `FILE.py:FUNCTION`, or the name of an installed metric. `digest`: the SHA-256 that FILE
     must have; empty: any. `report_units`: units by the keys of reports, as patterns declare them.
+    `others`: further names that the message about an unknown name may suggest.
     """
     if isinstance(name, Metric):
         return name
@@ -103,7 +107,8 @@ def metric_of(
         return metric_of_file(name, digest)
     installed = installed_metrics()
     if name not in installed:
-        raise ConfigError(unknown("metric", name, (*METRICS, *KINDS, *installed)))
+        text = unknown("metric", name, (*METRICS, *KINDS, *installed, *others))
+        raise ConfigError(f"{text} (one in a file of your own: FILE.py:{name.rpartition(':')[2]})")
     return installed[name]
 
 
@@ -122,11 +127,6 @@ def check_has_value(metric: Metric, trace: Trace) -> None:
 def beyond_catalog(metrics: Iterable[Metric]) -> list[Metric]:
     """The metrics that are not in METRICS, without repetitions."""
     return list({(m.name, m.origin): m for m in metrics if m.name not in METRICS}.values())
-
-
-def table() -> list[tuple[str, str, str, str]]:
-    """(name, unit, meaning, source) of all metrics."""
-    return [(m.name, m.unit or "-", m.meaning, m.source) for m in METRICS.values()]
 
 
 def _plain(value: float | None) -> float | None:

@@ -114,13 +114,10 @@ class Legend:
                 counts[name] = max(counts.get(name, 0), runs)
         return Legend({name: counts[name] for name in in_order(counts)})
 
-    def index(self, name: str) -> int:
-        """The number of a variant, for its colour."""
-        return list(self.counts).index(name)
-
     def style(self, name: str) -> tuple[str, str]:
         """The colour and the line style of a variant."""
-        return variant_styles([*self.counts])[self.index(name)]
+        names = [*self.counts]
+        return variant_styles(names)[names.index(name)]
 
     def text(self, name: str) -> str:
         """A variant's text in the legend."""

@@ -55,6 +55,24 @@ class Failure(click.ClickException):
         self.exit_code = exit_code  # type: ignore[misc]  # click declares it for the class
 
 
+class _PluginFolder(click.Path):
+    """A folder that exists; a file is refused with the name of its folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path of the folder."""
+        if Path(value).is_file():
+            self.fail(f"{value} is a file; name its folder, {Path(value).parent}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+plugin_dir_option = click.option(
+    "--plugin-dir",
+    type=_PluginFolder(exists=True, file_okay=False, path_type=Path),
+    envvar="SWARM_PLUGIN_DIR",
+    help="Folder of one-file patterns, in addition to the installed ones [$SWARM_PLUGIN_DIR].",
+)
+
+
 class Duration(click.ParamType[float]):
     """Seconds from `60`, `60s`, `1.5m`, `3min`, `500ms`, `2h`."""
 

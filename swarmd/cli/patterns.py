@@ -10,21 +10,16 @@ from typing import Any
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, local_options
+from swarmd.cli.options import CommonOptions, VerbGroup, local_options, plugin_dir_option
 from swarmd.cli.output import line_width, print_json, print_section, print_table, warn
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, Record, check_mission, describe_patterns
 from swarmd.core.errors import PluginError
 from swarmd.core.verbs import shortened
+from swarmd.plugins import find_pattern
 from swarmd.texts.values import NOTHING, printable, short_number
 
 NEEDS_WIDTH, FROM_WIDTH = 22, 16  # columns on a terminal
 
-_plugin_dir = click.option(
-    "--plugin-dir",
-    type=FOLDER,
-    envvar="SWARM_PLUGIN_DIR",
-    help="Folder of one-file patterns, in addition to the installed ones [$SWARM_PLUGIN_DIR].",
-)
 _platform = click.option(
     "--platform",
     shell_complete=completion.platforms,
@@ -43,7 +38,7 @@ def patterns(options: CommonOptions) -> None:
 
 
 @patterns.command("list")
-@_plugin_dir
+@plugin_dir_option
 @_platform
 @local_options
 def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str) -> None:
@@ -75,12 +70,13 @@ def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str
 
 @patterns.command("show")
 @click.argument("name", shell_complete=completion.patterns)
-@_plugin_dir
+@plugin_dir_option
 @_platform
 @local_options
 def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, platform: str) -> None:
     """Print what a pattern needs and sends, and its parameters with their bounds."""
     timeout = options.timeout or DESCRIBE_TIMEOUT
+    find_pattern(name, plugin_dir)
     (row,) = describe_patterns((name,), plugin_dir, platform, timeout)
     if "error" in row:
         raise PluginError(row["error"])
@@ -103,17 +99,13 @@ def mission() -> None:
 @mission.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @_platform
-@click.option(
-    "--plugin-dir",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    envvar="SWARM_PLUGIN_DIR",
-    help="Folder of one-file patterns [$SWARM_PLUGIN_DIR, else the folder of FILE].",
-)
+@plugin_dir_option
 @local_options
 def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | None) -> None:
     """Check the mission in FILE; moves nothing and needs no network.
 
-    Prints each fault with file, line and key. The exit code is 2 if the mission has a fault.
+    Without --plugin-dir, patterns of your own are those in the folder of FILE. Prints each fault
+    with file, line and key. The exit code is 2 if the mission has a fault.
     """
     if not file.is_file():
         raise click.UsageError(f"{file} is no file; expected the YAML file of a mission")

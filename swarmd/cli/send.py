@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Where the operator finds what all robots refused as a mistake.
 _HELP = {
-    Refusal.UNKNOWN_PATTERN: "swarmctl patterns",
+    Refusal.UNKNOWN_PATTERN: "swarmctl patterns; robots get yours by swarmctl plugin push FILE",
     Refusal.INVALID_PARAMETER: "swarmctl patterns show NAME",
     Refusal.INVALID_CONDITION: "swarmctl run --help",
 }

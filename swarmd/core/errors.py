@@ -114,10 +114,11 @@ _MAX_HINTS = 4
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """One line for an unknown name, with a suggestion.
 
-    Suggests the known names that contain `name` as a word, else the most similar name, else all.
+    Suggests the known names that contain `name` as a word or after a colon, else the most similar
+    name, else all.
     """
     names = sorted(known)
-    having = [known_name for known_name in names if name in known_name.split("_")]
+    having = [one for one in names if name in one.split("_") or one.endswith(f":{name}")]
     if 0 < len(having) <= _MAX_HINTS:
         text = " or ".join(filter(None, [", ".join(map(repr, having[:-1])), repr(having[-1])]))
         return f"no {what} {name!r}; did you mean {text}?"

@@ -36,6 +36,7 @@ class Own(MovementPattern[Params]):
     def drive(self, inputs: Inputs) -> Twist:
         return Twist()
 '''
+SHY = str(Path(__file__).parents[2] / "examples" / "shy.py")
 SOON = ("--timeout", "200ms")
 HEAVY = {"numpy", "rich", "yaml", "asyncio", "mujoco", "matplotlib", "swarmd.patterns"}
 
@@ -124,6 +125,12 @@ def test_the_shell_completes_verbs_of_core_and_plugins(tmp_path: Path) -> None:
         (["param", "set", "speed=1"], "param set needs targets"),
         (["param", "set", "r1"], "param set needs values"),
         (["patterns", "show", "driv"], "'drive'"),
+        (["patterns", "show", "shy"], "--plugin-dir"),
+        (["patterns", "show", "shy", "--plugin-dir", SHY], f"its folder, {Path(SHY).parent} "),
+        (["demo", "--pattern", "shy"], "--plugin-dir"),
+        (["demo", "--pattern", "shy", "--plugin-dir", SHY], f"its folder, {Path(SHY).parent} "),
+        (["run", "drive", "--seconds", "5s"], "run needs targets"),
+        (["demo", "--for", "5s", "-n", "0"], "'-n'"),
         (["patterns", "list", "--platform", "wafle_pi"], "'waffle_pi'"),
         (["--swarm", "A B", "members"], "'A B'"),
         (["--profile", "field", "members"], "`interface`"),

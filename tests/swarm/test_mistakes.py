@@ -51,7 +51,7 @@ PATTERNS, PARAMETERS = "(see swarmctl patterns", "(see swarmctl patterns show"
 @pytest.mark.parametrize(
     ("words", "code", "subjects"),
     [
-        ("run drvie --all", 2, ["'drive'", PATTERNS]),
+        ("run drvie --all", 2, ["'drive'", PATTERNS, "swarmctl plugin push"]),
         ("run drive --all -p sped=0.1", 2, ["'speed'", PARAMETERS]),
         ("run drive --all -p speed=99", 2, ["speed is 99", PARAMETERS]),
         ("run drive --all -p speed=nan", 2, ["speed"]),

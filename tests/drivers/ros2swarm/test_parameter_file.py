@@ -96,6 +96,7 @@ def test_what_belongs_to_another_node_is_left_out(tmp_path: Path) -> None:
     [
         ("attraction_pattern", "", "attraction_pattern.yaml"),
         ("attraction_pattern", "a: [1", "attraction_pattern.yaml"),
+        ("README", "a: [b] c", "expected a parameter file of ROS2swarm"),
         ("attraction_pattern", "a: {ros__parameters: 3}", "0 nodes with `ros__parameters`"),
         ("attraction_pattern", HEAD + ATTRACTION + "b:\n  ros__parameters: {x: 1}\n", "2 nodes"),
         ("attraction_pattern", HEAD + ATTRACTION + ATTRACTION, "attraction_max_range"),

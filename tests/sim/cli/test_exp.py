@@ -294,6 +294,8 @@ def test_a_sweep_goes_on_where_it_was(x: Path, swept: tuple[Path, str], swarmctl
         (["merge", "."], "--out"),
         (["rerun", "."], "manifest.json"),
         (["show", "nowhere"], "nowhere"),
+        (["report", "DUO"], "exp run"),
+        (["run", "DUO", "--metrics", "warm"], "FILE.py:warm"),
         (["compare", "a", "b"], "a: "),
         (["plot", "nowhere"], "nowhere"),
         (["runn"], "'runn'"),
@@ -460,6 +462,19 @@ def test_list_and_metrics_in_json(swarmctl: Swarmctl) -> None:
     assert one["description"]
     metrics = json.loads(swarmctl("exp", "metrics", "-o", "json").stdout)["metrics"]
     assert {"path_length", "minimum_gap"} <= {metric["name"] for metric in metrics}
+
+
+def test_a_home_that_cannot_be_written_gives_no_lines_of_matplotlib() -> None:
+    code = "from swarmd.sim.cli.options import need; need('matplotlib'); import matplotlib"
+    environ = {name: text for name, text in os.environ.items() if name[:4] not in ("XDG_", "MPLC")}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environ | {"HOME": "/proc"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == ""
 
 
 def test_a_new_folder_has_the_first_free_name(tmp_path: Path) -> None:

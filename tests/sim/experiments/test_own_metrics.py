@@ -52,6 +52,8 @@ def test_they_are_columns_in_worker_processes_with_the_digest_in_the_manifest(
     assert again.metrics[-3:] == ("mine.py:seed", "mine.py:odd", "report:none")
     assert again.errors == results.errors
     assert [one.unit for one in map(again.about, again.metrics[-3:])] == ["m", "", ""]
+    with pytest.raises(ConfigError, match=r"did you mean 'mine\.py:seed'"):
+        again.asked("seed")
     manifest = read_manifest(out)
     assert set(manifest.plugins) >= {f"{file}:seed", f"{file}:odd"}
     assert warnings(out) == []

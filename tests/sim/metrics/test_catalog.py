@@ -108,16 +108,15 @@ def test_runs_are_not_changed_by_being_measured() -> None:
 
 
 def test_each_metric_is_listed_once() -> None:
-    rows = catalog.table()
     modules = [
         importlib.import_module(f"swarmd.sim.metrics.{module.name}")
         for module in pkgutil.iter_modules(metrics.__path__)
         if module.name != "catalog"
     ]
     listed = sorted(one.name for module in modules for one in getattr(module, "METRICS", ()))
-    assert sorted(row[0] for row in rows) == listed  # each once
-    assert all(name.isidentifier() and name == name.lower() for name, *_ in rows)
-    assert all(all(row) for row in rows)
+    assert sorted(METRICS) == listed  # each once
+    assert all(name.isidentifier() and name == name.lower() for name in listed)
+    assert all(one.meaning and one.source for one in METRICS.values())
 
 
 def test_listing_metrics_does_not_import_scipy() -> None:
