@@ -9,6 +9,7 @@ docs/learning.md explains the parts.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -72,9 +73,12 @@ def main() -> None:
     options = parser.parse_args()
     mode = {"platforms.waffle_pi.protection.mode": options.protection}
     env = swarmd.env("aggregation", set={**ROOM, **mode}, spec=SPEC)
-    for generation, mean, network in train(env, options.seconds, generations=options.generations):
-        print(f"generation {generation}: mean score {mean:.3f} m", flush=True)
-        options.out.write_bytes(network.to_bytes())
+    generations = train(env, options.seconds, generations=options.generations)
+    with contextlib.suppress(KeyboardInterrupt):
+        for generation, mean, network in generations:
+            options.out.write_bytes(network.to_bytes())
+            print(f"generation {generation}: mean score {mean:.3f} m", flush=True)
+    print(f"{options.out}: {'the network so far' if options.out.exists() else 'not written'}")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ import zenoh
 
 def main() -> None:
     """Wait 5 s for a token; then print each for a second, or as long as the second word says."""
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
     swarm = sys.argv[1]
     seconds = float(sys.argv[2]) if len(sys.argv) > 2 else 1.0
     lock = threading.Lock()
@@ -28,4 +30,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit("interrupted")

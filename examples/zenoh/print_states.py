@@ -40,6 +40,7 @@ def main() -> None:
                 shown[status["robot"]] = state
                 count += 1
                 print(status["robot"], *state, flush=True)
+    print(f"changes: {count}, of {len(shown)} robots")
 
 
 if __name__ == "__main__":

@@ -45,6 +45,7 @@ def main() -> None:
                 count += 1
                 table.writerow((one["robot"], f"{one['at']:.3f}", one["channel"], one["value"]))
                 file.flush()
+    print(f"{options.out}: {count} opinions")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ LIMIT, QUIET = 5.0, 1.0  # s: at most; and without a new name, after which all c
 
 def main() -> None:
     """Repeat the query, since robots are found one by one, until each has answered."""
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
     swarm, *words = sys.argv[1:]
     verb = "estop" if "estop" in words else "stop"
     named = {*words} - {"estop"}
@@ -49,4 +51,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit("interrupted: perhaps not each robot has stopped")

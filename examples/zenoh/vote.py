@@ -14,6 +14,8 @@ def main() -> None:
 
     The first votes may reach no robot: robots are found one by one, and hear the later votes.
     """
+    if len(sys.argv) < 4:
+        sys.exit(__doc__)
     swarm, program, opinion = sys.argv[1], sys.argv[2], int(sys.argv[3])
     seconds = float(sys.argv[4]) if len(sys.argv) > 4 else 10.0
     end = time.monotonic() + seconds
@@ -29,4 +31,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit("interrupted: no more votes")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import runpy
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.support.processes import wait_until
+from tests.support.processes import CAP, wait_until
 
 pytestmark = pytest.mark.integration
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,3 +57,18 @@ def test_the_script_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> No
     told = capsys.readouterr().out
     assert told.count("3 targeted, 3 applied") == 2
     assert "dispersion" in told
+
+
+def test_the_script_of_the_readme_ends_with_one_line_at_an_interrupt() -> None:
+    command = [sys.executable, "-u", str(ROOT / "examples" / "watch_and_stop.py")]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "3 targeted, 3 applied\n"
+            process.send_signal(signal.SIGINT)
+            _, told = process.communicate(timeout=CAP)
+        finally:
+            process.kill()
+    assert (process.returncode, told) == (1, "interrupted: the simulated swarm has ended\n")

@@ -7,6 +7,7 @@ import contextlib
 import csv
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections import defaultdict
@@ -136,7 +137,9 @@ def test_the_examples_read_the_swarm(
             printed.add(tuple(states.stdout.readline().split()[:3]))
         assert printed == {(robot, "running", "voter_model") for robot in ROBOTS}
         assert finished(plot) == ["way.png: 5 poses of r02"]
-        assert finished(opinions) == []
+        assert finished(opinions) == ["opinions.csv: 12 opinions"]
+        states.send_signal(signal.SIGINT)
+        assert finished(states)[-1].startswith("changes: ")  # and no traceback
     assert (tmp_path / "way.png").read_bytes().startswith(b"\x89PNG")
     with (tmp_path / "opinions.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -167,8 +170,9 @@ def test_a_viewer_of_a_secured_swarm_reads_states_with_its_certificate(tmp_path:
         found = json.loads(file.read_text())
         assert all(one.startswith("tls/") for one in found["connect"]["endpoints"])
         with program("print_states", file, swarm.name, "--count", 2, cwd=tmp_path) as states:
-            lines = sorted(finished(states))
-        assert [line.split()[:2] for line in lines] == [[robot, "idle"] for robot in RUNNING]
+            *lines, last = finished(states)
+        assert sorted(line.split()[:2] for line in lines) == [[r, "idle"] for r in sorted(RUNNING)]
+        assert last == "changes: 2, of 2 robots"
         _check_what_a_hostile_viewer_reads(swarm, found, tmp_path)
 
 
