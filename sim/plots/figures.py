@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from string import ascii_lowercase
@@ -172,21 +173,17 @@ class _Gallery:
 
     def draw(self, kind: str) -> list[Path]:
         """All pictures of a kind of KINDS, or of CURVE."""
-        match kind:
-            case "intervals":
-                return self.intervals()
-            case "curve":  # CURVE
-                return self.curve()
-            case "differences":
-                return self.differences()
-            case "survival":
-                return self.survival()
-            case "over_time":
-                return self.over_time()
-            case "runs":
-                return [path for variant in self.variants for path in self.overview(variant)]
-            case _:
-                return [path for variant in self.variants for path in self.chosen_runs(variant)]
+        of_all: dict[str, Callable[[], list[Path]]] = {
+            "intervals": partial(self._run_by_run, intervals_figure, "intervals"),
+            "curve": self.curve,  # CURVE
+            "differences": self.differences,
+            "survival": self.survival,
+            "over_time": self.over_time,
+        }
+        if kind in of_all:
+            return of_all[kind]()
+        of_variant = self.overview if kind == "runs" else self.chosen_runs
+        return [path for variant in self.variants for path in of_variant(variant)]
 
     def _check_labels(self) -> None:
         swept = self._results.plan.sweep
@@ -202,14 +199,6 @@ class _Gallery:
         own = select.Quantity(select.label_of(name or metric.name), metric.unit)
         return own if text is None else select.Quantity.parse(text)
 
-    def intervals(self) -> list[Path]:
-        """Metrics run by run."""
-        panels = self._run_by_run()
-        if not panels:
-            return []
-        figure = intervals_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
-        return [self._save(figure, "intervals")]
-
     def curve(self) -> list[Path]:
         """Metrics over the values of a swept number; ConfigError if there is no such number."""
         if not self._axis:
@@ -217,14 +206,10 @@ class _Gallery:
                 "--only curve: expected one swept number; of several swept keys, a panel for each"
                 " value of one: --facet KEY"
             )
-        panels = self._run_by_run()
-        if not panels:
-            return []
-        figure = curve_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
-        return [self._save(figure, "curve")]
+        return self._run_by_run(curve_figure, "curve")
 
-    def _run_by_run(self) -> list[Panel]:
-        """A panel for each metric and facet whose values differ."""
+    def _run_by_run(self, draw: Callable[..., Figure], name: str) -> list[Path]:
+        """The picture by `draw` of a panel for each metric and facet whose values differ."""
         panels = []
         for metric in self._asked(select.RUN_BY_RUN):
             for panel, variants in self._by_panel().items():
@@ -240,7 +225,16 @@ class _Gallery:
                           target=self._look.targets.get(metric.name),
                           is_time_to_event=metric.is_time_to_event)
                 )  # fmt: skip
-        return panels
+        return self._drawn(draw, panels, name)
+
+    def _drawn(
+        self, draw: Callable[..., Figure], panels: Sequence[object], name: str
+    ) -> list[Path]:
+        """The picture of the panels; without panels there is none."""
+        if not panels:
+            return []
+        figure = draw(panels, self._scenario, width=self._look.width, axis=self._axis)
+        return [self._save(figure, name)]
 
     def differences(self) -> list[Path]:
         """The difference of each variant from the first, by metric."""
@@ -259,10 +253,7 @@ class _Gallery:
                     quantity = self._quantity(metric)
                     label = _joined(quantity.name, panel)
                     panels.append(DifferencePanel(label, quantity.unit, differences))
-        if not panels:
-            return []
-        figure = differences_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
-        return [self._save(figure, "differences")]
+        return self._drawn(differences_figure, panels, "differences")
 
     def survival(self) -> list[Path]:
         """A picture for each time to an event: over time, the share of runs without the event.
@@ -491,7 +482,8 @@ class _Gallery:
     def _path(self, name: str, variant: str = "") -> Path:
         run = next(run for run in self._runs if run.variant.name == variant or not variant)
         stem = re.sub("[,=]", "-", run.id.rpartition("_s")[0]) if variant else ""
-        safe = re.sub(r"[^\w.+-]+", "_", name)  # LaTeX and make take no commas and equals signs
+        # LaTeX and make take no commas and equals signs, and LaTeX no dots, as in file.py:warm.
+        safe = re.sub(r"(\.py)?[^\w+-]+", "_", name)
         return self._out / f"{f'{stem}_' if stem else ''}{safe}{self._look.suffix}"
 
 

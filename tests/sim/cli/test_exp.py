@@ -401,7 +401,12 @@ def test_an_answer_of_an_incomplete_experiment_says_so(
 def test_plots_are_of_the_metrics_of_the_run(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
     words = ("--seeds", 2, "--set", "duration=0.5", "--metrics", "path_length", "--out", "y")
     assert swarmctl("exp", "run", duo, *words).returncode == 0
-    for more, wanted in (((), "path_length"), (("--metrics", "mean_speed"), "mean_speed")):
+    (tmp_path / "own.py").write_text("def early(trace):\n    return -trace.t\n")
+    for more, wanted in (
+        ((), "path_length"),
+        (("--metrics", "mean_speed"), "mean_speed"),
+        (("--metrics", "own.py:early"), "own_early"),  # LaTeX takes `.py:early` for a format
+    ):
         done = swarmctl("exp", "plot", "y", "--only", "over_time", *more)
         made = [Path(line).name for line in done.stdout.splitlines()]
         assert made == [f"over_time_{wanted}.png"], done
