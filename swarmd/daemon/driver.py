@@ -104,7 +104,8 @@ class DriverOutput:
         self._driver = driver
         self._name = name
         self._idle = IdleOutputFilter(idle_output)
-        self._sent: tuple[Twist, bool] | None = None  # the last command, and its `is_stopped`
+        # The last command, its `is_stopped`, and the scans of its decision if they count.
+        self._sent: tuple[Twist, bool, tuple[int, int] | None] | None = None
         self._on_crash = on_crash
 
     async def run(self, sink: Sink) -> None:
@@ -120,14 +121,15 @@ class DriverOutput:
     def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
         """Send the command of `actions`, unless `idle_output` keeps an idle robot silent.
 
-        `may_repeat` False: a command that equals the last command is not sent to a real base. A
-        simulated base waits for a command after each scan. So equal commands are sent to a
-        simulated base, unless the robot is idle or stopped, and commands zero.
+        `may_repeat` False: a command that equals the last command is not sent. A simulated base
+        waits for a command after each scan. So commands to a simulated base also differ if they
+        were decided by different scans, unless the robot is idle or stopped, and commands zero.
         """
         stands = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
-        command = actions.twist, actions.is_stopped
-        awaits_each = self._driver.is_simulated and not stands
-        if command == self._sent and not (may_repeat or awaits_each):
+        is_by_scan = self._driver.is_simulated and not stands
+        scans = (actions.decision.scan_seq, actions.requested_scan_seq) if is_by_scan else None
+        command = actions.twist, actions.is_stopped, scans
+        if command == self._sent and not may_repeat:
             return
         if self._idle.allows(actions.twist, actions.is_idle, now):
             self._sent = command

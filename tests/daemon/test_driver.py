@@ -63,9 +63,20 @@ def test_a_scan_sends_a_changed_command_at_once_and_the_tick_repeats_it(is_simul
         turning = Actions(Twist(0.1, 0.2), cast("Decision", None))
         scans = [(running, False), (running, False), (turning, False), (turning, False)]
         found = handed((running, True), *scans, (turning, True), is_simulated=is_simulated)
-        count = 3 if is_simulated else 1  # a simulator waits for the command of each scan
-        first, last = (twist, False), (Twist(0.1, 0.2), False)
-        assert found == [first] * count + [last] * (count if is_simulated else 2)
+        assert found == [(twist, False), (Twist(0.1, 0.2), False), (Twist(0.1, 0.2), False)]
+
+
+@pytest.mark.parametrize(("is_simulated", "count"), [(False, 1), (True, 3)])
+def test_a_simulator_gets_an_equal_command_for_each_scan(is_simulated: bool, count: int) -> None:
+    driver = Taken(is_simulated)
+    output = DriverOutput(cast("Driver", driver), "taken", "zeros", lambda error: None)
+    decided = _decided(Actions(Twist(0.1), cast("Decision", None)))
+    # The scan of the decision and that of the request; a pair may repeat.
+    for scan, requested_scan in ((1, 1), (2, 1), (2, 1), (2, 2), (2, 2)):
+        decision = replace(decided.decision, scan_seq=scan)
+        actions = replace(decided, decision=decision, requested_scan_seq=requested_scan)
+        output.command(actions, 0.0, may_repeat=False)
+    assert len(driver.commands) == count
 
 
 @pytest.mark.parametrize(
