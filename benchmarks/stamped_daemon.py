@@ -31,6 +31,7 @@ from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.driver import DriverSink
 from swarmd.driver_api.driver import Sink
 from swarmd.drivers import simulated
+from swarmd.network.carriers.robot_link import Frame
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.settings.settings import load_daemon_settings
 
@@ -50,9 +51,9 @@ STAMPS = Stamps()  # of this process, which is one measurement
 
 
 class StampedDriver(simulated.SimulatedDriver):
-    def _take(self, sink: Sink, name: str, payload: bytes, batch: Any) -> None:
+    def _take(self, sink: Sink, frame: Frame, batch: Any) -> None:
         STAMPS.loop = monotonic_ns()
-        super()._take(sink, name, payload, batch)
+        super()._take(sink, frame, batch)
 
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from time import monotonic
 from typing import NamedTuple
 
@@ -56,7 +56,7 @@ class _Batch(NamedTuple):
     """What is common to the frames of one read."""
 
     take_late: TakeLate | None
-    waited: float | None  # s for which odometry has waited in the socket; None: not known
+    last: Frame  # in the order of arrival; the link measures for how long it waited
     last_read: float  # when frames were read before, which was before these frames arrived
 
 
@@ -79,7 +79,7 @@ class SimulatedDriver:
         self._take_late: TakeLate | None = None
         self._scan_size = 0  # bytes of the smallest frame of a scan
         self._kinds: set[str] = set()  # kinds of sensor inputs that have come
-        self._lag = 0.0  # arrival minus stamp of the last reading of odometry in s
+        self._lag = -math.inf  # s, arrival minus stamp of the last gathered reading
         self._last_read = -math.inf  # of the socket
         self._is_taking = False  # within `_take_frames`
 
@@ -113,14 +113,14 @@ class SimulatedDriver:
         if command is not None:
             self._put(command, scan_seq, requested_scan_seq)
 
-    def rest(self, take_late: TakeLate | None) -> None:
-        """Keep odometry in the socket, if the world sends scans and odometry alone.
+    def gather(self, take_late: TakeLate | None) -> None:
+        """Leave odometry in the socket, if the world sends scans and odometry alone.
 
         A scan still wakes the daemon: the socket becomes readable with the bytes of a scan.
         """
         if self._kinds != {_SCAN, _ODOMETRY}:
             take_late = None
-        if take_late is None:
+        if take_late is None and self._take_late is not None:
             self.read()
         self._take_late = take_late
         if self._link is not None:
@@ -188,66 +188,55 @@ class SimulatedDriver:
             self._link.send("cmd_vel", command)
 
     def _take_frames(self, sink: Sink, frames: list[Frame]) -> None:
-        """Take all messages of patterns in order, and of each sensor the newest frame only.
-
-        `frames`: all that one read of the socket gave, in order; a name is a kind of input.
-        """
-        take_late = self._take_late  # kept, since a message of `frames` may end the rest
-        newest = self._newest_inputs(sink, frames, is_resting=take_late is not None)
-        last_read, self._last_read = self._last_read, monotonic()
-        waited = 0.0 if take_late is None else self._odometry_wait(frames)
-        batch = _Batch(take_late, waited, last_read)
+        """Take the inputs and messages of `frames`, which one read of the socket gave, in order."""
+        take_late = self._take_late  # kept, since a message of `frames` may end the gathering
+        chosen = self._chosen(sink, frames, is_gathered=take_late is not None)
+        batch = _Batch(take_late, frames[-1], self._last_read)
+        self._last_read = monotonic()
         self._is_taking = True  # `_take` may lead to a call of `read`, which then does nothing
         try:
-            for name, payload in newest.items():
-                self._take(sink, name, payload, batch)
+            for frame in chosen:
+                self._take(sink, frame, batch)
         finally:
             self._is_taking = False
 
-    def _newest_inputs(
-        self, sink: Sink, frames: Sequence[Frame], *, is_resting: bool
-    ) -> dict[str, bytes]:
-        """The newest frame of each kind of input, by kind; hands over all messages of patterns.
+    def _chosen(self, sink: Sink, frames: Sequence[Frame], *, is_gathered: bool) -> Iterable[Frame]:
+        """The newest frame of each kind of input, and before these all odometry if `is_gathered`.
 
-        An input with a newer input of its kind is reported as dropped, except odometry of a resting
-        robot, which gathers in the socket until the next scan.
+        Odometry comes before a scan, so that the decision on the scan uses the newest reading. An
+        input with a newer input of its kind is reported as dropped, except gathered odometry.
+        Hands over all messages of patterns.
         """
-        newest: dict[str, bytes] = {}
-        for name, payload in frames:
+        odometry: list[Frame] = []
+        newest: dict[str, Frame] = {}
+        for frame in frames:
+            name = frame.name
             if name == "received":
                 self._kinds.add(name)
-                self._take_messages(sink, payload)
-                continue
-            if name not in hw_codec.KINDS:
+                self._take_messages(sink, frame.payload)
+            elif name not in hw_codec.KINDS:
                 sink.dropped("hw/unknown")
-                continue
-            is_gathered = is_resting and name == _ODOMETRY
-            if name in newest and not is_gathered:
-                sink.dropped(f"hw/{name}:overtaken")
-            newest[name] = payload
-        return newest
+            elif is_gathered and name == _ODOMETRY:
+                odometry.append(frame)
+            else:
+                if name in newest:
+                    sink.dropped(f"hw/{name}:overtaken")
+                newest[name] = frame
+        return *odometry, *newest.values()
 
-    def _odometry_wait(self, frames: Sequence[Frame]) -> float | None:
-        """Seconds for which the newest odometry of a resting robot has waited in the socket.
-
-        None if not known: the link measures the wait of the last of `frames` alone, and this frame
-        may be no odometry.
-        """
-        is_last_frame = frames[-1].name == _ODOMETRY
-        return self._link.age if is_last_frame and self._link is not None else None
-
-    def _take(self, sink: Sink, name: str, payload: bytes, batch: _Batch) -> None:
+    def _take(self, sink: Sink, frame: Frame, batch: _Batch) -> None:
         try:
-            input = hw_codec.decode_input(name, payload, self._platform)
+            input = hw_codec.decode_input(frame.name, frame.payload, self._platform)
         except CodecError:
-            sink.dropped(f"hw/{name}")
+            sink.dropped(f"hw/{frame.name}")
             return
-        self._kinds.add(name)
+        self._kinds.add(frame.name)
         age = 0.0
         if isinstance(input, ScanInput):
-            self._scan_size = min(self._scan_size or len(payload), len(payload))
-        elif isinstance(input, OdometryInput):
-            age = self._age(input.odometry.stamp, batch)
+            size = len(frame.payload)
+            self._scan_size = min(self._scan_size or size, size)
+        elif isinstance(input, OdometryInput) and batch.take_late is not None:
+            age = self._age(input.odometry.stamp, frame, batch)
         self._last_sample = self._last_read - age
         if not self._gate.is_open:
             self._gate.open()
@@ -257,14 +246,16 @@ class SimulatedDriver:
         else:
             sink.take(input)
 
-    def _age(self, stamp: float, batch: _Batch) -> float:
-        """Seconds since a reading of odometry arrived.
+    def _age(self, stamp: float, frame: Frame, batch: _Batch) -> float:
+        """Seconds since a reading of gathered odometry arrived.
 
-        `stamp`: s, of the reading. If its wait in the socket is not known (`_odometry_wait`), the
-        time from stamp to arrival is assumed to be that of the reading before (`_lag`).
+        `stamp`: s, of the reading. If the link does not know how long `frame` has waited in the
+        socket, the time from stamp to arrival is assumed to be that of the reading before (`_lag`).
         """
-        now, waited = self._last_read, batch.waited
-        arrival = stamp + self._lag if waited is None else now - waited
+        now = self._last_read
+        arrival = stamp + self._lag
+        if frame is batch.last and self._link is not None:
+            arrival = now - self._link.age
         arrival = min(max(arrival, batch.last_read), now)
         self._lag = arrival - stamp
         return now - arrival

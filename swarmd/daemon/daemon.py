@@ -33,7 +33,7 @@ from swarmd.core.pattern_manifest import Entry
 from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
 from swarmd.core.values import Neighbor, Value
-from swarmd.core.verbs import Request
+from swarmd.core.verbs import EstopRequest, Request, StopRequest
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
 from swarmd.daemon.driver_exchange import DriverExchange
@@ -55,9 +55,9 @@ from swarmd.daemon.viewer_feed import ViewerFeed
 from swarmd.driver_api.driver import (
     Driver,
     check_protected,
+    gathering_driver,
     gripper_of,
     message_carrier,
-    resting_driver,
     state_display,
 )
 from swarmd.network.carriers.bus import ZenohBus
@@ -82,10 +82,12 @@ log = logging.getLogger(__name__)
 NEIGHBORS_PERIOD = 10  # ticks
 USAGE_PERIOD = 20  # ticks
 MOTION_PERIOD = 2  # ticks
+NETWORK_PERIOD = 2  # ticks between two looks at the network without an event
 STORAGE_PERIOD = 100  # ticks between two tries to write to a state folder that failed
 ACTIVE_TIME = 1.0
-"""Seconds for which a robot at rest ticks 20 times a second after an event."""
-_MEASURED = (  # regular inputs; any other input is an event
+"""Seconds after an event with 20 ticks a second, each of which looks at the network."""
+_ROUTINE = (events.TickInput, events.HostInput)  # inputs on which a running robot decides
+_MEASURED = (  # any input that is neither measured nor routine is an event
     events.ScanInput,
     events.RangesInput,
     events.OdometryInput,
@@ -96,7 +98,6 @@ _MEASURED = (  # regular inputs; any other input is an event
     events.LeaseInput,
     events.PeersInput,
     events.PlaceInput,
-    events.TickInput,
 )
 _FREQUENT = (  # after such an input an unchanged command waits for the next tick, at most 50 ms
     events.ScanInput,
@@ -161,8 +162,7 @@ class Daemon:
         base = base_options(settings.driver_options, f"driver {settings.file.driver}")
         self._carrier = message_carrier(driver)
         self._may_rest = may_rest(base, driver)
-        self._resting_driver = resting_driver(driver)
-        self._is_driver_resting = False
+        self._gathering_driver = gathering_driver(driver)
         self._output = DriverOutput(
             driver, settings.file.driver, base.idle_output, self._on_driver_crash
         )
@@ -412,29 +412,28 @@ class Daemon:
         `may_repeat` False: a command to the base that equals the last command is not sent again.
         """
         kind = type(input)
-        if kind is events.TickInput or kind is events.HostInput:
+        if kind in _ROUTINE:
             self._tell_provisional()
-        if kind not in _MEASURED:
+        elif kind not in _MEASURED:
             self._active_until = boottime() + ACTIVE_TIME
-            self._rest(False)
+            self._timer.rest(False)
+        # A decision uses all odometry that has arrived.
+        if kind not in _MEASURED and not _is_stop(input) and self._gathering_driver is not None:
+            self._gathering_driver.read()
         actions = self._recording.recorder.step(self._robot, input, boottime() - age)
         if actions is not None:
             self._carry_out(actions, may_repeat=may_repeat and kind not in _FREQUENT)
-        if kind is events.ScanInput and self._is_driver_resting:
+        if kind is events.ScanInput:
             self._timer.tick_early()
 
-    def _rest(self, is_resting: bool) -> None:
-        """Let timer and driver rest, or end their rest.
+    def _gather(self, may_gather: bool) -> None:
+        """Let the driver leave odometry in its socket until a decision needs it, or end that.
 
-        At rest the timer ticks half as often, and the driver keeps readings back; at the end of the
-        rest the robot gets these readings. The driver does not rest while a recording is made,
-        since the recording needs each reading of odometry.
+        While a recording is made, each reading is taken when it arrives: entries of a recording are
+        in the order of their times.
         """
-        self._timer.rest(is_resting)
-        driver, was_resting = self._resting_driver, self._is_driver_resting
-        self._is_driver_resting = is_resting and not self._recording.recorder.is_on
-        if driver is not None and (was_resting or self._is_driver_resting):
-            driver.rest(self.sink.take_late if self._is_driver_resting else None)
+        if self._gathering_driver is not None:
+            self._gathering_driver.gather(self.sink.take_late if may_gather else None)
 
     def _tell_provisional(self) -> None:
         """Hand the robot the generations of the present run and load that are provisional code."""
@@ -580,14 +579,16 @@ class Daemon:
             """True once every `interval` periods."""
             return self._periods // interval > periods_before // interval
 
-        if self._resting_driver is not None and self._is_driver_resting:
-            self._resting_driver.read()  # the readings that the driver kept back
-        is_new_period = self._periods > periods_before
-        self.step(events.TICK_INPUT, may_repeat=is_new_period)
-        is_inactive = boottime() >= self._active_until and self._robot.is_at_rest
-        self._rest(self._may_rest and is_inactive)
+        self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
+        is_active = boottime() < self._active_until  # stops of the last second may be on their way
+        self._timer.rest(self._may_rest and self._robot.is_at_rest and not is_active)
+        self._gather(not self._recording.recorder.is_on)
         self._exchange.on_tick()
-        self._advance_network()
+        self._network.advance(may_wait=not (is_active or is_due(NETWORK_PERIOD)))
+        if self._recording.recorder.is_on:
+            self._network.ask_clocks()  # to merge this recording with recordings of peers
+        if pose_and_age := self._robot.pose_to_tell(boottime()):
+            self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
             self._viewer_feed.publish_motion()
         self._tools.advance(boottime())
@@ -598,13 +599,6 @@ class Daemon:
         if is_due(NEIGHBORS_PERIOD):
             self.on_members()
             self._notify.feed_watchdog(self._robot.decided_at, boottime())
-
-    def _advance_network(self) -> None:
-        self._network.advance()
-        if self._recording.recorder.is_on:
-            self._network.ask_clocks()  # to merge this recording with recordings of peers
-        if pose_and_age := self._robot.pose_to_tell(boottime()):
-            self._network.publish_pose(*pose_and_age)
 
     def _measure_usage(self) -> None:
         """Measure the time of the run of a pushed pattern, and the load of the processes."""
@@ -718,6 +712,7 @@ class Daemon:
         return {"host/frames": self._runner.dropped} if self._runner.dropped else {}
 
     def _head(self) -> RecordingHead:
+        self._gather(False)  # a recording begins
         return recording_head(self._robot, self._settings.network.swarm, boottime())
 
 
@@ -726,6 +721,12 @@ def _without_gripper(settings: DaemonSettings) -> DaemonSettings:
     platform = settings.platform
     platform = dataclasses.replace(platform, provides=platform.provides - {"gripper"})
     return dataclasses.replace(settings, platform=platform)
+
+
+def _is_stop(input: events.Input) -> bool:
+    """Whether the command is zero whatever odometry says, so that it waits for no reading."""
+    what = input.request if isinstance(input, events.RequestInput) else input
+    return isinstance(what, StopRequest | EstopRequest | events.LeaveInput)
 
 
 def _cause_of(error: BaseException) -> BaseException:

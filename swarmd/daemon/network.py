@@ -314,17 +314,23 @@ class Network:
             due_in = peer.wake_at() - boottime()
             await asyncio.sleep(max(0.0, min(due_in, MAX_CLAIM_PAUSE)))
 
-    def advance(self) -> None:
-        """Send the datagrams that are due; the daemon's tick calls this."""
+    def advance(self, *, may_wait: bool = False) -> None:
+        """Take messages of programs, and send the datagrams that are due; each tick calls this.
+
+        `may_wait`: no event in the last tick. Then nothing but the messages is looked at before
+        `Peer.wake_at`, so that a tick in between takes 20 us instead of 140.
+        """
         peer = self._peer
         if peer is None or self._carrier is None:
             return
         now = boottime()
-        self._carry_out(peer.advance(now, self._owner.summary()))
         bus = self._connection.bus
         if bus is not None and bus.programs is not None:
             for message in bus.programs.take(now):
                 self._owner.on_input(MessageInput(*message, is_program=True))
+        if may_wait and now < peer.wake_at():
+            return
+        self._carry_out(peer.advance(now, self._owner.summary()))
         self._connection.watch_for_flood(now)
         if self._guard is not None and self._guard.has_new_counters():
             self._loop.run_in_executor(None, self._guard.write_counters)

@@ -160,27 +160,28 @@ TakeLate: TypeAlias = Callable[[OdometryInput, float], None]
 
 
 @runtime_checkable
-class RestingDriver(Protocol):
-    """The extension of a driver that can leave odometry in its socket while the robot rests.
+class GatheringDriver(Protocol):
+    """The extension of a driver that can leave odometry in its socket until a decision needs it.
 
     A reading that wakes the daemon costs 300 us of processor time, 20 times a second.
     """
 
-    def rest(self, take_late: TakeLate | None) -> None:
-        """Keep odometry back until the next scan or `read`, then hand it to `take_late`.
+    def gather(self, take_late: TakeLate | None) -> None:
+        """Leave odometry in the socket until `read` or a scan, then hand it to `take_late`.
 
-        The daemon calls this method at each tick of a resting robot, and with None when the rest
-        ends. With None the driver hands over now what has arrived, and each later reading at once.
+        Each reading is handed over, in order, and before a scan that was read with it. The daemon
+        calls this method at each tick, and with None when a recording begins and while it lasts.
+        With None the driver hands over now what has arrived, and each later reading at once.
         """
 
     def read(self) -> None:
-        """Hand over the measurements that have arrived."""
+        """Hand over the measurements that have arrived; the daemon calls it before a decision."""
 
 
-def resting_driver(driver: Driver) -> RestingDriver | None:
+def gathering_driver(driver: Driver) -> GatheringDriver | None:
     """The bare driver, if the driver can leave odometry in its socket."""
     bare = unwrapped(driver)
-    return bare if isinstance(bare, RestingDriver) else None
+    return bare if isinstance(bare, GatheringDriver) else None
 
 
 def message_carrier(driver: Driver) -> MessageCarrier | None:

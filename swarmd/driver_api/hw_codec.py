@@ -3,7 +3,9 @@
 A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
 The daemon sends the frames `cmd_vel`, `grip` and `sent` (a message of its pattern, for the robot's
 radio). The robot sends the frames of KINDS, which are its inputs, and `received` (messages that its
-radio heard).
+radio heard). While only scans and odometry have come, the daemon reads the first frame of another
+kind with its next tick. So a simulator of robots that sense hazards sends `hazards` from the start,
+empty.
 
 Scans and odometry are frequent and have encodings of their own; any other input is encoded as in a
 recording. The arrays of a scan are little-endian float32; evenly spaced bearings or ages are sent

@@ -22,11 +22,13 @@ from swarmd.core.events import (
     DriverInput,
     HostInput,
     Input,
+    LeaveInput,
     NoteInput,
     OdometryInput,
     RangesInput,
     RequestInput,
     ScanInput,
+    TickInput,
 )
 from swarmd.core.files import write_whole
 from swarmd.core.finding import Finding
@@ -34,12 +36,13 @@ from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import HostDied
 from swarmd.core.messages import Code, Epoch, Reply
 from swarmd.core.values import Odometry, Pose, Scan, Twist
-from swarmd.core.verbs import LabelRequest
+from swarmd.core.verbs import EstopRequest, LabelRequest, ParamRequest, StopRequest
 from swarmd.daemon import store
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.store import LatchFile
 from swarmd.driver_api.driver import Sink, TakeLate
 from swarmd.network.datagram import Stop, pack, tag_of
+from swarmd.network.peer import PeerActions, Summary
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
@@ -142,26 +145,37 @@ async def test_the_tick_alone_repeats_a_command(
     assert counts == [1, 0, 1, 1, 1]
 
 
-class RestingDriver(RecordingDriver):
+class GatheringDriver(RecordingDriver):
     """A recording driver that keeps one reading of odometry back, which arrived 10 s ago."""
 
     def __init__(self) -> None:
         super().__init__()
         self.take_late: TakeLate | None = None
 
-    def rest(self, take_late: TakeLate | None) -> None:
-        if take_late is None and self.take_late is not None:
-            self.take_late(OdometryInput(Odometry(1.0, Pose(), Twist())), 10.0)
+    def gather(self, take_late: TakeLate | None) -> None:
+        if take_late is None:
+            self.read()
         self.take_late = take_late
 
     def read(self) -> None:
-        pass
+        if self.take_late is not None:
+            self.take_late(OdometryInput(Odometry(1.0, Pose(), Twist())), 10.0)
 
 
-async def test_an_event_ends_the_rest_of_the_driver_before_the_robot_gets_it(
-    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    driver, stop = RestingDriver(), asyncio.Event()
+PARAM = ParamRequest(id="p1", operator="anna", targets={"tb3-01": None}, params={"speed": 0.1})
+
+
+def _stopping(kind: type[StopRequest] | type[EstopRequest]) -> RequestInput:
+    return RequestInput(kind(id="s1", operator="anna"))
+
+
+async def inputs_of(
+    settings: DaemonSettings,
+    monkeypatch: pytest.MonkeyPatch,
+    act: Callable[[Daemon], object],
+) -> list[tuple[type[Input], float]]:
+    """The kinds and times of the inputs of the robot in `act`, while its driver gathers."""
+    driver, stop = GatheringDriver(), asyncio.Event()
     daemon = Daemon(settings, driver)
     taken: list[tuple[type[Input], float]] = []
     original = daemon._robot.step
@@ -170,19 +184,110 @@ async def test_an_event_ends_the_rest_of_the_driver_before_the_robot_gets_it(
         taken.append((type(input), now))
         return original(input, now)
 
-    def end_rest() -> None:
+    def when_gathering() -> None:
         if driver.take_late is None:
-            asyncio.get_running_loop().call_later(0.05, end_rest)
+            asyncio.get_running_loop().call_later(0.05, when_gathering)
             return
         monkeypatch.setattr(daemon._robot, "step", step)
-        daemon.step(NoteInput("an event"))
+        act(daemon)
         monkeypatch.setattr(daemon._robot, "step", original)
         stop.set()
 
-    await run(daemon, stop, end_rest)
-    (first, arrived), (second, now) = taken
-    assert (first, second) == (OdometryInput, NoteInput)
+    await run(daemon, stop, when_gathering)
+    return taken
+
+
+@pytest.mark.parametrize(
+    "input",
+    [TickInput(), HostInput(HostDied(0, "gone")), NoteInput("an event"), RequestInput(PARAM)],
+)
+async def test_a_decision_is_made_with_all_odometry_that_has_arrived(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch, input: Input
+) -> None:
+    (first, arrived), (second, now) = await inputs_of(
+        settings, monkeypatch, lambda daemon: daemon.step(input)
+    )
+    assert (first, second) == (OdometryInput, type(input))
     assert arrived <= now - 10.0
+
+
+@pytest.mark.parametrize("input", [_stopping(StopRequest), _stopping(EstopRequest), LeaveInput()])
+async def test_a_stop_waits_for_no_odometry(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch, input: Input
+) -> None:
+    taken = await inputs_of(settings, monkeypatch, lambda daemon: daemon.step(input))
+    assert [kind for kind, _ in taken] == [type(input)]
+
+
+async def test_a_recording_begins_with_odometry_that_is_no_longer_gathered(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def begin(daemon: Daemon) -> None:
+        daemon._head()
+        daemon.step(LeaveInput())
+
+    taken = await inputs_of(settings, monkeypatch, begin)
+    assert [kind for kind, _ in taken] == [OdometryInput, LeaveInput]
+
+
+async def test_every_second_tick_looks_at_the_network_and_each_tick_after_an_event(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon, stop = Daemon(settings, RecordingDriver()), asyncio.Event()
+    waits: list[bool] = []
+
+    def count_waits() -> int:
+        waits.clear()
+        for _ in range(6):
+            daemon._timer.periods += 1
+            daemon._on_tick()
+        return waits.count(True)
+
+    counts: list[int] = []
+
+    def look() -> None:
+        monkeypatch.setattr(daemon._network, "advance", lambda *, may_wait: waits.append(may_wait))
+        for input in (NoteInput("an event"), HostInput(HostDied(0, "gone"))):
+            daemon._active_until = 0.0
+            counts.append(count_waits())
+            daemon.step(input)
+            counts.append(count_waits())
+        stop.set()
+
+    await run(daemon, stop, look)
+    assert counts == [3, 0, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("due_in", "may_wait", "is_looked_at"),
+    [(1.0, True, False), (1.0, False, True), (0.0, True, True)],
+)
+async def test_what_is_due_on_the_network_never_waits(
+    settings: DaemonSettings,
+    monkeypatch: pytest.MonkeyPatch,
+    due_in: float,
+    may_wait: bool,
+    is_looked_at: bool,
+) -> None:
+    daemon, stop = Daemon(settings, RecordingDriver()), asyncio.Event()
+    looks: list[float] = []
+
+    def look() -> None:
+        peer = daemon._network._peer
+        assert peer is not None
+        wake_at, advance = boottime() + due_in, peer.advance
+
+        def noted(now: float, summary: Summary) -> PeerActions:
+            looks.append(now)
+            return advance(now, summary)
+
+        monkeypatch.setattr(peer, "wake_at", lambda: wake_at)
+        monkeypatch.setattr(peer, "advance", noted)
+        daemon._network.advance(may_wait=may_wait)
+        stop.set()
+
+    await run(daemon, stop, look)
+    assert bool(looks) is is_looked_at
 
 
 class GrippingDriver(RecordingDriver):

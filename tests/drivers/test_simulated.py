@@ -332,15 +332,17 @@ async def test_the_radio_of_the_world_carries_messages_in_their_order(
 
 
 @story(Body)
-async def test_odometry_waits_for_a_scan_or_a_reading_while_the_robot_rests(
+async def test_odometry_waits_in_the_socket_for_a_scan_or_a_decision(
     harness: DriverHarness, robot: Body
 ) -> None:
     driver, sink, loop = harness.driver, harness.sink, asyncio.get_running_loop()
     assert isinstance(driver, SimulatedDriver)
     late: list[tuple[float, float]] = []  # stamps and times of arrival
+    scans_before: list[int] = []  # the number of the last scan when odometry was taken
 
     def take_late(input: OdometryInput, age: float) -> None:
         late.append((input.odometry.stamp, loop.time() - age))
+        scans_before.append(sink.scans[-1].seq)
 
     def publish_at(stamp: float) -> tuple[float, float]:
         """Publish odometry; the times before and after."""
@@ -366,25 +368,30 @@ async def test_odometry_waits_for_a_scan_or_a_reading_while_the_robot_rests(
         robot.publish_scan(scan(500))
         while sink.scans[-1].seq != 500:
             await asyncio.sleep(POLL_PERIOD)
-        driver.rest(take_late)
+        driver.gather(take_late)
         publish_at(1.0)
         sent = publish_at(1.05)
         await asyncio.sleep(0.1)
         assert not late
         assert_time_of(1.05, sent, driver.read)  # as of a tick
-        assert len(late) == 1  # the newest reading alone
+        assert [stamp for stamp, _ in late] == [1.0, 1.05]
+        assert late[0][1] <= late[1][1]  # the link knows the time of the last frame alone
         last_read = loop.time()
         publish_at(1.2)
         await asyncio.sleep(0.1)
         robot.publish_scan(scan(501))
-        while not (has(1.2) and sink.scans[-1].seq == 501):  # the scan wakes the loop
+        publish_at(1.21)
+        while not (has(1.21) and sink.scans[-1].seq == 501):  # the scan wakes the loop
             await asyncio.sleep(POLL_PERIOD)
-        by_stamps = late[-2][1] + 0.15
-        assert min(by_stamps, last_read - 0.005) <= late[-1][1] <= max(by_stamps, last_read) + 0.005
+        # The decision on a scan uses the newest reading, which comes first.
+        assert late[-2][0] == 1.2
+        assert scans_before[-2:] == [500, 500]
+        by_stamps = late[-3][1] + 0.15
+        assert min(by_stamps, last_read - 0.005) <= late[-2][1] <= max(by_stamps, last_read) + 0.005
         sent = publish_at(1.22)
         await asyncio.sleep(0.05)
         # As at an event of the robot: nothing waits from now on.
-        assert_time_of(1.22, sent, lambda: driver.rest(None))
+        assert_time_of(1.22, sent, lambda: driver.gather(None))
         count = len(late)
         publish_at(1.25)
         while sink.odometries[-1].stamp != 1.25:
@@ -392,7 +399,7 @@ async def test_odometry_waits_for_a_scan_or_a_reading_while_the_robot_rests(
         robot.send("neighbors", encode_input(NeighborsInput(())))
         while not sink.taken["neighbors"]:
             await asyncio.sleep(POLL_PERIOD)
-        driver.rest(take_late)  # without effect: the time of arrival of neighbours would be lost
+        driver.gather(take_late)  # without effect: the time of arrival of neighbours would be lost
         publish_at(1.3)
         while sink.odometries[-1].stamp != 1.3:
             await asyncio.sleep(POLL_PERIOD)
