@@ -234,8 +234,9 @@ def _parameters(path: Path) -> Mapping[str, Any]:
     try:
         contents = yamlfile.read(path)
     except ConfigError as error:
-        text = "expected a parameter file of ROS2swarm, such as attraction_pattern.yaml"
-        raise ConfigError(f"{error}; {text}") from error
+        raise ConfigError(
+            f"{error}; expected a parameter file of ROS2swarm, such as attraction_pattern.yaml"
+        ) from error
     nodes = [
         (node, content[_NODE_PARAMETERS])
         for node, content in contents.items()

@@ -213,9 +213,7 @@ def run(
 
 def _exit_code(finished: int, *, is_complete: bool) -> int:
     """0 if all runs finished (`is_complete`), PARTIAL if some did, FAILED if none did."""
-    if is_complete:
-        return 0
-    return PARTIAL if finished else FAILED
+    return 0 if is_complete else PARTIAL if finished else FAILED
 
 
 def _spare_cores(plan: Plan, jobs: int | None) -> int | None:
@@ -482,8 +480,9 @@ def list_metrics(is_json: bool) -> None:
     keys = ("name", "unit", "better", "meaning", "source")
     known = (*METRICS.values(), *installed_metrics().values())
     listed = [{key: getattr(m, key) for key in keys} for m in known]
-    rest = keys[1:]
-    listed += [{"name": m.usage, **{key: getattr(m, key) for key in rest}} for m in KINDS.values()]
+    listed += [
+        {"name": m.usage, **{key: getattr(m, key) for key in keys[1:]}} for m in KINDS.values()
+    ]
     if is_json:
         print_json("Metrics", {"metrics": listed})
         return
@@ -583,8 +582,8 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
     click.echo("p of permutations, or of the log-rank test, with Holm's correction\n")
     print_table(DIFFERENCE_HEADER, [difference_row(difference) for difference in differences])
     differing = sum(d.differs for d in differences)
-    noun = "metric differs" if len(differences) == 1 else "metrics differ"
-    click.echo(f"\n{differing} of {len(differences)} {noun}", nl=False)
+    verb = "differs" if len(differences) == 1 else "differ"
+    click.echo(f"\n{differing} of {counted(len(differences), 'metric')} {verb}", nl=False)
     # Intervals of 95 %: of metrics without a true difference, 5 % still differ.
     by_chance = 0.05 * sum(d.interval is not None for d in differences)
     click.echo(f"; {by_chance:.2g} would by chance if nothing did", nl=False)

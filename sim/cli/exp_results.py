@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form
     from swarmd.sim.experiments.requirements import RequirementFinding
     from swarmd.sim.experiments.results import Results
-    from swarmd.sim.experiments.simulate import Progress
     from swarmd.sim.metrics.metric import Metric
 
 _MODULES = {
@@ -60,6 +59,7 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments.export import export as exported
     from swarmd.sim.experiments.results import load_results
+    from swarmd.sim.experiments.simulate import Progress
 
     results = load_results(folder)
     written: list[Path] = []
@@ -70,17 +70,19 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
             for path in exported(results, cast("Form", form), target_folder, traces=not no_traces):
                 written.append(path)
                 traces_done = sum(file.stem != "results" for file in written)
-                show(_progress_of_export(traces_done, total_traces))
+                # All traces count as equal work.
+                show(
+                    Progress(
+                        traces_done,
+                        total_traces,
+                        failed=0,
+                        worked=float(traces_done),
+                        left=float(total_traces - traces_done),
+                    )
+                )
     finally:  # after an error the user also gets the names of the files that are written
         # Only now: the progress bar would overwrite the names.
         click.echo("\n".join(map(str, written)))
-
-
-def _progress_of_export(done: int, total: int) -> Progress:
-    """The progress after `done` of `total` traces, of which all count as equal work."""
-    from swarmd.sim.experiments.simulate import Progress
-
-    return Progress(done, total, failed=0, worked=float(done), left=float(total - done))
 
 
 @click.command()
@@ -205,9 +207,7 @@ def _refuse_recordings(folder: Path) -> None:
     """Raise ConfigError for a folder with recordings that is no experiment."""
     from swarmd.sim.experiments.manifest import NAME
 
-    has_recordings = folder.is_dir() and any(folder.rglob("*.mcap"))
-    has_manifest = (folder / NAME).exists()
-    if has_recordings and not has_manifest:
+    if not (folder / NAME).exists() and folder.is_dir() and any(folder.rglob("*.mcap")):
         raise ConfigError(
             f"{folder}: a folder of recordings; expected an experiment or one file, such as"
             f" that of: swarmctl record merge {folder} -o {folder.name}.mcap"
@@ -303,12 +303,14 @@ def plot(
     planned runs are missing.
     """
     need("matplotlib")
+    from swarmd.sim.experiments.plan import parse_seeds
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.plots.figures import Look, draw_experiment
 
     if seeds and out is None:  # a folder of their own: the pictures of all runs stay as they are
         out = folder / "plots" / f"seeds-{seeds}"
-    chosen_seeds = None if seeds is None else _seeds_to_draw(seeds)
+    # A single number is a seed here, not a number of seeds.
+    seeds_text = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
     inches = None if width is None else parse_width(width)
     results = load_results(folder, is_trusted=is_trusted)
     target_by_name = parse_targets(targets)
@@ -324,19 +326,18 @@ def plot(
     chosen = metrics_of(results, metrics)
     # `draw_experiment` loads the folder again, without trust. That is no obstacle: the metrics of
     # `chosen` hold the code that `is_trusted` has allowed.
-    paths = draw_experiment(folder, out, metrics=chosen, seeds=chosen_seeds, look=look)
+    paths = draw_experiment(
+        folder,
+        out,
+        metrics=chosen,
+        seeds=parse_seeds(seeds_text) if seeds_text else None,
+        look=look,
+    )
     for path in paths:
         click.echo(str(path))
     if not paths:
         warn("nothing differs between runs; for paths from above: --only runs,trajectories")
     exit_if_incomplete(results)
-
-
-def _seeds_to_draw(text: str) -> Sequence[int]:
-    """The seeds of `plot --seeds`. A single number is a seed, not a number of seeds."""
-    from swarmd.sim.experiments.plan import parse_seeds
-
-    return parse_seeds(f"{text}-{text}" if text.isdecimal() else text)
 
 
 def metrics_of(results: Results, text: str | None) -> Sequence[Metric] | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -128,7 +127,7 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
         names = list(spec.robots)
         shown = {key: config[key] for key in ("platform", "driver", "driver_options")}
         with suppress(KeyboardInterrupt):
-            click.echo(f"{counted(len(names), 'base')} up: {_ends(names)}")
+            click.echo(f"{counted(len(names), 'base')} up: {', '.join(names)}")
             click.echo("add to the file of each daemon:")
             click.echo(text_of(shown, flow=None).rstrip())
             _report_ends(fleet)
@@ -164,7 +163,8 @@ def _print_usage(spec: FleetSpec) -> None:
         warn(f"the simulated robots have no keys; a secured swarm {spec.swarm} ignores them")
         swarmctl += " --insecure"
     names = list(spec.robots)
-    click.echo(f"{counted(len(names), 'robot')} up in swarm {spec.swarm}: {_ends(names)}")
+    to_last = f" to {names[-1]}" if names[1:] else ""
+    click.echo(f"{counted(len(names), 'robot')} up in swarm {spec.swarm}: {names[0]}{to_last}")
     print_section(
         "In another terminal:",
         [
@@ -175,11 +175,6 @@ def _print_usage(spec: FleetSpec) -> None:
         ],
     )
     click.echo(f"Logs: {spec.folder}/  Ctrl-C ends everything.")
-
-
-def _ends(names: Sequence[str]) -> str:
-    """The first and the last name; a single name once."""
-    return " to ".join(dict.fromkeys((names[0], names[-1])))
 
 
 def _runs(spec: FleetSpec, swarmctl: str) -> list[tuple[str, str]]:

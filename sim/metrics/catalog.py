@@ -107,8 +107,10 @@ def metric_of(
         return metric_of_file(name, digest)
     installed = installed_metrics()
     if name not in installed:
-        text = unknown("metric", name, (*METRICS, *KINDS, *installed, *others))
-        raise ConfigError(f"{text} (one in a file of your own: FILE.py:{name.rpartition(':')[2]})")
+        raise ConfigError(
+            f"{unknown('metric', name, (*METRICS, *KINDS, *installed, *others))}"
+            f" (one in a file of your own: FILE.py:{name.rpartition(':')[2]})"
+        )
     return installed[name]
 
 

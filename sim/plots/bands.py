@@ -14,6 +14,7 @@ from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.theme import (
     GUIDE_COLOUR,
     NOTE,
+    PALE,
     fit,
     in_order,
     new_figure,
@@ -36,7 +37,7 @@ _ROUNDING = 1e-9
 _TWO_COLUMNS = 5.0  # inches of a figure of a paper in which panels stand side by side
 _MAX_OUTER = 3  # variants up to which wide bands are drawn
 _MAX_INNER = 7  # variants up to which bands of half of the runs are drawn
-_PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
+_OWN_PANELS = 4  # variants that have a panel each
 
 
 def series_figure(
@@ -54,9 +55,10 @@ def series_figure(
     """A figure of a metric over time, with a panel for each facet.
 
     The line of a variant is the median of its runs. A dark band holds half of the runs. A pale band
-    holds 95 % of the runs, or all if there are fewer than MANY_RUNS. With many variants bands are
-    left out. If all values are 0 or 1, the line is the share of runs at 1, and the band is the 95 %
-    interval of this share.
+    holds 95 % of the runs, or all if there are fewer than MANY_RUNS. Four variants of one facet
+    have a panel each, with the medians of the others in grey, but not in a column of a paper. With
+    many variants bands are left out. If all values are 0 or 1, the line is the share of runs at 1,
+    and the band is the 95 % interval of this share.
 
     - `facets`: by panel, the runs of each variant. A variant has one colour in all panels.
     - `target`: the value of a dashed line.
@@ -75,12 +77,24 @@ def series_figure(
         raise SwarmError(f"{label}: no run has values over time: nothing to draw")
     is_share = is_yes_or_no(all_runs)
 
-    # 2. The panels.
-    legend = Legend.of(
+    # 2. The panels. If bands of one panel would cover each other, each variant has its own.
+    legend = shown_legend = Legend.of(
         {name: len(runs) for name, runs in variants.items()} for variants in drawn.values()
     )
-    figure, panels = new_series_figure(list(drawn), legend, width)
+    behind: Mapping[str, Sequence[Series]] = {}
+    is_column = width is not None and width < _TWO_COLUMNS
+    if len(drawn) == 1 and len(legend.counts) == _OWN_PANELS and not is_column:
+        (behind,) = drawn.values()
+        drawn = {
+            f"{legend_title} {legend.text(name)}".strip(): {name: behind[name]}
+            for name in legend.counts
+        }
+        shown_legend = Legend({"": 0})
+    figure, panels = new_series_figure(list(drawn), shown_legend, width)
     for axes, variants in zip(panels, drawn.values(), strict=True):
+        for runs in behind.values():
+            other = shares_of(runs) if is_share else bands_of(runs)
+            axes.plot(other.t, other.middle, color="0.8", linewidth=1.0)
         for name, runs in variants.items():
             bands = shares_of(runs) if is_share else bands_of(runs)
             _paint_variant(axes, bands, legend.style(name), len(variants), legend.text(name))
@@ -93,10 +107,13 @@ def series_figure(
             axes.locator_params(axis="y", integer=True)
 
     # 3. The texts.
-    note = f"; running mean over {smoothing:g} s" if smoothing > 0.0 else ""
-    explanation = _explanation(runs_of_variants, len(legend.counts), is_share=is_share) + note
+    explanation = _explanation(runs_of_variants, len(shown_legend.counts), is_share=is_share)
+    explanation += "; grey: the other medians" if behind else ""
+    explanation += f"; running mean over {smoothing:g} s" if smoothing > 0.0 else ""
     text = f"{label}: share of runs" if is_share else f"{label} [{unit or '1'}]"
-    return finish_series(figure, panels, text, title, explanation, legend, width, legend_title)
+    return finish_series(
+        figure, panels, text, title, explanation, shown_legend, width, legend_title
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,15 +151,17 @@ def new_series_figure(
     """
     legend_lines = 0 if len(legend.counts) == 1 else len(legend.counts)
     count = len(panels)
-    columns = count if width is None or width >= _TWO_COLUMNS else 1
+    columns = 1 if width and width < _TWO_COLUMNS else 2 if count == _OWN_PANELS else count
     rows = -(-count // columns)  # rounded up
     if width is not None:
         figure = new_figure(width, 0.62 * width / columns * rows + 0.15 * legend_lines)
     else:
         longest = max(map(len, map(legend.text, legend.counts)))
         legend_width = 0.9 + 0.07 * longest if legend_lines else 0.0
-        panels_width = 7.5 if count == 1 else 4.2 * count
-        figure = new_figure(panels_width + legend_width, max(4.2, 0.9 + 0.22 * legend_lines))
+        panels_width = 7.5 if count == 1 else 4.2 * columns
+        figure = new_figure(
+            panels_width + legend_width, max(4.2, 3.2 * rows, 0.9 + 0.22 * legend_lines)
+        )
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, name in zip(grid.flat, panels, strict=True):
         tidy(axes)
@@ -215,13 +234,13 @@ def paint_target(axes: Axes, target: float) -> None:
     axes.axhline(target, color=GUIDE_COLOUR, linestyle=(0, (5, 3)), linewidth=1.1, zorder=1.8)
     axes.annotate(f"target {target:g}", (1.0, target), xycoords=("axes fraction", "data"),
                   xytext=(-2, 3), textcoords="offset points", ha="right", fontsize=8,
-                  color=GUIDE_COLOUR, bbox=_PALE)  # fmt: skip
+                  color=GUIDE_COLOUR, bbox=PALE)  # fmt: skip
 
 
 def _paint_event(axes: Axes, time: float, word: str) -> None:
     axes.axvline(time, color=GUIDE_COLOUR, linestyle=":", linewidth=1.0, zorder=1.8)
     axes.annotate(word, (time, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -3),
-                  textcoords="offset points", rotation=90, va="top", fontsize=7.5, bbox=_PALE,
+                  textcoords="offset points", rotation=90, va="top", fontsize=7.5, bbox=PALE,
                   color=GUIDE_COLOUR, zorder=2.5)  # fmt: skip
 
 

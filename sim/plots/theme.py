@@ -36,6 +36,8 @@ a grey, so that ten differ."""
 
 CONTACT_COLOUR = "#CC0000"
 GUIDE_COLOUR = "0.35"
+PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
+"""The box behind a text in the data."""
 
 
 def new_figure(width: float, height: float, *, is_map: bool = False) -> Figure:

@@ -13,7 +13,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.plots import scene
-from swarmd.sim.plots.theme import CONTACT_COLOUR, GUIDE_COLOUR, NOTE, fit, new_figure
+from swarmd.sim.plots.theme import CONTACT_COLOUR, GUIDE_COLOUR, NOTE, PALE, fit, new_figure
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import radius
 from swarmd.sim.world.scalar_fields import Field
@@ -27,6 +27,7 @@ MANY_COLOUR = "#440154"  # the end of the colours of time
 MAX_NAMED = 20
 """Up to so many robots, each has a colour and a line in the legend."""
 _COLUMNS = 4  # of a legend below
+_CELL = 0.1  # of the width of a map
 BOTH, ONE, NONE, OTHER = (
     "contact, both moving",
     "contact, one moving",
@@ -195,13 +196,23 @@ def marks_of(trace: Trace) -> list[Mark]:
 
 
 def paint_contacts(axes: Axes, marks: list[Mark], *, size: float) -> None:
-    """A red-edged mark of `size` points at each contact; marker and face show what was moving."""
+    """Red-edged marks of `size` points at contacts; marker and face show what was moving.
+
+    Contacts of one kind in a cell (_CELL of the axes' width) have one mark with their number, since
+    robots that rub against each other have a hundred.
+    """
     for kind, (marker, face) in MARKS.items():
-        places = [mark.place for mark in marks if mark.kind == kind]
-        if places:
-            x, y = zip(*places, strict=True)
-            axes.scatter(x, y, s=size**2, marker=marker, facecolors=face,
+        places = np.array([mark.place for mark in marks if mark.kind == kind]).reshape(-1, 2)
+        cells = np.round(places / (_CELL * np.ptp(axes.get_xlim())))
+        for at in np.unique(cells, axis=0):
+            inside = places[(cells == at).all(axis=1)]
+            place = inside.mean(axis=0)
+            axes.scatter(place[0], place[1], s=size**2, marker=marker, facecolors=face,
                          edgecolors=CONTACT_COLOUR, linewidths=1.0, zorder=6.0)  # fmt: skip
+            if len(inside) > 1:
+                axes.annotate(f"{len(inside)}", place, xytext=(0.65 * size, 0.0), va="center",
+                              textcoords="offset points", fontsize=max(size, 6.0), zorder=6.5,
+                              color=CONTACT_COLOUR, bbox=PALE)  # fmt: skip
 
 
 def _place(trace: Trace, time: float, rows: list[int]) -> tuple[float, float]:

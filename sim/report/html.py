@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from collections.abc import Sequence
 from html import escape
@@ -11,13 +12,17 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+import numpy as np
+
 from swarmd.core.errors import SwarmError
+from swarmd.core.values import Array
 from swarmd.settings.yamlfile import text_of
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
-from swarmd.sim.experiments.results import Results, load_results
-from swarmd.sim.experiments.statistics import FEW, METHOD
+from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
+from swarmd.sim.experiments.statistics import FEW, METHOD, number
+from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.metric import Metric
-from swarmd.sim.plots.select import primary_metric, typical_first
+from swarmd.sim.plots.select import label_of, primary_metric, typical_first
 from swarmd.sim.report.figures import figures_html, figures_of
 from swarmd.sim.report.player import Player, player_of, script
 from swarmd.sim.report.tables import (
@@ -91,6 +96,7 @@ def report_of(
     ]
     return page(
         title=Path(results.plan.scenario).stem,
+        sentence=sentence_of(results, metrics),
         question=_question(manifest),
         summary=_summary(results, manifest),
         sections=sections,
@@ -105,14 +111,15 @@ def page(
     question: str,
     summary: str,
     sections: Sequence[tuple[str, str, str]],
+    sentence: str = "",
     data: str = "",
     player: Player | None = None,
 ) -> str:
     """The HTML of a report: one page with styles, data and scripts inside.
 
-    `question`: the text below the title. `sections`: id, title and HTML of each; a section without
-    HTML is left out. `data`: further elements as HTML, such as those of `data_element`. `player`:
-    the data of the run that the section of `player_section` plays, or None.
+    `sentence`: the answer in short; `question`: the text below. `sections`: id, title and HTML of
+    each; a section without HTML is left out. `data`: further elements as HTML, such as those of
+    `data_element`. `player`: the data of the run that the section of `player_section` plays.
     """
     code = ""
     if player is not None:
@@ -126,6 +133,7 @@ def page(
     ]
     return Template((templates / "report.html").read_text(encoding="utf-8")).substitute(
         title=escape(title),
+        sentence=f'<p id="sentence">{escape(sentence)}</p>' if sentence else "",
         question=escape(question),
         summary=escape(summary),
         style=(templates / "report.css").read_text(encoding="utf-8"),
@@ -171,8 +179,39 @@ def _summary(results: Results, manifest: Manifest) -> str:
     many = f"{len(results.variants)} variants, " if len(results.variants) > 1 else ""
     failed = f", {len(results.failures)} failed" if results.failures else ""
     runs = f"{many}{len(results.runs)} of {len(results.plan.runs)} runs{failed}"
-    version = manifest.made_with.get("swarmd", "")
-    return f"{runs} of {duration:g} s; made with swarmd {version}, {manifest.created}"
+    made = f"made with swarmd {manifest.made_with.get('swarmd', '')}, {manifest.created}"
+    return f"{runs} of {duration:g} s; {made}"
+
+
+def sentence_of(results: Results, metrics: Sequence[Metric] | None) -> str:
+    """The answer in short, such as `gathering: 17 of 20 against 0 of 20`; empty without values.
+
+    It tells the metric that ranks runs, and without `metrics` an event if it happened. Of more than
+    two variants it tells the least and the greatest.
+    """
+    metric = primary_metric(
+        results, metrics or [METRICS["consensus_time"], METRICS["gather_time"]]
+    ) or primary_metric(results, None)
+    if metric is None:
+        return ""
+    found = [
+        (*_outcome(results.metric(metric, name), metric), name)
+        for name in results.variants
+        if results.seeds(name)
+    ]
+    chosen = found if len(found) < 3 else [min(found), max(found)]
+    texts = [f"{text} ({name})" if name else text for _, text, name in chosen]
+    return f"{metric.event or label_of(metric.name)}: {' against '.join(texts)}"
+
+
+def _outcome(values: Array, metric: Metric) -> tuple[float, str]:
+    """The share of runs with an event or a true value, else the mean; and its text."""
+    known = values[np.isfinite(values)]
+    if metric.is_time_to_event or metric.unit == YES_OR_NO:
+        count = known.size if metric.is_time_to_event else int(known.sum())
+        return count / values.size, f"{count} of {values.size}"
+    mean = float(known.mean()) if known.size else math.nan
+    return mean, f"{number(mean)} {'' if metric.unit == 'share' else metric.unit}".strip()
 
 
 def _results(results: Results, first: Sequence[Metric], others: Sequence[Metric]) -> str:
@@ -191,8 +230,8 @@ def _results(results: Results, first: Sequence[Metric], others: Sequence[Metric]
         parts.append(f"<h3>{escape(name)}</h3>" if name else "")
         parts.append(metrics_table(results, name, first) if first else "")
         if others:
-            rest = metrics_table(results, name, others)
-            parts.append(f"<details><summary>All other metrics</summary>{rest}</details>")
+            parts.append("<details><summary>All other metrics</summary>")
+            parts.append(f"{metrics_table(results, name, others)}</details>")
     parts.append(
         '<p class="narrow dim">A wider window shows median, least, largest and runs too.</p>'
     )
@@ -201,16 +240,13 @@ def _results(results: Results, first: Sequence[Metric], others: Sequence[Metric]
 
 
 def _scenario(results: Results, manifest: Manifest) -> str:
-    values = _given(dict(manifest.variants[0].effective))
-    text = text_of(values, width=90)
-    parts = []
-    if results.plan.sweep:
-        swept = "; ".join(
-            f"{key}: {', '.join(map(str, values))}" for key, values in results.plan.sweep.items()
-        )
-        parts.append(f"<p>Swept: {escape(swept)}. The scenario of the first variant:</p>")
-    parts.append(f"<pre>{escape(text)}</pre>")
-    return "\n".join(parts)
+    swept = "; ".join(
+        f"{key}: {', '.join(map(str, values))}" for key, values in results.plan.sweep.items()
+    )
+    text = text_of(_given(dict(manifest.variants[0].effective)), width=90)
+    which = f"<p>Swept: {escape(swept)}.</p>" if swept else ""
+    head = "The scenario of the first variant" if swept else "The whole scenario"
+    return f"{which}<details><summary>{head}</summary><pre>{escape(text)}</pre></details>"
 
 
 def _given(value: Any) -> Any:
@@ -221,10 +257,12 @@ def _given(value: Any) -> Any:
 
 
 def _again(folder: Path, manifest: Manifest) -> str:
-    lines = [f"swarmctl exp rerun {shlex.quote(str(folder))}   # repeats it, bit by bit"]
-    if manifest.command:
-        lines.insert(0, shlex.join(manifest.command))
-    lines.append(f"swarmctl exp report {shlex.quote(str(folder))}   # this report")
+    place = shlex.quote(str(folder))
+    lines = [
+        *([shlex.join(manifest.command)] if manifest.command else []),
+        f"swarmctl exp rerun {place}   # repeats it, bit by bit",
+        f"swarmctl exp report {place}   # this report",
+    ]
     return f"<pre>{escape(chr(10).join(lines))}</pre>"
 
 

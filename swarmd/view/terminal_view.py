@@ -289,8 +289,10 @@ def _with_status(member: SeenMember, status: Status) -> SeenMember:
 
 
 def _searched(status: Status) -> str:
-    words = (state_word(status), status.state, status.reason, status.pattern, status.platform)
-    return " ".join(filter(None, words))
+    return (
+        f"{state_word(status)} {status.state} {status.reason or ''} {status.pattern or ''}"
+        f" {status.platform}"
+    )
 
 
 async def _wait(event: asyncio.Event, timeout: float) -> None:

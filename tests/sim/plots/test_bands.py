@@ -50,7 +50,7 @@ def note(figure: Figure) -> str:
         (1, 2, 1, "line: median, bands: all of the runs, n = 2"),
         (1, 5, 2, "line: median, bands: 50 % and all of the runs, n = 5"),
         (2, 20, 4, "line: median, bands: 50 % and 95 % of the runs"),
-        (4, 20, 4, "line: median, bands: 50 % of the runs"),
+        (5, 20, 5, "line: median, bands: 50 % of the runs"),
         (9, 20, 0, "line: median"),
     ],
 )
@@ -59,6 +59,19 @@ def test_few_variants_have_more_bands(variants: int, count: int, bands: int, say
     assert len(figure.axes[0].lines) == variants
     assert len(figure.axes[0].collections) == bands
     assert note(figure) == says
+
+
+def test_four_variants_have_a_panel_each_with_all_bands_and_the_others_in_grey() -> None:
+    groups = {f"0.{k}": runs(20) for k in range(4)}
+    figure = drawn(groups, label="gap", legend_title="spacing [m]")
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == [f"spacing [m] 0.{k} (n = 20)" for k in range(4)]
+    for axes in figure.axes:
+        assert (len(axes.lines), len(axes.collections)) == (5, 2)
+        assert [line.get_color() for line in axes.lines[:4]] == ["0.8"] * 4
+    assert len({axes.lines[4].get_color() for axes in figure.axes}) == 4
+    assert figure.legends == []
+    assert len(drawn(groups, label="gap", width=3.5).axes) == 1  # a column of a paper
 
 
 def test_the_legend_counts_the_runs() -> None:

@@ -14,6 +14,7 @@ from swarmd.sim.plots.trajectories import (
     NONE,
     ONE,
     OTHER,
+    Mark,
     marks_of,
     overview_figure,
     paint_contacts,
@@ -63,12 +64,18 @@ def test_robots_that_are_pushed_together_do_not_move() -> None:
     assert mark.place == pytest.approx(tuple(trace.pose[5, :, :2].mean(axis=0)))
 
 
-def test_each_kind_of_contact_is_painted_with_all_its_marks() -> None:
+def test_contacts_of_a_kind_at_one_place_have_one_mark_with_their_number() -> None:
     axes = new_figure(3.0, 3.0).add_subplot()
+    axes.set_xlim(-2.0, 2.0)
     marks = marks_of(full(2))
     assert [mark.kind for mark in marks] == [BOTH, ONE, OTHER]  # a long contact has one
-    paint_contacts(axes, [*marks, marks[0]], size=8.0)
-    assert [len(np.asarray(dots.get_offsets())) for dots in axes.collections] == [2, 1, 1]
+    near, far = Mark(BOTH, (1.31, 1.0)), Mark(BOTH, (-1.0, 1.0))
+    paint_contacts(axes, [*marks, *[Mark(BOTH, (1.29, 1.0)), near] * 50, far], size=8.0)
+    (x, y), *others = (np.asarray(dots.get_offsets())[0] for dots in axes.collections)
+    assert len(others) == 4  # the far one, and one of each kind
+    assert (-1.0, 1.0) in {(x, y), *map(tuple, others)}
+    assert any(np.allclose(place, (1.3, 1.0)) for place in [(x, y), *others])
+    assert [text.get_text() for text in axes.texts] == ["100"]
 
 
 def note(figure: Figure) -> str:

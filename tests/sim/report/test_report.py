@@ -14,8 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 from swarmd.sim.cli.exp import exp
+from swarmd.sim.experiments.plan import Plan, Variant
+from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
-from swarmd.sim.report.html import data_element
+from swarmd.sim.experiments.store import Row
+from swarmd.sim.report.html import data_element, sentence_of
 from swarmd.sim.report.player import player_of, script
 from swarmd.sim.view.trace_source import source_of
 from tests.support.chromium import Browser, Page
@@ -60,6 +63,42 @@ def test_the_sections_and_the_question(document: Document) -> None:
     assert document.sections == wanted  # without contacts: there were none
     assert document.text_of("question") == "Do two Burgers <gather>?"
     assert document.open_elements == []
+    assert document.text_of("sentence").startswith("mean distance to centroid late: ")
+    assert "detailssummaryThe scenario of the first variant" in document.outline
+
+
+@pytest.mark.parametrize(
+    ("metric", "values", "sentence"),
+    [
+        (
+            "gather_time",
+            {"a": [20.0] * 17 + [None] * 3, "b": [None] * 20},
+            "gathering: 17 of 20 (a) against 0 of 20 (b)",
+        ),
+        ("one_cluster_at_end", {"": [1.0, 0.0, 1.0, 1.0]}, "one cluster at end: 3 of 4"),
+        (
+            "path_length",
+            {"a": [1.0, 3.0], "b": [6.0, 4.0], "c": [2.0, 4.0]},
+            "path length: 2 m (a) against 5 m (b)",
+        ),
+        ("path_length", {"": [None]}, ""),
+    ],
+)
+def test_the_sentence_tells_the_answer(
+    metric: str, values: dict[str, list[float | None]], sentence: str
+) -> None:
+    seeds = tuple(range(max(map(len, values.values()))))
+    plan = Plan("x", seeds, tuple(Variant(name, {}, {"duration": 60.0}) for name in values))
+    rows = [Row(run, {metric: values[run.variant.name][run.seed]}, 0.1) for run in plan.runs]
+    results = Results(Path("x"), plan, rows, {}, (metric,))
+    assert sentence_of(results, [results.about(metric)]) == sentence
+
+
+def test_the_sentence_of_a_report_without_metrics_is_of_an_event() -> None:
+    plan = Plan("x", (1, 2), (Variant("", {}, {"duration": 60.0}),))
+    rows = [Row(run, {"path_length": 1.0, "gather_time": 9.0}, 0.1) for run in plan.runs]
+    results = Results(Path("x"), plan, rows, {}, ("path_length", "gather_time"))
+    assert sentence_of(results, None) == "gathering: 2 of 2"
 
 
 def test_the_numbers_are_those_of_exp_show(document: Document, experiment: Path) -> None:
@@ -136,6 +175,10 @@ def test_the_player_plays_from_a_file(a_browser: Browser, experiment: Path) -> N
         )
         assert page.evaluate(_PLACES) == start
         assert page.evaluate("swarm.model.boxes.length") == 1
+        is_open = "document.querySelector('#scenario details').open"
+        assert page.evaluate(is_open) is False
+        page.evaluate("void dispatchEvent(new Event('beforeprint'))")
+        assert page.evaluate(is_open) is True  # paper cannot unfold it
         _fits(page, 1400)
         page.resize(390, 844, is_phone=True)
         _fits(page, 390)
@@ -161,6 +204,7 @@ class Document(HTMLParser):
         self.rows: list[list[str]] = []
         self.scripts: dict[str, str] = {}
         self.style = ""
+        self.outline = ""  # the details, and their summaries
         self._texts: dict[str, str] = {}
         self._id = self._script = ""
 
@@ -174,6 +218,8 @@ class Document(HTMLParser):
         if tag == "section":
             self.sections.append(values["id"])
         self.references += [(tag, str(v)) for k, v in attrs if k in ("src", "href", "srcset")]
+        if tag in ("details", "summary"):
+            self.outline += tag
         self._id = values.get("id") or ""
         if tag == "script":
             self._script = values.get("id") or values["type"]
@@ -193,6 +239,8 @@ class Document(HTMLParser):
             self.style += data
         elif inside in ("td", "th"):
             self.rows[-1][-1] += data
+        elif inside == "summary":
+            self.outline += data
         elif inside == "p":
             self._texts[self._id] = self._texts.get(self._id, "") + data
 
