@@ -29,7 +29,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences
+.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
 .DELETE_ON_ERROR:
 
 help:
@@ -48,6 +48,8 @@ help:
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
 	@echo "make budget    each budget beside a short measurement, in three minutes"
+	@echo "make arm64     tests, traces and a daemon on an emulated arm64; as root, half an hour at first"
+	@echo "make processors  which bits depend on the variant of x86-64, and by which function; ten minutes of a core"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; some six hours of a core"
@@ -176,6 +178,14 @@ bench-suite: $(VENV)/tools
 	@mkdir -p build
 	@$(BIN)/swarmctl exp bench --out build/bench_suite -o json $(ARGS) > build/bench_suite.json
 	@$(BIN)/python -m studies.benchmark_suite build/bench_suite.json
+
+# Debian 12 by qemu-user, in build/arm64.
+arm64: $(VENV)/tools
+	@.ci/try-arm64 $(BIN)/python $(ARGS)
+
+# Twelve scenarios in the variants of this processor; ARGS="--only doorway --share 0.2" runs less.
+processors: kernels
+	@$(BIN)/python -m studies.processors variants build/processors $(ARGS)
 
 # Every row of the budgets in three minutes.
 budget: $(VENV)/tools

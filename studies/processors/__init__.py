@@ -1,0 +1,1 @@
+"""Which bits of a run depend on the processor, and which function is the first cause."""
