@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.core import libm
 from swarmd.core.libm import digest_of_libm
 
 
@@ -33,3 +35,9 @@ def test_another_variant_of_the_mathematical_functions_is_reported() -> None:
         env={**os.environ, "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"},
     )
     assert done.stdout.strip() not in ("", digest_of_libm())
+
+
+def test_another_hypot_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = digest_of_libm()
+    monkeypatch.setattr(libm, "abs", lambda z: math.nextafter(abs(z), 9.0), raising=False)
+    assert digest_of_libm() != here
