@@ -66,8 +66,9 @@ class ForeignSwarm(Swarm):
 
     @property
     def status(self) -> Status:
-        """What the robot says of itself now."""
-        return self.statuses()[ROBOT]
+        """What the robot says of itself, once it is heard."""
+        self.wait(lambda seen: ROBOT in seen, "status")
+        return self.statuses().get(ROBOT) or self.status
 
     def state_within(self, seconds: float, wanted: State) -> State:
         """The state of the robot once it is as wanted, or after some seconds."""
