@@ -191,7 +191,7 @@ def test_a_reader_that_has_gone_does_not_cost_the_files(
         raise BrokenPipeError
 
     monkeypatch.setattr("swarmd.sim.cli.demo.print_section", fail)
-    monkeypatch.setattr("swarmd.sim.cli.demo.find_spec", lambda name: None)
+    monkeypatch.setattr("swarmd.sim.cli.options.find_spec", lambda name: None)
     with pytest.raises(BrokenPipeError):
         report(summary, tmp_path, is_json=False)
     assert (tmp_path / "summary.json").exists()
@@ -203,7 +203,7 @@ def test_without_matplotlib_only_the_picture_is_missing(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("swarmd.sim.cli.demo.find_spec", lambda name: None)
+    monkeypatch.setattr("swarmd.sim.cli.options.find_spec", lambda name: None)
     report(summary, tmp_path, is_json=False)
     captured = capsys.readouterr()
     assert captured.out.startswith("Summary\n")
