@@ -1,4 +1,4 @@
-"""Seven emulated drones with daemons: patterns, a lost link, a killed daemon, and the landing."""
+"""Emulated drones with daemons: patterns, a lost link, a killed daemon, and the landing."""
 
 from __future__ import annotations
 
@@ -81,10 +81,13 @@ def stop(operator: Operator, robots: Collection[str]) -> None:
 
 @pytest.mark.integration
 @pytest.mark.timeout(900)
-def test_seven_drones_survive_a_lost_link_and_a_killed_daemon_and_land(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [3, pytest.param(7, marks=pytest.mark.evidence)])
+def test_drones_survive_a_lost_link_and_a_killed_daemon_and_land(
+    tmp_path: Path, count: int
+) -> None:
     platform = tmp_path / "posed.yaml"
     platform.write_text(yaml.safe_dump(POSED))
-    robots = robot_ids("crazyflie", 7)
+    robots = robot_ids("crazyflie", count)
     spec = FleetSpec(
         swarm=unique_swarm(),
         robots=dict.fromkeys(robots, str(platform)),
@@ -166,7 +169,13 @@ def test_seven_drones_survive_a_lost_link_and_a_killed_daemon_and_land(tmp_path:
         before = nearest()
         run("dispersion", distance=DISTANCE)
         wait_until(do_all_fly, "all fly", CAP)
-        wait_until(lambda: nearest() > before + 0.02, "the drones spread", CAP)
+
+        def have_spread() -> bool:
+            """Whether the drones are farther apart than before; one that landed flies again."""
+            do_all_fly()
+            return nearest() > before + 0.02
+
+        wait_until(have_spread, "the drones spread", CAP)
         # 2. The drones vote in the air: a new run takes nobody down.
         run("majority_rule", opinions=2)
         wait_until(
