@@ -53,6 +53,7 @@ class FedSwarm:
     def __init__(self, count: int, silent: Collection[str] = ()) -> None:
         self.names = [f"tb3-{i + 1:03d}" for i in range(count)]
         self.silent = set(silent)
+        self.left: set[str] = set()  # ended in order
         self.lock = threading.Lock()
         self.states = dict.fromkeys(self.names, State.RUNNING)
         self.changes: dict[str, Mapping[str, Any]] = {}
@@ -60,7 +61,7 @@ class FedSwarm:
         self.patterns = {name: PATTERNS[i % 3] for i, name in enumerate(self.names)}
         self.watched: dict[tuple[str, str], Callable[[str, bytes], object]] = {}
         self._ending = threading.Event()
-        self._made: dict[tuple[str, State, bool], tuple[SeenMember, bytes]] = {}
+        self._made: dict[tuple[str, State, bool, bool], tuple[SeenMember, bytes]] = {}
         self._motions = [[encode(one) for one in self._lap(i)] for i in range(count)]
         self._thread = threading.Thread(target=self._feed, name="feed", daemon=True)
 
@@ -108,10 +109,11 @@ class FedSwarm:
     def member(self, name: str) -> tuple[SeenMember, bytes]:
         """What an operator sees of the robot, and its status as it is published."""
         made = self._made  # another thread may replace it
-        key = name, self.states[name], name in self.silent
+        key = name, self.states[name], name in self.silent, name in self.left
         if (found := made.get(key)) is None:
-            if key[2]:
-                member, seen = make_member(name, Presence.FAILED, age=20.0), self.status(name)
+            if key[2] or key[3]:
+                presence = Presence.LEFT if key[3] else Presence.FAILED
+                member, seen = make_member(name, presence, age=20.0), self.status(name)
             else:
                 seen = self.status(name)
                 member = make_member(name, **{k: getattr(seen, k) for k in CHANGING})

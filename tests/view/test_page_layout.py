@@ -789,6 +789,19 @@ PIXELS = """(name) => {
 """The number of bright red pixels of the map around a robot."""
 
 
+def test_a_robot_that_left_is_no_alarm(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+    with shown(3, capsys) as (swarm, (address,)):
+        for name in swarm.names:
+            swarm.change(name, State.RUNNING)
+        ready(page, address, 3)
+        page.evaluate("(() => { trails.click(); swarm.map.fit(); })()")
+        swarm.left.add("tb3-002")
+        page.until(f"{CHIPS}.join() === 'running2,left1'", "the chips")
+        assert page.evaluate(f"({PIXELS})('tb3-002')") == 0
+        page.evaluate("swarm.panels.open('list-pane', true)")
+        page.until("document.querySelector('tr.stale').innerText.includes('left')", "the row")
+
+
 def test_a_silent_robot_is_red_on_the_map(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
     with shown(2, capsys) as (swarm, (address,)):
         ready(page, address, 2)

@@ -12,7 +12,7 @@ const heard = (age) => (age < NOW ? 'now' : Number.isFinite(age) ? `${age.toFixe
 
 export const COLUMNS = [
   ['name', 'Name', (robot) => robot.name],
-  ['state', 'State', (robot, now, model) => (model.isHeard(robot, now) ? wordOf(robot.row) || '?' : 'silent')],
+  ['state', 'State', (robot, now, model) => model.stateOf(robot, now) || '?'],
   ['pattern', 'Pattern', (robot) => (robot.row.pattern || '').replaceAll('_', ' ')],
   ['why', 'Why', (robot, now, model) => reasonOf(robot.row, model.time)],
   ['protection', 'Protection', (robot) => robot.row.protection || ''],
@@ -79,7 +79,7 @@ export class RobotList {
     const now = performance.now();
     const matches = (robot) => {
       const { row } = robot;
-      const text = [robot.name, row.state, wordOf(row), reasonOf(row, this.model.time), row.lost ? 'base lost' : '', row.pattern, row.protection, row.presence, this.model.isHeard(robot, now) ? '' : 'silent', ...(row.labels || [])].join(' ').toLowerCase();
+      const text = [robot.name, row.state, wordOf(row), reasonOf(row, this.model.time), row.lost ? 'base lost' : '', row.pattern, row.protection, row.presence, this.model.stateOf(robot, now), ...(row.labels || [])].join(' ').toLowerCase();
       return this.words.every((word) => text.includes(word));
     };
     const robots = [...this.model.robots.values()].filter(matches);

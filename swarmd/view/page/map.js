@@ -84,25 +84,26 @@ export class SwarmMap {
       this.centre[1] - (event.clientY - box.top - box.height / 2) / this.scale];
   }
 
-  // The robots in two lists: those that are heard, and those that are not.
+  // The robots in three lists: those that are heard, those that are silent, and those that have left.
   heard() {
-    const now = performance.now(), lists = [[], []];
-    for (const robot of this.model.robots.values()) lists[Number(!this.model.isHeard(robot, now))].push(robot);
+    const now = performance.now(), lists = [[], [], []], places = { silent: 1, left: 2 };
+    for (const robot of this.model.robots.values()) lists[places[this.model.stateOf(robot, now)] || 0].push(robot);
     return lists;
   }
 
   // The entries of the states, alarms first, with the names of silent robots.
   states() {
-    const [heard, silent] = this.heard(), found = new Colouring('state').legend(heard, '');
+    const [heard, silent, left] = this.heard(), found = new Colouring('state').legend(heard, '');
     if (silent.length) found.unshift({ colour: colourOf('silent'), text: 'silent', sign: signOf('silent'), robots: silent, names: short(silent) });
     const lost = heard.filter((one) => one.row.lost);
     if (lost.length) found.push({ colour: LOST, text: 'base lost', line: 'ring', robots: lost });
+    if (left.length) found.push({ colour: colourOf('left'), text: 'left', sign: signOf('left'), robots: left });
     return found.map((one) => ({ ...one, look: isAlarm(one.text) ? 'alarm' : '' }));
   }
 
   // The entries of the legend: colours and their meanings. `look`: of entries that `states` has, too.
   legend() {
-    const [heard, silent] = this.heard(), isState = this.colouring.key === 'state';
+    const [heard, silent, left] = this.heard(), isState = this.colouring.key === 'state';
     const found = this.colouring.legend(heard, this.model.unitOf(this.colouring.key));
     if (isState) for (const one of found) one.look = 'state';
     if (silent.length) found.unshift({ colour: colourOf('silent'), text: 'silent', line: 'dashed', robots: silent, look: 'state' });
@@ -113,6 +114,7 @@ export class SwarmMap {
         if (robots.length) found.push({ colour: 'transparent', text: word, sign, robots, look: 'state' });
       }
     }
+    mark(colourOf('left'), 'left', 'dashed', left, 'state');
     mark(LOST, 'base lost', 'ring', heard.filter((one) => one.row.lost), 'state');
     mark(CONTACT, 'in contact', 'ring', heard.filter((one) => one.row.touches));
     if (this.chosen().some((one) => (one.row.rows || []).length)) found.push({ colour: LIMIT, text: 'limits it', line: 'arc' });
@@ -396,23 +398,24 @@ export class SwarmMap {
 
   // One path for each colour is drawn faster than one path for each robot.
   drawRobots(robots, now, zoom, text) {
-    const { ctx, model } = this, filled = new Map(), silent = new Path2D(), heads = new Path2D();
+    const { ctx, model } = this, filled = new Map(), unheard = { silent: new Path2D(), left: new Path2D() }, heads = new Path2D();
     const bars = new Path2D(), wheels = new Path2D(), touched = new Path2D(), chosen = new Path2D(), lost = new Path2D(), shaded = new Map(), signs = new Map();
     const ring = (path, x, y, radius) => { path.moveTo(x + radius, y); path.arc(x, y, radius, 0, 2 * Math.PI); };
     for (const robot of robots) {
       const { x, y, radius } = robot, isHeard = model.isHeard(robot, now);
       const grown = Math.max(1, LEAST * this.ratio / (radius * zoom)); // far away: larger than it is
       const c = grown * Math.cos(robot.yaw), s = grown * Math.sin(robot.yaw);
-      let path = silent;
+      const word = model.stateOf(robot, now);
+      let path = unheard[word];
       if (isHeard) {
-        const colour = this.colouring.of(robot), paths = wordOf(robot.row) === 'at rest' ? shaded : filled;
+        const colour = this.colouring.of(robot), paths = word === 'at rest' ? shaded : filled;
         path = paths.get(colour);
         if (!path) paths.set(colour, path = new Path2D());
         if (robot.row.lost) ring(lost, x, y, 1.4 * radius * grown);
       }
-      const word = isHeard ? wordOf(robot.row) : 'silent', sign = SIGNS[word];
+      const sign = SIGNS[word];
       if (sign) {
-        const look = !isHeard || radius * this.scale < SMALL ? isHeard ? this.colouring.of(robot) : colourOf('silent') : '';
+        const look = !isHeard || radius * this.scale < SMALL ? isHeard ? this.colouring.of(robot) : colourOf(word) : '';
         if (!signs.has(look)) signs.set(look, new Path2D());
         const [u, v] = robot.middle;
         sign(signs.get(look), x + c * u - s * v, y + s * u + c * v, Math.max(0.7 * radius, SIGN * this.ratio / zoom));
@@ -421,7 +424,7 @@ export class SwarmMap {
       path.closePath();
       if (isHeard && radius * grown * this.scale >= BODY) addBody(bars, wheels, robot, c, s);
       else {
-        const head = isHeard ? heads : silent;
+        const head = isHeard ? heads : unheard[word];
         head.moveTo(x, y);
         head.lineTo(x + 1.6 * radius * c, y + 1.6 * radius * s);
       }
@@ -452,7 +455,7 @@ export class SwarmMap {
     }
     stroke(heads, 2, text);
     ctx.setLineDash([5 * this.ratio / zoom, 3 * this.ratio / zoom]);
-    stroke(silent, 3, colourOf('silent')); // an empty outline where it was last
+    for (const [word, path] of Object.entries(unheard)) stroke(path, 3, colourOf(word)); // an empty outline where it was last
     ctx.setLineDash([]);
     for (const [colour, path] of signs) { // a dark sign, of a small robot in its colour, with a light edge
       stroke(path, 5, LIGHT);
@@ -484,7 +487,7 @@ export class SwarmMap {
     const taken = robots.map((robot) => [...this.toScreen(robot.x, robot.y), 0.7 * reach(robot), 0.7 * reach(robot)]);
     for (const robot of [...robots].sort((one, other) => isMarked(other) - isMarked(one))) {
       const [x, y] = this.toScreen(robot.x, robot.y), far = reach(robot) * (isMarked(robot) || robot.row.lost ? 1.5 : 1); // its ring
-      const word = robot === this.hovered ? ` ${this.model.isHeard(robot, performance.now()) ? wordOf(robot.row) : 'silent'}` : '';
+      const word = robot === this.hovered ? ` ${this.model.stateOf(robot, performance.now())}` : '';
       const half = ctx.measureText(robot.name + word).width / 2, beside = far + half + 0.4 * size;
       // A name is put below, above or beside its robot, where it covers no robot and no name; else it is left out.
       const places = [[x, y + far + 0.9 * size], [x, y - far - 0.8 * size], [x + beside, y], [x - beside, y]];
@@ -495,7 +498,7 @@ export class SwarmMap {
       ctx.lineWidth = 3 * this.ratio;
       ctx.strokeStyle = back;
       ctx.strokeText(robot.name + word, ...place); // readable on trails and other robots
-      ctx.fillStyle = !this.model.isHeard(robot, performance.now()) ? colourOf('silent') : isMarked(robot) ? text : dim;
+      ctx.fillStyle = !this.model.isHeard(robot, performance.now()) ? colourOf(this.model.stateOf(robot, performance.now())) : isMarked(robot) ? text : dim;
       ctx.fillText(robot.name + word, ...place);
     }
     ctx.textBaseline = 'alphabetic';

@@ -1,5 +1,7 @@
 // The robots by the server's messages, and the selection that map and list share.
 
+import { wordOf } from './states.js';
+
 export const STALE = 5; // s without news after which a robot is shown as not heard
 const TRAIL = 300; // places kept for each robot
 const TRAIL_STEP = 0.02; // m between two of them
@@ -181,6 +183,11 @@ export class Model extends EventTarget {
 
   isHeard(robot, now) {
     return this.isConnected && robot.row.presence === 'alive' && this.age(robot, now) < STALE;
+  }
+
+  // The state of a robot in a word; of one that is not heard `silent`, or `left` if it ended in order.
+  stateOf(robot, now) {
+    return this.isHeard(robot, now) ? wordOf(robot.row) : robot.row.presence === 'left' ? 'left' : 'silent';
   }
 
   // True while at least two robots have places that the operator has not aligned; the others are
