@@ -45,6 +45,7 @@ DELAYS = {
 }
 LOST_BASE, OBSTACLE, IN_HAND = "lost base", "obstacle", "in hand"
 OBSTACLE_DELAY = 0.2  # s: until the next scan
+CLOCK_DELAY = 0.7  # s: scans of a clock that was set back are late; the last one before is used
 
 
 class Licence(NamedTuple):
@@ -71,6 +72,7 @@ class Facts:
     stop_told: float = NEVER  # when the latest stop was typed that the robot was told of
     reset_acked: float = NEVER  # when the latest acknowledged reset was carried out
     conditions: dict[str, float] = field(default_factory=dict)  # name to begin, of those present
+    clock_back: float = NEVER  # when the clock of the sensors was last set back
     base: Twist = ZERO  # what the base does
 
     @property
@@ -317,7 +319,8 @@ class Hold(_Held):
             if facts.now > facts.conditions.get(name, math.inf) + delay + SLACK:
                 self.tested |= facts.wants_motion
                 self.demand(not seen.moves, f"it moves: {name}")
-        if facts.now > facts.conditions.get(OBSTACLE, math.inf) + OBSTACLE_DELAY + SLACK:
+        seen_at = facts.conditions.get(OBSTACLE, math.inf) + OBSTACLE_DELAY
+        if facts.now > max(seen_at, facts.clock_back + CLOCK_DELAY) + SLACK:
             self.tested |= facts.wants_motion
             self.demand(seen.twist.linear <= CREEP, f"it drives at an obstacle: {seen.twist}")
         if IN_HAND in facts.conditions:

@@ -356,6 +356,8 @@ class RobotWorld:
 
     def set_clock(self) -> None:
         """The clock by which drivers stamp what they measure is set ahead, or back."""
+        if self._shift:
+            self.facts.clock_back = self.harness.now
         self._shift = 0.0 if self._shift else CLOCK_STEP
 
     def battery(self) -> None:

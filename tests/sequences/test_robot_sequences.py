@@ -12,7 +12,7 @@ from tests.sequences.robot import ALPHABETS, Alphabet
 from tests.sequences.robot_faults import FAULTS, Fault
 from tests.sequences.robot_rules import JUDGES
 from tests.sequences.robot_world import ACTIONS, RobotWorld
-from tests.sequences.search import Head, Search, Tally
+from tests.sequences.search import Head, Labels, Search, Tally
 
 # By hand: 8 + 64 + 512; and 24 first actions, of which six are hazards, that leave 19 of them.
 SEQUENCES = {"commands": 584, "events": 24 + 18 * 24 + 6 * 19}
@@ -32,6 +32,25 @@ def test_no_short_sequence_breaks_a_rule(name: str) -> None:
     assert total.violations == []
     assert total.sequences == SEQUENCES[name]
     assert {*total.judged} == TESTED[name]
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        ("run", "clock_set", "clock_set", "obstacle"),
+        ("clock_set", "run", "clock_set", "obstacle"),
+        ("clock_set", "clock_set", "obstacle", "run"),
+        ("clock_set", "clock_set", "obstacle", "raises"),
+        ("clock_set", "clock_set", "obstacle", "peer_goal:new"),
+        ("clock_set", "peer_goal:new", "clock_set", "obstacle"),
+        ("run", "clock_set", "clock_set", "obstacle", "unknown"),
+    ],
+    ids=",".join,
+)
+def test_a_robot_sees_an_obstacle_0_7_s_after_its_clock_was_set_back(labels: Labels) -> None:
+    """Sequences of four that broke the rule `hold` when it allowed 0.2 s; the last one waits."""
+    total = Tally()
+    assert Search(RobotWorld, lambda before: (), 0).replay(labels, total) == 0, total.violations
 
 
 def test_each_rule_is_judged_and_each_judge_has_a_rule() -> None:
