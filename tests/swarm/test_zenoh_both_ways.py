@@ -145,7 +145,7 @@ def test_list_vote_and_stop_need_the_name_of_the_swarm_alone(voting: Swarm) -> N
 
     def is_counted() -> bool:
         reports = {robot: voting.status(robot).report for robot in ROBOTS}
-        heard.update({robot: int(report["heard"]) for robot, report in reports.items()})
+        heard.update({robot: int(report.get("heard", 0)) for robot, report in reports.items()})
         return all(count >= len(ROBOTS) for count in heard.values())  # both others, and a program
 
     def is_listed() -> bool:

@@ -88,7 +88,8 @@ def run(swarm: Swarm) -> None:
 
 def are_counted(swarm: Swarm) -> bool:
     """True once each robot counts the votes of the other one and of a program."""
-    return all(int(swarm.status(robot).report["heard"]) >= len(ROBOTS) for robot in ROBOTS)
+    reports = [swarm.status(robot).report for robot in ROBOTS]
+    return all(int(report.get("heard", 0)) >= len(ROBOTS) for report in reports)
 
 
 def await_stored(client: zenoh.Session, key: str) -> None:

@@ -33,6 +33,7 @@ UdpDriver: Any = pytest.importorskip("cflib.crtp.udpdriver", reason="extra crazy
 
 PLATFORM = load_platform("crazyflie")
 TWIST = Twist(0.125, 0.0, 0.0625)  # exact in single precision
+STALL_HEIGHT = 0.05  # m by which a tick that a stall of the machine delays lowers a landing drone
 QUICK = {"take_off_rate": 1.0, "land_rate": 0.4, "land_after": 1.0}
 
 
@@ -128,7 +129,7 @@ def has_landed_softly(seen: Sequence[tuple[float, bool, Twist]]) -> bool:
     """Whether the drone stands; AssertionError if it moved sideways or fell on the way down."""
     for (before, _, _), (height, is_on, twist) in itertools.pairwise(seen):
         assert height > before - 1e-9 or twist.is_zero or before - height < 1e-3
-        assert is_on or before <= LANDED_HEIGHT
+        assert is_on or before <= LANDED_HEIGHT + STALL_HEIGHT
     return bool(seen) and not seen[-1][1]
 
 
