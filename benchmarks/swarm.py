@@ -43,6 +43,9 @@ class Swarm:
     - `world`: further fields of `WorldOptions`.
     """
 
+    settings: Mapping[str, object] = MappingProxyType({"plugin_dir": str(PLUGINS)})
+    """Further settings of each daemon."""
+
     def __init__(
         self,
         count: int,
@@ -157,7 +160,7 @@ class Swarm:
             "driver": "simulated",
             "driver_options": dict(self.driver_options),
             "state_dir": str(self.folder / "state"),
-            "plugin_dir": str(PLUGINS),
+            **self.settings,
         }
         config.write_text(text_of(settings))
         if self._is_stamped:
@@ -170,14 +173,20 @@ class Swarm:
     def _spawn(self, name: str, arguments: Sequence[str], stdout: int | None = None) -> Process:
         with (self.folder / f"{name}.log").open("ab") as log:
             return subprocess.Popen(
-                [sys.executable, *arguments],
+                [*self._python_of(name), *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log if stdout is None else stdout,
                 stderr=log,
                 cwd=HERE.parent,
                 start_new_session=True,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", **self._environment_of(name)},
             )
+
+    def _python_of(self, name: str) -> Sequence[str]:
+        return (sys.executable,)
+
+    def _environment_of(self, name: str) -> Mapping[str, str]:
+        return {}
 
     def _last_words(self) -> str:
         texts = {log.stem: log.read_text(errors="replace") for log in self.folder.glob("*.log")}

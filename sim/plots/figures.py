@@ -230,7 +230,7 @@ class _Gallery:
     def _drawn(
         self, draw: Callable[..., Figure], panels: Sequence[object], name: str
     ) -> list[Path]:
-        """The picture of the panels; without panels there is none."""
+        """Draw the panels in one picture, and save it; draw nothing without panels."""
         if not panels:
             return []
         figure = draw(panels, self._scenario, width=self._look.width, axis=self._axis)

@@ -151,7 +151,7 @@ class Side(NamedTuple):
 
     environment: Mapping[str, str]
     prefix: Sequence[str] = ()
-    """A command in front of `env ... python`, such as one that enters another root file system,
+    """The command in front of `env ... python`, such as one that enters another root file system,
     with the temporary folder of this one and a copy of ROOT as its working folder."""
     python: str = sys.executable
     compiler: str = "gcc"

@@ -8,16 +8,14 @@ robot then. The exit code is 1 unless all is as STORY wants, and the robot drive
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 
-from benchmarks.swarm import Process, Swarm
+from benchmarks.swarm import Swarm
 from studies.processors.socket_options import SocketOptions
 from swarmd.core.messages import State, Status
-from swarmd.settings.yamlfile import text_of
 
 ROBOT = "tb3-01"
 STORY: Sequence[tuple[str, State]] = (
@@ -38,6 +36,8 @@ _SWARMCTL = (sys.executable, "-c", "from swarmd.cli.entry import swarmctl; swarm
 
 class ForeignSwarm(Swarm):
     """A world of this machine with daemons that another Python runs."""
+
+    settings: Mapping[str, object] = {}
 
     def __init__(self, python: Sequence[str]) -> None:
         self._python = python
@@ -80,33 +80,11 @@ class ForeignSwarm(Swarm):
     def _is_ready(self, status: Status | None) -> bool:
         return status is not None and status.health.driver_up and status.health.scan_rate > 0.0
 
-    def _daemon_command(self, robot: str) -> list[str]:
-        settings = {
-            "id": robot,
-            "swarm": self.name,
-            "platform": self._platform,
-            "driver": "simulated",
-            "driver_options": dict(self.driver_options),
-            "state_dir": str(self.folder / "state"),
-        }
-        config = self.folder / f"{robot}.yaml"
-        config.write_text(text_of(settings))
-        tie = ["--die-with-parent", str(os.getpid())]
-        start = "from swarmd.cli.entry import swarmd; swarmd()"
-        return ["-c", start, "--config", str(config), *tie]
+    def _python_of(self, name: str) -> Sequence[str]:
+        return self._python if name in self.robots else super()._python_of(name)
 
-    def _spawn(self, name: str, arguments: Sequence[str], stdout: int | None = None) -> Process:
-        if name not in self.robots:
-            return super()._spawn(name, arguments, stdout)
-        with (self.folder / f"{name}.log").open("ab") as log:
-            return subprocess.Popen(
-                [*self._python, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-                env={**os.environ, "SOCKET_OPTIONS": str(self.options)},
-            )
+    def _environment_of(self, name: str) -> Mapping[str, str]:
+        return {"SOCKET_OPTIONS": str(self.options)} if name in self.robots else {}
 
 
 def main(python: Sequence[str]) -> int:

@@ -172,7 +172,7 @@ def test_drones_survive_a_lost_link_and_a_killed_daemon_and_land(
         wait_until(do_all_fly, "all fly", CAP)
 
         def have_spread() -> bool:
-            """Whether the drones are farther apart than before; one that landed flies again."""
+            """Whether the drones are farther apart than before; starts those again that landed."""
             do_all_fly()
             return nearest() > before + 0.02
 
