@@ -43,6 +43,8 @@ TIMEOUT = 60.0
 POLL_PERIOD = 0.01
 SETTLE_TIME = 0.3
 """Seconds in which what was sent arrives, and what should not have been sent as well."""
+RUN_PERIOD = 10.0
+"""Seconds after which a test that waits for motion begins a new run."""
 
 _MARK = "SWARMD_DRIVER_CONTRACT"
 _BURST = 200
@@ -226,6 +228,23 @@ class DriverHarness:
 
         await self.until(has_come)
         return taken[0]
+
+    def runs(self, twist: Twist) -> Callable[[], None]:
+        """A call that sends `twist`, for a loop, and zero each RUN_PERIOD.
+
+        A drone that a stall of the machine sent back to the ground waits for that zero: a new run.
+        """
+        begins_at = time.monotonic() + RUN_PERIOD
+
+        def send() -> None:
+            nonlocal begins_at
+            if (now := time.monotonic()) >= begins_at:
+                begins_at = now + RUN_PERIOD
+                self.driver.send(ZERO, 1, 1)
+            else:
+                self.driver.send(twist, 1, 1)
+
+        return send
 
     async def end(self) -> None:
         """Cancel the driver and wait until it has ended."""
@@ -691,9 +710,10 @@ class DriverContract:
 async def _moving(harness: DriverHarness, angular: float = 0.0) -> list[Twist]:
     """Send commands until the base gets a command to move; returns all commands up to it."""
     taken: list[Twist] = []
+    drive = harness.runs(Twist(0.1, angular))
 
     def moves() -> bool:
-        harness.driver.send(Twist(0.1, angular), 1, 1)
+        drive()
         for command in harness.rig.commands():
             if not taken or taken[-1].is_zero:
                 taken.append(command)

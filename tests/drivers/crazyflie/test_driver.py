@@ -102,11 +102,11 @@ class TestCrazyflieDriver(DriverContract):
 
 async def flying(harness: DriverHarness, drone: Drone) -> None:
     """Command motion until the drone moves at its height."""
-    firmware = drone.robots.firmware("cf")
+    firmware, drive = drone.robots.firmware("cf"), harness.runs(TWIST)
     harness.driver.send(ZERO, 1, 1)
 
     def flies() -> bool:
-        harness.driver.send(TWIST, 1, 1)
+        drive()
         return firmware.height > 0.45 and firmware.twist == TWIST
 
     await harness.until(flies, publishing=True)
