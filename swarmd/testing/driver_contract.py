@@ -43,8 +43,8 @@ TIMEOUT = 60.0
 POLL_PERIOD = 0.01
 SETTLE_TIME = 0.3
 """Seconds in which what was sent arrives, and what should not have been sent as well."""
-RUN_PERIOD = 10.0
-"""Seconds after which a test that waits for motion begins a new run."""
+RUN_SENDS = 1000
+"""Commands after which a test that waits for motion begins a new run: 10 s and more."""
 
 _MARK = "SWARMD_DRIVER_CONTRACT"
 _BURST = 200
@@ -230,21 +230,12 @@ class DriverHarness:
         return taken[0]
 
     def runs(self, twist: Twist) -> Callable[[], None]:
-        """A call that sends `twist`, for a loop, and zero each RUN_PERIOD.
+        """A call for a loop, which sends `twist`, and zero once after RUN_SENDS calls.
 
         A drone that a stall of the machine sent back to the ground waits for that zero: a new run.
         """
-        begins_at = time.monotonic() + RUN_PERIOD
-
-        def send() -> None:
-            nonlocal begins_at
-            if (now := time.monotonic()) >= begins_at:
-                begins_at = now + RUN_PERIOD
-                self.driver.send(ZERO, 1, 1)
-            else:
-                self.driver.send(twist, 1, 1)
-
-        return send
+        sent = itertools.cycle([twist] * RUN_SENDS + [ZERO])
+        return lambda: self.driver.send(next(sent), 1, 1)
 
     async def end(self) -> None:
         """Cancel the driver and wait until it has ended."""
