@@ -22,12 +22,12 @@ from swarmd.protection.decision import DecisionContext
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.world import World
-from swarmd.steering.tracks import Track
 
 if TYPE_CHECKING:
-    from swarmd.steering.tracks import Surroundings
+    from swarmd.steering.tracks import Surroundings, Track
 else:
-    Surroundings = load_kernel("swarmd.steering.tracks").Surroundings
+    _tracks = load_kernel("swarmd.steering.tracks")
+    Surroundings, Track = _tracks.Surroundings, _tracks.Track
 
 REACH = 2.5  # m, of true tracks
 COMPARED = 1.5  # m within which tracks are compared
@@ -72,7 +72,7 @@ def true_tracks(world: World, row: int, reach: float) -> tuple[Track, ...]:
         vy = aside * linear + ahead * lateral + turn * to_x
         radius = 0.5 * math.hypot(*np.ptp(platform.footprint, axis=0).tolist())
         place = cos * dx + sin * dy, cos * dy - sin * dx
-        found.append(Track(other, *place, cos * vx + sin * vy, cos * vy - sin * vx, radius, 0.0))
+        found.append(Track(other, *place, cos * vx + sin * vy, cos * vy - sin * vx, radius))
     return tuple(found)
 
 

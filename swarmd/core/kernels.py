@@ -93,9 +93,9 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ),
     "swarmd.steering._steering": (
         "swarmd.steering.buffers",
+        "swarmd.steering.tracks",
         "swarmd.steering.velocity_obstacles",
         "swarmd.steering.openings",
-        "swarmd.steering.tracks",
         "swarmd.steering.avoidance",
         "swarmd.steering.recovery",
         "swarmd.steering.right_of_way",

@@ -173,10 +173,8 @@ class Protection:
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading, which the monitors use."""
-        if self._monitor is not None:
-            text = self._monitor.on_odometry(odometry)
-            if text:
-                self.events.append(text)
+        if self._monitor is not None and (text := self._monitor.on_odometry(odometry)):
+            self.events.append(text)
         if self._is_running:
             self._has_compared = True
             self.following.on_odometry(odometry)
@@ -267,7 +265,7 @@ class Protection:
         """
         if requested is not self._requested:
             self._requested, self._clipped_request = requested, _zero
-            if requested is not None and requested.is_finite:
+            if requested is not None and _is_finite(requested):
                 self._clipped_request = self._limits.clip(requested)
         return self._clipped_request
 
@@ -363,10 +361,8 @@ class Protection:
         if share < 1.0:
             safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
         # 3. Tells the monitors, and stores the command.
-        if monitor is not None:
-            text = monitor.on_command(safe)
-            if text:
-                self.events.append(text)
+        if monitor is not None and (text := monitor.on_command(safe)):
+            self.events.append(text)
         self.following.on_command(safe)
         if safe is not _zero and (safe.linear != 0.0 or safe.angular != 0.0 or safe.lateral != 0.0):
             self.moved_at = context.now

@@ -131,9 +131,15 @@ class Ticker:
         actions = self._tick(now)
         if actions is not None:
             return actions
-        last, decision = self._settled, self.decision
-        seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
-        return _Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
+        last = self._settled
+        return _Actions(
+            self.decision.safe,
+            self.decision,
+            last.requested_scan_seq,
+            last.is_idle,
+            last.is_stopped,
+            True,
+        )
 
     @cython.cfunc
     def _tick(self, now: cython.double):
@@ -208,14 +214,14 @@ class Ticker:
             return effects.host
         if not run.may_step(now, effects.is_new_scan):
             return None
-        inputs = InputAges.inputs(self._sensors, now, run.stepping(now))
-        return _Step(run.running.generation, inputs)
+        return _Step(
+            run.running.generation, InputAges.inputs(self._sensors, now, run.stepping(now))
+        )
 
     @cython.cfunc
     def _must_publish(self, now: cython.double):
         """True if a status is due, which then counts as published."""
-        is_period_over: cython.bint = now >= self._published_at + _STATUS_PERIOD - ROUNDING
-        if self._is_status_due or is_period_over:
+        if self._is_status_due or now >= self._published_at + _STATUS_PERIOD - ROUNDING:
             return self._take_due_status(now)
         return False
 
@@ -223,7 +229,6 @@ class Ticker:
     def _actions(self, effects: Effects, decision, host_command, has_status: cython.bint):
         """The actions after an event. By position, since keywords cost time in each tick."""
         running, state = self._run.running, self._machine.state
-        is_latched: cython.bint = effects.is_latched
         return _Actions(
             decision.safe,  # twist
             decision,
@@ -231,7 +236,7 @@ class Ticker:
             self._sensors.is_driver_up and state is _IDLE,  # is_idle
             state is not _IDLE and state is not _RUNNING,  # is_stopped
             False,  # is_quiet
-            self._lifecycle.latches.record() if is_latched else None,  # latches
+            self._lifecycle.latches.record() if effects.is_latched else None,  # latches
             self._kept_goals.take_record() if self._kept_goals.is_changed else None,  # goals
             effects.trial,
             host_command,
@@ -285,8 +290,7 @@ class Ticker:
         blind = sensors.blind_text
         if blind != self._blind:
             self._blind = blind
-            text = blind or "all sectors return something again"
-            self._lifecycle.log(f"scan: {text}", now)
+            self._lifecycle.log(f"scan: {blind or 'all sectors return something again'}", now)
         if effects.is_new_scan:
             context = InputAges.context(sensors, now)
             protection.observe(sensors.scan, context)

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.values import Array, Limits, Twist
 from swarmd.protection.decision import Clearance
-from swarmd.steering.tracks import Surroundings
+from swarmd.steering.tracks import Surroundings, Track
 from swarmd.steering.velocity_obstacles import (
     most_violated,
     nearest,
@@ -131,7 +131,10 @@ class Avoidance:
         """
         tracks: tuple = surroundings.tracks
         self.avoiding = None
-        self.are_near = any([hypot(track.x, track.y) < _NEAR_DISTANCE for track in tracks])
+        track: Track
+        self.are_near = False
+        for track in tracks:
+            self.are_near |= hypot(track.x, track.y) < _NEAR_DISTANCE
 
         # 1. A request that hardly drives, or a passage: avoidance has nothing to do.
         if hypot(requested.linear, requested.lateral) < self._min_request:
@@ -146,9 +149,14 @@ class Avoidance:
         # Without the turn: other robots track the axle, which a turn does not move.
         vx: cython.double = safe.linear
         vy: cython.double = safe.lateral
-        distance = self._radius - _WALL_SLACK
         lines: list = wall_lines(
-            surroundings.walls, self._lead, vx, vy, distance, self._reach, _WALL_HORIZON
+            surroundings.walls,
+            self._lead,
+            vx,
+            vy,
+            self._radius - _WALL_SLACK,
+            self._reach,
+            _WALL_HORIZON,
         )
         wall_count: cython.Py_ssize_t = len(lines)
         lines += track_lines(

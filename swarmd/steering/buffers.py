@@ -5,6 +5,7 @@ A kernel (see `core/kernels.py`), part of the library of steering.
 
 from __future__ import annotations
 
+import math
 from array import array
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,10 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 else:
     from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import fabs
+else:
+    from swarmd.core.cython_shadow import fabs
 
 
 @cython.cfunc
@@ -37,3 +42,17 @@ def doubles(count: cython.Py_ssize_t) -> cython.double[::1]:
     Views that are made in one place spare the compiler a part of its work.
     """
     return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
+
+
+def places(count):
+    """A buffer of `count` whole numbers."""
+    return array("q", bytes(8 * count)) if cython.compiled else [0] * count
+
+
+@cython.cfunc
+def speed_of(linear: cython.double, lateral: cython.double) -> cython.double:
+    """The speed in m/s of a twist by `math.hypot`, which rounds differently from C's hypot.
+
+    Most bases do not move sideways, and need no call of Python.
+    """
+    return fabs(linear) if lateral == 0.0 else math.hypot(linear, lateral)

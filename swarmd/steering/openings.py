@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.core.values import Array, Pose, Scan
-from swarmd.steering.buffers import doubles, numbers, rows
+from swarmd.steering.buffers import doubles, rows
+from swarmd.steering.tracks import ScanReturns
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -25,7 +26,6 @@ else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
     from cython.cimports.libc.math import (
-        INFINITY,
         atan,
         atan2,
         cos,
@@ -36,7 +36,6 @@ if cython.compiled:
     )
 else:
     from swarmd.core.cython_shadow import (
-        INFINITY,
         atan,
         atan2,
         cos,
@@ -100,7 +99,7 @@ def _grown(old: cython.double, new: cython.double, is_more: cython.bint) -> cyth
 @cython.final
 @cython.auto_pickle(False)
 @cython.cclass
-class _ScanReturns:
+class _PlacedReturns:
     """The returns of one scan in order of bearing, in the frame of the odometry. All in m."""
 
     ranges: cython.double[::1]
@@ -123,50 +122,15 @@ class _ScanReturns:
     places: cython.double[::1]
 
     @cython.cfunc
-    def sort(self, scan) -> cython.bint:
-        """Set `ranges` and `bearings`; False with less than _MIN_RETURNS returns.
-
-        Conditioned bearings rise, except where those of a turning robot jump from half a turn to
-        minus half a turn. Such a scan is only rotated: the returns from the jump on come first. So
-        most scans need no sorting. Returns of the same bearing keep their order.
-        """
-        ranges: cython.const[cython.double][::1] = numbers(scan.ranges)
-        bearings: cython.const[cython.double][::1] = numbers(scan.bearings)
-        count: cython.Py_ssize_t = 0
-        falls: cython.Py_ssize_t = 0  # number of returns whose bearing is below that before
-        begin: cython.Py_ssize_t = 0  # the last of these returns
-        before: cython.double = 0.0
-        first: cython.double = 0.0
-        for i in range(len(ranges)):
-            if ranges[i] > 0.0 and ranges[i] < INFINITY:
-                if count == 0:
-                    first = bearings[i]
-                elif not bearings[i] >= before:
-                    falls, begin = falls + 1, count
-                before, count = bearings[i], count + 1
-        if count < _MIN_RETURNS:
-            return False
-        # One fall, and the parts do not overlap: the last bearing is below the first.
-        is_rotated: cython.bint = falls == 1 and before < first
-        # Where the first return goes: behind the returns from the jump on.
-        k: cython.Py_ssize_t = count - begin if is_rotated else 0
-        self.ranges, self.bearings = doubles(count), doubles(count)
-        for i in range(len(ranges)):
-            if ranges[i] > 0.0 and ranges[i] < INFINITY:
-                self.ranges[k], self.bearings[k] = ranges[i], bearings[i]
-                k = k + 1 if k + 1 < count else 0
-        if falls > 0 and not is_rotated:
-            order = np.asarray(self.bearings).argsort(kind="stable")
-            self.ranges = memoryview(np.asarray(self.ranges)[order])
-            self.bearings = memoryview(np.asarray(self.bearings)[order])
-        return True
-
-    @cython.cfunc
-    def place_from(self, offset, pose) -> cython.int:
-        """Make room for the places of returns, which the sensor at `offset` saw from `pose`."""
-        n: cython.Py_ssize_t = len(self.ranges)
+    def take(self, returns: ScanReturns, offset, pose) -> cython.int:
+        """Take the returns, which the sensor at `offset` saw from `pose`, and make room."""
         yaw: cython.double = pose.yaw
-        self.x, self.y = doubles(n), doubles(n)
+        # All buffers from one allocation, which costs as much as a hundred returns.
+        n: cython.Py_ssize_t = returns.count
+        room: cython.double[::1] = doubles(5 * n)
+        self.ranges, self.bearings = returns.ranges[:n], returns.bearings[:n]
+        self.x, self.y, self.along = room[:n], room[n : 2 * n], room[2 * n : 3 * n]
+        self.side, self.places = room[3 * n : 4 * n], room[4 * n :]
         self.offset_x, self.offset_y = offset
         self.pose_x, self.pose_y = pose.x, pose.y
         self.pose_cos, self.pose_sin = cos(yaw), sin(yaw)
@@ -229,7 +193,6 @@ class _ScanReturns:
         n: cython.Py_ssize_t = len(self.ranges)
         row: cython.Py_ssize_t
         self.is_wall = memoryview(np.empty(n, np.uint8))
-        self.along, self.side, self.places = doubles(n), doubles(n), doubles(n)
         for row in range(n):
             if self.ranges[row] < _MAX_RANGE:
                 self.place(row)
@@ -350,7 +313,7 @@ class Opening:
         return -self.last, -self.first
 
     @cython.cfunc
-    def measure(self, returns: _ScanReturns) -> cython.int:
+    def measure(self, returns: _PlacedReturns) -> cython.int:
         """Measure direction, begin, end and the lengths of the walls by the returns of walls."""
         returns.turn_into(self)
         if self.align(returns):
@@ -362,7 +325,7 @@ class Opening:
         return 0
 
     @cython.cfunc
-    def align(self, returns: _ScanReturns) -> cython.bint:
+    def align(self, returns: _PlacedReturns) -> cython.bint:
         """Set `angle` to the normal of the walls beside the opening, by least squares.
 
         False with too few returns. Walls are longer than the gap, so their angle is more exact than
@@ -388,13 +351,13 @@ class Opening:
         return True
 
     @cython.cfunc
-    def is_face(self, returns: _ScanReturns, i: cython.Py_ssize_t) -> cython.bint:
+    def is_face(self, returns: _PlacedReturns, i: cython.Py_ssize_t) -> cython.bint:
         """True if return `i` belongs to the face of the wall beside the opening."""
         off: cython.double = fabs(returns.side[i])
         return fabs(returns.along[i]) < _ON_WALL and self.half < off < self.half + _FACE_LENGTH
 
     @cython.cfunc
-    def reach_along(self, returns: _ScanReturns, direction: cython.double) -> cython.double:
+    def reach_along(self, returns: _PlacedReturns, direction: cython.double) -> cython.double:
         """How far in m the sides of the opening reach along its axis, in `direction` 1 or -1."""
         count: cython.Py_ssize_t = 0
         for i in range(returns.count):
@@ -404,7 +367,7 @@ class Opening:
         return _reach(returns.places, count)
 
     @cython.cfunc
-    def reach_beside(self, returns: _ScanReturns, direction: cython.double) -> cython.double:
+    def reach_beside(self, returns: _PlacedReturns, direction: cython.double) -> cython.double:
         """How far in m the wall reaches beyond one side of the opening (1 left, -1 right)."""
         count: cython.Py_ssize_t = 0
         for i in range(returns.count):
@@ -474,11 +437,12 @@ class Openings:
 
     _narrowest: cython.double
     known: list
+    _returns: ScanReturns
 
-    def __init__(self, body: float) -> None:
-        """`body`: half of the robot's width in m."""
+    def __init__(self, body: float, returns: ScanReturns | None = None) -> None:
+        """`body`: half of the robot's width in m. `returns`: what tracks share; None: its own."""
         self._narrowest = 2.0 * _NARROWEST_SHARE * body
-        self.known = []
+        self.known, self._returns = [], returns or ScanReturns()
 
     def __iter__(self) -> Iterator[Opening]:
         return iter(self.known)
@@ -551,16 +515,17 @@ class Openings:
         openings: list = []
 
         # 1. The returns in the order of their bearings.
-        returns: _ScanReturns = _ScanReturns()
-        if not returns.sort(scan):
+        self._returns.take(scan)
+        if self._returns.count < _MIN_RETURNS:
             return openings
+        returns: _PlacedReturns = _PlacedReturns()
+        returns.take(self._returns, offset, pose)
 
         # 2. The ends of walls, as (range, order, return, direction): returns where the range jumps.
         # An end on a track is no wall.
         wall_ends: list = returns.ends()
         if not wall_ends:
             return openings
-        returns.place_from(offset, pose)
         returns.set_tracks(tracks)
         for _, _, post, _ in wall_ends:
             returns.place(post)
@@ -594,7 +559,9 @@ class Openings:
 
 
 @cython.cfunc
-def _opening(returns: _ScanReturns, post: cython.Py_ssize_t, partner: cython.Py_ssize_t) -> Opening:
+def _opening(
+    returns: _PlacedReturns, post: cython.Py_ssize_t, partner: cython.Py_ssize_t
+) -> Opening:
     """The opening between two returns, measured."""
     opening: Opening = Opening()
     dx: cython.double = returns.x[partner] - returns.x[post]
@@ -623,8 +590,6 @@ def gap_middle(
         middle: (the expected middle, the bound of the middle's distance from the axis), m.
     """
     i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    count: cython.Py_ssize_t = 0
     table: cython.const[cython.double][:, ::1] = rows(points)
     robot_along: cython.double = place[0]
     robot_aside: cython.double = place[1]
@@ -636,28 +601,22 @@ def gap_middle(
     width_error: cython.double = width[1]
     expected: cython.double = middle[0]
     farthest: cython.double = middle[1]
-    sides: cython.double[::1] = doubles(len(table))
+    sides: list = []
 
-    # 1. The returns that count, in m to the left of the axis, in rising order. Sorting by insertion
-    # is fast, since the order of the scan is nearly this order.
+    # 1. The returns that count, in m to the left of the axis, in rising order.
     for i in range(len(table)):
         x: cython.double = table[i, 0]
         y: cython.double = table[i, 1]
         along: cython.double = robot_along + cos_heading * x - sin_heading * y
         if begin < along < end:
-            aside: cython.double = robot_aside + sin_heading * x + cos_heading * y
-            k = count
-            while k > 0 and sides[k - 1] > aside:
-                sides[k] = sides[k - 1]
-                k -= 1
-            sides[k] = aside
-            count += 1
+            sides.append(robot_aside + sin_heading * x + cos_heading * y)
+    sides.sort()
 
     # 2. The gap.
     is_measured: cython.bint = False
     best: cython.double = 0.0
     least_error: cython.double = 0.0  # m from `best` to the expected middle
-    for i in range(1, count):
+    for i in range(1, len(sides)):
         if not fabs(sides[i] - sides[i - 1] - wanted_width) < width_error:
             continue
         gap: cython.double = 0.5 * (sides[i] + sides[i - 1])

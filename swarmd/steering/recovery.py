@@ -31,7 +31,7 @@ from msgspec import Struct
 from swarmd.core.values import ZERO, Array, Limits, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.avoidance import PASSAGE_WIDTHS
-from swarmd.steering.buffers import rows
+from swarmd.steering.buffers import rows, speed_of
 from swarmd.steering.openings import HALF_TURN
 from swarmd.steering.tracks import TURN
 from swarmd.steering.velocity_obstacles import passage_between
@@ -231,6 +231,8 @@ class Recovery:
         """
         # The request before avoidance: avoidance may slow a request so much that it seems idle.
         pattern_request = requested if others.wanted is None else others.wanted
+        linear: cython.double = pattern_request.linear
+        lateral: cython.double = pattern_request.lateral
         now: cython.double = context.now
 
         # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),
@@ -238,7 +240,7 @@ class Recovery:
         has_taken_over: cython.bint = self.has_taken_over
         if (
             others.is_settled
-            or not (self._is_moving(pattern_request) or self._is_turning(pattern_request))
+            or not (self._is_fast(linear, lateral) or self._is_turning(pattern_request.angular))
             or (has_taken_over and now - self._began_at > _MAX_RECOVERY_TIME + self._back_time)
         ):
             self.reset()
@@ -263,7 +265,7 @@ class Recovery:
             is_blocked = False  # the request was blocked, not yet the command of the recovery
 
         # 3. Continues the recovery.
-        self._speed = max(self._speed, math.hypot(pattern_request.linear, pattern_request.lateral))
+        self._speed = max(self._speed, speed_of(linear, lateral))
         self._request = self._recover(safe, context, points, is_blocked, safe_for)
         return self._request
 
@@ -272,7 +274,7 @@ class Recovery:
         """Begin a recovery: back off if a motion was blocked; choose a corridor if a turn was."""
         self._began_at, self._speed = context.now, 0.5 * self._linear_limit
         self._last_motion = None
-        if self._is_moving(requested):
+        if self._is_fast(requested.linear, requested.lateral):
             self._back_off(points, context.now)
         else:
             self._plan(0.0, context, points)
@@ -287,9 +289,11 @@ class Recovery:
         longer of `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as
         blocked only while it hardly moves.
         """
-        request = self._request
+        linear: cython.double = self._request.linear
+        angular: cython.double = self._request.angular
+        lateral: cython.double = self._request.lateral
         is_passing: cython.bint = self._state == "pass"
-        is_moving: cython.bint = self._is_moving(request)
+        is_moving: cython.bint = self._is_fast(linear, lateral)
         share: cython.double = 1.0  # of the request that protection allows
         if is_passing or self._creeps(safe):
             share = (
@@ -297,8 +301,9 @@ class Recovery:
                 if fabs(safe.linear) >= _HARDLY_MOVES * (_MIN_SPEED_SHARE * self._linear_limit)
                 else 0.0
             )
-        elif is_moving or self._is_turning(request):
-            share = self._product(safe, request) / self._product(request, request)
+        elif is_moving or self._is_turning(angular):
+            share = self._product(safe.linear, safe.angular, safe.lateral, linear, angular, lateral)
+            share /= self._product(linear, angular, lateral, linear, angular, lateral)
         if share >= _BLOCKED_SHARE:
             self._blocked_since = INFINITY
             return False
@@ -348,14 +353,24 @@ class Recovery:
         return False
 
     @cython.cfunc
-    def _product(self, a: Twist, b: Twist) -> cython.double:
+    def _product(
+        self,
+        linear: cython.double,
+        angular: cython.double,
+        lateral: cython.double,
+        other_linear: cython.double,
+        other_angular: cython.double,
+        other_lateral: cython.double,
+    ) -> cython.double:
         """The inner product of two twists in m2/s2.
 
         A turn at its limit weighs as much as motion at its limit. So a robot that may make the turn
         of its request does not count as blocked, even if it may hardly move.
         """
         return (
-            a.linear * b.linear + a.lateral * b.lateral + self._turn_weight * a.angular * b.angular
+            linear * other_linear
+            + lateral * other_lateral
+            + self._turn_weight * angular * other_angular
         )
 
     @cython.cfunc
@@ -414,7 +429,10 @@ class Recovery:
         allowed: cython.double = safe.linear
         is_limited: cython.bint = self._state == "pass"
         if not is_limited and linear > 0.0 and linear >= _MIN_SPEED_SHARE * self._linear_limit:
-            is_limited = self._is_moving(self._request) and allowed / linear < _LIMITED_SHARE
+            is_limited = (
+                self._is_fast(self._request.linear, self._request.lateral)
+                and allowed / linear < _LIMITED_SHARE
+            )
         if linear <= 0.0 or requested.lateral != 0.0 or not is_limited:
             self._leave_passage()
             return requested
@@ -424,10 +442,8 @@ class Recovery:
             return requested
         if self._state == "follow":
             self._enter("pass", self._state_since)
-        speed_bound: cython.double = (
-            _SPEED_UP * max(allowed, 0.0) + _SPEED_STEP * self._linear_limit
-        )
-        return Twist(min(linear, speed_bound), _turn_to(target))
+        linear = min(linear, _SPEED_UP * max(allowed, 0.0) + _SPEED_STEP * self._linear_limit)
+        return Twist(linear, _turn_to(target))
 
     @cython.cfunc
     def _recover(
@@ -488,14 +504,14 @@ class Recovery:
         return Twist(-2.0 * speed, 0.0 if target is None else _turn_to(target))
 
     @cython.cfunc
-    def _is_moving(self, twist: Twist) -> cython.bint:
-        """True if the twist translates faster than the least speed."""
-        return hypot(twist.linear, twist.lateral) >= _MIN_SPEED_SHARE * self._linear_limit
+    def _is_fast(self, linear: cython.double, lateral: cython.double) -> cython.bint:
+        """True if a twist with these speeds translates faster than the least speed."""
+        return hypot(linear, lateral) >= _MIN_SPEED_SHARE * self._linear_limit
 
     @cython.cfunc
-    def _is_turning(self, twist: Twist) -> cython.bint:
-        """True if the twist turns faster than the least speed."""
-        return fabs(twist.angular) >= _MIN_SPEED_SHARE * self._angular_limit
+    def _is_turning(self, angular: cython.double) -> cython.bint:
+        """True if a twist with this speed turns faster than the least speed."""
+        return fabs(angular) >= _MIN_SPEED_SHARE * self._angular_limit
 
     @cython.cfunc
     def _leave_passage(self):

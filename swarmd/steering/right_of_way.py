@@ -17,16 +17,19 @@ from __future__ import annotations
 
 import math
 from random import Random
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import astuple, replace
 
 from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
+from swarmd.steering.buffers import speed_of
 from swarmd.steering.openings import HALF_TURN, SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
-from swarmd.steering.tracks import TURN, Surroundings, pose_after
+from swarmd.steering.tracks import TURN, ScanReturns, Surroundings, Track, jumps, pose_after
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -86,11 +89,13 @@ _LEAD_TIME, _LEAD_TIMES = 0.1, (0.05, 0.3)
 _IN = cython.declare(cython.double, 0.25)
 # m before an opening from which a robot of any heading counts as in the opening
 _IN_ANYHOW = cython.declare(cython.double, 0.05)
-_IN_BESIDE = 0.05  # m beside an opening beyond which a robot is not in the opening
+# m beside an opening beyond which a robot is not in the opening
+_IN_BESIDE = cython.declare(cython.double, 0.05)
 # rad, and share of the half width, of an aligned robot
-_ALIGNED, _ALIGNED_SHARE = 0.5, 0.25
+_ALIGNED = cython.declare(cython.double, 0.5)
+_ALIGNED_SHARE = cython.declare(cython.double, 0.25)
 _BEYOND = cython.declare(cython.double, 0.35)  # m beyond an opening at which the opening is passed
-_DEEP = 0.2  # m: a deeper opening is a corridor
+_DEEP = cython.declare(cython.double, 0.2)  # m: a deeper opening is a corridor
 
 # What the tracks (other moving objects that the lidar shows) do.
 _PERSISTS = cython.declare(cython.double, 1.0)  # s after which a track is no part of a wall
@@ -125,61 +130,95 @@ _QUEUE_FAR = cython.declare(cython.double, 1.6)
 
 # How long the robot waits.
 _CLEAR_TIMES = (0.5, 1.5)  # s for which nothing has come out before a robot enters
-_HIDDEN = 6.0  # s for which a robot that was last seen in an opening may still be there
+# s for which a robot that was last seen in an opening may still be there
+_HIDDEN = cython.declare(cython.double, 6.0)
 # s for which a robot gives way again, if it has passed an opening within the last _RECENTLY s.
 _PASSED_TIMES, _RECENTLY = (6.0, 10.0), 120.0
-_LETS_PASS = 90.0  # s after a passage in which the robot lets robots pass that wait on its side
+# s after a passage in which the robot lets robots pass that wait on its side
+_LETS_PASS = cython.declare(cython.double, 90.0)
 _PRIORITY_TIMES = (3.0, 6.0)  # s for which the drawn priority holds
-_NO_PROGRESS = 2.0  # s without progress after which the robot draws its priority
-_MINE_SHARE = 0.5  # the chance to draw priority
-_STUCK, _PROGRESS = 6.0, 0.03  # s and m: with less a robot in an opening tries the other way
-_HELD_TIME = 10.0  # s behind a robot that does not go on, after which the robot clears the way
+# s without progress after which the robot draws its priority
+_NO_PROGRESS = cython.declare(cython.double, 2.0)
+_MINE_SHARE = cython.declare(cython.double, 0.5)  # the chance to draw priority
+# s and m: with less a robot in an opening tries the other way
+_STUCK = cython.declare(cython.double, 6.0)
+_PROGRESS = cython.declare(cython.double, 0.03)
+# s behind a robot that does not go on, after which the robot clears the way
+_HELD_TIME = cython.declare(cython.double, 10.0)
 
 # How the robot drives.
 # m before an opening, where a robot turns into its axis
 _LINE_UP = cython.declare(cython.double, 0.5)
-_NEARLY_LINED_UP = 0.1  # m before that place within which a robot is at it
-_AT_LINE_UP = 0.08  # m from that place within which a robot is lined up
+# m before that place within which a robot is at it
+_NEARLY_LINED_UP = cython.declare(cython.double, 0.1)
+# m from that place within which a robot is lined up
+_AT_LINE_UP = cython.declare(cython.double, 0.08)
 # A robot this near to the axis (m), farther than this before the opening (m), is lined up, too.
-_ON_AXIS, _ON_AXIS_FAR = 0.04, 0.4
+_ON_AXIS = cython.declare(cython.double, 0.04)
+_ON_AXIS_FAR = cython.declare(cython.double, 0.4)
 # A robot this far off the axis (m), farther than this before the opening (m), is lined up no more.
-_OFF_AXIS, _OFF_AXIS_NEAR = 0.12, 0.35
-_OFF_AXIS_SHARE = 0.25  # of the half width: the same bound nearer to the opening
-_PURSUIT = 0.15  # m ahead on the axis: the place to which a robot drives (pure pursuit)
+_OFF_AXIS = cython.declare(cython.double, 0.12)
+_OFF_AXIS_NEAR = cython.declare(cython.double, 0.35)
+# of the half width: the same bound nearer to the opening
+_OFF_AXIS_SHARE = cython.declare(cython.double, 0.25)
+# m ahead on the axis: the place to which a robot drives (pure pursuit)
+_PURSUIT = cython.declare(cython.double, 0.15)
 # m to the side for each s by which rays to the left are younger than rays to the right: a robot in
 # a corridor keeps away from the wall whose rays are older.
-_LEAN = 0.1
-_LEAN_FROM = 0.15  # m before a corridor from which the robot does so
-_ABEAM, _ABEAM_WIDTH = 1.0, 0.6  # rad: the bearing of the walls beside, and how far around it
-_BESIDE, _FREE = 0.5, 1.4  # m beside and before an opening that a robot leaves free for others
-_FARTHER_BESIDE = 0.15  # m beside that, to which the robot drives
-_ASIDE_FAR, _ASIDE_STEP = 0.4, 0.1  # m before an opening at least, and m back
-_TAKEN = 0.4  # m to another robot below which a place to wait is taken
+_LEAN = cython.declare(cython.double, 0.1)
+_LEAN_FROM = cython.declare(cython.double, 0.15)  # m before a corridor from which the robot does so
+# rad: the bearing of the walls beside, and how far around it
+_ABEAM = cython.declare(cython.double, 1.0)
+_ABEAM_WIDTH = cython.declare(cython.double, 0.6)
+# m beside and before an opening that a robot leaves free for others
+_BESIDE = cython.declare(cython.double, 0.5)
+_FREE = cython.declare(cython.double, 1.4)
+_FARTHER_BESIDE = cython.declare(cython.double, 0.15)  # m beside that, to which the robot drives
+# m before an opening at least, and m back
+_ASIDE_FAR = cython.declare(cython.double, 0.4)
+_ASIDE_STEP = cython.declare(cython.double, 0.1)
+# m to another robot below which a place to wait is taken
+_TAKEN = cython.declare(cython.double, 0.4)
 _NEXT_PLACE, _PLACES = 0.4, 4  # m back to the next place to wait, and the number of places
-_FACES = 0.2  # rad within which a waiting robot faces the place where it will line up
-_FACING = 0.5  # rad/s, of its turn to that place: below _TURNING
-_KEEPS_SIDE, _HAS_SIDE = 0.15, 0.05  # m beside the axis: keeps, and chooses, the side to wait on
-_BACK_AIM = 0.4  # m behind the robot: the place on the axis to which a robot backs out
-_BACK_TURN, _BACK_SHARE = 0.3, 0.5  # rad/s at most, and share of the speed, while backing out
-_BACKS_TO = 2.0  # rad: a goal farther to the side is reached backwards
-_GAIN = 3.0  # 1/s: rad/s for each rad that the heading is off
+# rad within which a waiting robot faces the place where it will line up
+_FACES = cython.declare(cython.double, 0.2)
+_FACING = cython.declare(cython.double, 0.5)  # rad/s, of its turn to that place: below _TURNING
+# m beside the axis: keeps, and chooses, the side to wait on
+_KEEPS_SIDE = cython.declare(cython.double, 0.15)
+_HAS_SIDE = cython.declare(cython.double, 0.05)
+# m behind the robot: the place on the axis to which a robot backs out
+_BACK_AIM = cython.declare(cython.double, 0.4)
+# rad/s at most, and share of the speed, while backing out
+_BACK_TURN = cython.declare(cython.double, 0.3)
+_BACK_SHARE = cython.declare(cython.double, 0.5)
+# rad: a goal farther to the side is reached backwards
+_BACKS_TO = cython.declare(cython.double, 2.0)
+_GAIN = cython.declare(cython.double, 3.0)  # 1/s: rad/s for each rad that the heading is off
 _SPEEDS = (0.14, 0.1, 0.07, 0.04)  # m/s; protection lets a robot creep at the last
-_TURN_COST = 0.15  # m/s of speed that are worth a change of the turn by 1 rad/s
-_UNKNOWN_SPEED_SHARE = 0.5  # of the limit, before a request has shown a speed
+# m/s of speed that are worth a change of the turn by 1 rad/s
+_TURN_COST = cython.declare(cython.double, 0.15)
+# of the limit, before a request has shown a speed
+_UNKNOWN_SPEED_SHARE = cython.declare(cython.double, 0.5)
 
 # The middle of the opening, as the returns of its posts show it.
-_WRONG_BY = 0.1  # m: an opening whose middle is farther off is forgotten and looked for anew
-_WEIGHT = 0.03  # weight of a new measurement of the axis
-_AT_POST, _SAME_WIDTH = 0.1, 0.08  # m within which returns are posts, and their gap is the opening
-_POSTS_BEHIND, _POSTS_AHEAD = 0.15, 0.2  # m around the robot within which returns are posts
-_PAST_POSTS = 0.05  # m beyond an opening at which its posts are not measured
+# m: an opening whose middle is farther off is forgotten and looked for anew
+_WRONG_BY = cython.declare(cython.double, 0.1)
+_WEIGHT = cython.declare(cython.double, 0.03)  # weight of a new measurement of the axis
+# m within which returns are posts, and their gap is the opening
+_AT_POST = cython.declare(cython.double, 0.1)
+_SAME_WIDTH = cython.declare(cython.double, 0.08)
+# m around the robot within which returns are posts
+_POSTS_BEHIND = cython.declare(cython.double, 0.15)
+_POSTS_AHEAD = cython.declare(cython.double, 0.2)
+# m beyond an opening at which its posts are not measured
+_PAST_POSTS = cython.declare(cython.double, 0.05)
 
 
 # A tuple: the hash of a member of an Enum is a call of Python.
 _SETTLED = (WayState.IN, WayState.BACK, WayState.WAIT, WayState.LINE)
 
 
-class _Place(NamedTuple):
+class _Place(Struct, frozen=True, gc=False):
     """The pose of the robot in the frame of an opening, and the size of the opening."""
 
     along: float  # m from the begin of the opening along its axis; negative before the opening
@@ -208,7 +247,7 @@ class _Place(NamedTuple):
         return math.hypot(self.along + _LINE_UP, self.aside)
 
 
-class _PlacedTrack(NamedTuple):
+class _PlacedTrack(Struct, frozen=True, gc=False):
     """Another moving object in the frame of an opening."""
 
     id: int
@@ -216,7 +255,7 @@ class _PlacedTrack(NamedTuple):
     aside: float  # m to the left of the axis
 
 
-class _Traffic(NamedTuple):
+class _Traffic(Struct, frozen=True, gc=False):
     """What the other robots before and in an opening do."""
 
     is_busy: bool = False  # a robot comes out
@@ -272,13 +311,15 @@ class RightOfWay:
     _held_since: cython.double  # when the robot began to wait for a robot ahead
     _held_along: cython.double  # m along the axis, where this was
 
-    def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
-        """`seed` seeds the random choices."""
+    def __init__(
+        self, clearance: Clearance, limits: Limits, seed: str, returns: ScanReturns | None = None
+    ) -> None:
+        """`seed` seeds the random choices. `returns`: what tracks share; None: its own."""
         self._linear_limit, self._angular_limit = limits.linear, limits.angular
         lead = limits.linear / limits.angular if limits.angular > 0.0 else _LEAD_TIME
         self._lead = min(max(lead, _LEAD_TIMES[0]), _LEAD_TIMES[1])
         self._rng = Random(f"way {seed}")
-        self._openings = Openings(clearance.body)
+        self._openings = Openings(clearance.body, returns)
         self._passed_at, self._pose = -INFINITY, Pose()
         self.reset()
 
@@ -292,7 +333,7 @@ class RightOfWay:
     def on_odometry(self, odometry: Odometry):
         """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
         last, self._last_odometry = self._last_odometry, odometry
-        if last is not None and (odometry.stamp < last.stamp or odometry.jumps_from(last)):
+        if last is not None and (odometry.stamp < last.stamp or jumps(odometry, last)):
             self._openings.clear()
             self._release()
 
@@ -376,12 +417,15 @@ class RightOfWay:
         # 1. The pose of the base, and the direction of the request.
         pose = pose_after(odometry, context.odometry_age)
         self._surroundings, self._pose = surroundings, pose
-        if requested.is_zero:
+        linear: cython.double = requested.linear
+        angular: cython.double = requested.angular
+        lateral: cython.double = requested.lateral
+        if linear == 0.0 and angular == 0.0 and lateral == 0.0:
             self._release()
             return requested
         # m/s, the fastest that was requested so far.
-        self._speed = max(self._speed, math.hypot(requested.linear, requested.lateral))
-        self._wanted_yaw = self._requested_yaw(requested, pose.yaw)
+        self._speed = max(self._speed, speed_of(linear, lateral))
+        self._wanted_yaw = self._requested_yaw(linear, angular, lateral, pose.yaw)
 
         # 2. Chooses an opening, if none is chosen, and places the robot in its frame.
         if self._opening is None:
@@ -420,17 +464,22 @@ class RightOfWay:
         return self._decide_state(place, others, now, safe_for, points)
 
     @cython.cfunc
-    def _requested_yaw(self, requested: Twist, yaw: cython.double) -> cython.double:
-        """The direction of the request in rad in the frame of the odometry.
+    def _requested_yaw(
+        self,
+        linear: cython.double,
+        angular: cython.double,
+        lateral: cython.double,
+        yaw: cython.double,
+    ) -> cython.double:
+        """The direction of a request (m/s, rad/s) in rad in the frame of the odometry.
 
         `yaw` in rad is that of the robot. A request to drive backwards counts as one without that
         speed. A request to turn on the spot does not say how far the robot wants to turn. So the
         direction of the last request stays in force if that direction lies on the side of the turn,
         or straight behind the robot.
         """
-        ahead: cython.double = max(requested.linear, 0.0)
-        bearing = atan2(requested.lateral + self._lead * requested.angular, ahead)
-        if fabs(bearing) > _SIDEWAYS and requested.lateral == 0.0:
+        bearing = atan2(lateral + self._lead * angular, max(linear, 0.0))
+        if fabs(bearing) > _SIDEWAYS and lateral == 0.0:
             bearing_before = remainder(self._wanted_yaw - yaw, TURN)
             if bearing_before * bearing > 0.0 and fabs(bearing_before) > _SIDEWAYS:
                 bearing = bearing_before
@@ -498,7 +547,7 @@ class RightOfWay:
         # that is up to `slack` farther away. Without priority, `slack` is negative.
         slack = _EQUALLY_DEEP if self._has_priority else -_EQUALLY_DEEP
         is_busy = is_behind = is_met = is_close = is_queued = False
-        for id, along, aside in others:
+        for id, along, aside in map(astuple, others):
             # 1. The side from which the track came. The side stays while the track is within or
             # near the opening.
             came_from = self._sides.get(id)
@@ -572,8 +621,8 @@ class RightOfWay:
         if abs(middle_offset) > _WRONG_BY and self._openings.forget(self._opening):
             self._release()  # the sightings took a robot for a post
             return ZERO
-        place = place._replace(aside=place.aside - middle_offset)
-        others = [_PlacedTrack(id, along, aside - middle_offset) for id, along, aside in others]
+        place = replace(place, aside=place.aside - middle_offset)
+        others = [_PlacedTrack(o.id, o.along, o.aside - middle_offset) for o in others]
 
         # 3. Judges the traffic. The time to keep clear counts from the last decision with traffic,
         # and is random, so that two robots do not enter together. Then the state.
@@ -787,8 +836,12 @@ def _by_odometry(tracks: tuple, pose: Pose) -> list:
     `pose` is the pose of the base in this frame. Callers place tracks only if an opening is chosen,
     or for the next scan, to save time: in a crowd each of 35 commands a second sees 15 tracks.
     """
-    c, s = cos(pose.yaw), sin(pose.yaw)
-    return [
-        (pose.x + c * track.x - s * track.y, pose.y + s * track.x + c * track.y, track.radius)
-        for track in tracks
-    ]
+    track: Track
+    x: cython.double = pose.x
+    y: cython.double = pose.y
+    c: cython.double = cos(pose.yaw)
+    s: cython.double = sin(pose.yaw)
+    placed: list = []
+    for track in tracks:
+        placed.append((x + c * track.x - s * track.y, y + s * track.x + c * track.y, track.radius))
+    return placed

@@ -23,7 +23,7 @@ from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Per
 from swarmd.steering.avoidance import Avoidance
 from swarmd.steering.recovery import NO_OTHERS, Allows, Others, Points, Recovery
 from swarmd.steering.right_of_way import RightOfWay
-from swarmd.steering.tracks import Track, Tracker
+from swarmd.steering.tracks import ScanReturns, Track, Tracker
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 
+_partial = cython.declare(object, partial)  # a C name, found at once
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
 
 
@@ -63,8 +64,9 @@ class Steering:
             self._recovery = Recovery(clearance, platform.limits, seed)
             self._avoids = platform.protection.get("avoidance", "none") == "orca"
             self._avoidance = Avoidance(clearance, platform.limits)
-            self._tracker = Tracker(platform)
-            self._right_of_way = RightOfWay(clearance, platform.limits, seed)
+            returns = ScanReturns()
+            self._tracker = Tracker(platform, returns)
+            self._right_of_way = RightOfWay(clearance, platform.limits, seed, returns)
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
@@ -105,22 +107,28 @@ class Steering:
         if hold is None or not is_running:
             self._switch_avoidance(is_running, permit)
         clipped = candidate = self._protection.clip(requested)
-        is_held = hold is not None or context.scan_age is None
-        if not is_running or is_held or not permit.may_recover:
+        may_move: cython.bint = is_running and hold is None and context.scan_age is not None
+        if not (may_move and permit.may_recover):
             self._end_recovery()
         else:
             candidate = self._candidate(clipped, context, permit.touch)
         steered = None
         if self._is_avoiding or self._is_recovering or candidate is not clipped:
-            avoided = self._avoided(context) if self._is_avoiding else None
-            steered = Steered(candidate, self._is_recovering != 0, avoided)
+            steered = Steered(
+                candidate,
+                self._is_recovering != 0,
+                self._avoided(context) if self._is_avoiding else None,
+            )
         return self._protection.decide(requested, context, is_running, hold, permit, steered)
 
     @cython.cfunc
     def _switch_avoidance(self, is_running: cython.bint, permit):
         """Switch avoidance on or off by the permit."""
-        may_avoid = self._avoids if permit.avoids is None else permit.avoids
-        is_avoiding: cython.bint = is_running and permit.may_recover and may_avoid
+        is_avoiding: cython.bint = (
+            is_running
+            and permit.may_recover
+            and (self._avoids if permit.avoids is None else permit.avoids)
+        )
         if is_avoiding == self._is_avoiding:
             return
         self._is_avoiding = is_avoiding
@@ -147,8 +155,8 @@ class Steering:
         The result is the object `clipped` if the request is not replaced.
         """
         self._may_recover = True
-        allows = partial(self._protection.permitted, context, touch)
-        points = partial(self._protection.points, context, self._recovery.lookahead)
+        allows = _partial(self._protection.permitted, context, touch)
+        points = _partial(self._protection.points, context, self._recovery.lookahead)
         passing_request, others = self._pass_others(clipped, context, allows, points)
         patience = self._protection.wall_patience(context.now)
         if patience > 0.0:  # recovery waits longer while near walls are about to have stood
@@ -170,20 +178,22 @@ class Steering:
         then decides, unless right of way is in a state that settles the command, or a recovery is
         under way. `allows` gives what protection permits of any request, `points` the returns.
         """
-        avoidance = self._avoidance
         if not self._is_avoiding:
             return requested, NO_OTHERS
         around = self._tracker.surroundings(context)
         requested = self._right_of_way.command(requested, context, around, allows, points)
         if self._right_of_way.is_settled:
-            avoidance.avoiding = None
+            self._avoidance.avoiding = None
             return requested, Others(requested, is_settled=True)
         if self._recovery.has_taken_over:
-            avoidance.avoiding = None
+            self._avoidance.avoiding = None
             return requested, NO_OTHERS
-        last = self._protection.mode_command
-        passing = avoidance.command(requested, last, context.now, around)
-        return passing, Others(requested, avoidance.are_near, avoidance.avoiding is not None)
+        passing = self._avoidance.command(
+            requested, self._protection.mode_command, context.now, around
+        )
+        return passing, Others(
+            requested, self._avoidance.are_near, self._avoidance.avoiding is not None
+        )
 
     def _avoided(self, context: DecisionContext) -> Avoided | None:
         """The track or the opening because of which the command was replaced; None without."""

@@ -19,16 +19,25 @@ A kernel (see `core/kernels.py`), since each scan and each decision pass it.
 from __future__ import annotations
 
 import math
-from array import array
+from bisect import bisect_left
 from collections import deque
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import Struct
 
-from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, Array, Odometry, Platform, Pose, Scan
+from swarmd.core.values import (
+    HISTORY,
+    MAX_EXTRAPOLATION,
+    MAX_SPEED,
+    MAX_STEP,
+    Array,
+    Odometry,
+    Platform,
+    Pose,
+    Scan,
+)
 from swarmd.protection.decision import DecisionContext
-from swarmd.steering.buffers import doubles, numbers
+from swarmd.steering.buffers import doubles, numbers, places
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -39,6 +48,7 @@ if cython.compiled:
         INFINITY,
         atan2,
         cos,
+        fabs,
         floor,
         hypot,
         remainder,
@@ -50,6 +60,7 @@ else:
         INFINITY,
         atan2,
         cos,
+        fabs,
         floor,
         hypot,
         remainder,
@@ -99,21 +110,29 @@ _MAX_EXTRAPOLATED = cython.declare(
 TURN = cython.declare(cython.double, 2.0 * math.pi)
 _SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # sectors in a rad
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
+_max_step = cython.declare(cython.double, MAX_STEP)
+_Pose = cython.declare(object, Pose)  # a C name: a name of the module takes ten times as long
+_max_speed = cython.declare(cython.double, MAX_SPEED)
 
 
-class Track(Struct, frozen=True, array_like=True, gc=False):
+@cython.final
+@cython.cclass
+class Track:
     """A moving object as seen now: base frame, m and m/s.
 
-    `speed_error`: standard deviation of each component of the velocity.
+    An extension type, whose numbers are of C: a crowd makes hundreds of tracks a second.
     """
 
-    id: int
-    x: float
-    y: float
-    vx: float
-    vy: float
-    radius: float
-    speed_error: float
+    id = cython.declare(cython.longlong, visibility="readonly")
+    x = cython.declare(cython.double, visibility="readonly")
+    y = cython.declare(cython.double, visibility="readonly")
+    vx = cython.declare(cython.double, visibility="readonly")
+    vy = cython.declare(cython.double, visibility="readonly")
+    radius = cython.declare(cython.double, visibility="readonly")
+
+    def __init__(self, *numbers: float) -> None:
+        """Set all numbers, in the order of the attributes."""
+        self.id, self.x, self.y, self.vx, self.vy, self.radius = numbers
 
 
 @cython.ccall
@@ -131,15 +150,93 @@ def pose_after(odometry, seconds: cython.double):
     s: cython.double = sin(middle_yaw)
     x += seconds * (c * linear - s * lateral)
     y += seconds * (s * linear + c * lateral)
-    return Pose(x, y, yaw + seconds * angular)
+    return _Pose(x, y, yaw + seconds * angular)
 
 
-def _places(count):
-    """A buffer of `count` whole numbers."""
-    return array("q", bytes(8 * count)) if cython.compiled else [0] * count
+@cython.cfunc
+def jumps(odometry, last) -> cython.bint:
+    """As `Odometry.jumps_from`, which takes ten times as long."""
+    pose, last_pose = odometry.pose, last.pose
+    dx: cython.double = pose.x - last_pose.x
+    dy: cython.double = pose.y - last_pose.y
+    turn: cython.double = fabs(remainder(pose.yaw - last_pose.yaw, TURN))
+    seconds: cython.double = odometry.stamp - last.stamp
+    return max(hypot(dx, dy), turn) > _max_step + _max_speed * seconds
 
 
 _no_doubles = cython.declare(cython.double[::1], doubles(0))
+
+
+@cython.final
+@cython.cclass
+class ScanReturns:
+    """The returns of the last scan by bearing, which tracks and openings share.
+
+    They are the first `count` of each array.
+    """
+
+    count: cython.Py_ssize_t
+    ranges: cython.double[::1]  # m
+    bearings: cython.double[::1]  # rad, rising
+    ages: cython.double[::1]  # s; 0 for a scan without ages
+    _scan: object  # the last scan; None before the first
+    _order: cython.longlong[::1]  # the rays with a return, as they come
+
+    def __init__(self) -> None:
+        self._make_room(0)  # a view that is not set ends the process when memory is taken
+
+    def _make_room(self, count):
+        self.ranges, self.bearings, self.ages = doubles(count), doubles(count), doubles(count)
+        self._order = places(count)
+
+    @cython.cfunc
+    def take(self, scan) -> cython.int:
+        """Set the returns to those of a conditioned scan, unless it is the last scan.
+
+        The bearings of a conditioned scan rise from ray to ray. In the scan of a turning robot they
+        may fall once, from half a turn to minus half a turn. So most scans need no sorting: the
+        returns from this fall on come first, then the returns before the fall. Returns of the same
+        bearing keep their order.
+        """
+        if scan is self._scan:
+            return 0
+        ranges: cython.const[cython.double][::1] = numbers(scan.ranges)
+        bearings: cython.const[cython.double][::1] = numbers(scan.bearings)
+        has_ages: cython.bint = scan.ages is not None
+        # Without ages all ages are 0, and `ages` is not read: any array may take its place.
+        ages: cython.const[cython.double][::1] = numbers(scan.ages) if has_ages else ranges
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        count: cython.Py_ssize_t = 0
+        falls: cython.Py_ssize_t = 0  # how often the bearing falls from a return to the next
+        lowest: cython.Py_ssize_t = 0  # the return behind the last fall; 0 without a fall
+
+        # 1. Rays with a return, and where their bearings fall.
+        if len(self._order) < len(ranges):
+            self._make_room(len(ranges))
+        order: cython.longlong[::1] = self._order
+        for i in range(len(ranges)):
+            if ranges[i] > 0.0 and ranges[i] < INFINITY:
+                if count > 0 and not bearings[i] >= bearings[order[count - 1]]:
+                    falls, lowest = falls + 1, count
+                order[count] = i
+                count += 1
+        # With a single fall, and with the last bearing below the first, the bearings rise from
+        # `lowest` on, and go on at the first return. Otherwise the returns must be sorted.
+        is_rotated: cython.bint = falls == 1 and bearings[order[count - 1]] < bearings[order[0]]
+        if falls > 0 and not is_rotated:
+            rays = np.array(order[:count])
+            rays = rays[scan.bearings[rays].argsort(kind="stable")]
+            order = rays if cython.compiled else rays.tolist()
+            lowest = 0
+
+        # 2. The returns in the order of their bearings.
+        for k in range(count):
+            i = order[k + lowest if k + lowest < count else k + lowest - count]
+            self.ranges[k], self.bearings[k] = ranges[i], bearings[i]
+            self.ages[k] = ages[i] if has_ages else 0.0
+        self.count, self._scan = count, scan
+        return 0
 
 
 @cython.final
@@ -263,8 +360,8 @@ class Surroundings:
     """The tracks, and the nearest places (k, 2) of walls, all in the base frame in m.
 
     Tracks and walls are computed when they are first read, which must be before the tracker takes
-    in the next scan. Most decisions in a crowd read neither: to compute 15 tracks for each of 35
-    decisions a second would take 0.5 ms.
+    in the next scan. Most decisions in a crowd read neither, and each of 35 decisions a second
+    would compute 15 tracks.
     """
 
     _tracks: object  # a tuple of Track; None: not computed yet
@@ -293,27 +390,23 @@ class Surroundings:
             return self._tracks
         cos_yaw: cython.double = cos(self._yaw)
         sin_yaw: cython.double = sin(self._yaw)
-        track: _Filter
+        seen: _Filter
+        track: Track
         tracks = []
-        for track in self._filters:
-            if track.hits < _MIN_HITS:
+        for seen in self._filters:
+            if seen.hits < _MIN_HITS:
                 continue
             seconds_ahead: cython.double = min(
-                max(self._time - track.state_at, 0.0), _MAX_EXTRAPOLATED
+                max(self._time - seen.state_at, 0.0), _MAX_EXTRAPOLATED
             )
-            dx: cython.double = track.x + track.vx * seconds_ahead - self._x
-            dy: cython.double = track.y + track.vy * seconds_ahead - self._y
-            tracks.append(
-                Track(
-                    track.id,
-                    cos_yaw * dx + sin_yaw * dy,
-                    cos_yaw * dy - sin_yaw * dx,
-                    cos_yaw * track.vx + sin_yaw * track.vy,
-                    cos_yaw * track.vy - sin_yaw * track.vx,
-                    track.radius,
-                    sqrt(track.vv),
-                )
-            )
+            dx: cython.double = seen.x + seen.vx * seconds_ahead - self._x
+            dy: cython.double = seen.y + seen.vy * seconds_ahead - self._y
+            track = Track.__new__(Track)  # without objects of Python for its numbers
+            track.id, track.radius = seen.id, seen.radius
+            track.x, track.y = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+            track.vx = cos_yaw * seen.vx + sin_yaw * seen.vy
+            track.vy = cos_yaw * seen.vy - sin_yaw * seen.vx
+            tracks.append(track)
         self._tracks = tuple(tracks)
         return self._tracks
 
@@ -354,24 +447,21 @@ class Tracker:
     _wall_x: cython.double[::1]
     _wall_y: cython.double[::1]
     _wall_count: cython.Py_ssize_t
-    # The returns of the scan by bearing: place, range, age, and whether a gap in the bearings
+    # The returns of the scan by bearing; of each its place, and whether a gap in the bearings
     # follows.
-    _return_count: cython.Py_ssize_t
+    _returns: ScanReturns
     _lidar_x: cython.double
     _lidar_y: cython.double
     _x: cython.double[::1]
     _y: cython.double[::1]
-    _ranges: cython.double[::1]
-    _bearings: cython.double[::1]
-    _ages: cython.double[::1]
     _is_gap: cython.longlong[::1]
-    _order: cython.longlong[::1]  # the rays with a return
     # The runs of returns of one surface, in order: first and last return of each. The first run may
     # begin at a negative index, which counts from the end.
     _run_first: cython.longlong[::1]
     _run_last: cython.longlong[::1]
 
-    def __init__(self, platform: Platform) -> None:
+    def __init__(self, platform: Platform, returns: ScanReturns | None = None) -> None:
+        """`returns`: what openings share; None: its own."""
         spec = platform.scan
         outer = float(np.hypot(*platform.footprint.T).max())
         self._offset_x, self._offset_y = spec.offset
@@ -383,6 +473,7 @@ class Tracker:
         self._history = deque(maxlen=HISTORY)
         self._filters = []
         self._next_id = 1
+        self._returns = returns or ScanReturns()
         self._make_room(0)  # a view that is not set ends the process when memory is taken
 
     def reset(self) -> None:
@@ -394,7 +485,7 @@ class Tracker:
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all objects are forgotten."""
         latest = self._latest
-        if latest is not None and (odometry.stamp <= latest.stamp or odometry.jumps_from(latest)):
+        if latest is not None and (odometry.stamp <= latest.stamp or jumps(odometry, latest)):
             if odometry.stamp == latest.stamp:
                 return
             self.reset()
@@ -421,7 +512,7 @@ class Tracker:
 
         # 2. Clusters of the scan, and of places that peers shared.
         self._wall_count = 0
-        self._sort(scan, pose)
+        self._take_returns(scan, pose)
         clusters: list = self._clusters(scan_time)
         self._add_shared_places(clusters, context)
 
@@ -512,72 +603,31 @@ class Tracker:
         return 0
 
     @cython.cfunc
-    def _sort(self, scan, pose) -> cython.int:
+    def _take_returns(self, scan, pose) -> cython.int:
         """Store the returns of a scan, sorted by bearing, with their places by odometry.
 
         `pose` is the pose of the base when the scan was measured. Sets the arrays of returns, and
-        makes the arrays of returns, runs and walls long enough.
-
-        The bearings of a conditioned scan rise from ray to ray. In the scan of a turning robot they
-        may fall once, from half a turn to minus half a turn. So most scans need no sorting: the
-        returns from this fall on come first, then the returns before the fall.
+        makes the arrays of places, runs and walls long enough.
         """
-        ranges: cython.const[cython.double][::1] = numbers(scan.ranges)
-        bearings: cython.const[cython.double][::1] = numbers(scan.bearings)
-        has_ages: cython.bint = scan.ages is not None
-        # Without ages all ages are 0, and `ages` is not read: any array may take its place.
-        ages: cython.const[cython.double][::1] = numbers(scan.ages) if has_ages else ranges
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        count: cython.Py_ssize_t = 0
-        falls: cython.Py_ssize_t = 0  # how often the bearing falls from a return to the next
-        lowest: cython.Py_ssize_t = 0  # the return behind the last fall; 0 without a fall
-
-        # 1. Rays with a return, and where their bearings fall.
-        if len(self._order) < len(ranges):
-            self._make_room(len(ranges))
-        order: cython.longlong[::1] = self._order
-        for i in range(len(ranges)):
-            if ranges[i] > 0.0 and ranges[i] < INFINITY:
-                if count > 0 and not bearings[i] >= bearings[order[count - 1]]:
-                    falls, lowest = falls + 1, count
-                order[count] = i
-                count += 1
-        # With a single fall, and with the last bearing below the first, the bearings rise from
-        # `lowest` on, and go on at the first return. Otherwise the returns must be sorted.
-        is_rotated: cython.bint = falls == 1 and bearings[order[count - 1]] < bearings[order[0]]
-        if falls > 0 and not is_rotated:
-            rays = np.array(order[:count])
-            rays = rays[scan.bearings[rays].argsort(kind="stable")]
-            order = rays if cython.compiled else rays.tolist()
-            lowest = 0
-
-        # 2. The returns in the order of their bearings, and their places.
+        returns: ScanReturns = self._returns
+        returns.take(scan)
+        if len(self._x) < len(returns.ranges):
+            self._make_room(len(returns.ranges))
         yaw: cython.double = pose.yaw
-        cos_yaw: cython.double = cos(yaw)
-        sin_yaw: cython.double = sin(yaw)
-        x: cython.double = pose.x + cos_yaw * self._offset_x - sin_yaw * self._offset_y
-        y: cython.double = pose.y + sin_yaw * self._offset_x + cos_yaw * self._offset_y
-        self._return_count, self._lidar_x, self._lidar_y = count, x, y
-        to_x: cython.double[::1] = self._x
-        to_y: cython.double[::1] = self._y
-        to_ranges: cython.double[::1] = self._ranges
-        to_bearings: cython.double[::1] = self._bearings
-        to_ages: cython.double[::1] = self._ages
-        for k in range(count):
-            i = order[k + lowest if k + lowest < count else k + lowest - count]
-            angle: cython.double = bearings[i] + yaw
-            to_x[k], to_y[k] = x + ranges[i] * cos(angle), y + ranges[i] * sin(angle)
-            to_ranges[k], to_bearings[k] = ranges[i], bearings[i]
-            to_ages[k] = ages[i] if has_ages else 0.0
+        self._lidar_x = pose.x + cos(yaw) * self._offset_x - sin(yaw) * self._offset_y
+        self._lidar_y = pose.y + sin(yaw) * self._offset_x + cos(yaw) * self._offset_y
+        k: cython.Py_ssize_t
+        for k in range(returns.count):
+            angle: cython.double = returns.bearings[k] + yaw
+            self._x[k] = self._lidar_x + returns.ranges[k] * cos(angle)
+            self._y[k] = self._lidar_y + returns.ranges[k] * sin(angle)
         return 0
 
     def _make_room(self, count):
-        """Make the arrays of returns, runs and walls for `count` rays."""
-        self._x, self._y, self._ranges = doubles(count), doubles(count), doubles(count)
-        self._bearings, self._ages = doubles(count), doubles(count)
-        self._order, self._is_gap = _places(count), _places(count)
-        self._run_first, self._run_last = _places(count), _places(count)
+        """Make the arrays of places, runs and walls for `count` rays."""
+        self._x, self._y = doubles(count), doubles(count)
+        self._is_gap = places(count)
+        self._run_first, self._run_last = places(count), places(count)
         # Each place of a wall is a return, or the mean of a run.
         self._wall_x, self._wall_y = doubles(count), doubles(count)
 
@@ -591,7 +641,7 @@ class Tracker:
 
         Sets `_is_gap`, and the first and last return of each run (`_run_first`, `_run_last`).
         """
-        count: cython.Py_ssize_t = self._return_count
+        count: cython.Py_ssize_t = self._returns.count
         cuts: cython.Py_ssize_t = 0
         first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
@@ -599,10 +649,10 @@ class Tracker:
         max_step: cython.double = _MAX_LOST_STEPS * self._spacing
         for i in range(count):
             j = i + 1 if i + 1 < count else 0
-            step: cython.double = self._bearings[j] - self._bearings[i]
+            step: cython.double = self._returns.bearings[j] - self._returns.bearings[i]
             if j == 0:
                 step -= floor(step / TURN) * TURN
-            near: cython.double = min(self._ranges[i], self._ranges[j])
+            near: cython.double = min(self._returns.ranges[i], self._returns.ranges[j])
             max_distance: cython.double = _MAX_STEP + near * step / _GRAZING
             dx: cython.double = self._x[j] - self._x[i]
             dy: cython.double = self._y[j] - self._y[i]
@@ -619,7 +669,7 @@ class Tracker:
     def _clusters(self, at: cython.double) -> list:
         """The clusters that are compact objects; also adds the places of walls."""
         clusters: list = []
-        n: cython.Py_ssize_t = self._return_count
+        n: cython.Py_ssize_t = self._returns.count
         if n < 2:
             return clusters
         runs: cython.Py_ssize_t = self._cut_into_runs()
@@ -648,7 +698,7 @@ class Tracker:
         while index + 2 < run_count and self._run_first[index + 1] == self._run_last[index + 1]:
             i: cython.Py_ssize_t = self._run_last[index]
             j: cython.Py_ssize_t = self._run_first[index + 2]
-            near: cython.double = min(self._ranges[i], self._ranges[j])
+            near: cython.double = min(self._returns.ranges[i], self._returns.ranges[j])
             max_distance: cython.double = _MAX_STEP + 2.0 * near * self._spacing / _GRAZING
             dx: cython.double = self._x[i] - self._x[j]
             dy: cython.double = self._y[i] - self._y[j]
@@ -679,8 +729,8 @@ class Tracker:
         """
         i: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        ranges: cython.double[::1] = self._ranges
-        return_count: cython.Py_ssize_t = self._return_count
+        ranges: cython.double[::1] = self._returns.ranges
+        return_count: cython.Py_ssize_t = self._returns.count
         nearest: cython.double = INFINITY
         farthest: cython.double = 0.0
 
@@ -734,9 +784,9 @@ class Tracker:
         count: cython.Py_ssize_t = 0
         for k in range(index, end + 1, 2):
             for i in range(self._run_first[k], self._run_last[k] + 1):
-                ray = i if i >= 0 else i + self._return_count
+                ray = i if i >= 0 else i + self._returns.count
                 x, y = x + self._x[ray], y + self._y[ray]
-                distance, age = distance + self._ranges[ray], age + self._ages[ray]
+                distance, age = distance + self._returns.ranges[ray], age + self._returns.ages[ray]
                 count += 1
         cluster: _Cluster = _Cluster()
         cluster.x, cluster.y, cluster.range = x / count, y / count, distance / count
@@ -750,22 +800,22 @@ class Tracker:
         `first`, `last`: the returns at the ends. An end is hidden if the next return beyond the end
         is nearer than the end.
         """
-        count: cython.Py_ssize_t = self._return_count
+        count: cython.Py_ssize_t = self._returns.count
         before: cython.Py_ssize_t = first - 1 if first > 0 else count - 1
         after: cython.Py_ssize_t = last + 1 if last + 1 < count else 0
         visible_ends: cython.int = 0
-        if self._is_gap[before] or self._ranges[before] > self._ranges[first]:
+        if self._is_gap[before] or self._returns.ranges[before] > self._returns.ranges[first]:
             visible_ends += 1
-        if self._is_gap[last] or self._ranges[after] > self._ranges[last]:
+        if self._is_gap[last] or self._returns.ranges[after] > self._returns.ranges[last]:
             visible_ends += 1
         return visible_ends
 
     @cython.cfunc
     def _add_wall_sectors(self, index: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
         """Add the nearest place of a wall in each of _SECTORS directions, in order of bearing."""
-        ranges: cython.double[::1] = self._ranges
-        bearings: cython.double[::1] = self._bearings
-        n: cython.Py_ssize_t = self._return_count
+        ranges: cython.double[::1] = self._returns.ranges
+        bearings: cython.double[::1] = self._returns.bearings
+        n: cython.Py_ssize_t = self._returns.count
         nearest: cython.Py_ssize_t = -1
         sector: cython.double = 0.0
         for k in range(index, end + 3, 2):
@@ -786,7 +836,7 @@ class Tracker:
     @cython.cfunc
     def _add_near_wall(self, i: cython.Py_ssize_t) -> cython.int:
         """Add the place of return `i` of a wall if it is within REACH; -1: no return."""
-        if i >= 0 and self._ranges[i] <= REACH:
+        if i >= 0 and self._returns.ranges[i] <= REACH:
             return self._add_wall(self._x[i], self._y[i])
         return 0
 
@@ -850,23 +900,15 @@ class Tracker:
     @cython.cfunc
     def _is_hidden(self, track: _Filter, pose) -> cython.bint:
         """True if a return in front of a track hides its middle."""
-        n: cython.Py_ssize_t = self._return_count
+        n: cython.Py_ssize_t = self._returns.count
         if n == 0:
             return False
-        yaw: cython.double = pose.yaw
-        cos_yaw: cython.double = cos(yaw)
-        sin_yaw: cython.double = sin(yaw)
+        cos_yaw: cython.double = cos(pose.yaw)
+        sin_yaw: cython.double = sin(pose.yaw)
         dx: cython.double = track.x - pose.x
         dy: cython.double = track.y - pose.y
         x: cython.double = cos_yaw * dx + sin_yaw * dy - self._offset_x
         y: cython.double = cos_yaw * dy - sin_yaw * dx - self._offset_y
-        bearing: cython.double = atan2(y, x)
-        low: cython.Py_ssize_t = 0  # the first return whose bearing is not below
-        high: cython.Py_ssize_t = n
-        while low < high:
-            middle: cython.Py_ssize_t = (low + high) // 2
-            if self._bearings[middle] < bearing:
-                low = middle + 1
-            else:
-                high = middle
-        return self._ranges[low if low < n else 0] < hypot(x, y) - track.radius
+        # The first return whose bearing is not below; the bearings rise.
+        first: cython.Py_ssize_t = bisect_left(self._returns.bearings, atan2(y, x), 0, n)
+        return self._returns.ranges[first if first < n else 0] < hypot(x, y) - track.radius

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.steering.buffers import rows
+from swarmd.steering.tracks import Track
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -24,6 +25,7 @@ else:
     from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
 
 _EPSILON = cython.declare(cython.double, 1e-9)
+_ROUNDED_UP = cython.declare(cython.double, 1.0 + 1e-9)  # times a square: more than rounding
 
 
 @cython.final
@@ -36,10 +38,18 @@ class Line:
     dx = cython.declare(cython.double, visibility="readonly")
     dy = cython.declare(cython.double, visibility="readonly")
 
-    def __init__(
-        self, x: cython.double, y: cython.double, dx: cython.double, dy: cython.double
-    ) -> None:
-        self.x, self.y, self.dx, self.dy = x, y, dx, dy
+    def __init__(self, *numbers: float) -> None:
+        """Set all numbers, in the order of the attributes."""
+        self.x, self.y, self.dx, self.dy = numbers
+
+
+@cython.cfunc
+def _line(x: cython.double, y: cython.double, dx: cython.double, dy: cython.double) -> Line:
+    """A line, made without objects of Python for its numbers."""
+    line: Line = Line.__new__(Line)
+    line.x, line.y = x, y
+    line.dx, line.dy = dx, dy
+    return line
 
 
 @cython.ccall
@@ -107,7 +117,7 @@ def line_of(
             dx, dy = -(px * leg + py * radius) / square, -(py * leg - px * radius) / square
         speed: cython.double = vx * dx + vy * dy
         change_x, change_y = speed * dx - vx, speed * dy - vy
-    return Line(robot_vx + share * change_x, robot_vy + share * change_y, dx, dy)
+    return _line(robot_vx + share * change_x, robot_vy + share * change_y, dx, dy)
 
 
 @cython.ccall
@@ -159,6 +169,7 @@ def track_lines(
         standing_speed: m/s; a slower object counts as standing.
         horizon: s.
     """
+    track: Track
     lines: list = []
     for track in tracks:
         vx: cython.double = track.vx
@@ -210,21 +221,25 @@ def passage_between(
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     places: cython.const[cython.double][:, ::1] = rows(walls)
-    sides: list = []
     best = INFINITY, 0, 0
     least_width: cython.double = INFINITY
     for i in range(len(places)):
-        if nearest_ahead < places[i, 0] < farthest_ahead and fabs(places[i, 1]) < farthest_aside:
-            sides.append(i)
-    for i in sides:
-        if places[i, 1] > 0.0:
-            for k in sides:
-                if places[k, 1] <= 0.0:
-                    width: cython.double = hypot(
-                        places[i, 0] - places[k, 0], places[i, 1] - places[k, 1]
-                    )
-                    if width < least_width:
-                        least_width, best = width, (width, i, k)
+        if not (
+            nearest_ahead < places[i, 0] < farthest_ahead and 0.0 < places[i, 1] < farthest_aside
+        ):
+            continue
+        for k in range(len(places)):
+            if (
+                nearest_ahead < places[k, 0] < farthest_ahead
+                and -farthest_aside < places[k, 1] <= 0.0
+            ):
+                dx: cython.double = places[i, 0] - places[k, 0]
+                dy: cython.double = places[i, 1] - places[k, 1]
+                if dx * dx + dy * dy > _ROUNDED_UP * least_width * least_width:
+                    continue  # certainly wider: saves most calls of hypot
+                width: cython.double = hypot(dx, dy)
+                if width < least_width:
+                    least_width, best = width, (width, i, k)
     return best
 
 
@@ -382,7 +397,7 @@ class _Programme:
                 dx: cython.double = other.dx - line.dx
                 dy: cython.double = other.dy - line.dy
                 length: cython.double = max(hypot(dx, dy), _EPSILON)
-                projected.append(Line(x, y, dx / length, dy / length))
+                projected.append(_line(x, y, dx / length, dy / length))
 
             # 2. The velocity farthest to the permitted side, in the direction of the left normal of
             # the line. By rounding, `solve` may fail: the previous velocity then stays.

@@ -87,7 +87,7 @@ class Ride:
 
 
 def track(id: int, x: float, y: float = 0.0) -> Track:
-    return Track(id, x, y, 0.0, 0.0, 0.1, 0.05)
+    return Track(id, x, y, 0.0, 0.0, 0.1)
 
 
 def near(x: float, y: float = 0.0) -> Pose:

@@ -23,12 +23,12 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Scan
 from swarmd.protection.decision import DecisionContext
 from swarmd.sim.lockstep.lockstep import Lockstep
-from swarmd.steering.tracks import Track
 
 if TYPE_CHECKING:
-    from swarmd.steering.tracks import Surroundings
+    from swarmd.steering.tracks import Surroundings, Track
 else:
-    Surroundings = load_kernel("swarmd.steering.tracks").Surroundings
+    kernel = load_kernel("swarmd.steering.tracks")
+    Surroundings, Track = kernel.Surroundings, kernel.Track
 
 DENSE = scenario(Scene("goals", "burger", "body", "orca", duration=6.0))
 
@@ -49,7 +49,7 @@ class Told:
         """Take no scan."""
 
     def surroundings(self, context: DecisionContext) -> Surroundings:
-        false = Track(99, 0.0, 1.0, 0.0, 0.0, 0.1, 0.0)
+        false = Track(99, 0.0, 1.0, 0.0, 0.0, 0.1)
         found = (*true_tracks(self.run.world, self.row, COMPARED), false)
         return Surroundings(found, np.empty((0, 2)))
 
