@@ -159,7 +159,6 @@ class Caster:
         self._is_even, self._ray_step = rays.is_even, rays.step
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._sensor_x, self._sensor_y = spec.offset
-        return 0
 
     @cython.cfunc
     def _make_buffers(self, edges_shape, discs: cython.Py_ssize_t) -> cython.int:
@@ -173,7 +172,6 @@ class Caster:
         self._members = memoryview(np.empty(self._body_count, np.intp))
         self._cell_of = memoryview(np.empty(self._body_count, np.intp))
         self._inverse = memoryview(np.empty(self._rays))
-        return 0
 
     def cast(
         self,
@@ -297,7 +295,6 @@ class Caster:
             self._placed_edges[body, i, 3] = (
                 s * self._edges[body, i, 2] + c * self._edges[body, i, 3]
             )
-        return 0
 
     @cython.cfunc
     @cython.boundscheck(False)
@@ -309,7 +306,6 @@ class Caster:
         s: cython.double = sin(yaw)
         self._disc_centers[disc, 0] = (c * self._discs[disc, 0] - s * self._discs[disc, 1]) + x
         self._disc_centers[disc, 1] = (s * self._discs[disc, 0] + c * self._discs[disc, 1]) + y
-        return 0
 
     @cython.cfunc
     def _fill_grid(
@@ -381,7 +377,6 @@ class Caster:
         if self._yaw < 0.0:
             self._yaw += 2.0 * _PI
         self._yaw -= _PI
-        return 0
 
     @cython.cfunc
     def _set_cone(self) -> cython.int:
@@ -393,7 +388,6 @@ class Caster:
         self._is_wide = half > _WIDE
         self._cos_middle, self._sin_middle = cos(middle), sin(middle)
         self._cos_half, self._sin_half = cos(half), sin(half)
-        return 0
 
     @cython.cfunc
     def _outside(self, x: cython.double, y: cython.double, side: cython.double) -> cython.double:
@@ -434,7 +428,6 @@ class Caster:
                 ):
                     continue
                 self._meet_surface(x, y, self._walls[i, 2], self._walls[i, 3], side)
-        return 0
 
     @cython.cfunc
     @cython.boundscheck(False)
@@ -516,7 +509,6 @@ class Caster:
             side += x * along_y - y * along_x
             if side < -_MIN_SIDE:
                 self._meet_surface(x - self._x, y - self._y, along_x, along_y, side)
-        return 0
 
     @cython.cfunc
     def _meet_surface(
@@ -761,7 +753,6 @@ class Sweeps:
         for i in range(self._count):
             for k in range(3):
                 self._scans[i, k] = self._scans[i + count, k]
-        return 0
 
 
 @cython.auto_pickle(False)

@@ -329,7 +329,6 @@ def _turn_rays(
             rising[k] = rising[k - 1]
             k -= 1
         rising[k] = angle
-    return 0
 
 
 @cython.cclass
@@ -534,7 +533,6 @@ class BlindZoneMemory:
         y: cython.double = self._entered_y - driven_y
         self._entered_x = cos_turn * x + sin_turn * y
         self._entered_y = cos_turn * y - sin_turn * x
-        return 0
 
     @cython.cfunc
     def _update_hidden(
@@ -682,7 +680,6 @@ class BlindZoneMemory:
         # line; in a sector wider than 90 degrees the corner may reach the sensor: 0.
         self._corner[k] = max(self._radius * (cos(half_angle) - sin(half_angle)), 0.0)
         self._sector_count += 1
-        return 0
 
     @cython.cfunc
     def _add_vanished(
@@ -747,7 +744,6 @@ class BlindZoneMemory:
                 self._age[k] = 0.0 if is_gone else _DOUBTFUL
                 self._is_face[k] = not is_gone
                 self._candidate_count += 1
-        return 0
 
     @cython.cfunc
     def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
@@ -832,7 +828,6 @@ class BlindZoneMemory:
                 self._angles[self._angle_total] = self._rising[i]
                 self._angle_rays[self._angle_total] = i
                 self._angle_total += 1
-        return 0
 
     @cython.cfunc
     def _find_reappeared(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
@@ -901,7 +896,6 @@ class BlindZoneMemory:
                     )
                     if is_doubtful:
                         self._age_by_ray[_wrapped(i, ray_count)] += seconds
-        return 0
 
     @cython.cfunc
     def _fill_with_box(self, k: cython.Py_ssize_t) -> cython.int:
@@ -917,7 +911,6 @@ class BlindZoneMemory:
             self._age_by_ray[ray] = min(self._age_by_ray[ray], _DOUBTFUL)  # inf without an obstacle
             if self._is_face_by_ray[ray]:  # True without an obstacle, too
                 self._nearest_by_ray[ray] = self._corner[k]
-        return 0
 
     @cython.cfunc
     def _fill_evenly(self, k: cython.Py_ssize_t, age: cython.double) -> cython.int:
@@ -931,4 +924,3 @@ class BlindZoneMemory:
         for i in range(first, after_last):
             self._age_by_ray[_wrapped(i, self._ray_count)] = age
             self._nearest_by_ray[_wrapped(i, self._ray_count)] = nearest
-        return 0

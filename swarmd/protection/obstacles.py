@@ -186,7 +186,6 @@ class NearObstacles:
         """Put the direction of a ray into `_directions`."""
         bearing: cython.double = self._bearings[ray]
         self._directions[2 * ray], self._directions[2 * ray + 1] = cos(bearing), sin(bearing)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -196,7 +195,6 @@ class NearObstacles:
         for i in range(len(ranges)):
             if ranges[i] <= REACH and self._directions[2 * i] != self._directions[2 * i]:
                 self._find_direction(i)
-        return 0
 
     @cython.cfunc
     def find_min_gap(self, ranges: cython.const[cython.double][::1], range_min: cython.double):
@@ -225,7 +223,6 @@ class NearObstacles:
             self.min_gap = None
         else:
             self.min_gap = 0.0 if nearest == -INFINITY else smallest_gap
-        return 0
 
     @cython.cfunc
     def take_scan(
@@ -432,7 +429,6 @@ class NearObstacles:
         for i in range(unsorted.count):
             points.kind[rays.count + i] = unsorted.kind[self._order[i]]
         points.count = rays.count + unsorted.count
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -479,7 +475,6 @@ class NearObstacles:
             order, spare = spare, order
             self._order, self._spare = self._spare, self._order
             run_length *= 2
-        return 0
 
 
 @cython.cfunc
@@ -535,4 +530,3 @@ class ObstacleDiscs:
             if not (gap > assumptions.fresh_binding_range + approach_speed * age):
                 self.binding[self.count] = i
                 self.count += 1
-        return 0

@@ -286,7 +286,6 @@ class DelayByTurns:
             while begin > self._first and self._times[begin] > before - delay:
                 begin -= 1
             self._turns[k] = self._heading(end, at - delay) - self._heading(begin, before - delay)
-        return 0
 
     @cython.cfunc
     def _set_bearings(self, bearings):

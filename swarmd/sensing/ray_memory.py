@@ -333,7 +333,6 @@ class RayMemory:
         for i in range(n):
             self._ranges[i] = NAN
             self._seen_at[i] = self._near_at[i] = -INFINITY
-        return 0
 
     @cython.cfunc
     def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
@@ -358,7 +357,6 @@ class RayMemory:
             self._seen_at[target] = -INFINITY if is_far else seen_at[source]
             self._near_at[target] = -INFINITY if is_far else near_at[source]
         self._shift = 0
-        return 0
 
     @cython.cfunc
     def _interpret_ranges(self, out: cython.double[::1]) -> cython.bint:
@@ -407,7 +405,6 @@ class RayMemory:
                 i = wrapped_index(k, n)
                 out[i] = self._meaning(i, run, now)
             begin += run
-        return 0
 
     @cython.cfunc
     def _meaning(

@@ -170,7 +170,6 @@ class _ScanReturns:
         self.offset_x, self.offset_y = offset
         self.pose_x, self.pose_y = pose.x, pose.y
         self.pose_cos, self.pose_sin = cos(yaw), sin(yaw)
-        return 0
 
     @cython.cfunc
     def place(self, row: cython.Py_ssize_t) -> cython.int:
@@ -189,7 +188,6 @@ class _ScanReturns:
         for x, y, radius in tracks:
             self.tracks[k], self.tracks[k + 1], self.tracks[k + 2] = x, y, radius
             k += 3
-        return 0
 
     @cython.cfunc
     def ends(self) -> list:
@@ -234,7 +232,6 @@ class _ScanReturns:
             if self.ranges[row] < _MAX_RANGE:
                 self.place(row)
             self.is_wall[row] = self.ranges[row] < _MAX_RANGE and self.is_free(row)
-        return 0
 
     @cython.cfunc
     def partner(
@@ -302,7 +299,6 @@ class _ScanReturns:
                 self.side[k] = cos_angle * dy - sin_angle * dx
                 k += 1
         self.count = k
-        return 0
 
 
 @cython.final

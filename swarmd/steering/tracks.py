@@ -570,7 +570,6 @@ class Tracker:
             to_x[k], to_y[k] = x + ranges[i] * cos(angle), y + ranges[i] * sin(angle)
             to_ranges[k], to_bearings[k] = ranges[i], bearings[i]
             to_ages[k] = ages[i] if has_ages else 0.0
-        return 0
 
     def _make_room(self, count):
         """Make the arrays of returns, runs and walls for `count` rays."""
@@ -814,7 +813,6 @@ class Tracker:
             if track.misses and not cluster.is_used:
                 cluster.is_used = True
                 track.update(cluster)
-        return 0
 
     @cython.cfunc
     def _is_part(self, cluster: _Cluster) -> cython.bint:
@@ -845,7 +843,6 @@ class Tracker:
             if at - track.seen_at <= _HIDDEN_TIME:
                 kept.append(track)
         self._filters = kept
-        return 0
 
     @cython.cfunc
     def _is_hidden(self, track: _Filter, pose) -> cython.bint:

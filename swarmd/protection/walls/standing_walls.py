@@ -242,7 +242,6 @@ class StandingWalls(ReturnLayer):
                 self._continue(i, run, is_on_wall, motion)
                 self._runs.fields[run + RUN_TAKEN] = i + 1.0
                 break
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -263,7 +262,6 @@ class StandingWalls(ReturnLayer):
             walls[wall + _W_SEEN] = 0.0
         for i in range(_BINS * self._wall_count):
             self._next_since[i] = INFINITY
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -392,7 +390,6 @@ class StandingWalls(ReturnLayer):
         if now - walls[at + _W_AT] >= self._seconds:
             self._move_line(at, run, motion)
             walls[at + _W_OFF] = 0.0
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -413,7 +410,6 @@ class StandingWalls(ReturnLayer):
                 is_near: cython.bint = fabs(along - before) <= SPACING
                 self._cover(first, at, run, before if is_near else along, along, now)
                 before = along
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -441,7 +437,6 @@ class StandingWalls(ReturnLayer):
                 self.has_kinds = True
             elif 0 <= bin_of_wall < _BINS:
                 self._ripen(place, self._next_since[first + bin_of_wall])
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -488,7 +483,6 @@ class StandingWalls(ReturnLayer):
         for k in range(low if low > 0 else 0, high + 1 if high < _BINS else _BINS):
             since: cython.double = self._since[first + k]
             self._next_since[first + k] = since if since < INFINITY else now
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -499,7 +493,6 @@ class StandingWalls(ReturnLayer):
         is_later: cython.bint = self.ripe_at < since + self._seconds < INFINITY
         if is_later and dx * dx + dy * dy <= _NEAR * _NEAR:
             self.ripe_at = since + self._seconds
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -568,7 +561,6 @@ class StandingWalls(ReturnLayer):
                 self._keep_wall(i, kept)
                 kept += 1
         self._wall_count = kept
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -664,7 +656,6 @@ class StandingWalls(ReturnLayer):
             if distance < farthest:
                 stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
                 self.moved = MovedWall(stood, distance, distance / seconds)
-        return 0
 
     @cython.cfunc
     @cython.inline

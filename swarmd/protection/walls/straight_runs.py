@@ -233,7 +233,6 @@ class StraightRuns:
         sums[to + _SUM_XX] = sums[before + _SUM_XX] + x * x
         sums[to + _SUM_XY] = sums[before + _SUM_XY] + x * y
         sums[to + _SUM_YY] = sums[before + _SUM_YY] + y * y
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -249,7 +248,6 @@ class StraightRuns:
             if k - begin >= _FEWEST:
                 self._split(begin, k - 1)
             begin = k
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -315,7 +313,6 @@ class StraightRuns:
             )
         if self._fit(run):
             self.count += 1
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -387,7 +384,6 @@ class StraightRuns:
             for j in range(RUN_FIELDS):
                 runs[j] = runs[RUN_FIELDS * kept + j]
         self.count = kept
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
