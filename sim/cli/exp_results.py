@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form
     from swarmd.sim.experiments.requirements import RequirementFinding
     from swarmd.sim.experiments.results import Results
-    from swarmd.sim.experiments.simulate import Progress
     from swarmd.sim.metrics.metric import Metric
 
 _MODULES = {
@@ -60,27 +59,21 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments.export import export as exported
     from swarmd.sim.experiments.results import load_results
+    from swarmd.sim.experiments.simulate import Progress
 
     results = load_results(folder)
     written: list[Path] = []
     target_folder = out or folder / "export"
-    total_traces = 0 if no_traces else len(results.runs)
+    total = 0 if no_traces else len(results.runs)  # traces, of which all count as equal work
     try:
         with progress() as show:
             for path in exported(results, cast("Form", form), target_folder, traces=not no_traces):
                 written.append(path)
-                traces_done = sum(file.stem != "results" for file in written)
-                show(_progress_of_export(traces_done, total_traces))
+                done = sum(file.stem != "results" for file in written)
+                show(Progress(done, total, 0, worked=float(done), left=float(total - done)))
     finally:  # after an error the user also gets the names of the files that are written
         # Only now: the progress bar would overwrite the names.
         click.echo("\n".join(map(str, written)))
-
-
-def _progress_of_export(done: int, total: int) -> Progress:
-    """The progress after `done` of `total` traces, of which all count as equal work."""
-    from swarmd.sim.experiments.simulate import Progress
-
-    return Progress(done, total, failed=0, worked=float(done), left=float(total - done))
 
 
 @click.command()
@@ -121,7 +114,8 @@ def check(
 
 def _print_findings(findings: Sequence[RequirementFinding]) -> None:
     """Print a row for each requirement and variant."""
-    from swarmd.sim.experiments.statistics import NOTHING, interval, number
+    from swarmd.sim.experiments.statistics import interval, number
+    from swarmd.texts.values import NOTHING
 
     rows = []
     for finding in findings:

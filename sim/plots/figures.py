@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from string import ascii_lowercase
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -107,7 +107,7 @@ def draw_experiment(
     paths: list[Path] = []
     for kind in (*KINDS, CURVE):  # CURVE is in `kinds` only if `look.only` names it
         if kind in kinds:
-            paths += gallery.draw(kind)
+            paths += getattr(gallery, kind)()
     return paths
 
 
@@ -170,24 +170,6 @@ class _Gallery:
         if not self._has_traces:
             _log.warning("%s: no traces were kept; what needs them is not drawn", folder)
 
-    def draw(self, kind: str) -> list[Path]:
-        """All pictures of a kind of KINDS, or of CURVE."""
-        match kind:
-            case "intervals":
-                return self.intervals()
-            case "curve":  # CURVE
-                return self.curve()
-            case "differences":
-                return self.differences()
-            case "survival":
-                return self.survival()
-            case "over_time":
-                return self.over_time()
-            case "runs":
-                return [path for variant in self.variants for path in self.overview(variant)]
-            case _:
-                return [path for variant in self.variants for path in self.chosen_runs(variant)]
-
     def _check_labels(self) -> None:
         swept = self._results.plan.sweep
         known = {*swept, *(key.rpartition(".")[2] for key in swept), *self._results.metrics}
@@ -204,11 +186,7 @@ class _Gallery:
 
     def intervals(self) -> list[Path]:
         """Metrics run by run."""
-        panels = self._run_by_run()
-        if not panels:
-            return []
-        figure = intervals_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
-        return [self._save(figure, "intervals")]
+        return self._drawn(intervals_figure, self._run_by_run(), "intervals")
 
     def curve(self) -> list[Path]:
         """Metrics over the values of a swept number; ConfigError if there is no such number."""
@@ -217,11 +195,13 @@ class _Gallery:
                 "--only curve: expected one swept number; of several swept keys, a panel for each"
                 " value of one: --facet KEY"
             )
-        panels = self._run_by_run()
+        return self._drawn(curve_figure, self._run_by_run(), "curve")
+
+    def _drawn(self, draw: Callable[..., Figure], panels: Sequence[Any], name: str) -> list[Path]:
         if not panels:
             return []
-        figure = curve_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
-        return [self._save(figure, "curve")]
+        figure = draw(panels, self._scenario, width=self._look.width, axis=self._axis)
+        return [self._save(figure, name)]
 
     def _run_by_run(self) -> list[Panel]:
         """A panel for each metric and facet whose values differ."""
@@ -259,10 +239,7 @@ class _Gallery:
                     quantity = self._quantity(metric)
                     label = _joined(quantity.name, panel)
                     panels.append(DifferencePanel(label, quantity.unit, differences))
-        if not panels:
-            return []
-        figure = differences_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
-        return [self._save(figure, "differences")]
+        return self._drawn(differences_figure, panels, "differences")
 
     def survival(self) -> list[Path]:
         """A picture for each time to an event: over time, the share of runs without the event.
@@ -305,10 +282,19 @@ class _Gallery:
             return name
         return metric.event or f"the event of {name}"
 
-    def overview(self, variant: str) -> list[Path]:
-        """All runs of a variant in one picture."""
-        if not self._has_traces:
-            return []
+    def runs(self) -> list[Path]:
+        """All runs of each variant in one picture."""
+        return self._of_each(self._overview)
+
+    def trajectories(self) -> list[Path]:
+        """Paths, start and end of a typical run and of the worst one, for each variant."""
+        return self._of_each(self._chosen_runs)
+
+    def _of_each(self, draw: Callable[[str], list[Path]]) -> list[Path]:
+        variants = self.variants if self._has_traces else []
+        return [path for variant in variants for path in draw(variant)]
+
+    def _overview(self, variant: str) -> list[Path]:
         runs = [
             (f"seed {run.seed}{self._primary_value(run)}", lambda run=run: self._trace(run))
             for run in self._of(variant)
@@ -320,11 +306,8 @@ class _Gallery:
         )  # fmt: skip
         return [self._save(figure, "runs", variant)]
 
-    def chosen_runs(self, variant: str) -> list[Path]:
-        """Paths, start and end of a typical run and of the worst one."""
+    def _chosen_runs(self, variant: str) -> list[Path]:
         runs = self._of(variant)
-        if not self._has_traces:
-            return []
         if self._primary is None:
             return self._first_of(runs, "first")[0]
         values = self._values(self._primary, variant)
