@@ -178,7 +178,6 @@ class Bases:
             self._driven[row, k] += _clipped(
                 (target - self._driven[row, k]) * self._shares[row], self._max_steps[row, k]
             )
-        return 0
 
     @cython.cfunc
     def _push(self, row: cython.Py_ssize_t) -> cython.int:
@@ -211,7 +210,6 @@ class Bases:
             (self._driven[row, 1] - self._qvel[3 * row + 2]) * self._inert[row, 2] / self._dt,
             self._grip_torque[row],
         )
-        return 0
 
 
 def _accelerations(platform):

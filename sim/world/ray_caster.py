@@ -438,25 +438,21 @@ class Caster:
         robot that carries the sensor.
         """
         grid_row: cython.Py_ssize_t
-        sensor_row: cython.Py_ssize_t
-        sensor_column: cython.Py_ssize_t
         south: cython.Py_ssize_t
         north: cython.Py_ssize_t
-        west: cython.Py_ssize_t
-        east: cython.Py_ssize_t
         member: cython.Py_ssize_t
         if not self._grid_columns:
             return 0
-        sensor_row = cython.cast(
+        sensor_row: cython.Py_ssize_t = cython.cast(
             cython.Py_ssize_t, floor((self._y - self._south) / self._cell_size)
         )
-        sensor_column = cython.cast(
+        sensor_column: cython.Py_ssize_t = cython.cast(
             cython.Py_ssize_t, floor((self._x - self._west) / self._cell_size)
         )
         # Columns `west` to `east` - 1 and rows `south` to `north` - 1 of the grid. For a sensor far
         # outside the grid, `east` equals `west` or `north` is not above `south`: no members.
-        west = min(max(sensor_column - 1, 0), self._grid_columns)
-        east = max(min(sensor_column + 2, self._grid_columns), west)
+        west: cython.Py_ssize_t = min(max(sensor_column - 1, 0), self._grid_columns)
+        east: cython.Py_ssize_t = max(min(sensor_column + 2, self._grid_columns), west)
         south, north = max(sensor_row - 1, 0), min(sensor_row + 2, self._grid_rows)
         for grid_row in range(south, north):
             # The members of the cells of a row follow each other.
@@ -465,7 +461,6 @@ class Caster:
                 self._cell_begin[grid_row * self._grid_columns + east],
             ):
                 self._meet_body(self._members[member], carrier)
-        return 0
 
     @cython.cfunc
     @cython.inline
@@ -489,7 +484,6 @@ class Caster:
             )
         elif self._owner[body] != carrier:
             self._meet_polygon(body)
-        return 0
 
     @cython.cfunc
     @cython.boundscheck(False)
@@ -584,15 +578,13 @@ class Caster:
         tangent_squared: cython.double = x * x + y * y - radius * radius
         middle: cython.double
         half: cython.double
-        first: cython.Py_ssize_t
-        rays: cython.Py_ssize_t
         is_around_sensor: cython.bint = not tangent_squared > 0.0
         if is_around_sensor or self._is_outside(x, y, radius):  # outside the sector's cone
             return 0
         # The circle covers the bearings `middle` +- `half` (rad).
         middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
-        first = self._ray_index((middle - half) - _BEARING_MARGIN)
-        rays = self._ray_index((middle + half) + _BEARING_MARGIN) - first
+        first: cython.Py_ssize_t = self._ray_index((middle - half) - _BEARING_MARGIN)
+        rays: cython.Py_ssize_t = self._ray_index((middle + half) + _BEARING_MARGIN) - first
         return self._note_circle(
             (first - self._first) % self._rays,
             rays,

@@ -408,11 +408,6 @@ class BlindZoneMemory:
         """
         self._radius, self._speed, self._period = range_min, speed, period
         self._narrowest_sector = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
-        self._given_bearings = None
-        self._ray_count = self._reserved = self._point_count = self._old_point_count = (
-            self._old_empty_count
-        ) = self._hidden_count = 0
-        self._entered_x = self._entered_y = self._emerged_m = self._vanished_m = 0.0
         self._x = self._y = self._old_x = self._old_y = self._old_empty = _NOTHING
         self._hidden_bearing = self._age = self._nearest_range = self._is_face = _NOTHING
         self.bearings = self.nearest = _NOTHING
@@ -650,7 +645,6 @@ class BlindZoneMemory:
             if end - i >= _MIN_EMPTY_RUN:
                 self._add_sector(_wrapped(i, ray_count), end - i)
             i = end + 1
-        return 0
 
     @cython.cfunc
     def _add_sector(self, first: cython.Py_ssize_t, width: cython.Py_ssize_t) -> cython.int:
@@ -813,7 +807,6 @@ class BlindZoneMemory:
                 self._is_hidden[k] = False
             elif angle_off <= farthest_shift:
                 self._age[k] = max(self._age[k], _DOUBTFUL)
-        return 0
 
     @cython.cfunc
     def _clear_rays(self) -> cython.int:
@@ -853,7 +846,6 @@ class BlindZoneMemory:
                     self._angles[self._angle_total] = self._rising[i]
                     self._angle_total += 1
                     self._emerged_m += self._range[i] * _TURN / ray_count
-        return 0
 
     @cython.cfunc
     def _fill(self, seconds: cython.double) -> cython.int:

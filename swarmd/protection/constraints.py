@@ -124,7 +124,6 @@ class ConstraintRows:
         self.cap[row], self.gap[row] = cap, gap
         self.source[row] = source
         self.count = row + 1
-        return 0
 
 
 @cython.final
@@ -228,7 +227,6 @@ class PlacedPoints:
         for j in range(count):
             first_row[first + j] = row + j
             source[row + j] = first + j
-        return 0
 
 
 @cython.cfunc
@@ -575,7 +573,6 @@ class Constraints:
         """
         axes: SpeedAxes = self.axes
         self.rows.add(linear * axes.limit, lever * axes.angular_limit, cap, gap, source)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -748,7 +745,6 @@ class Constraints:
         if back_point >= 0:
             gap = chunk.gap[back_point] - chunk.radius[back_point]
             self._add(-1.0, 0.0, back_cap, gap, first + back_point)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)

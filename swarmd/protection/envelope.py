@@ -194,4 +194,3 @@ class Creeping:
             rows.cap[i] = self._kept_cap[i]
         self.is_active = False
         self.usual.put(rows, axes)
-        return 0

@@ -102,7 +102,6 @@ class Points:
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.age = doubles(room), doubles(room)
         self.kind = indices(room)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -119,7 +118,6 @@ class Points:
         self.x[at], self.y[at], self.gap[at], self.age[at] = x, y, gap, age
         self.kind[at] = kind
         self.count = at + 1
-        return 0
 
 
 @cython.final

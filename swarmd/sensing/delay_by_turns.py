@@ -458,4 +458,3 @@ class DelayByTurns:
             self.delay = max(_DELAY_STEP * middle + change, 0.0)
             spread: cython.double = _ALIKE * _DELAY_STEP * sqrt(2.0 * variance / curvature)
             self.spread = max(spread, _MIN_DELAY_SPREAD)
-        return 0

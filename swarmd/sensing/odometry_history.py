@@ -183,7 +183,6 @@ class OdometryHistory:
         self._x = r[later + _X] + cos_chord * ahead - sin_chord * left
         self._y = r[later + _Y] + sin_chord * ahead + cos_chord * left
         self._yaw = r[later + _YAW] + turn
-        return 0
 
     @cython.cfunc
     def set_path(self, end: cython.double, seconds: cython.double) -> cython.Py_ssize_t:

@@ -136,8 +136,7 @@ class RayMemory:
         self._guesses_near = guesses_near
         self._near_below = spec.range_min + _NEAR_MARGIN
         self._step = TURN / max(len(spec.bearings), 1)
-        self._yaw, self._far_returns = NAN, 0
-        self._given, self._ray_count = None, 0
+        self._yaw = NAN
         self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = None
         self._order = self._place = self._is_zero = self._is_lost = None
 

@@ -178,7 +178,6 @@ class _ScanReturns:
         y: cython.double = self.offset_y + self.ranges[row] * sin(self.bearings[row])
         self.x[row] = self.pose_x + self.pose_cos * x - self.pose_sin * y
         self.y[row] = self.pose_y + self.pose_sin * x + self.pose_cos * y
-        return 0
 
     @cython.cfunc
     def set_tracks(self, tracks: tuple) -> cython.int:
@@ -355,7 +354,6 @@ class Opening:
         self.last = self.reach_along(returns, 1.0)
         self.left = self.half + self.reach_beside(returns, 1.0)
         self.right = self.half + self.reach_beside(returns, -1.0)
-        return 0
 
     @cython.cfunc
     def align(self, returns: _ScanReturns) -> cython.bint:
@@ -460,7 +458,6 @@ class Opening:
         self.left = _grown(self.left, left, left > self.left)
         self.right = _grown(self.right, right, right > self.right)
         self.hits, self.seen_at = self.hits + 1, sighting.seen_at
-        return 0
 
 
 @cython.final

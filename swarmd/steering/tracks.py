@@ -203,7 +203,6 @@ class _Filter:
         self.pp += dt * (2.0 * self.pv + dt * (self.vv + _ACCELERATION * dt / 3.0))
         self.pv += dt * (self.vv + 0.5 * _ACCELERATION * dt)
         self.vv += _ACCELERATION * dt
-        return 0
 
     @cython.cfunc
     def distance_to(self, cluster: _Cluster, gate: cython.double) -> cython.double:
@@ -254,7 +253,6 @@ class _Filter:
             self.vx, self.vy = self.vx * self.fastest / speed, self.vy * self.fastest / speed
         self.hits += 1
         self.misses = 0
-        return 0
 
 
 @cython.final

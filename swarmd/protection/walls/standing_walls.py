@@ -223,7 +223,6 @@ class StandingWalls(ReturnLayer):
                 continue
             if runs[run + RUN_IS_LONG] > 0.0 or self._runs.corner_of(j) >= 0:
                 self._add_wall(run, motion)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -287,7 +286,6 @@ class StandingWalls(ReturnLayer):
         walls[wall + _W_HIGH] -= shift
         walls[wall + _W_X] += _BIN * shift * walls[wall + _W_UX]
         walls[wall + _W_Y] += _BIN * shift * walls[wall + _W_UY]
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -589,7 +587,6 @@ class StandingWalls(ReturnLayer):
                 walls[to + _W_HIGH] = k
                 if walls[to + _W_LOW] == _BINS:
                     walls[to + _W_LOW] = k
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)

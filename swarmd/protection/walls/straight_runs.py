@@ -125,7 +125,6 @@ class StraightRuns:
             runs[run + RUN_TAKEN] = 0.0
             is_long: cython.bint = runs[run + RUN_TO] - runs[run + RUN_FROM] >= self._length
             runs[run + RUN_IS_LONG] = 1.0 if is_long and self._is_straight(run) else 0.0
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -297,7 +296,6 @@ class StraightRuns:
                 top += 4
             elif self.count < _RUNS:
                 self._add_run(first, last)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
