@@ -104,11 +104,13 @@ class ScanContent:
                 " something in front of the sensor and check again: if there is still no return,"
                 f" look at the sensor, or correct the platform's {self.section}.range_max"
             )
-        if np.count_nonzero(self._own_degrees) >= _LEAST_OWN:
+        own = self._own_degrees
+        if np.count_nonzero(own) >= _LEAST_OWN:
+            widened = own | np.roll(own, 1) | np.roll(own, -1)
             return (
-                f"rays at {_sectors(self._own_degrees)} deg end inside the robot's outline in each"
+                f"rays at {_sectors(own)} deg end inside the robot's outline in each"
                 " scan; free the sensor, or if these are parts of the robot, set the platform's"
-                f" {self.section}.mask to {_sectors(_widened(self._own_degrees))}"
+                f" {self.section}.mask to {_sectors(widened)}"
             )
         is_frozen = spec.is_noisy and self._repeats >= MAX_REPEATS
         if is_frozen and returns >= MIN_DISTINCT_RETURNS:
@@ -171,11 +173,6 @@ class ScanContent:
         """(n,) True for each ray with a return, measured or too close to measure."""
         is_measured: NDArray[np.bool_] = (scan.ranges > 0.0) & (scan.ranges <= self.spec.range_max)
         return is_measured | self._is_too_close(scan)
-
-
-def _widened(degrees: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The degrees and their neighbours."""
-    return degrees | np.roll(degrees, 1) | np.roll(degrees, -1)
 
 
 def _sectors(degrees: NDArray[np.bool_]) -> str:

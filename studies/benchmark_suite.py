@@ -22,11 +22,11 @@ import swarmd.config
 from benchmarks.table import markdown
 from studies.outcomes.outcome import with_results
 from swarmd.sim.experiments import benchmark
-from swarmd.sim.experiments.statistics import NOTHING
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.plots import scene
 from swarmd.sim.plots.theme import new_figure, save
 from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

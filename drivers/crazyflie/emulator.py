@@ -22,7 +22,7 @@ from swarmd.core.low_battery import READING
 from swarmd.core.values import Platform, Pose, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.crazyflie.firmware import Firmware
-from swarmd.drivers.crazyflie.sensors import BATTERY_VOLTS, SENSORS, sensor_rays
+from swarmd.drivers.crazyflie.sensors import BATTERY_VOLTS, SENSORS
 
 TICK = 0.02  # s
 _SIZE = 2048
@@ -94,7 +94,8 @@ class CrtpRobots:
         with self._lock:
             drone, now = self._drones[robot], self._clock()
             if isinstance(input, ScanInput):
-                drone.firmware.set_ranges(sensor_rays(input.scan.ranges))
+                ranges = dict(zip(SENSORS, input.scan.ranges.tolist(), strict=True))
+                drone.firmware.set_ranges(ranges)
                 drone.stamp = input.scan.stamp
                 self._log(drone, ("range.",), now)
             elif isinstance(input, OdometryInput):

@@ -214,7 +214,7 @@ class Firmware:
             case _Port.PLATFORM, 1 if payload[0] == _GET_PROTOCOL:
                 yield bytes([_GET_PROTOCOL, PROTOCOL_VERSION])
             case _Port.LOG, 0:  # the table of contents
-                items = [_log_item(name) for name in _LOG_VARIABLES]
+                items = [_item(_LOG_TYPES[kind], name) for name, kind in _LOG_VARIABLES.items()]
                 yield from _toc(payload, items, _LOG_CHECKSUM)
             case _Port.LOG, 1:  # a command on a log block
                 yield self._log_command(payload)
@@ -292,10 +292,6 @@ def _toc(payload: bytes, items: list[bytes], checksum: int) -> Iterator[bytes]:
     elif payload[0] == _TOC_ITEM:
         (ident,) = struct.unpack("<H", payload[1:3])
         yield payload[:3] + items[ident]
-
-
-def _log_item(name: str) -> bytes:
-    return _item(_LOG_TYPES[_LOG_VARIABLES[name]], name)
 
 
 def _item(kind: int, name: str) -> bytes:

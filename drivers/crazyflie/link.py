@@ -93,7 +93,10 @@ class DroneLink:
         self._drone.link_statistics.start = lambda: None
         self._drone.connected.add_callback(lambda uri: self._begin_logs(on_open))
         self._drone.connection_failed.add_callback(lambda uri, text: on_lost(_first_line(text)))
-        self._drone.param.add_update_callback(group="deck", cb=self._take_deck)
+        self._drone.param.add_update_callback(
+            group="deck",
+            cb=lambda name, value: on_data("deck", 0, {name.removeprefix("deck."): float(value)}),
+        )
 
     def open(self) -> None:
         """Begin to connect; `on_open` or `on_lost` follows."""
@@ -144,9 +147,6 @@ class DroneLink:
             self._on_lost(f"the firmware has no such log variable: {error}")
             return
         on_open()
-
-    def _take_deck(self, name: str, value: str) -> None:
-        self._on_data("deck", 0, {name.removeprefix("deck."): float(value)})
 
     def _take(self, stamp: int, values: Mapping[str, float], block: Any) -> None:
         self._on_data(block.name, stamp, dict(values))

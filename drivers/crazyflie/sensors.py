@@ -26,8 +26,3 @@ def ranges_of(values: Mapping[str, float], range_min: float, range_max: float) -
     ranges[ranges > range_max] = math.inf
     ranges[ranges < range_min] = -math.inf
     return ranges
-
-
-def sensor_rays(ranges: Array) -> Mapping[str, float]:
-    """The ranges (4,) in m by the name of the sensor."""
-    return dict(zip(SENSORS, ranges.tolist(), strict=True))

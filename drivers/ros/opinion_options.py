@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from swarmd.drivers.ros.cdr import STORE
+from swarmd.drivers.ros.topic_readings import Text
 
 PUBLISHED = "swarmd/opinion"
 """The topic of the own opinion, of type std_msgs/Int32."""
@@ -20,7 +21,6 @@ _BROADCAST = "communication_interfaces/msg/OpinionMessage"
 _BROADCAST_FIELDS = "int64 id\nint64 opinion\n"
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,49}")
 _TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
-Text = Annotated[str, Meta(min_length=1, max_length=200)]
 Number = Annotated[int, Meta(ge=0, lt=2**31)]
 
 

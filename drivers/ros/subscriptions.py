@@ -263,7 +263,8 @@ class Subscriptions:
         content = self.contents["scan"]
         content.take(scan)
         unmeasured = "" if content.has_measured else content.fault
-        stats.record_doubt(unmeasured or from_ros.header_fault(message))
+        doubt = unmeasured or from_ros.header_fault(message)
+        stats.doubt = (stats.doubt or doubt) if doubt else ""
         return partial(_deliver, () if unmeasured else (ScanInput(scan),))
 
 

@@ -153,8 +153,9 @@ def number_path(types: MessageTypes, message_type: type, field: str) -> tuple[St
     steps, node = path_of(types, message_type, field)
     if fault := _end_fault(types.fielddefs, *node):
         raise ConfigError(fault)
+    # rosbags reads a `byte` as signed, as in ROS 1; in ROS 2 it is unsigned.
     is_octet = node[1][0] == "byte" and not types.is_ros1
-    return (*steps, _octet) if is_octet else steps
+    return (*steps, lambda value: int(value) & 0xFF) if is_octet else steps
 
 
 def path_of(
@@ -210,11 +211,6 @@ def _end_fault(fielddefs: Mapping[str, Any], node: Any, detail: Any) -> str:
     if node is not Nodetype.BASE:
         return f"a list, not a number; add an index, such as .0, or .{_LENGTH}"
     return f"a {detail[0]}; expected a number" if detail[0] in _TEXTS else ""
-
-
-def _octet(value: int) -> int:
-    """The unsigned value of a ROS 2 `byte`, which rosbags reads as signed, as in ROS 1."""
-    return int(value) & 0xFF
 
 
 class Readings(TopicInputs[TopicReading, float]):

@@ -58,10 +58,6 @@ class TopicStats:
         self.stamps.append(stamp)
         self.summary = summary
 
-    def record_doubt(self, doubt: str) -> None:
-        """Note how the present message contradicts itself; an empty `doubt` ends the series."""
-        self.doubt = (self.doubt or doubt) if doubt else ""
-
     def record_fault(self, now: float, fault: str) -> None:
         """Count a message that could not be used; the first fault of a series is kept."""
         self.fault = self.recent_fault(now) or fault

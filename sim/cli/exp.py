@@ -5,19 +5,19 @@ from __future__ import annotations
 import itertools
 import shlex
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from signal import SIGTERM
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.exp_bench import bench
+from swarmd.sim.cli.exp_bench import FAILED, PARTIAL, bench
 from swarmd.sim.cli.exp_results import (
     check,
     exit_if_incomplete,
@@ -51,10 +51,8 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.results import Results
     from swarmd.sim.metrics.metric import Metric
 
-FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
 _FAILURES_SHOWN = 5
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 _metrics = click.option(
     "--metrics",

@@ -64,22 +64,13 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     results = load_results(folder)
     written: list[Path] = []
     target_folder = out or folder / "export"
-    total_traces = 0 if no_traces else len(results.runs)
+    total = 0 if no_traces else len(results.runs)  # traces, of which all count as equal work
     try:
         with progress() as show:
             for path in exported(results, cast("Form", form), target_folder, traces=not no_traces):
                 written.append(path)
-                traces_done = sum(file.stem != "results" for file in written)
-                # All traces count as equal work.
-                show(
-                    Progress(
-                        traces_done,
-                        total_traces,
-                        failed=0,
-                        worked=float(traces_done),
-                        left=float(total_traces - traces_done),
-                    )
-                )
+                done = sum(file.stem != "results" for file in written)
+                show(Progress(done, total, 0, worked=float(done), left=float(total - done)))
     finally:  # after an error the user also gets the names of the files that are written
         # Only now: the progress bar would overwrite the names.
         click.echo("\n".join(map(str, written)))
@@ -123,7 +114,8 @@ def check(
 
 def _print_findings(findings: Sequence[RequirementFinding]) -> None:
     """Print a row for each requirement and variant."""
-    from swarmd.sim.experiments.statistics import NOTHING, interval, number
+    from swarmd.sim.experiments.statistics import interval, number
+    from swarmd.texts.values import NOTHING
 
     rows = []
     for finding in findings:

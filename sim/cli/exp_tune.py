@@ -176,14 +176,11 @@ def live_table() -> Iterator[tuple[OnLook, Callable[[str], None], OnProgress]]:
     result (`Look`), and a line for each step: a race, or a set of held-out runs.
     """
     if not sys.stderr.isatty():
-
-        def print_look(look: Look) -> None:
-            warn(f"{look.headline}; best: {look.leader_text}")
-
-        def ignore_progress(now: Progress) -> None:
-            pass
-
-        yield print_look, warn, ignore_progress
+        yield (
+            lambda look: warn(f"{look.headline}; best: {look.leader_text}"),
+            warn,
+            lambda now: None,
+        )
         return
     from rich.console import Console
     from rich.live import Live

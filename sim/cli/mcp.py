@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, wraps
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeAlias, get_type_hints
 
 import click
 import msgspec
@@ -28,7 +28,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, describe_patterns
 from swarmd.client.connect import Connection
 from swarmd.core.clock import boottime
-from swarmd.core.errors import ConfigError, PluginError, SwarmError
+from swarmd.core.errors import ConfigError, P, PluginError, SwarmError
 from swarmd.plugins import need
 from swarmd.security.roster import Role
 from swarmd.texts.values import printable
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from swarmd.network.operator.outcome import Outcome
     from swarmd.sim.scenarios.scenario import Scenario
 
-P = ParamSpec("P")
 
 COMMANDS = ("run", "param", "stop", "estop", "reset")
 """The verbs that a person may allow."""

@@ -11,14 +11,15 @@ from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, plugin_dir_option
 from swarmd.cli.output import warn
-from swarmd.core.errors import ConfigError, PluginError
+from swarmd.cli.targets import Function
+from swarmd.core.errors import ConfigError, PluginError, R
 from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
 
 if TYPE_CHECKING:
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.metrics.metric import Metric
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-R = TypeVar("R")
 
 _OPTIONS = (
     click.option(

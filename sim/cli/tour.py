@@ -7,16 +7,14 @@ import secrets
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import click
 
 from swarmd.cli.output import signals_end, warn
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.texts.values import counted
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _ENTRY = "from swarmd.cli.entry import swarmctl; swarmctl()"
 

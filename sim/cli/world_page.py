@@ -5,18 +5,18 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from swarmd.cli.web import Served, WebOptions, check_web, web_options
+from swarmd.core.errors import R
 from swarmd.sim.cli.options import need
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
     from swarmd.sim.live.fleet import Fleet
 
-R = TypeVar("R")
 ENDED = "The simulated world has ended, and its robots with it."
 
 

@@ -37,6 +37,7 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.scenarios.schema import ScenarioFile, Values
 from swarmd.sim.world.scalar_fields import Field
+from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.results import Results
@@ -382,7 +383,7 @@ def cell_text(cell: Cell | None) -> str:
     median, interval = cell.summary.median, cell.summary.median_interval
     n, runs = cell.summary.n, len(cell.values)
     if median is None:
-        return statistics.NOTHING
+        return NOTHING
     between = "" if interval is None else f" ({interval.low:.3g} to {interval.high:.3g})"
     rank = "" if cell.rank is None else f" #{cell.rank}"
     return f"{median:.3g}{between}{rank}" + (f" of {n}/{runs}" if n < runs else "")

@@ -208,7 +208,11 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     # If an event never happened in some runs, times are limited to the horizon: `restricted` puts
     # the horizon in place of longer times and of NaN. `horizon` None: no times are limited.
     has_never = bool(np.isnan(measured_a).any() or np.isnan(measured_b).any())
-    horizon = min(_duration(a), _duration(b)) if metric.is_time_to_event and has_never else None
+    horizon = (
+        min(a.results.duration(a.variant), b.results.duration(b.variant))
+        if metric.is_time_to_event and has_never
+        else None
+    )
     values_a, values_b = measured_a, measured_b
     if horizon is not None:
         values_a, values_b = restricted(values_a, horizon), restricted(values_b, horizon)
@@ -220,7 +224,9 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     if horizon is None:
         p = difference_p(values_a, values_b, is_paired=is_paired)
     else:  # of all finished runs, without pairs: the test is for independent samples
-        p = logrank_p(measured_a, measured_b, _duration(a), _duration(b))
+        p = logrank_p(
+            measured_a, measured_b, a.results.duration(a.variant), b.results.duration(b.variant)
+        )
     if is_paired:
         bounds = mean_interval(values_b - values_a)
     else:
@@ -262,9 +268,3 @@ def _better(bounds: Interval | None, metric: Metric) -> Literal["a", "b"] | None
     is_b_greater = bounds.low > 0.0
     is_more_better = metric.better == "more"
     return "b" if is_b_greater == is_more_better else "a"
-
-
-def _duration(side: Side) -> float:
-    """The simulated seconds of the runs of one side."""
-    variants = {variant.name: variant for variant in side.results.plan.variants}
-    return float(variants[side.variant].effective["duration"])

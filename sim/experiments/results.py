@@ -243,6 +243,11 @@ class Results:
         """The seeds of the finished runs of a variant, in the order of `metric`."""
         return tuple(row.run.seed for row in self._of(variant))
 
+    def duration(self, variant: str) -> float:
+        """The duration in s of the runs of a variant."""
+        named = {planned.name: planned for planned in self.plan.variants}
+        return float(named[variant].effective["duration"])
+
     @property
     def times_real_time(self) -> Array:
         """Simulated over wall time of each run (runs,); a wall time counts as at least 1 ms."""

@@ -29,6 +29,7 @@ import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric
+from swarmd.texts.values import NOTHING
 
 LEVEL = 0.95
 RESAMPLES = 5000
@@ -139,11 +140,11 @@ def difference_interval(a: Array, b: Array) -> Interval | None:
     Percentile bootstrap, in which each sample is resampled (Efron & Tibshirani 1993, chapter 8.3).
     None if a sample has fewer than two values, or an infinite value.
     """
+    return bootstrap_interval((a, b), _difference, "percentile")
 
-    def difference(a: Array, b: Array, axis: int) -> Array:
-        return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
 
-    return bootstrap_interval((a, b), difference, "percentile")
+def _difference(a: Array, b: Array, axis: int) -> Array:
+    return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
 
 
 def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
@@ -157,13 +158,9 @@ def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
 
     if min(a.size, b.size) < 2 or not (np.isfinite(a).all() and np.isfinite(b).all()):
         return None
-
-    def difference(a: Array, b: Array, axis: int) -> Array:
-        return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
-
     test = permutation_test(
         (a, b),
-        difference,
+        _difference,
         permutation_type="samples" if is_paired else "independent",
         vectorized=True,
         n_resamples=PERMUTATIONS,
@@ -294,7 +291,6 @@ def bootstrap_interval(
 
 
 HEADER = ("METRIC", "UNIT", "MEAN", "95 %", "MEDIAN", "95 %", "MIN", "MAX", "RUNS")
-NOTHING = "-"
 
 
 def summary_rows(summaries: Iterable[tuple[Metric, Summary]]) -> list[tuple[str, ...]]:

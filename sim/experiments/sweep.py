@@ -150,13 +150,8 @@ def _known(results: Results, variant: str, metric: Metric, values: Array) -> tup
     """
     never = int(np.isnan(values).sum()) if metric.is_time_to_event else 0
     if never:
-        return restricted(values, _duration(results, variant)), never
+        return restricted(values, results.duration(variant)), never
     return values[~np.isnan(values)], 0
-
-
-def _duration(results: Results, variant: str) -> float:
-    named = {planned.name: planned for planned in results.plan.variants}
-    return float(named[variant].effective["duration"])
 
 
 def _factors(results: Results, metric: Metric) -> Factors | None:
@@ -198,7 +193,7 @@ def _values_by_cell(
     An event that never happened counts as the duration of the shortest runs.
     """
     by_cell = {}
-    horizon = min(_duration(results, name) for name in results.variants)
+    horizon = min(results.duration(name) for name in results.variants)
     for variant in results.plan.variants:
         values = results.metric(metric, variant.name)
         if metric.is_time_to_event:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.film.colours import Colouring
@@ -32,7 +33,7 @@ _TRAIL_STEPS = 24  # segments of a trail
 _MAX_TRAILS = 4000  # segments of all trails
 
 
-class Renderer:
+class Renderer(Closing):
     """Draws a run at any time into arrays (height, width, 3) of uint8."""
 
     def __init__(self, trace: Trace, stage: Stage, colouring: Colouring, camera: Camera) -> None:
@@ -51,12 +52,6 @@ class Renderer:
         self._make_current()
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-
-    def __enter__(self) -> Renderer:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Free the context of OpenGL, in another thread as far as that thread can."""

@@ -247,7 +247,7 @@ def _set_colours_and_heights(model: mujoco.MjModel) -> None:
         name, group = model.geom(geom).name, int(model.geom_group[geom])
         if group == bodies.FIXED and not name.startswith("floor"):
             is_wall = name.startswith(("wall/", "segment/"))
-            model.geom_rgba[geom] = _BROWN if _is_movable(model, geom) else _GREY
+            model.geom_rgba[geom] = _BROWN if model.geom_bodyid[geom] else _GREY
             if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:  # an item
                 model.geom_pos[geom][2] = model.geom_size[geom][0]
                 continue
@@ -267,7 +267,3 @@ def _enlargement(trace: Trace, extent: Extent, size: tuple[int, int]) -> float:
     robot_pixels = 2.0 * scale * min(map(radius, trace.footprints.values()))
     wanted_pixels = max(MIN_PIXELS * height / 720.0, _LEAST_PIXELS)
     return float(min(max(wanted_pixels / robot_pixels, 1.0), _MOST))
-
-
-def _is_movable(model: mujoco.MjModel, geom: int) -> bool:
-    return int(model.geom_bodyid[geom]) != 0

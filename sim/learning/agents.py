@@ -98,11 +98,6 @@ def name_of(robot: str, life: int) -> str:
     return robot if life == 1 else f"{robot}#{life}"
 
 
-def new_seat(spec: PolicySpec) -> Seat:
-    """A seat with an action of zero."""
-    return Seat(np.zeros(spec.actions))
-
-
 def _split(event: ScheduledEvent, learners: Collection[str]) -> Iterable[ScheduledEvent]:
     """The event for robots that do not learn, then a run of PATTERN for learners.
 

@@ -37,7 +37,6 @@ from swarmd.sim.learning.agents import (
     learners_of,
     lives_of,
     name_of,
-    new_seat,
     with_agents,
 )
 from swarmd.sim.learning.rewards import (
@@ -219,7 +218,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         """
         self.seed = self._seed(seed)
         # Each learner's pattern exchanges observations and actions by a seat.
-        seats = {robot: new_seat(self.spec) for robot in self._learners}
+        seats = {robot: Seat(np.zeros(self.spec.actions)) for robot in self._learners}
         patterns = {PATTERN: agent_class(self.spec, seats)}
         swarm = Lockstep(self.scenario, self.seed, patterns=patterns)
         self.close()  # not before the new run exists: after a ConfigError the old run goes on

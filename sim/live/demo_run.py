@@ -159,11 +159,11 @@ class WorldWatcher:
         NetworkError if no such state comes within the timeout.
         """
 
-        def later_state() -> WorldState | None:
-            return self._state if self._state is not None and self._state.time > since else None
-
         with self._changed:
-            state = self._changed.wait_for(later_state, self._timeout)
+            state = self._changed.wait_for(
+                lambda: self._state if self._state and self._state.time > since else None,
+                self._timeout,
+            )
         if state is None:
             raise NetworkError(f"the world has sent no state for {self._timeout:g} s")
         return state
@@ -345,7 +345,7 @@ class DemoRun:
         problems += [
             f"{name} ended faulted: {after[name].detail}"
             for name in sorted(robots_of_events & after.keys())
-            if _is_faulted(after[name])
+            if after[name].state is State.FAULTED
         ]
         return problems
 
@@ -359,10 +359,6 @@ def _split(
         len(events),
     )
     return events[:count], events[count:]
-
-
-def _is_faulted(status: Status) -> bool:
-    return status.state is State.FAULTED
 
 
 def _moved(start: WorldState, now: WorldState) -> set[str]:

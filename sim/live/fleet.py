@@ -35,11 +35,11 @@ from swarmd.settings.platforms import load_platform
 from swarmd.settings.yamlfile import text_of
 from swarmd.sim.live.live_scenario import SCENARIO_FILE, LiveScenario
 from swarmd.sim.live.state import WorldOptions
+from swarmd.sim.scenarios.preflight import WHOLE_BODIES
 from swarmd.sim.world.detector import DETECTIONS
 from swarmd.sim.world.radio import RadioSettings
 
 WORLD = "world"
-WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
 FORKED_DAEMON = "swarmd.sim.live.forked_daemon"
 DAEMON_MODULES = (
     *(FORKED_DAEMON, "swarmd.daemon.daemon", "swarmd.drivers.simulated"),

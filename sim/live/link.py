@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import zenoh
 
+from swarmd.core.closing import Closing
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
 from swarmd.core.events import SensorInput, tag_of
@@ -198,23 +199,23 @@ class WorldLink:
         query.drop()
 
 
-class WorldView:
+class WorldView(Closing):
     """A viewer's Zenoh session with a simulated world: receives states and sends requests.
 
     A context manager, which closes the session.
     """
 
     def __init__(self, swarm: str, endpoint: str) -> None:
-        options = {**_OPTIONS, **client_options(endpoint)}
+        retry = {"period_init_ms": 500, "period_max_ms": 500, "period_increase_factor": 1.0}
+        options = {
+            **_OPTIONS,
+            "listen/endpoints": [],
+            "connect/endpoints": [endpoint],
+            "connect/retry": retry,
+        }
         self._swarm = swarm
         self._endpoint = endpoint
         self._session = open_with(options, what=f"the world at {endpoint}")
-
-    def __enter__(self) -> WorldView:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def watch(self, handler: Callable[[WorldState], None]) -> None:
         """Call `handler` with each state (10 Hz) on a Zenoh thread."""
@@ -273,19 +274,6 @@ class WorldView:
     def close(self) -> None:
         """Close the session."""
         self._session.close()
-
-
-def client_options(endpoint: str) -> dict[str, object]:
-    """Session options of a client of the world, which reconnects every 0.5 s."""
-    return {
-        "listen/endpoints": [],
-        "connect/endpoints": [endpoint],
-        "connect/retry": {
-            "period_init_ms": 500,
-            "period_max_ms": 500,
-            "period_increase_factor": 1.0,
-        },
-    }
 
 
 DRIVER = "simulated"

@@ -18,10 +18,10 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from swarmd.client.connect import Connection
+from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, SwarmError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from swarmd.sim.live.link import WorldView
 
 
-class SimulatedSwarm:
+class SimulatedSwarm(Closing):
     """A world and daemons, whose processes run in a `with` block or from `start` to `close`.
 
     `name`: the name of the swarm, which `swarmctl --swarm NAME` commands, too.
@@ -45,14 +45,6 @@ class SimulatedSwarm:
 
     def __enter__(self) -> Self:
         return self.start()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     @property
     def robots(self) -> tuple[str, ...]:

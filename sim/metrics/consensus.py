@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarmd.core.values import Array
+from swarmd.core.values import OPINION, Array
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import Trace
-
-OPINION = "opinion"
-"""The name of the opinion in the reports of voting patterns."""
 
 
 def consensus_shares(trace: Trace) -> Array | None:

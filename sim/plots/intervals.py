@@ -26,9 +26,10 @@ from swarmd.sim.experiments.statistics import (
 from swarmd.sim.plots.bands import paint_target
 from swarmd.sim.plots.theme import (
     GUIDE_COLOUR,
-    NOTE,
     VARIANT_COLOURS,
-    fit,
+    explained,
+    finite,
+    grid_of,
     in_order,
     new_figure,
     tidy,
@@ -80,9 +81,7 @@ def intervals_figure(
         _paint_panel(axes, panel, runs, rows)
     _share_scales(grid, panels)
     _name_rows(grid, axis, rows)
-    figure.suptitle(title, fontsize=11, gid=NOTE)
-    figure.supxlabel(_explanation(panels), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
-    return fit(figure, width)
+    return explained(figure, title, _explanation(panels), width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +150,7 @@ def grid_of_panels(
         figure = new_figure(labels_width + 3.4 * columns, panel_height * lines + 0.7)
     else:
         figure = new_figure(width, 0.8 * panel_height * lines + 0.1)
-    grid = figure.subplots(lines, columns, squeeze=False, sharey=True)
-    for axes in grid.flat[count:]:
-        axes.remove()
-    return figure, list(grid.flat[:count])
+    return figure, grid_of(figure, count, lines, columns, sharey=True)
 
 
 def prepare_rows(axes: Axes, labels: Sequence[str], rows: PanelRows) -> None:
@@ -207,7 +203,7 @@ def _groups(grid: Sequence[Axes], panels: Sequence[Panel]) -> list[list[tuple[Ax
 def _share_scales(grid: Sequence[Axes], panels: Sequence[Panel]) -> None:
     """Set ticks and limits of the horizontal axes; panels of one quantity get the same limits."""
     for group in _groups(grid, panels):
-        known = np.concatenate([_finite(values) for _, p in group for values in p.values.values()])
+        known = np.concatenate([finite(values) for _, p in group for values in p.values.values()])
         is_share = group[0][1].is_share
         is_count = known.size > 0 and not is_share and bool((known == np.round(known)).all())
         low = min(axes.get_xlim()[0] for axes, _ in group)
@@ -222,12 +218,6 @@ def _share_scales(grid: Sequence[Axes], panels: Sequence[Panel]) -> None:
                 axes.set_xticks([known[0]], [f"{known[0]:.4g}"])
             elif len(group) > 1:
                 axes.set_xlim(low, high)
-
-
-def _finite(values: Sequence[float | None] | Array) -> Array:
-    numbers = np.array(values, dtype=np.float64)  # None gives NaN
-    known: Array = numbers[np.isfinite(numbers)]
-    return known
 
 
 def curve_figure(
@@ -254,9 +244,7 @@ def curve_figure(
             axes.minorticks_off()
         axes.set_xlabel(axis, fontsize=9)
     _share_heights(grid, panels)
-    figure.suptitle(title, fontsize=11, gid=NOTE)
-    figure.supxlabel(_explanation(panels), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
-    return fit(figure, width)
+    return explained(figure, title, _explanation(panels), width)
 
 
 def _grid_of_curves(count: int, width: float | None) -> tuple[Figure, list[Axes]]:
@@ -272,10 +260,7 @@ def _grid_of_curves(count: int, width: float | None) -> tuple[Figure, list[Axes]
         figure = new_figure(3.6 * columns, 2.7 * lines + 0.5)
     else:  # in a paper the height of a panel is 0.72 of its width
         figure = new_figure(width, 0.72 * width / columns * lines + 0.1)
-    grid = figure.subplots(lines, columns, squeeze=False)
-    for axes in grid.flat[count:]:
-        axes.remove()
-    return figure, list(grid.flat[:count])
+    return figure, grid_of(figure, count, lines, columns)
 
 
 def _share_heights(grid: Sequence[Axes], panels: Sequence[Panel]) -> None:
@@ -317,8 +302,8 @@ def _paint_runs_at(axes: Axes, x: float, values: Array, panel: Panel, colour: st
     Returns the mean or median; None without a value.
     """
     summary = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
-    finite = _finite(values)
-    axes.scatter(np.full(finite.size, x), finite, s=11.0, color=colour, alpha=0.35,
+    known = finite(values)
+    axes.scatter(np.full(known.size, x), known, s=11.0, color=colour, alpha=0.35,
                  linewidths=0.0, zorder=2.0)  # fmt: skip
     bounds = _interval_of(summary, panel)
     if bounds is not None:
@@ -352,8 +337,8 @@ def _paint_strip(axes: Axes, values: Array, row: float, panel: Panel, colour: st
         axes.text(0.5, row, never or "no value", transform=place_by_row, ha="center", va="center",
                   fontsize=8, color=GUIDE_COLOUR)  # fmt: skip
         return
-    finite = _finite(values)
-    axes.scatter(finite, points_row + _spread(finite.size), s=13.0, color=colour, alpha=0.45,
+    known = finite(values)
+    axes.scatter(known, points_row + _spread(known.size), s=13.0, color=colour, alpha=0.45,
                  linewidths=0.0, zorder=2.0)  # fmt: skip
     bounds = _interval_of(summary, panel)
     if bounds is not None:
@@ -421,10 +406,8 @@ def differences_figure(
     # All differences are paired, or none: `compare` decides by the seeds of the experiments.
     is_paired = any(d.is_paired for panel in panels for d in panel.of.values())
     method = "paired by seed" if is_paired else "independent samples"
-    figure.suptitle(title, fontsize=11, gid=NOTE)
     note = f"difference of means with its 95 % interval, {method}; filled: the interval excludes 0"
-    figure.supxlabel(note, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
-    return fit(figure, width)
+    return explained(figure, title, note, width)
 
 
 def _rows_of_further(variants: Sequence[str]) -> PanelRows:

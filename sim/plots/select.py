@@ -16,6 +16,7 @@ from swarmd.plugins import pattern_names
 from swarmd.sim.experiments.plan import Plan, Variant, shown
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.metrics.catalog import METRICS, Better, Metric
+from swarmd.sim.plots.theme import finite
 from swarmd.sim.trace import Trace
 
 OVER_TIME = (
@@ -89,7 +90,7 @@ def primary_metric(results: Results, metrics: Sequence[Metric] | None) -> Metric
     metrics = [
         metric for metric in metrics if metric.name in results.metrics or metric.name not in METRICS
     ]
-    values = [_finite(results.metric(metric)) for metric in metrics]
+    values = [finite(results.metric(metric)) for metric in metrics]
     has_value = [metric for metric, known in zip(metrics, values, strict=True) if known.size]
     differing = [
         m for m, known in zip(metrics, values, strict=True) if known.size and np.ptp(known)
@@ -99,7 +100,7 @@ def primary_metric(results: Results, metrics: Sequence[Metric] | None) -> Metric
 
 def typical_first(values: Array) -> list[int]:
     """Indices (runs,) by distance from the median; runs without a value come last."""
-    known = _finite(values)
+    known = finite(values)
     if not len(known):
         return list(range(len(values)))
     away = np.abs(values - np.median(known))
@@ -138,11 +139,6 @@ def events_of(trace: Trace) -> tuple[tuple[float, str], ...]:
 
 def _order(values: Array) -> list[int]:
     return [int(index) for index in np.argsort(values, kind="stable")]
-
-
-def _finite(values: Array) -> Array:
-    known: Array = values[np.isfinite(values)]
-    return known
 
 
 def _label(event: Mapping[str, Any], n: int) -> str:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.values import OPINION
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.aggregation import cluster_link, clusters
-from swarmd.sim.metrics.consensus import OPINION
 from swarmd.sim.metrics.window import first, last, presence
 from swarmd.sim.plots import scene
 from swarmd.sim.plots.theme import GUIDE_COLOUR, NOTE, ROBOT_COLOURS, fit, new_figure

@@ -12,6 +12,7 @@ import numpy as np
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import whole_file
 from swarmd.core.numbers import finite_number
+from swarmd.core.values import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -138,6 +139,31 @@ def fit(figure: Figure, width: float | None) -> Figure:
         if isinstance(collection, PathCollection):  # of markers; the sizes are areas
             collection.set_sizes(collection.get_sizes() * _PAPER_SCALE**2)
     return figure
+
+
+def explained(figure: Figure, title: str, note: str, width: float | None) -> Figure:
+    """The figure with a title, and a note below that says what is drawn; see `fit` for `width`."""
+    figure.suptitle(title, fontsize=11, gid=NOTE)
+    figure.supxlabel(note, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
+    return fit(figure, width)
+
+
+def grid_of(figure: Figure, count: int, rows: int, columns: int, **options: Any) -> list[Axes]:
+    """The axes of `count` panels in a grid of rows and columns; places beyond them stay empty.
+
+    `options`: of `Figure.subplots`.
+    """
+    grid = figure.subplots(rows, columns, squeeze=False, **options)
+    for axes in grid.flat[count:]:
+        axes.remove()
+    return list(grid.flat[:count])
+
+
+def finite(values: Sequence[float | None] | Array) -> Array:
+    """The values (n,) that are finite numbers, in order; None is no number."""
+    numbers = np.array(values, dtype=np.float64)  # None gives NaN
+    known: Array = numbers[np.isfinite(numbers)]
+    return known
 
 
 def tidy(axes: Axes) -> None:

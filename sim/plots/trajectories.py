@@ -13,7 +13,16 @@ from swarmd.core.errors import SwarmError
 from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.plots import scene
-from swarmd.sim.plots.theme import CONTACT_COLOUR, GUIDE_COLOUR, NOTE, PALE, fit, new_figure
+from swarmd.sim.plots.theme import (
+    CONTACT_COLOUR,
+    GUIDE_COLOUR,
+    NOTE,
+    PALE,
+    explained,
+    fit,
+    grid_of,
+    new_figure,
+)
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import radius
 from swarmd.sim.world.scalar_fields import Field
@@ -257,9 +266,7 @@ def overview_figure(
     cut = "" if len(drawn) == len(runs) else f"the first {len(drawn)} of {len(runs)} runs"
     scale = f"each frame {extent.width:.3g} m x {extent.height:.3g} m{_LEGEND}" if extent else ""
     below = "; ".join(text for text in (note, cut, scale) if text)
-    figure.suptitle(title or f"{len(drawn)} runs", fontsize=11, gid=NOTE)
-    figure.supxlabel(below, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
-    return fit(figure, width)
+    return explained(figure, title or f"{len(drawn)} runs", below, width)
 
 
 def _grid_of_maps(
@@ -283,10 +290,7 @@ def _grid_of_maps(
         scaled_height = map_height * (width / columns - gap) / map_width
         size = width, rows * (scaled_height + name_height) + margin
     figure = new_figure(*size, is_map=True)
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for axes in grid.flat[count:]:
-        axes.remove()
-    return figure, list(grid.flat[:count])
+    return figure, grid_of(figure, count, rows, columns)
 
 
 def _common_extent(runs: Sequence[tuple[str, Load]]) -> scene.Extent | None:

@@ -56,9 +56,20 @@ def recording_report(path: Path) -> str:
             f" robots are drawn {APART:g} m apart, and distances between them mean nothing."
         )
     stops = stops_of(trace)
+    figures = [
+        drawn(_states_figure(trace), "States over time."),
+        drawn(_gaps_figure(trace), "Gap from the footprint to the nearest return over time."),
+        *(
+            drawn(_lines_figure(trace, values, name), f"Reading {name} over time.")
+            for name, values in trace.readings.items()
+        ),
+        drawn(
+            trajectories_figure(trace, "paths"), "Paths: hollow at the start, filled at the end."
+        ),
+    ]
     sections = [
         ("robots", "Robots", f"{_notes(timeline)}<p>{frame_text}</p>{_robots(trace, timeline)}"),
-        ("figures", "Figures", _figures(trace)),
+        ("figures", "Figures", figures_html(figures)),
         ("stops", "Stops", _listed(stops, ("TIME", "ROBOT", "FOR", "REASON"), MAX_STOPS)),
         ("run", "The run", player_section("The whole recording", player.period)),
         ("events", "Events", _listed(_events(timeline), ("TIME", "ROBOT", "EVENT"), MAX_EVENTS)),
@@ -107,7 +118,9 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
                 arrays["pose"][instant, robot] = pose
             if decision is not None:
                 _enter(arrays, (instant, robot), decision)
-        _unwrap_yaw(arrays["pose"][:, robot])
+        yaws = arrays["pose"][:, robot, 2]
+        # Known yaws are continuous, without jumps by a turn.
+        yaws[np.isfinite(yaws)] = np.unwrap(yaws[np.isfinite(yaws)])
         _enter_statuses(named, track, t, robot, shape)
     arrays |= {kind: dict(sorted(values.items())) for kind, values in named.items()}
     platforms = [track.platform for track in tracks.values()]
@@ -122,12 +135,6 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
         meta={"recording": True},
         **arrays,
     )
-
-
-def _unwrap_yaw(poses: Array) -> None:
-    """Make the known yaws of a robot's poses (instants, 3) continuous, without jumps by a turn."""
-    is_known = np.isfinite(poses[:, 2])
-    poses[is_known, 2] = np.unwrap(poses[is_known, 2])
 
 
 def _enter(arrays: Mapping[str, Any], place: tuple[int, int], decision: Any) -> None:
@@ -252,23 +259,6 @@ def _listed(rows: list[tuple[str, ...]], head: tuple[str, ...], most: int) -> st
         return ""
     note = f"<p>The first {most} of {len(rows)}.</p>" if len(rows) > most else ""
     return note + table(head, [tuple(map(escape, row)) for row in rows[:most]], "listed")
-
-
-def _figures(trace: Trace) -> str:
-    return figures_html(
-        [
-            drawn(_states_figure(trace), "States over time."),
-            drawn(_gaps_figure(trace), "Gap from the footprint to the nearest return over time."),
-            *(
-                drawn(_lines_figure(trace, values, name), f"Reading {name} over time.")
-                for name, values in trace.readings.items()
-            ),
-            drawn(
-                trajectories_figure(trace, "paths"),
-                "Paths: hollow at the start, filled at the end.",
-            ),
-        ]
-    )
 
 
 def _states_figure(trace: Trace) -> Figure:

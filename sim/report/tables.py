@@ -45,7 +45,9 @@ def shown_metrics(
 ) -> tuple[list[Metric], list[Metric]]:
     """The metrics to show first, `asked` or by default, and the rest of those with a value."""
     measured = [
-        metric for metric in map(results.about, results.metrics) if _has_value(results, metric)
+        metric
+        for metric in map(results.about, results.metrics)
+        if np.isfinite(results.metric(metric)).any()
     ]
     first = asked
     if first is None:
@@ -54,10 +56,6 @@ def shown_metrics(
         ]
     names = {metric.name for metric in first}
     return list(first), [metric for metric in measured if metric.name not in names]
-
-
-def _has_value(results: Results, metric: Metric) -> bool:
-    return bool(np.isfinite(results.metric(metric)).any())
 
 
 def differences_tables(results: Results, metrics: Sequence[Metric]) -> str:

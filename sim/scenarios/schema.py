@@ -9,15 +9,13 @@ from msgspec import Meta, Struct, field
 from swarmd.core.bounds import BoundedScalar
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.settings.robot_settings import RobotSettings
+from swarmd.sim.world.field_kind import Coordinate, Degrees, Point
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 
-Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Size = Annotated[float, Meta(ge=0.01, le=10_000.0)]
 Distance = Annotated[float, Meta(ge=0.0, le=10_000.0)]
-Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Seconds = Annotated[float, Meta(gt=0.0, le=1e6)]
-Point = tuple[Coordinate, Coordinate]
 Placed = tuple[Coordinate, Coordinate, Degrees]
 Values = dict[str, BoundedScalar | None]
 Targets = str | list[str]

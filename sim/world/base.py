@@ -113,7 +113,6 @@ class Bases:
         self._caps = memoryview(np.array(caps))
         limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
         self._limits = memoryview(np.array(limits, np.float64).reshape(n, 3))
-        return 0
 
     @cython.cfunc
     def _begin_servos(self, platforms) -> cython.int:
@@ -132,7 +131,6 @@ class Bases:
         half_axles = [value(platform, "wheel_separation") / 2.0 for platform in platforms]
         self._grip = memoryview(grip)
         self._grip_torque = memoryview(grip * np.array(half_axles, np.float64))
-        return 0
 
     def put(self, twists):
         """Set the commands (n, 3) linear, angular, lateral in each base frame.
@@ -180,7 +178,6 @@ class Bases:
             self._driven[row, k] += _clipped(
                 (target - self._driven[row, k]) * self._shares[row], self._max_steps[row, k]
             )
-        return 0
 
     @cython.cfunc
     def _push(self, row: cython.Py_ssize_t) -> cython.int:
@@ -213,7 +210,6 @@ class Bases:
             (self._driven[row, 1] - self._qvel[3 * row + 2]) * self._inert[row, 2] / self._dt,
             self._grip_torque[row],
         )
-        return 0
 
 
 def _accelerations(platform):
@@ -328,7 +324,6 @@ class Wheels:
         self._reported[row, 0] += c * linear - s * lateral
         self._reported[row, 1] += s * linear + c * lateral
         self._reported[row, 2] += turn
-        return 0
 
     @cython.cfunc
     def _draw_slips(self, row: cython.Py_ssize_t) -> cython.int:
@@ -340,7 +335,6 @@ class Wheels:
         for k in range(2):
             self._slips[k] = 1.0 + self._slip * self._draws[row, self._used[row], k]
         self._used[row] += 1
-        return 0
 
     @cython.cfunc
     def _measure(

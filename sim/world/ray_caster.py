@@ -159,7 +159,6 @@ class Caster:
         self._is_even, self._ray_step = rays.is_even, rays.step
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._sensor_x, self._sensor_y = spec.offset
-        return 0
 
     @cython.cfunc
     def _make_buffers(self, edges_shape, discs: cython.Py_ssize_t) -> cython.int:
@@ -173,7 +172,6 @@ class Caster:
         self._members = memoryview(np.empty(self._body_count, np.intp))
         self._cell_of = memoryview(np.empty(self._body_count, np.intp))
         self._inverse = memoryview(np.empty(self._rays))
-        return 0
 
     def cast(
         self,
@@ -297,7 +295,6 @@ class Caster:
             self._placed_edges[body, i, 3] = (
                 s * self._edges[body, i, 2] + c * self._edges[body, i, 3]
             )
-        return 0
 
     @cython.cfunc
     @cython.boundscheck(False)
@@ -309,7 +306,6 @@ class Caster:
         s: cython.double = sin(yaw)
         self._disc_centers[disc, 0] = (c * self._discs[disc, 0] - s * self._discs[disc, 1]) + x
         self._disc_centers[disc, 1] = (s * self._discs[disc, 0] + c * self._discs[disc, 1]) + y
-        return 0
 
     @cython.cfunc
     def _fill_grid(
@@ -381,7 +377,6 @@ class Caster:
         if self._yaw < 0.0:
             self._yaw += 2.0 * _PI
         self._yaw -= _PI
-        return 0
 
     @cython.cfunc
     def _set_cone(self) -> cython.int:
@@ -393,7 +388,6 @@ class Caster:
         self._is_wide = half > _WIDE
         self._cos_middle, self._sin_middle = cos(middle), sin(middle)
         self._cos_half, self._sin_half = cos(half), sin(half)
-        return 0
 
     @cython.cfunc
     def _outside(self, x: cython.double, y: cython.double, side: cython.double) -> cython.double:
@@ -434,7 +428,6 @@ class Caster:
                 ):
                     continue
                 self._meet_surface(x, y, self._walls[i, 2], self._walls[i, 3], side)
-        return 0
 
     @cython.cfunc
     @cython.boundscheck(False)
@@ -445,25 +438,21 @@ class Caster:
         robot that carries the sensor.
         """
         grid_row: cython.Py_ssize_t
-        sensor_row: cython.Py_ssize_t
-        sensor_column: cython.Py_ssize_t
         south: cython.Py_ssize_t
         north: cython.Py_ssize_t
-        west: cython.Py_ssize_t
-        east: cython.Py_ssize_t
         member: cython.Py_ssize_t
         if not self._grid_columns:
             return 0
-        sensor_row = cython.cast(
+        sensor_row: cython.Py_ssize_t = cython.cast(
             cython.Py_ssize_t, floor((self._y - self._south) / self._cell_size)
         )
-        sensor_column = cython.cast(
+        sensor_column: cython.Py_ssize_t = cython.cast(
             cython.Py_ssize_t, floor((self._x - self._west) / self._cell_size)
         )
         # Columns `west` to `east` - 1 and rows `south` to `north` - 1 of the grid. For a sensor far
         # outside the grid, `east` equals `west` or `north` is not above `south`: no members.
-        west = min(max(sensor_column - 1, 0), self._grid_columns)
-        east = max(min(sensor_column + 2, self._grid_columns), west)
+        west: cython.Py_ssize_t = min(max(sensor_column - 1, 0), self._grid_columns)
+        east: cython.Py_ssize_t = max(min(sensor_column + 2, self._grid_columns), west)
         south, north = max(sensor_row - 1, 0), min(sensor_row + 2, self._grid_rows)
         for grid_row in range(south, north):
             # The members of the cells of a row follow each other.
@@ -472,7 +461,6 @@ class Caster:
                 self._cell_begin[grid_row * self._grid_columns + east],
             ):
                 self._meet_body(self._members[member], carrier)
-        return 0
 
     @cython.cfunc
     @cython.inline
@@ -496,7 +484,6 @@ class Caster:
             )
         elif self._owner[body] != carrier:
             self._meet_polygon(body)
-        return 0
 
     @cython.cfunc
     @cython.boundscheck(False)
@@ -516,7 +503,6 @@ class Caster:
             side += x * along_y - y * along_x
             if side < -_MIN_SIDE:
                 self._meet_surface(x - self._x, y - self._y, along_x, along_y, side)
-        return 0
 
     @cython.cfunc
     def _meet_surface(
@@ -592,15 +578,13 @@ class Caster:
         tangent_squared: cython.double = x * x + y * y - radius * radius
         middle: cython.double
         half: cython.double
-        first: cython.Py_ssize_t
-        rays: cython.Py_ssize_t
         is_around_sensor: cython.bint = not tangent_squared > 0.0
         if is_around_sensor or self._is_outside(x, y, radius):  # outside the sector's cone
             return 0
         # The circle covers the bearings `middle` +- `half` (rad).
         middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
-        first = self._ray_index((middle - half) - _BEARING_MARGIN)
-        rays = self._ray_index((middle + half) + _BEARING_MARGIN) - first
+        first: cython.Py_ssize_t = self._ray_index((middle - half) - _BEARING_MARGIN)
+        rays: cython.Py_ssize_t = self._ray_index((middle + half) + _BEARING_MARGIN) - first
         return self._note_circle(
             (first - self._first) % self._rays,
             rays,
@@ -761,7 +745,6 @@ class Sweeps:
         for i in range(self._count):
             for k in range(3):
                 self._scans[i, k] = self._scans[i + count, k]
-        return 0
 
 
 @cython.auto_pickle(False)

@@ -23,6 +23,7 @@ from swarmd.calibration.floor import needed_floor, tolerance, top_speeds, travel
 from swarmd.calibration.scan_matching import Located, Reference, points_of
 from swarmd.core.values import ZERO, Array, Inputs, Outputs, Pose, Scalar, Scan, Twist
 from swarmd.kit.behavior import Context, Pattern
+from swarmd.kit.formation_geometry import to_base_frame
 from swarmd.kit.params import Params, Recovery, about
 from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.sensing.scan_pipeline import TOLERANCE, delay_by_stamps
@@ -295,9 +296,8 @@ class Calibration(Pattern[CalibrationParams]):
 
     def _relative(self, pose: Pose) -> Pose:
         """An odometry pose in the frame of the start."""
-        dx, dy, yaw = pose.x - self._start.x, pose.y - self._start.y, self._start.yaw
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        return Pose(cos * dx + sin * dy, cos * dy - sin * dx, pose.yaw - yaw)
+        x, y = to_base_frame((pose.x, pose.y), self._start)
+        return Pose(x, y, pose.yaw - self._start.yaw)
 
     def _locate(self, points: Array, guess: Pose, *others: Pose) -> Located | None:
         """The pose of a scan near `guess`, or else near one of `others`; None if none matches.
@@ -467,7 +467,9 @@ class Calibration(Pattern[CalibrationParams]):
             return None
         if not (start_by_scan.binds_place and end_by_scan.binds_place):
             return None
-        way, scan_way = _way(start, end), _way(start_by_scan.pose, end_by_scan.pose)
+        scan_end = end_by_scan.pose
+        way = to_base_frame((end.x, end.y), start)
+        scan_way = to_base_frame((scan_end.x, scan_end.y), start_by_scan.pose)
         distance = math.hypot(*scan_way)
         if distance < _LEAST_WAY:
             return None
@@ -612,13 +614,6 @@ class Calibration(Pattern[CalibrationParams]):
 def _mirrored(pose: Pose) -> Pose:
     """The pose as a mirrored scan shows it, or a scan of a base that turns the other way."""
     return Pose(pose.x, -pose.y, -pose.yaw)
-
-
-def _way(start: Pose, end: Pose) -> tuple[float, float]:
-    """The way from `start` to `end` in m, ahead and to the left, in the base frame at `start`."""
-    x, y = end.x - start.x, end.y - start.y
-    cos, sin = math.cos(start.yaw), math.sin(start.yaw)
-    return cos * x + sin * y, cos * y - sin * x
 
 
 def _distances(track: Array, axis: str, sign: float) -> Array:

@@ -105,7 +105,10 @@ def _carry_out(
     def queried_again() -> MembersView:
         return operator.members(timeout=options.timeout)
 
-    outcomes = _send_labels(operator, view, plan)
+    outcomes = [  # robots with equal labels share a request
+        operator.request(LabelRequest, view.epochs(robots), labels=labels)
+        for labels, robots in _grouped(plan.labels, tuple).items()
+    ]
     run_epochs = _run_epochs(view, plan, outcomes)
     if outcomes:
         view = queried_again()
@@ -136,14 +139,6 @@ def _run_epochs(
             if name in epochs and reply.epoch:
                 epochs[name] = reply.epoch
     return epochs
-
-
-def _send_labels(operator: Operator, view: MembersView, plan: Plan) -> list[Outcome]:
-    """Send the new labels of `plan`; robots with equal labels share a request."""
-    return [
-        operator.request(LabelRequest, view.epochs(robots), labels=labels)
-        for labels, robots in _grouped(plan.labels, tuple).items()
-    ]
 
 
 def _send_remaining_params(operator: Operator, view: MembersView) -> list[Outcome]:

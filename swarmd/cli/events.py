@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli.options import CommonOptions, Duration, common_options
-from swarmd.cli.output import print_json, print_line, signals_end, warn
+from swarmd.cli.output import print_json, signals_end, warn
 from swarmd.cli.send import exit_code_of, known_members, session_of
 from swarmd.cli.targets import takes_targets
 from swarmd.client.targets import Targets, robots_of
@@ -72,7 +72,7 @@ def _follow(session: Session, feed: EventFeed, targets: Targets, *, is_json: boo
     for lines in follow_events(session, feed, targets):
         if is_json:
             for line in lines:
-                print_line("Event", _record(line))
+                print_json("Event", _record(line), indent=None)
             continue
         now = time.monotonic()
         due = due if held else now + PERIOD  # what others tell of the same comes meanwhile

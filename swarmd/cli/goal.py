@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from msgspec import to_builtins
@@ -15,12 +15,10 @@ from swarmd.client.goals import resume_on
 from swarmd.client.goals import undo as set_before
 from swarmd.client.targets import Targets, robots_of
 from swarmd.network.operator.exit_codes import APPLIED, PARTIAL, TIMEOUT
+from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_goals import signed_goals
 from swarmd.texts.goal import Difference, describe_goal, differences, goals_of
 from swarmd.texts.values import NOTHING, printable, seconds
-
-if TYPE_CHECKING:
-    from swarmd.network.operator.members_view import MembersView
 
 
 @click.command()

@@ -43,7 +43,7 @@ from swarmd.core.keys import check_id
 from swarmd.core.names import check_distinct, expand_names, select_names
 from swarmd.security.identity import Identity, choose_identity
 from swarmd.security.roster import Role
-from swarmd.texts.keys import UNSET_CLOCK, day, end_of_certificate, life
+from swarmd.texts.keys import DAY, UNSET_CLOCK, day, end_of_certificate, life
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from swarmd.security.identity import Identity
 
 DEFAULT_DAYS = 90.0
-_DAY = 86400.0  # s
 _swarm_option = click.option("--swarm", metavar="NAME", help="The swarm of the authority.")
 
 
@@ -236,7 +235,7 @@ def list_(options: CommonOptions) -> None:
     rows: list[dict[str, Any]] = []
     for name in roster.names:
         record = authority.record_of(name)  # None before the first bundle of the name
-        days_left = None if record is None else math.floor((record.expires - now) / _DAY)
+        days_left = None if record is None else math.floor((record.expires - now) / DAY)
         rows.append(
             {
                 "name": name,
@@ -389,7 +388,7 @@ def router(swarm: str, identity: Path | None, listen: str) -> None:
 def router_configuration(identity: Identity, listen: str) -> dict[str, Any]:
     """The configuration of zenohd: TLS links only, and the access rules of each name."""
     from swarmd.network.access import router_access
-    from swarmd.network.carriers.session import tls_options
+    from swarmd.network.carriers.session import nested_options, tls_options
 
     flat = {
         **tls_options(identity),
@@ -398,14 +397,7 @@ def router_configuration(identity: Identity, listen: str) -> dict[str, Any]:
         "scouting/multicast/enabled": False,
         "access_control": router_access(identity.roster, identity.name),
     }
-    nested: dict[str, Any] = {}
-    for path, value in flat.items():
-        *parents, last = path.split("/")
-        place = nested
-        for parent in parents:
-            place = place.setdefault(parent, {})
-        place[last] = value
-    return nested
+    return nested_options(flat)
 
 
 for _verb in (keys_rollout.add, keys_rollout.revoke, keys_rollout.renew, keys_rollout.push, router):

@@ -14,7 +14,7 @@ import click
 
 from swarmd.cli.ask_robots import ask_robots, end
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import has_colour, print_json, print_line, signals_end, warn
+from swarmd.cli.output import has_colour, print_json, signals_end, warn
 from swarmd.cli.send import known_members
 from swarmd.cli.targets import takes_targets
 from swarmd.client.ask_robots import MAX_ANSWER, in_reach
@@ -223,7 +223,7 @@ class _Printer:
         """Print lines, each with its robot."""
         for line in lines:
             if self._is_json:
-                print_line("LogRecord", _record(line))
+                print_json("LogRecord", _record(line), indent=None)
                 continue
             record, name = line.record, line.robot.ljust(self._width)
             level = logging.getLevelName(record.level).lower()

@@ -9,14 +9,14 @@ from functools import partial
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, cast
 
 import click
 
 from swarmd.cli import completion
 from swarmd.client.network_options import NetworkOptions
 from swarmd.core.clock import boottime
-from swarmd.core.errors import unknown
+from swarmd.core.errors import P, R, unknown
 from swarmd.core.numbers import read_duration
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from swarmd.network.operator.operator import Operator
 
-P = ParamSpec("P")
-R = TypeVar("R")
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)

@@ -35,16 +35,12 @@ _COLOURS = {
 }
 
 
-def print_json(kind: str, content: Mapping[str, Any]) -> None:
-    """Print a JSON document with its kind and the version of the format."""
-    document = {"apiVersion": API_VERSION, "kind": kind, **content}
-    click.echo(_json_text(document, indent=2))
+def print_json(kind: str, content: Mapping[str, Any], indent: int | None = 2) -> None:
+    """Print a JSON document with its kind and the version of the format.
 
-
-def print_line(kind: str, content: Mapping[str, Any]) -> None:
-    """Print a JSON document on one line, for verbs that follow (NDJSON)."""
-    document = {"apiVersion": API_VERSION, "kind": kind, **content}
-    click.echo(_json_text(document))
+    `indent` None: on one line, for verbs that follow (NDJSON).
+    """
+    click.echo(_json_text({"apiVersion": API_VERSION, "kind": kind, **content}, indent))
 
 
 def fields(one: object, *names: str) -> dict[str, Any]:
@@ -120,7 +116,7 @@ def has_colour(is_terminal: bool) -> bool:
     return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
-def _json_text(document: Mapping[str, Any], indent: int | None = None) -> str:
+def _json_text(document: Mapping[str, Any], indent: int | None) -> str:
     """JSON in which characters that could control the terminal are escaped."""
     text = json.dumps(document, indent=indent, ensure_ascii=False, allow_nan=False)
     if text.isascii() and "\x7f" not in text:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import click
 
@@ -12,10 +12,8 @@ from swarmd.cli.send import Asked, report
 from swarmd.client.run_lease import follow_runs
 from swarmd.client.runs import Run, carry_out
 from swarmd.client.stops import stop_names
+from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.values import seconds
-
-if TYPE_CHECKING:
-    from swarmd.network.operator.outcome import Outcome
 
 SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waited for
 

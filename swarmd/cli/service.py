@@ -27,11 +27,10 @@ from swarmd.daemon.systemd import (
     USER,
     unit_text,
 )
-from swarmd.texts.keys import UNSET_CLOCK, day
+from swarmd.texts.keys import DAY, UNSET_CLOCK, day
 
 NOT_ACTIVE = 3  # the exit code of `systemctl status` for a unit that does not run
 _TIMEOUT = 5.0  # s for systemctl and journalctl
-_DAY = 86400.0  # s
 _LOG_LINES = "5"
 _ARCHIVE_PROGRAM = Path("/opt/swarmd/bin/swarmd")
 
@@ -223,7 +222,7 @@ def _validity(expires: float, now: float) -> str:
     """When a certificate ends, in words; as a date if the clock of this machine is not set yet."""
     if now < FIRST_WALL:
         return f"until {day(expires)} ({UNSET_CLOCK})"
-    days_left = (expires - now) / _DAY
+    days_left = (expires - now) / DAY
     return (
         f"ends in {days_left:.0f} days" if days_left >= 0 else "has ended by this machine's clock"
     )

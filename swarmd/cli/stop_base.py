@@ -11,7 +11,7 @@ import click
 
 from swarmd.cli.options import FILE, Duration
 from swarmd.core.errors import DriverError
-from swarmd.driver_api.driver import ZeroSender, ZeroSenderProvider, ZeroSenderSpec
+from swarmd.driver_api.driver import ZeroSenderProvider, ZeroSenderSpec
 from swarmd.driver_api.watchdog import ZERO_PERIOD, made_zero_sender
 
 ZERO_TIME = 0.5
@@ -54,7 +54,7 @@ def _send_zeros(spec: ZeroSenderSpec, within: float) -> int:
     sender.open()
     try:
         deadline = time.monotonic() + within
-        while not _is_connected(sender):
+        while not getattr(sender, "is_connected", True):
             if time.monotonic() >= deadline:
                 raise DriverError(f"the base was not reached within {within:g} s; no zero was sent")
             time.sleep(ZERO_PERIOD)
@@ -65,10 +65,6 @@ def _send_zeros(spec: ZeroSenderSpec, within: float) -> int:
         return count
     finally:
         sender.close()
-
-
-def _is_connected(sender: ZeroSender) -> bool:
-    return bool(getattr(sender, "is_connected", True))
 
 
 def _end_after(seconds: float) -> None:

@@ -13,9 +13,8 @@ import click
 
 from swarmd.cli import completion
 from swarmd.client.targets import Targets, make_targets
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, R
 
-R = TypeVar("R")
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 

@@ -12,12 +12,12 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from swarmd.cli.output import warn
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, R
 from swarmd.plugins import need
 from swarmd.security.roster import Role
 
@@ -32,7 +32,6 @@ TOKEN_BYTES = 12
 MAX_TOKEN = 200  # characters that are read of a file
 _START_TIME = 10.0  # s
 ENDED = "The server has ended."
-R = TypeVar("R")
 
 _OPTIONS = (
     click.option("--bind", default=HOST, metavar="ADDRESS", help=f"Where to listen [{HOST}]."),

@@ -8,13 +8,11 @@ from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from concurrent.futures import Future, wait
 from functools import partial, wraps
 from types import TracebackType
-from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, Self
 
 from swarmd.client.hand_over import begin, in_thread
 from swarmd.client.swarm import Swarm
-
-P = ParamSpec("P")
-R = TypeVar("R")
+from swarmd.core.errors import P, R
 
 MAX_WAITING = 1000
 """Items of an iterator that wait for the loop; its thread waits then."""

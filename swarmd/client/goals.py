@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
 
 from swarmd.client.runs import send_goal
+from swarmd.client.session import Session
 from swarmd.client.stops import stop_names
 from swarmd.core.errors import RequestError
+from swarmd.core.messages import Epoch
 from swarmd.core.verbs import ResumeRequest
 from swarmd.network.operator.exit_codes import NO_TARGET
+from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_goals import next_goal, signed_goals
 from swarmd.network.operator.outcome import Outcome, joined
 from swarmd.texts.goal import content_of, describe_goal, present_goals, set_apart
-
-if TYPE_CHECKING:
-    from swarmd.client.session import Session
-    from swarmd.core.messages import Epoch
-    from swarmd.network.operator.members_view import MembersView
 
 
 def resume_on(

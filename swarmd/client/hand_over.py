@@ -6,9 +6,8 @@ import asyncio
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TypeVar
 
-R = TypeVar("R")
+from swarmd.core.errors import R
 
 HAND_OVER = "swarmd-commanding"
 """The name of the daemon threads that carry work out."""

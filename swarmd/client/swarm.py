@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from swarmd.client.arguments import Words, check_time, check_words, plain_params
 from swarmd.client.members import Description, Members
@@ -14,6 +13,7 @@ from swarmd.client.session import Session
 from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.clock import boottime
+from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.network.operator.exit_codes import TIMEOUT
 
@@ -30,7 +30,7 @@ Places: TypeAlias = Callable[[], Mapping[str, Pose]]
 """Where robots are in one frame, if something outside of them knows it."""
 
 
-class Swarm:
+class Swarm(Closing):
     """A swarm, as `swarmd.connect` gives it in a `with` block; each method waits for its answer.
 
     `robots`: names, globs such as `tb3-*` and ranges such as `tb3-[01-07]`, as one text or several.
@@ -59,17 +59,6 @@ class Swarm:
         self._cancelled = cancelled or threading.Event()
         self._parents: tuple[threading.Event, ...] = ()
         self._began: float | None = None  # when the call began; None: when it takes an operator
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Leave the network, within a second; robots go on, except those of runs with a lease."""

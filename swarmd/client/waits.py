@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from swarmd.client.session import Session, unreachable
 from swarmd.client.targets import Targets, labels_of
 from swarmd.core.clock import boottime
+from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_goals import signed_goals
 from swarmd.texts.awaited import Awaited, meeting, unmet
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from swarmd.network.operator.members_view import MembersView
 
 TIME = 30.0  # s of a wait without a timeout
 PERIOD = 0.3  # s between looks

@@ -8,6 +8,7 @@ a row of the table in `robot/robot.py`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import msgspec
@@ -276,13 +277,10 @@ def _decoded(kind: Any, value: Any) -> Array:
     return np.frombuffer(value).copy()  # the kernels refuse read-only arrays
 
 
-_encoder = msgspec.msgpack.Encoder(enc_hook=_encoded)
 _decoder: msgspec.msgpack.Decoder[Input] = msgspec.msgpack.Decoder(Input, dec_hook=_decoded)
 
-
-def encode_input(input: Input) -> bytes:
-    """The bytes of an input; arrays as float64."""
-    return _encoder.encode(input)
+encode_input: Callable[[Input], bytes] = msgspec.msgpack.Encoder(enc_hook=_encoded).encode
+"""The bytes of an input; arrays as float64."""
 
 
 def decode_input(data: bytes) -> Input:

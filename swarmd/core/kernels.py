@@ -20,8 +20,9 @@ Reasons and measurements:
 - There are several libraries since these compile in parallel. Their price: even the cheapest call
   from one library to another costs 50 ns. All these calls take an estimated 2 % of the time with
   100 robots.
-- A kernel's function without a result has the type `cython.int` and returns 0. Cython passes an
-  exception by the value -1, so its caller need not ask for an exception after each call.
+- A kernel's function without a result has the type `cython.int` and no `return` at its end, where
+  Cython returns 0. Cython passes an exception by the value -1, so its caller need not ask for an
+  exception after each call.
 - To compile classes of Python as they are gained nothing. The gain comes from C fields, buffers of
   doubles and fewer calls.
 - Time of an event (a scan or a decision) in mode barrier, in recorded runs: 1.01 ms by a version in

@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core import record
+from swarmd.core.bounds import Id
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.core.record import Record, Target
@@ -25,8 +26,6 @@ MAX_MANIFEST = 8 * 1024
 MAX_TARGETS = 256
 MAX_TABLE = 256
 """Manifests of a table. Beyond it the oldest removals are forgotten, then the oldest manifests."""
-
-Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 
 
 class PatternManifest(Record, frozen=True, kw_only=True):

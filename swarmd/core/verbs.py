@@ -585,21 +585,9 @@ def _run_line(request: RunRequest) -> str:
     )
 
 
-def _goal_line(request: GoalRequest) -> str:
-    return f"{request.goal.generation}: {request.goal.pattern or 'stand'}"
-
-
 def _label_line(request: LabelRequest) -> str:
     labels = request.labels
     return "as configured" if labels is None else shortened(", ".join(labels) or "none")
-
-
-def _param_line(request: ParamRequest) -> str:
-    return _assignments(request.params)
-
-
-def _record_line(request: RecordRequest) -> str:
-    return request.action
 
 
 def _reset_line(request: ResetRequest) -> str:
@@ -714,16 +702,20 @@ _ROWS: tuple[Verb[Any, Any], ...] = (
     MEMBERS,
     _request(RunRequest, _ROBOT, _run_line),
     _request(ResumeRequest, _ROBOT),
-    _request(GoalRequest, _ROBOT, _goal_line),
+    _request(
+        GoalRequest,
+        _ROBOT,
+        lambda request: f"{request.goal.generation}: {request.goal.pattern or 'stand'}",
+    ),
     _request(LabelRequest, _ROBOT, _label_line),
     _request(StopRequest, _ROBOT),
     _request(EstopRequest, _ROBOT, _reason_line),
     _request(ResetRequest, _ROBOT, _reset_line),
-    _request(ParamRequest, _ROBOT, _param_line),
+    _request(ParamRequest, _ROBOT, lambda request: _assignments(request.params)),
     _request(ReloadRequest, _ROBOT, lambda request: request.pattern),
     _request(PushRequest, Handler.PUSHES, _push_line),
     _request(ForgetRequest, _TOOLS, lambda request: request.name),
-    _request(RecordRequest, _RECORDING, _record_line),
+    _request(RecordRequest, _RECORDING, lambda request: request.action),
     _request(RosterRequest, Handler.ROSTERS),
     *(RECORDINGS, FETCH, PLUGINS, LOGS, AUDIT, LINKS, DOCTOR),
 )

@@ -285,7 +285,7 @@ class Daemon:
         drop_counts = (
             lambda: self._network.dropped,
             lambda: self.sink.drops,
-            self._dropped_frames,
+            lambda: {"host/frames": self._runner.dropped} if self._runner.dropped else {},
         )
         self._health = HealthMeter(self._timer, drop_counts)
 
@@ -707,9 +707,6 @@ class Daemon:
             keys=self._rosters.summary,
             programs=self._network.programs,
         )
-
-    def _dropped_frames(self) -> Mapping[str, int]:
-        return {"host/frames": self._runner.dropped} if self._runner.dropped else {}
 
     def _head(self) -> RecordingHead:
         self._gather(False)  # a recording begins

@@ -495,10 +495,9 @@ class PatternPull:
         state = self._state
         known, operators = frozenset(state.table), state.operators()
 
-        def warn_of_error(_code: Code, text: str) -> None:
-            log.warning("%s: %s", robot, text)
-
-        with self._drops.refusing(f"shared/{TABLE}", warn_of_error):
+        with self._drops.refusing(
+            f"shared/{TABLE}", lambda _code, text: log.warning("%s: %s", robot, text)
+        ):
             try:
                 checked = await asyncio.to_thread(self._checked, blob, known, operators)
             finally:

@@ -268,7 +268,7 @@ class Recorder:
         part: list[bytes] = []
         size = 0
         for number, entry in enumerate(entries):
-            encoded = frames.encode_entry(entry)
+            encoded = frames.encode(entry)
             if size + len(encoded) > MAX_BATCH and part:
                 if not self._send(part):
                     # Later entries may depend on the dropped part (scans without geometry).
@@ -296,7 +296,7 @@ class Recorder:
         return True
 
     def _gap(self) -> bytes:
-        return frames.encode_entry(frames.DroppedEntry(boottime(), self._unrecorded))
+        return frames.encode(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
         """Count dropped entries, and record after the gap what a replay needs to continue.

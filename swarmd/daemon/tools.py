@@ -104,9 +104,7 @@ class FieldTools:
         self._facts: tuple[verbs.MachineFacts, verbs.NetworkFacts]
         self.storage_fault = ""  # set by the daemon
         folder = settings.state_dir / settings.network.swarm / settings.id
-        self.audit = AuditLog(
-            folder, lambda text: hand_over(self._loop, self._on_audit_event, text)
-        )
+        self.audit = AuditLog(folder, lambda text: hand_over(self._loop, log.warning, "%s", text))
 
     def advance(self, now: float) -> None:
         """Publish new records to subscribers; the daemon's tick calls this."""
@@ -133,9 +131,6 @@ class FieldTools:
         answer(Reply(id=request.id, robot=robot, code=code, refusal=refusal, text=text))
 
     # Audit
-
-    def _on_audit_event(self, text: str) -> None:
-        log.warning("%s", text)
 
     def on_audit(self, query: verbs.AuditQuery) -> Callable[[], verbs.AuditReply]:
         """Entries of the audit log; read in a thread."""

@@ -91,10 +91,12 @@ class GripWire(Struct, frozen=True, array_like=True):
 
 _scan = Decoder(ScanWire, MAX_SENSOR_PAYLOAD)
 _odometry = Decoder(OdometryWire)
-_command = Decoder(CommandWire)
 _grip = Decoder(GripWire)
-_message = Decoder(MessageWire)
 _messages = Decoder(MessagesWire, MAX_SENSOR_PAYLOAD)
+decode_command = Decoder(CommandWire)
+"""A safe command and the scans behind it."""
+decode_message = Decoder(MessageWire)
+"""A message with its sender and channel; its value is still encoded."""
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -138,11 +140,6 @@ def encode_command(twist: Twist, scan_seq: int, requested_scan_seq: int) -> byte
     )
 
 
-def decode_command(payload: bytes) -> CommandWire:
-    """A safe command and the scans behind it."""
-    return _command(payload)
-
-
 def encode_grip(is_closed: bool) -> bytes:
     """The bytes of a gripper's command."""
     return encode(GripWire(is_closed))
@@ -156,11 +153,6 @@ def decode_grip(payload: bytes) -> bool:
 def encode_message(robot: str, channel: str, payload: bytes) -> bytes:
     """The bytes of a message of robot `robot` whose encoded value is `payload`."""
     return encode(MessageWire(robot, channel, payload))
-
-
-def decode_message(payload: bytes) -> MessageWire:
-    """A message with its sender and channel; its value is still encoded."""
-    return _message(payload)
 
 
 def encode_messages(messages: Sequence[MessageWire]) -> bytes:

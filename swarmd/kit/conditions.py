@@ -184,7 +184,8 @@ def parse_condition(text: str) -> Condition:
     if kind == "report":
         name, sign, value_text = rest.partition("=")
         if name and sign:
-            return Reported(name, _scalar(value_text))
+            is_boolean = value_text in ("true", "false")
+            return Reported(name, value_text == "true" if is_boolean else exact_number(value_text))
     kinds = [form.partition(":")[0] for form in _FORMS]
     fault = f"condition {text!r}" if kind in kinds else unknown("condition", kind, kinds)
     raise ConfigError(f"{fault}; expected one of {', '.join(_FORMS)}")
@@ -250,7 +251,3 @@ def _number(text: str, word: str) -> float:
         wanted = f"expected a number above 0 and up to {MAX_SECONDS:g}, such as 5"
         raise ConfigError(f"condition {text!r}: is {word!r}; {wanted}")
     return value
-
-
-def _scalar(word: str) -> BoundedScalar:
-    return word == "true" if word in ("true", "false") else exact_number(word)

@@ -62,7 +62,6 @@ def polar_from_base(points: Iterable[Sequence[float]], offset: Pair) -> list[Pai
 def _check(bearing: cython.double) -> cython.int:
     if isinf(bearing):
         raise ValueError("a bearing is infinite; expected an angle")
-    return 0
 
 
 @cython.auto_pickle(False)

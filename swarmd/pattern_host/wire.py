@@ -6,7 +6,7 @@ encoded as bytes. The daemon does not trust its host: it decodes events into typ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
@@ -48,21 +48,18 @@ def _decode_array(kind: Any, value: Any) -> Array:
 
 _command_encoder = msgspec.msgpack.Encoder(enc_hook=_encode_array)
 _event_encoder = msgspec.msgpack.Encoder(enc_hook=_encode_plain)
-_commands: msgspec.msgpack.Decoder[SentCommand] = msgspec.msgpack.Decoder(
-    SentCommand, dec_hook=_decode_array
-)
 _events: msgspec.msgpack.Decoder[SentEvent] = msgspec.msgpack.Decoder(SentEvent)
 _sandboxes: msgspec.msgpack.Decoder[Sandbox] = msgspec.msgpack.Decoder(Sandbox)
+
+decode_command: Callable[[bytes], SentCommand] = msgspec.msgpack.Decoder(
+    SentCommand, dec_hook=_decode_array
+).decode
+"""Decode a frame of the daemon."""
 
 
 def encode_command(command: SentCommand) -> bytes:
     """The frame of a command. Raises CodecError if it is too big or cannot be encoded."""
     return _encoded(_command_encoder, command)
-
-
-def decode_command(frame: bytes) -> SentCommand:
-    """Decode a frame of the daemon."""
-    return _commands.decode(frame)
 
 
 def encode_event(event: SentEvent) -> bytes:
@@ -81,11 +78,6 @@ def decode_event(frame: bytes) -> SentEvent:
     elif isinstance(event, Loaded) and event.touches is not None:
         _check_bounds(event.touches)
     return event
-
-
-def encode_sandbox(sandbox: Sandbox) -> bytes:
-    """The first frame of a host, which reports its sandbox."""
-    return msgspec.msgpack.encode(sandbox)
 
 
 def decode_sandbox(frame: bytes) -> Sandbox:

@@ -36,7 +36,7 @@ from swarmd.core.processes import (
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
-from swarmd.pattern_host.wire import decode_command, encode_event, encode_sandbox
+from swarmd.pattern_host.wire import decode_command, encode_event
 
 NICE = 10
 
@@ -68,7 +68,7 @@ def run(fd: int, parent: int, folders: bytes) -> None:
     sandbox = confine(map(Path, readable), map(Path, secret))
     with socket.socket(fileno=fd) as daemon:
         try:
-            daemon.send(encode_sandbox(sandbox))
+            daemon.send(msgspec.msgpack.encode(sandbox))
             _serve(daemon)
         except ConnectionError:  # the daemon has ended, possibly with unread answers
             return

@@ -620,7 +620,6 @@ def _model_speeds_at(
     for k in range(2, len(stamps)):
         braked_speed: cython.double = model_speeds[k - 1] - braking * (stamps[k] - stamps[k - 1])
         model_speeds[k] = max(speeds[k - 1], braked_speed)
-    return 0
 
 
 @cython.cfunc

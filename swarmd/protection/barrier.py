@@ -337,7 +337,6 @@ class Barrier:
         else:
             creeping.end(rows, axes)
             projection.x, projection.y = present_x, present_y
-        return 0
 
 
 def _rays_and_ranges(bearings: Array, nearest: Array) -> Array:

@@ -329,7 +329,6 @@ def _turn_rays(
             rising[k] = rising[k - 1]
             k -= 1
         rising[k] = angle
-    return 0
 
 
 @cython.cclass
@@ -409,11 +408,6 @@ class BlindZoneMemory:
         """
         self._radius, self._speed, self._period = range_min, speed, period
         self._narrowest_sector = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
-        self._given_bearings = None
-        self._ray_count = self._reserved = self._point_count = self._old_point_count = (
-            self._old_empty_count
-        ) = self._hidden_count = 0
-        self._entered_x = self._entered_y = self._emerged_m = self._vanished_m = 0.0
         self._x = self._y = self._old_x = self._old_y = self._old_empty = _NOTHING
         self._hidden_bearing = self._age = self._nearest_range = self._is_face = _NOTHING
         self.bearings = self.nearest = _NOTHING
@@ -534,7 +528,6 @@ class BlindZoneMemory:
         y: cython.double = self._entered_y - driven_y
         self._entered_x = cos_turn * x + sin_turn * y
         self._entered_y = cos_turn * y - sin_turn * x
-        return 0
 
     @cython.cfunc
     def _update_hidden(
@@ -652,7 +645,6 @@ class BlindZoneMemory:
             if end - i >= _MIN_EMPTY_RUN:
                 self._add_sector(_wrapped(i, ray_count), end - i)
             i = end + 1
-        return 0
 
     @cython.cfunc
     def _add_sector(self, first: cython.Py_ssize_t, width: cython.Py_ssize_t) -> cython.int:
@@ -682,7 +674,6 @@ class BlindZoneMemory:
         # line; in a sector wider than 90 degrees the corner may reach the sensor: 0.
         self._corner[k] = max(self._radius * (cos(half_angle) - sin(half_angle)), 0.0)
         self._sector_count += 1
-        return 0
 
     @cython.cfunc
     def _add_vanished(
@@ -747,7 +738,6 @@ class BlindZoneMemory:
                 self._age[k] = 0.0 if is_gone else _DOUBTFUL
                 self._is_face[k] = not is_gone
                 self._candidate_count += 1
-        return 0
 
     @cython.cfunc
     def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
@@ -817,7 +807,6 @@ class BlindZoneMemory:
                 self._is_hidden[k] = False
             elif angle_off <= farthest_shift:
                 self._age[k] = max(self._age[k], _DOUBTFUL)
-        return 0
 
     @cython.cfunc
     def _clear_rays(self) -> cython.int:
@@ -832,7 +821,6 @@ class BlindZoneMemory:
                 self._angles[self._angle_total] = self._rising[i]
                 self._angle_rays[self._angle_total] = i
                 self._angle_total += 1
-        return 0
 
     @cython.cfunc
     def _find_reappeared(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
@@ -858,7 +846,6 @@ class BlindZoneMemory:
                     self._angles[self._angle_total] = self._rising[i]
                     self._angle_total += 1
                     self._emerged_m += self._range[i] * _TURN / ray_count
-        return 0
 
     @cython.cfunc
     def _fill(self, seconds: cython.double) -> cython.int:
@@ -901,7 +888,6 @@ class BlindZoneMemory:
                     )
                     if is_doubtful:
                         self._age_by_ray[_wrapped(i, ray_count)] += seconds
-        return 0
 
     @cython.cfunc
     def _fill_with_box(self, k: cython.Py_ssize_t) -> cython.int:
@@ -917,7 +903,6 @@ class BlindZoneMemory:
             self._age_by_ray[ray] = min(self._age_by_ray[ray], _DOUBTFUL)  # inf without an obstacle
             if self._is_face_by_ray[ray]:  # True without an obstacle, too
                 self._nearest_by_ray[ray] = self._corner[k]
-        return 0
 
     @cython.cfunc
     def _fill_evenly(self, k: cython.Py_ssize_t, age: cython.double) -> cython.int:
@@ -931,4 +916,3 @@ class BlindZoneMemory:
         for i in range(first, after_last):
             self._age_by_ray[_wrapped(i, self._ray_count)] = age
             self._nearest_by_ray[_wrapped(i, self._ray_count)] = nearest
-        return 0

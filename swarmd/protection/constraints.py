@@ -101,7 +101,6 @@ class ConstraintRows:
         """Make the arrays at least `room` long; arrays that were shorter lose their numbers."""
         if len(self.x) < room:
             self._allocate(room + room // 2)
-        return 0
 
     def _allocate(self, room):
         """Make all arrays anew."""
@@ -125,7 +124,6 @@ class ConstraintRows:
         self.cap[row], self.gap[row] = cap, gap
         self.source[row] = source
         self.count = row + 1
-        return 0
 
 
 @cython.final
@@ -170,7 +168,6 @@ class PlacedPoints:
         """Make the arrays at least `room` long; arrays that were shorter lose their numbers."""
         if len(self.x) < room:
             self._allocate(room + room // 2)  # else each further point would make new arrays
-        return 0
 
     def _allocate(self, room):
         """Make all arrays anew."""
@@ -230,7 +227,6 @@ class PlacedPoints:
         for j in range(count):
             first_row[first + j] = row + j
             source[row + j] = first + j
-        return 0
 
 
 @cython.cfunc
@@ -288,7 +284,6 @@ def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> c
             )
             chunk.cap[j] = _wall_cap(chunk, j, linear, chunk.lever[j], chunk.gap[j], assumptions)
             chunk.hidden[j] = 0.0
-    return 0
 
 
 @cython.cfunc
@@ -318,7 +313,6 @@ def _set_corner_wall_caps(
             linear: cython.double = dx * axes.along_x + dy * axes.along_y
             lever: cython.double = corner_x * dy - corner_y * dx
             chunk.row_cap[j] = _wall_cap(chunk, j, linear, lever, distance, assumptions)
-    return 0
 
 
 @cython.final
@@ -579,7 +573,6 @@ class Constraints:
         """
         axes: SpeedAxes = self.axes
         self.rows.add(linear * axes.limit, lever * axes.angular_limit, cap, gap, source)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -677,7 +670,6 @@ class Constraints:
                 row_gap[row], source[row] = gap[j] - chunk.radius[j], first + j
                 row += 1
         rows.count = row
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -753,7 +745,6 @@ class Constraints:
         if back_point >= 0:
             gap = chunk.gap[back_point] - chunk.radius[back_point]
             self._add(-1.0, 0.0, back_cap, gap, first + back_point)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -856,7 +847,6 @@ class Constraints:
                 source[row] = first + j
                 row += 1
         rows.count = row
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -888,7 +878,6 @@ class Constraints:
                 distance - assumptions.keep_out, braking, chunk.age[j]
             )
             self._add(linear, lever, cap, chunk.gap[j] - chunk.radius[j], first + j)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -921,4 +910,3 @@ class Constraints:
             lever: cython.double = corners[i, 2] * ny - corners[i, 3] * nx
             # Without an obstacle: the gap inf keeps the constraint, and point 0, out of reports.
             self._add(linear, lever, touch.speed, INFINITY, 0)
-        return 0

@@ -67,7 +67,6 @@ class PlanarPose:
         s: cython.double = sin(base.yaw)
         self.x, self.y = c * dx + s * dy, c * dy - s * dx
         self.yaw = pose.yaw - base.yaw
-        return 0
 
 
 @cython.cfunc
@@ -310,7 +309,6 @@ class CommandRange:
         """Note the command in force since the last decision."""
         self._least = min(self._least, speed)
         self._most = maximum(self._most, speed)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(check=False)

@@ -92,7 +92,6 @@ class Envelope:
         for i in range(ENVELOPE_ROWS):
             to_x[first + i], to_y[first + i] = x[i], y[i]
             to_cap[first + i] = cap[i]
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -135,7 +134,6 @@ class Envelope:
             normal_y: cython.double = -side_x / length
             self.row_x[i], self.row_y[i] = normal_x, normal_y
             self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
-        return 0
 
 
 @cython.final
@@ -171,7 +169,6 @@ class Creeping:
             allowed: cython.double = 0.5 * (placed.gap[i] - placed.contact[i])
             allowed /= placed.age[i] + DECISION_PERIOD
             self.cap = min(self.cap, allowed)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -197,4 +194,3 @@ class Creeping:
             rows.cap[i] = self._kept_cap[i]
         self.is_active = False
         self.usual.put(rows, axes)
-        return 0

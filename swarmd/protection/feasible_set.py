@@ -154,7 +154,6 @@ class FeasibleSet:
         self.discs.find_binding(self.assumptions, self.outline.radius)
         self.motion.ahead.note(command.linear)
         self.motion.left.note(command.lateral)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -257,7 +256,6 @@ class FeasibleSet:
         has_only_returns: cython.bint = not (self.touch.is_granted or self.discs.count)
         self.creeping.is_active = False
         self.creeping.is_possible = assumptions.may_creep and near.is_near and has_only_returns
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -299,7 +297,6 @@ class FeasibleSet:
                 age,
                 moved,
             )
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)

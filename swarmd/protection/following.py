@@ -227,7 +227,6 @@ class _Axis:
         # A base that is pushed back is not blocked: it does not stand.
         stands: cython.bint = fabs(moved) < self._least and fabs(self._moved_way) < needed
         self.blocked = sign if is_demanded and stands else 0.0
-        return 0
 
     @cython.cfunc
     def _compare_ways(
@@ -261,7 +260,6 @@ class _Axis:
                 f" {self._unit.replace('/s', '')}, its twist does not, in the last"
                 f" {_JUMP_TIME:.0f} s: {_WRONG}"
             )
-        return 0
 
     @cython.ccall
     def on_reading(

@@ -188,4 +188,3 @@ class LimitingRows:
         for place in range(self.count - 1, rank, -1):
             self.row[place] = self.row[place - 1]
         self.row[rank] = row
-        return 0

@@ -102,7 +102,6 @@ class Points:
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.age = doubles(room), doubles(room)
         self.kind = indices(room)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -119,7 +118,6 @@ class Points:
         self.x[at], self.y[at], self.gap[at], self.age[at] = x, y, gap, age
         self.kind[at] = kind
         self.count = at + 1
-        return 0
 
 
 @cython.final
@@ -186,7 +184,6 @@ class NearObstacles:
         """Put the direction of a ray into `_directions`."""
         bearing: cython.double = self._bearings[ray]
         self._directions[2 * ray], self._directions[2 * ray + 1] = cos(bearing), sin(bearing)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -196,7 +193,6 @@ class NearObstacles:
         for i in range(len(ranges)):
             if ranges[i] <= REACH and self._directions[2 * i] != self._directions[2 * i]:
                 self._find_direction(i)
-        return 0
 
     @cython.cfunc
     def find_min_gap(self, ranges: cython.const[cython.double][::1], range_min: cython.double):
@@ -225,7 +221,6 @@ class NearObstacles:
             self.min_gap = None
         else:
             self.min_gap = 0.0 if nearest == -INFINITY else smallest_gap
-        return 0
 
     @cython.cfunc
     def take_scan(
@@ -432,7 +427,6 @@ class NearObstacles:
         for i in range(unsorted.count):
             points.kind[rays.count + i] = unsorted.kind[self._order[i]]
         points.count = rays.count + unsorted.count
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -479,7 +473,6 @@ class NearObstacles:
             order, spare = spare, order
             self._order, self._spare = self._spare, self._order
             run_length *= 2
-        return 0
 
 
 @cython.cfunc
@@ -535,4 +528,3 @@ class ObstacleDiscs:
             if not (gap > assumptions.fresh_binding_range + approach_speed * age):
                 self.binding[self.count] = i
                 self.count += 1
-        return 0

@@ -235,7 +235,6 @@ class Outline:
             gaps[j], hidden_gaps[j] = gap, hidden
             normals_x[j], normals_y[j] = nx, ny
             levers[j] = foot_x[j] * ny - foot_y[j] * nx
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -311,7 +310,6 @@ class Outline:
             chunk.edge_x[j], chunk.edge_y[j] = axis_x[k], axis_y[k]
             chunk.foot_x[j] = corner_x[k] + along_clamped * axis_x[k]
             chunk.foot_y[j] = corner_y[k] + along_clamped * axis_y[k]
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)

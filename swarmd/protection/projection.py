@@ -70,7 +70,6 @@ class Projection:
                 break
             self._clip(rows.x[worst_row], rows.y[worst_row], rows.cap[worst_row])
             self._find_nearest(x, y)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-2)
@@ -124,7 +123,6 @@ class Projection:
         self._corner_x[0] = self._corner_x[1] = self._corner_y[1] = self._corner_y[2] = 1.0
         self._corner_x[2] = self._corner_x[3] = self._corner_y[0] = self._corner_y[3] = -1.0
         self._sides = 4
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -162,7 +160,6 @@ class Projection:
         self._sides = count
         self._corner_x, self._clipped_x = self._clipped_x, self._corner_x
         self._corner_y, self._clipped_y = self._clipped_y, self._corner_y
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -210,7 +207,6 @@ class Projection:
             self.x, self.y = x, y
         else:
             self.x, self.y = nearest_x, nearest_y
-        return 0
 
 
 @cython.cfunc

@@ -247,7 +247,6 @@ class StopPoints:
                 to_others[count] = others[i]
                 count += 1
         self.count = count
-        return 0
 
 
 @cython.final

@@ -48,55 +48,41 @@ class CdrWriter:
         rest = round((stamp - seconds) * 1e9)
         if rest == 10**9:
             seconds, rest = seconds + 1, 0
-        self._align(4)
-        self.data += _STAMP.pack(min(max(seconds, -_MAX_SECONDS), _MAX_SECONDS), rest)
-        return self
+        clipped = min(max(seconds, -_MAX_SECONDS), _MAX_SECONDS)
+        return self._append(4, _STAMP.pack(clipped, rest))
 
     def text(self, text: str) -> CdrWriter:
         """A string."""
         encoded = text.encode("utf-8", "replace")
-        self._align(4)
-        self.data += _COUNT.pack(len(encoded) + 1)
-        self.data += encoded
-        self.data += b"\0"
-        return self
+        return self._append(4, _COUNT.pack(len(encoded) + 1) + encoded + b"\0")
 
     def texts(self, texts: Sequence[str]) -> CdrWriter:
         """A sequence of strings."""
-        self._align(4)
-        self.data += _COUNT.pack(len(texts))
+        self.uint32(len(texts))
         for text in texts:
             self.text(text)
         return self
 
     def doubles(self, *values: float) -> CdrWriter:
         """Fields of type float64."""
-        self._align(8)
-        self.data += struct.pack(f"<{len(values)}d", *values)
-        return self
+        return self._append(8, struct.pack(f"<{len(values)}d", *values))
 
     def floats(self, *values: float) -> CdrWriter:
         """Fields of type float32."""
-        self._align(4)
-        self.data += np.array(values, "<f4").tobytes()
-        return self
+        return self._append(4, np.array(values, "<f4").tobytes())
 
     def array(self, values: NDArray[np.float64] | NDArray[np.float32] | bytes) -> CdrWriter:
         """A sequence of float64, float32 or uint8, by the type of `values`."""
-        self._align(4)
-        self.data += _COUNT.pack(len(values))
+        self.uint32(len(values))
         if isinstance(values, bytes):
             self.data += values
         elif len(values):
-            self._align(values.itemsize)
-            self.data += values.tobytes()
+            self._append(values.itemsize, values.tobytes())
         return self
 
     def int64(self, value: int) -> CdrWriter:
         """A field of type int64."""
-        self._align(8)
-        self.data += _INT64.pack(value)
-        return self
+        return self._append(8, _INT64.pack(value))
 
     def uint8(self, *values: int) -> CdrWriter:
         """Fields of type bool or uint8."""
@@ -105,14 +91,15 @@ class CdrWriter:
 
     def uint32(self, value: int) -> CdrWriter:
         """A field of type uint32."""
-        self._align(4)
-        self.data += _COUNT.pack(value)
-        return self
+        return self._append(4, _COUNT.pack(value))
 
     def as_message(self, kind: str) -> Message:
         """The message of type `kind`; the prefix of the package `swarmd_msgs` may be omitted."""
         name = kind if "/" in kind else f"swarmd_msgs/msg/{kind}"
         return Message(name, bytes(self.data))
 
-    def _align(self, size: int) -> None:
+    def _append(self, size: int, field: bytes) -> CdrWriter:
+        """Append a field that begins at a multiple of `size` bytes."""
         self.data += _PADDING[-(len(self.data) - len(_ENCODING)) % size]
+        self.data += field
+        return self

@@ -6,7 +6,7 @@ handled the entry. Numpy arrays are encoded as bytes.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import msgspec
 import numpy as np
@@ -129,14 +129,14 @@ class RecorderReport(Struct, frozen=True, array_like=True):
 
 
 _EMPTY: Array = np.zeros(0)
-_encoder = msgspec.msgpack.Encoder()
-_batches = msgspec.msgpack.Decoder(list[Entry])
 _reports = msgspec.msgpack.Decoder(RecorderReport)
 
-
-def encode_entry(entry: Entry) -> bytes:
-    """The bytes of one entry of a batch."""
-    return _encoder.encode(entry)
+encode = msgspec.msgpack.Encoder().encode
+"""The bytes of one entry of a batch, or the frame of a report."""
+decode_batch = msgspec.msgpack.Decoder(list[Entry]).decode
+"""The entries of a frame."""
+as_json = msgspec.json.encode
+"""A struct as JSON; NaN and infinities become null."""
 
 
 def input_entry(input: Input, at: float) -> InputEntry:
@@ -147,16 +147,6 @@ def input_entry(input: Input, at: float) -> InputEntry:
 def batch(entries: list[bytes]) -> bytes:
     """A frame of encoded entries, at most 65,535 of them."""
     return b"\xdc" + len(entries).to_bytes(2, "big") + b"".join(entries)
-
-
-def decode_batch(frame: bytes) -> list[Entry]:
-    """The entries of a frame."""
-    return _batches.decode(frame)
-
-
-def encode_report(report: RecorderReport) -> bytes:
-    """The frame of a report."""
-    return _encoder.encode(report)
 
 
 def decode_report(frame: bytes) -> RecorderReport:
@@ -187,8 +177,3 @@ def _equal(left: Array | None, right: Array | None) -> bool:
     if left is None or right is None:
         return left is right
     return left is right or np.array_equal(left, right)
-
-
-def as_json(value: Any) -> bytes:
-    """A struct as JSON; NaN and infinities become null."""
-    return msgspec.json.encode(value)

@@ -219,7 +219,7 @@ def _report(link: socket.socket, converter: Converter | None, fault: str = "") -
     path = "" if converter is None else str(converter.writer.path or "")
     written_bytes = 0 if converter is None else converter.writer.written
     with contextlib.suppress(OSError):
-        link.send(frames.encode_report(frames.RecorderReport(path, written_bytes, fault)))
+        link.send(frames.encode(frames.RecorderReport(path, written_bytes, fault)))
 
 
 def main() -> None:

@@ -75,7 +75,7 @@ class Running:
         self.wish, self.until, self.permit = loading.wish, loading.until, NOTHING_PERMITTED
         self.finish_at = finish_at
         self.period, self.expiry = 1.0 / event.rate, max(timeouts.MIN_EXPIRY, 3.0 / event.rate)
-        self.requested, self.requested_at, self.scan_seq = None, now, -1
+        self.requested_at, self.scan_seq = now, -1
 
     @cython.ccall
     def channel(self, name: str) -> str | None:

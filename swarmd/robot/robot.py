@@ -60,6 +60,19 @@ else:
     DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker
 
 
+def _settled(
+    handle: Callable[[Robot, Any, Effects], object],
+) -> Callable[[Robot, Any, float], Actions]:
+    """A handler of inputs that acts by `handle`, then checks holds and deadlines and decides."""
+
+    def on_input(robot: Robot, one: Any, now: float) -> Actions:
+        effects = robot._begin(now)
+        handle(robot, one, effects)
+        return robot._settle(effects)
+
+    return on_input
+
+
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
@@ -227,17 +240,10 @@ class Robot(Ticker):
 
     # Inputs from the driver and the network
 
-    def _on_ranges(self, one: events.RangesInput, now: float) -> Actions:
-        effects = self._begin(now)
+    @_settled
+    def _on_ranges(self, one: events.RangesInput, effects: Effects) -> None:
         effects.is_routine = True
-        self._sensors.on_ranges(one.scan, now)
-        return self._settle(effects)
-
-    def _on_odometry(self, one: events.OdometryInput, now: float) -> None:
-        self._take_odometry(one.odometry, now)
-
-    def _on_neighbors(self, one: events.NeighborsInput, now: float) -> None:
-        self._sensors.on_neighbors(one.neighbors, now)
+        self._sensors.on_ranges(one.scan, effects.now)
 
     def _on_peers(self, one: events.PeersInput, now: float) -> None:
         robots: dict[tuple[str, str], list[str]] = {}  # peers with an equal finding share an event
@@ -247,12 +253,6 @@ class Robot(Ticker):
         for (kind, text), names in robots.items():
             self._events.log(f"peers {kind}", f"peer {', '.join(names)}: {text}", now)
         self._events.advance(now)
-
-    def _on_pose(self, one: events.PoseInput, now: float) -> None:
-        self._sensors.on_pose(one.pose, now)
-
-    def _on_place(self, one: events.PlaceInput, now: float) -> None:
-        self._sensors.on_place(one.place, now)
 
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
@@ -268,21 +268,19 @@ class Robot(Ticker):
         lifecycle.on_battery(settings, effects)
         return self._settle(effects)
 
-    def _on_option_input(self, one: events.SensorInput, now: float) -> None:
-        self._sensors.on_option_input(one)
-
-    def _on_hazards(self, one: events.HazardsInput, now: float) -> Actions:
-        effects, holds = self._begin(now), self._sensors.hazards
+    @_settled
+    def _on_hazards(self, one: events.HazardsInput, effects: Effects) -> None:
+        holds, now = self._sensors.hazards, effects.now
         before = holds.present
         self._sensors.on_hazards(one.hazards, now)
         if before != holds.present:
             text = ", ".join(hazard.text for hazard in holds.present) or "none any more"
             self._events.log("hazards", f"hazards: {text}", now)
             self._events.advance(now)
-        return self._settle(effects)
 
-    def _on_driver(self, one: events.DriverInput, now: float) -> Actions:
-        effects, sensors = self._begin(now), self._sensors
+    @_settled
+    def _on_driver(self, one: events.DriverInput, effects: Effects) -> None:
+        sensors, now = self._sensors, effects.now
         if (one.is_up, one.hold) != (sensors.is_driver_up, sensors.driver_hold):
             self._lifecycle.log(f"driver: {one.text}", now)
         sensors.on_driver(one.is_up, one.text, hold=one.hold, gets_zero=one.gets_zero)
@@ -291,79 +289,28 @@ class Robot(Ticker):
         settings = self._lifecycle.identity.setup.settings.on_low_battery
         if settings is not None and not sensors.is_driver_up:  # the readings have become stale
             self._lifecycle.battery.take(None, settings, now)
-        return self._settle(effects)
 
     # Pattern host, operators and peers
 
-    def _on_host(self, one: events.HostInput, now: float) -> Actions:
-        effects = self._begin(now)
+    @_settled
+    def _on_host(self, one: events.HostInput, effects: Effects) -> None:
         if isinstance(one.event, TrialDone):
             self._requests.on_trial_done(one.event, effects)
         else:
             self._lifecycle.on_host(one.event, effects)
         if effects.is_new_run:
-            self._sensors.on_new_run(now)
+            self._sensors.on_new_run(effects.now)
             self._duty = DutyCycle()
-        return self._settle(effects)
 
-    def _on_request(self, one: events.RequestInput, now: float) -> Actions:
-        """Act on a request; the reply is in these actions or in the actions of a later event."""
-        effects = self._begin(now)
-        self._requests.answer(one.request, effects)
-        return self._settle(effects)
+    @_settled
+    def _on_forget(self, one: events.ForgetInput, effects: Effects) -> None:
+        """Drop goals whose issuers are no longer operators; `on_roster` has ended their runs."""
+        text = f"forgets {len(one.digests)} goals that no operator of the roster signed"
+        self._lifecycle.log(text, effects.now)
+        self._lifecycle.goals.forget(lambda goal: digest_of(goal).hex() not in one.digests)
 
     def _on_provisional(self, one: events.ProvisionalInput, now: float) -> None:
         self._lifecycle.provisional = one.generations
-
-    def _on_code(self, one: events.CodeInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._lifecycle.outdate_host(effects)
-        return self._settle(effects)
-
-    def _on_latches(self, one: events.LatchesInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._lifecycle.adopt_latches(one.latches, effects)
-        return self._settle(effects)
-
-    def _on_goal(self, one: events.GoalInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._goals.on_goal(one.goal, one.age, effects, may_join=one.may_join)
-        return self._settle(effects)
-
-    def _on_forget(self, one: events.ForgetInput, now: float) -> Actions:
-        """Drop goals whose issuers are no longer operators; `on_roster` has ended their runs."""
-        effects, lifecycle = self._begin(now), self._lifecycle
-        lifecycle.log(
-            f"forgets {len(one.digests)} goals that no operator of the roster signed", now
-        )
-        lifecycle.goals.forget(lambda goal: digest_of(goal).hex() not in one.digests)
-        return self._settle(effects)
-
-    def _on_lease(self, one: events.LeaseInput, now: float) -> None:
-        self._lifecycle.goals.on_lease(one.goal, one.count, now)
-
-    def _on_duplicate(self, one: events.DuplicateInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._lifecycle.on_duplicate(one.holder, effects)
-        return self._settle(effects)
-
-    def _on_network(self, one: events.NetworkInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._lifecycle.on_network_changed(one.text, effects)
-        return self._settle(effects)
-
-    def _on_roster(self, one: events.RosterInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._lifecycle.on_roster(one.text, effects, is_revoked=one.is_revoked)
-        return self._settle(effects)
-
-    def _on_leave(self, one: events.LeaveInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._lifecycle.stop(Reason.LEAVING, "", effects)
-        return self._settle(effects)
-
-    def _on_note(self, one: events.NoteInput, now: float) -> None:
-        self._lifecycle.log(one.text, now)
 
     # Time
 
@@ -496,14 +443,15 @@ class Robot(Ticker):
 
 
 HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
+    # Inputs from the driver and the network
     events.ScanInput: Robot._on_scan,
     events.RangesInput: Robot._on_ranges,
-    events.OdometryInput: Robot._on_odometry,
-    events.NeighborsInput: Robot._on_neighbors,
-    events.PoseInput: Robot._on_pose,
+    events.OdometryInput: lambda robot, one, now: robot._take_odometry(one.odometry, now),
+    events.NeighborsInput: lambda robot, one, now: robot._sensors.on_neighbors(one.neighbors, now),
+    events.PoseInput: lambda robot, one, now: robot._sensors.on_pose(one.pose, now),
     events.ReadingsInput: Robot._on_readings,
     **{
-        kind: Robot._on_option_input
+        kind: lambda robot, one, now: robot._sensors.on_option_input(one)
         for kind in get_args(events.SensorInput)
         if kind.__struct_config__.tag in OPTION_INPUTS
     },
@@ -511,19 +459,41 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.DriverInput: Robot._on_driver,
     events.MessageInput: Robot._on_message,
     events.PeersInput: Robot._on_peers,
-    events.PlaceInput: Robot._on_place,
-    events.LatchesInput: Robot._on_latches,
-    events.GoalInput: Robot._on_goal,
-    events.LeaseInput: Robot._on_lease,
-    events.DuplicateInput: Robot._on_duplicate,
+    events.PlaceInput: lambda robot, one, now: robot._sensors.on_place(one.place, now),
+    # Pattern host, operators and peers
+    events.LatchesInput: _settled(
+        lambda robot, one, effects: robot._lifecycle.adopt_latches(one.latches, effects)
+    ),
+    events.GoalInput: _settled(
+        lambda robot, one, effects: robot._goals.on_goal(
+            one.goal, one.age, effects, may_join=one.may_join
+        )
+    ),
+    events.LeaseInput: lambda robot, one, now: robot._lifecycle.goals.on_lease(
+        one.goal, one.count, now
+    ),
+    events.DuplicateInput: _settled(
+        lambda robot, one, effects: robot._lifecycle.on_duplicate(one.holder, effects)
+    ),
     events.HostInput: Robot._on_host,
-    events.RequestInput: Robot._on_request,
-    events.CodeInput: Robot._on_code,
+    # The reply to a request is in these actions or in the actions of a later event.
+    events.RequestInput: _settled(
+        lambda robot, one, effects: robot._requests.answer(one.request, effects)
+    ),
+    events.CodeInput: _settled(lambda robot, one, effects: robot._lifecycle.outdate_host(effects)),
     events.ProvisionalInput: Robot._on_provisional,
     events.ForgetInput: Robot._on_forget,
-    events.NetworkInput: Robot._on_network,
-    events.RosterInput: Robot._on_roster,
-    events.LeaveInput: Robot._on_leave,
-    events.NoteInput: Robot._on_note,
+    events.NetworkInput: _settled(
+        lambda robot, one, effects: robot._lifecycle.on_network_changed(one.text, effects)
+    ),
+    events.RosterInput: _settled(
+        lambda robot, one, effects: robot._lifecycle.on_roster(
+            one.text, effects, is_revoked=one.is_revoked
+        )
+    ),
+    events.LeaveInput: _settled(
+        lambda robot, one, effects: robot._lifecycle.stop(Reason.LEAVING, "", effects)
+    ),
+    events.NoteInput: lambda robot, one, now: robot._lifecycle.log(one.text, now),
     events.TickInput: Robot._on_tick,
 }

@@ -16,10 +16,11 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta, Struct
 
+from swarmd.core.bounds import Id
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import read_regular, write_whole
 from swarmd.security.datagram_keys import DatagramKeys
-from swarmd.security.roster import Id, PublicKey, Role, Roster, read_roster, stored_roster
+from swarmd.security.roster import PublicKey, Role, Roster, read_roster, stored_roster
 
 INFO = "identity.json"
 CERTIFICATE = "certificate.pem"

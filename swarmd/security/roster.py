@@ -7,12 +7,14 @@ generation, never the reverse. `content_signature.py` makes and verifies the sig
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from enum import StrEnum
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta, Struct
 
+from swarmd.core.bounds import Id
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.core.names import MAX_NAMES
@@ -21,7 +23,6 @@ from swarmd.security.content_signature import SIGNATURE_BYTES, Purpose, is_signe
 PUBLIC_KEY_BYTES = 64
 MAX_ROSTER = 256 * 1024
 
-Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 PublicKey = Annotated[bytes, Meta(min_length=PUBLIC_KEY_BYTES, max_length=PUBLIC_KEY_BYTES)]
 """A point of P-256: `x || y`, big endian."""
 Sha256 = Annotated[bytes, Meta(min_length=32, max_length=32)]
@@ -79,17 +80,13 @@ class SignedRoster(Struct, frozen=True, array_like=True):
 
 _roster = msgspec.msgpack.Decoder(Roster)
 _signed = msgspec.msgpack.Decoder(SignedRoster)
-_encoder = msgspec.msgpack.Encoder()
-
-
-def encode_roster(roster: Roster) -> bytes:
-    """The bytes that the authority signs."""
-    return _encoder.encode(roster)
+encode_roster: Callable[[Roster], bytes] = msgspec.msgpack.encode
+"""The bytes that the authority signs."""
 
 
 def pack_roster(content: bytes, signature: bytes) -> bytes:
     """A signed roster as it is stored and sent."""
-    return _encoder.encode(SignedRoster(content, signature))
+    return msgspec.msgpack.encode(SignedRoster(content, signature))
 
 
 def same_bytes(data: bytes, known: bytes) -> bytes:

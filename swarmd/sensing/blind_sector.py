@@ -211,7 +211,6 @@ class BlindSectors:
             self._mean_before[k] = self._mean[k] if is_sure else NAN
         self._scan_pose = pose
         self._scan_at = now
-        return 0
 
     @cython.cfunc
     def _look_from(self, ranges: cython.double[::1], pose, now: cython.double) -> cython.bint:
@@ -338,7 +337,6 @@ class BlindSectors:
                 self._sums[k] += max(ranges[i], self._range_min)
         for k in range(_SECTORS):
             self._mean[k] = self._sums[k] / self._hits[k] if self._hits[k] else NAN
-        return 0
 
     @cython.cfunc
     def _count_returns(self, now: cython.double) -> cython.bint:
@@ -406,7 +404,6 @@ class BlindSectors:
             if self._is_return[i]:
                 self._hits[d] += 1
                 self._sums[d] += max(ranges[i], self._range_min)
-        return 0
 
     @cython.cfunc
     def _compare_direction(
@@ -457,7 +454,6 @@ class BlindSectors:
         if is_new or has_streak:
             self._range[d] = distance
             self._x[d], self._y[d] = x, y
-        return 0
 
     @cython.cfunc
     def _await_confirmation(self) -> cython.int:
@@ -469,7 +465,6 @@ class BlindSectors:
             d, k = self._direction[i], self._sector[i]
             if self._is_known[d] and not self._hits[d] and not self._return_streak[k]:
                 self._pending[_SECTORS * d + k] = True
-        return 0
 
     @cython.cfunc
     def _judge_sectors(self) -> cython.bint:

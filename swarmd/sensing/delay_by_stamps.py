@@ -114,7 +114,6 @@ class DelayByStamps:
     def forget_scans(self) -> cython.int:
         """Drop the ages of earlier scans."""
         self._age_count = 0
-        return 0
 
     @cython.cfunc
     def goes_back(self, stamp: cython.double, now: cython.double) -> cython.bint:
@@ -130,7 +129,6 @@ class DelayByStamps:
         """Drop all ages, and judge the clocks again after _RESTART_TIME."""
         self._age_count = self._scan_count = 0
         self.is_restarting, self._restart_ends = True, now + _RESTART_TIME
-        return 0
 
     @cython.cfunc
     def _end_period(self, now: cython.double) -> cython.int:
@@ -171,7 +169,6 @@ class DelayByStamps:
             rise_count += change > _MAX_DRIFT
             fall_count += change < -_MAX_DRIFT
         self._drifts = rise_count == _PERIODS - 1 or fall_count == _PERIODS - 1
-        return 0
 
     @cython.cfunc
     def take(self, scan, now: cython.double) -> cython.double:
@@ -207,7 +204,6 @@ class DelayByStamps:
         else:
             self._ages[self._oldest] = age
             self._oldest = (self._oldest + 1) % _STAMPS
-        return 0
 
     @cython.cfunc
     def _delay(self) -> cython.double:

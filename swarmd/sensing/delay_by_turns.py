@@ -286,7 +286,6 @@ class DelayByTurns:
             while begin > self._first and self._times[begin] > before - delay:
                 begin -= 1
             self._turns[k] = self._heading(end, at - delay) - self._heading(begin, before - delay)
-        return 0
 
     @cython.cfunc
     def _set_bearings(self, bearings):
@@ -459,4 +458,3 @@ class DelayByTurns:
             self.delay = max(_DELAY_STEP * middle + change, 0.0)
             spread: cython.double = _ALIKE * _DELAY_STEP * sqrt(2.0 * variance / curvature)
             self.spread = max(spread, _MIN_DELAY_SPREAD)
-        return 0

@@ -183,7 +183,6 @@ class OdometryHistory:
         self._x = r[later + _X] + cos_chord * ahead - sin_chord * left
         self._y = r[later + _Y] + sin_chord * ahead + cos_chord * left
         self._yaw = r[later + _YAW] + turn
-        return 0
 
     @cython.cfunc
     def set_path(self, end: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
@@ -226,7 +225,6 @@ class OdometryHistory:
         p: cython.double[:, ::1] = self.path
         p[row, 0], p[row, 1] = before, x
         p[row, 2], p[row, 3] = y, yaw
-        return 0
 
     @cython.cfunc
     def _makes_relative(self, rows: cython.Py_ssize_t) -> cython.bint:
@@ -263,4 +261,3 @@ class OdometryHistory:
         sin_yaw: cython.double = sin(yaw)
         self.motion[0], self.motion[1] = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
         self.motion[2] = self._yaw - yaw
-        return 0

@@ -136,8 +136,7 @@ class RayMemory:
         self._guesses_near = guesses_near
         self._near_below = spec.range_min + _NEAR_MARGIN
         self._step = TURN / max(len(spec.bearings), 1)
-        self._yaw, self._far_returns = NAN, 0
-        self._given, self._ray_count = None, 0
+        self._yaw = NAN
         self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = None
         self._order = self._place = self._is_zero = self._is_lost = None
 
@@ -333,7 +332,6 @@ class RayMemory:
         for i in range(n):
             self._ranges[i] = NAN
             self._seen_at[i] = self._near_at[i] = -INFINITY
-        return 0
 
     @cython.cfunc
     def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
@@ -358,7 +356,6 @@ class RayMemory:
             self._seen_at[target] = -INFINITY if is_far else seen_at[source]
             self._near_at[target] = -INFINITY if is_far else near_at[source]
         self._shift = 0
-        return 0
 
     @cython.cfunc
     def _interpret_ranges(self, out: cython.double[::1]) -> cython.bint:
@@ -407,7 +404,6 @@ class RayMemory:
                 i = wrapped_index(k, n)
                 out[i] = self._meaning(i, run, now)
             begin += run
-        return 0
 
     @cython.cfunc
     def _meaning(

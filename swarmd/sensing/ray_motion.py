@@ -149,7 +149,6 @@ def move_rays(
         along, across = distance + (ahead * x + left * y), ahead * y - left * x
         distances[i] = _moved_range(along, across, range_min, range_max)
         angles[i] = _moved_bearing(bearings[i], turn, along, across)
-    return 0
 
 
 @cython.ccall

@@ -152,7 +152,6 @@ def _store_point(
 ) -> cython.int:
     layout.point[place, 0] = layout.lowest[sector]
     layout.point[place, 1] = layout.wrapped[layout.nearest_ray[sector]]
-    return 0
 
 
 @cython.boundscheck(False)

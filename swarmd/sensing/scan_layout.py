@@ -93,7 +93,6 @@ class ScanLayout:
             self.wrapped[i] = wrap(bearings[i])
         self.is_ordered, self.grazing = False, NAN
         self.count = -1
-        return 0
 
     @cython.cfunc
     @cython.boundscheck(False)

@@ -205,4 +205,3 @@ class Avoidance:
         self._right_rad = min(
             _RIGHT_RAD + _RIGHT_TURN_RATE * max(self._held_s - _WAIT_TIME, 0.0), _MAX_RIGHT_RAD
         )
-        return 0

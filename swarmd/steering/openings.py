@@ -134,7 +134,6 @@ class _PlacedReturns:
         self.offset_x, self.offset_y = offset
         self.pose_x, self.pose_y = pose.x, pose.y
         self.pose_cos, self.pose_sin = cos(yaw), sin(yaw)
-        return 0
 
     @cython.cfunc
     def place(self, row: cython.Py_ssize_t) -> cython.int:
@@ -143,7 +142,6 @@ class _PlacedReturns:
         y: cython.double = self.offset_y + self.ranges[row] * sin(self.bearings[row])
         self.x[row] = self.pose_x + self.pose_cos * x - self.pose_sin * y
         self.y[row] = self.pose_y + self.pose_sin * x + self.pose_cos * y
-        return 0
 
     @cython.cfunc
     def set_tracks(self, tracks: tuple) -> cython.int:
@@ -153,7 +151,6 @@ class _PlacedReturns:
         for x, y, radius in tracks:
             self.tracks[k], self.tracks[k + 1], self.tracks[k + 2] = x, y, radius
             k += 3
-        return 0
 
     @cython.cfunc
     def ends(self) -> list:
@@ -197,7 +194,6 @@ class _PlacedReturns:
             if self.ranges[row] < _MAX_RANGE:
                 self.place(row)
             self.is_wall[row] = self.ranges[row] < _MAX_RANGE and self.is_free(row)
-        return 0
 
     @cython.cfunc
     def partner(
@@ -265,7 +261,6 @@ class _PlacedReturns:
                 self.side[k] = cos_angle * dy - sin_angle * dx
                 k += 1
         self.count = k
-        return 0
 
 
 @cython.final
@@ -322,7 +317,6 @@ class Opening:
         self.last = self.reach_along(returns, 1.0)
         self.left = self.half + self.reach_beside(returns, 1.0)
         self.right = self.half + self.reach_beside(returns, -1.0)
-        return 0
 
     @cython.cfunc
     def align(self, returns: _PlacedReturns) -> cython.bint:
@@ -427,7 +421,6 @@ class Opening:
         self.left = _grown(self.left, left, left > self.left)
         self.right = _grown(self.right, right, right > self.right)
         self.hits, self.seen_at = self.hits + 1, sighting.seen_at
-        return 0
 
 
 @cython.final

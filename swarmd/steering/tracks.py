@@ -300,7 +300,6 @@ class _Filter:
         self.pp += dt * (2.0 * self.pv + dt * (self.vv + _ACCELERATION * dt / 3.0))
         self.pv += dt * (self.vv + 0.5 * _ACCELERATION * dt)
         self.vv += _ACCELERATION * dt
-        return 0
 
     @cython.cfunc
     def distance_to(self, cluster: _Cluster, gate: cython.double) -> cython.double:
@@ -351,7 +350,6 @@ class _Filter:
             self.vx, self.vy = self.vx * self.fastest / speed, self.vy * self.fastest / speed
         self.hits += 1
         self.misses = 0
-        return 0
 
 
 @cython.final
@@ -864,7 +862,6 @@ class Tracker:
             if track.misses and not cluster.is_used:
                 cluster.is_used = True
                 track.update(cluster)
-        return 0
 
     @cython.cfunc
     def _is_part(self, cluster: _Cluster) -> cython.bint:
@@ -895,7 +892,6 @@ class Tracker:
             if at - track.seen_at <= _HIDDEN_TIME:
                 kept.append(track)
         self._filters = kept
-        return 0
 
     @cython.cfunc
     def _is_hidden(self, track: _Filter, pose) -> cython.bint:

@@ -406,4 +406,3 @@ class _Programme:
             if self.solve(projected, -line.dy, line.dx, True) < len(projected):
                 self.x, self.y = previous_x, previous_y
             worst_excess = excess(line, self.x, self.y)
-        return 0

@@ -12,7 +12,7 @@ from swarmd.texts.values import counted, seconds
 WARN_DAYS = 14
 """A certificate that ends within so many days is warned of."""
 UNSET_CLOCK = "the clock of this machine has not been set"
-_DAY = 86400.0
+DAY = 86400.0  # s
 
 
 def day(expires: float) -> str:
@@ -30,7 +30,7 @@ def end_of_certificate(expires: float, now: float) -> str:
         return f"whether the certificate has ended is not known: {UNSET_CLOCK}"
     if left < 0:
         return "the certificate has ended by the clock of this machine"
-    if left >= WARN_DAYS * _DAY:
+    if left >= WARN_DAYS * DAY:
         return ""
     return f"the certificate ends in {life(left)}"
 
@@ -53,7 +53,7 @@ def own_end(name: str, expires: float, now: float) -> str:
 
 def life(left: float) -> str:
     """The time that a certificate has left, in whole days; below a day in hours or minutes."""
-    days = int(left // _DAY)
+    days = int(left // DAY)
     return counted(days, "day") if days else seconds(left)
 
 

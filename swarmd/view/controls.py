@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from fnmatch import fnmatchcase
+from itertools import takewhile
 from typing import Any
 
 from swarmd.view.screen import PASTED
@@ -188,12 +189,8 @@ class Controls:
             return begin
         if len(found) == 1:
             return f"{found[0]} "
-        shared = begin
-        for character in found[0][len(begin) :]:
-            if any(not name.startswith(shared + character) for name in found):
-                break
-            shared += character
-        return shared
+        shared = takewhile(lambda letters: len(set(letters)) == 1, zip(*found, strict=False))
+        return "".join(letters[0] for letters in shared)
 
 
 def names_of(names: Sequence[str], most: int = 4) -> str:

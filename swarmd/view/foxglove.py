@@ -10,11 +10,12 @@ import json
 import math
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from foxglove import messages
 
+from swarmd.core.closing import Closing
 from swarmd.core.state_colours import colour_of
 from swarmd.core.values import Array
 from swarmd.view.foxglove_socket import Channel, FoxgloveSocket, protobuf_channel
@@ -45,7 +46,7 @@ _STATUS_SCHEMA: dict[str, Any] = {
 }
 
 
-class FoxgloveServer:
+class FoxgloveServer(Closing):
     """Serves a source to Foxglove until `close`; a context manager.
 
     `address`: of the server; its path has the secret. Channels: `/tf` (poses), `/robots` (outlines,
@@ -66,12 +67,6 @@ class FoxgloveServer:
         self._socket = FoxgloveSocket(f"swarm {source.swarm}", host, port)
         self._socket.add([self._places, self._scene, self._events])
         self.address = self._socket.address
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the server and its connections."""

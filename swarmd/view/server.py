@@ -26,6 +26,7 @@ import ssl
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from importlib.resources import files
 from typing import Any, Protocol
 from urllib.parse import parse_qs
@@ -266,7 +267,7 @@ class ViewServer:
         id, verb = str(message.get("id"))[:64], str(message.get("verb"))[:32]
 
         def tell(answer: CommandProgress) -> None:
-            client.tell({"kind": "answer", "id": id, **answer.plain()})
+            client.tell({"kind": "answer", "id": id, **asdict(answer)})
             if verb == "estop":
                 self._show_estop(id, answer)
 
@@ -294,7 +295,7 @@ class ViewServer:
         current = self._estop
         if not is_new and (current is None or current["id"] != id):
             return
-        message = {"kind": "estop", "id": id, **answer.plain()}
+        message = {"kind": "estop", "id": id, **asdict(answer)}
         self._estop = None if answer.is_final else message
         for client in self._clients:
             client.tell(message)
@@ -397,7 +398,7 @@ def overload(load: float) -> str:
 
 
 def _refusal(id: str, text: str) -> dict[str, Any]:
-    return {"kind": "answer", "id": id, **CommandProgress(text, is_final=True).plain()}
+    return {"kind": "answer", "id": id, **asdict(CommandProgress(text, is_final=True))}
 
 
 def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:

@@ -6,7 +6,7 @@ import json
 import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -75,10 +75,6 @@ class CommandProgress:
     missing: list[str] = field(default_factory=list)  # robots that have not answered
     is_good: bool = False
     is_final: bool = False
-
-    def plain(self) -> dict[str, Any]:
-        """As JSON."""
-        return asdict(self)
 
 
 class Source(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import zip_longest
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Group
@@ -129,7 +130,7 @@ def map_of(scene: Scene, columns: int, rows: int) -> list[Text]:
     grid: list[dict[int, tuple[str, str]]] = [{} for _ in range(rows)]
     cells = {robot: cell_of(pose, scene.area, columns, rows) for robot, pose in scene.poses.items()}
     for robot, (column, row) in cells.items():
-        octant = _octant(scene.poses[robot][2])
+        octant = round(scene.poses[robot][2] / (math.pi / 4)) % 8
         arrow = (column + _DX[octant], row - _DY[octant])
         if 0 <= arrow[0] < columns and 0 <= arrow[1] < rows:
             grid[arrow[1]][arrow[0]] = (ARROWS[octant], _colour(scene, robot))
@@ -200,12 +201,10 @@ def _name_width(scene: Scene, spare: int) -> int:
 def _side_by_side(left: list[Text], right: list[Text]) -> list[Text]:
     width = max(line.cell_len for line in left)
     both = []
-    for number in range(max(len(left), len(right))):
-        line = left[number].copy() if number < len(left) else Text()
-        line.pad_right(width - line.cell_len + GAP)
-        if number < len(right):
-            line.append_text(right[number])
-        both.append(line)
+    for line, beside in zip_longest(left, right, fillvalue=Text()):
+        padded = line.copy()
+        padded.pad_right(width - padded.cell_len + GAP)
+        both.append(padded.append_text(beside))
     return both
 
 
@@ -235,10 +234,6 @@ def _cell(text: str, width: int) -> str:
 
 _DX = (1, 1, 0, -1, -1, -1, 0, 1)
 _DY = (0, 1, 1, 1, 0, -1, -1, -1)
-
-
-def _octant(yaw: float) -> int:
-    return round(yaw / (math.pi / 4)) % 8
 
 
 def _mark(number: int) -> str:

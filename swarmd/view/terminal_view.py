@@ -85,10 +85,7 @@ class TerminalView:
         self._on_keys(self._keys.feed(data))
         if self._keys.is_pending:
             loop = asyncio.get_running_loop()
-            self._flush = loop.call_later(ESCAPE_TIME, self._on_escape)
-
-    def _on_escape(self) -> None:
-        self._on_keys(self._keys.flush())
+            self._flush = loop.call_later(ESCAPE_TIME, lambda: self._on_keys(self._keys.flush()))
 
     def _on_keys(self, keys: Sequence[str]) -> None:
         for key in keys:

@@ -13,7 +13,6 @@ from swarmd.cli.output import (
     line_width,
     need_terminal,
     print_json,
-    print_line,
     print_section,
     print_table,
 )
@@ -119,7 +118,7 @@ def test_texts_of_robots_cannot_control_the_terminal(capsys: pytest.CaptureFixtu
 def test_json_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     texts = ["\x1b[2J", "\x9b2J", "\x7f", "\u202egnp", "\u2028", "\U000e0001", "Straße"]
     print_json("Texts", {"texts": texts})
-    print_line("Texts", {"texts": texts})
+    print_json("Texts", {"texts": texts}, indent=None)
     printed = capsys.readouterr().out
     assert all(char.isprintable() or char == "\n" for char in printed)
     assert "Straße" in printed

@@ -156,7 +156,7 @@ def test_a_fault_after_a_stop_ends_the_process_with_an_error(tmp_path: Path) -> 
     begin = frames.Begin(1.0, str(tmp_path / "folder"), "a", {}, 1.7e9, FileLimits())
     event = frames.EventEntry(1.0, "a line")
     with theirs:
-        ours.send(frames.batch([frames.encode_entry(begin), frames.encode_entry(event)]))
+        ours.send(frames.batch([frames.encode(begin), frames.encode(event)]))
         ours.close()
         with pytest.raises(FileExistsError):
             process.run(theirs)
@@ -188,11 +188,11 @@ def test_the_file_of_a_daemon_that_died_with_a_report_unread_is_whole(tmp_path: 
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     begin = frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 1.7e9, FileLimits())
     with theirs:
-        ours.send(frames.batch([frames.encode_entry(begin)]))
+        ours.send(frames.batch([frames.encode(begin)]))
         writing = threading.Thread(target=process.run, args=(theirs,))
         writing.start()
         ours.recv(1, socket.MSG_PEEK)  # a report has come
-        ours.send(frames.batch([frames.encode_entry(frames.EventEntry(1.0, "the last line"))]))
+        ours.send(frames.batch([frames.encode(frames.EventEntry(1.0, "the last line"))]))
         ours.close()
         writing.join(WAIT)
     (found,) = files_in(tmp_path)

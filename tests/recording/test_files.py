@@ -291,7 +291,7 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     kinds = {type(one) for one in entries} | {frames.Begin, frames.InputEntry}
     assert kinds == set(get_args(frames.Entry))
     for entry in (*(frames.input_entry(one, 2.0) for one in inputs), *entries):
-        (copy,) = frames.decode_batch(frames.batch([frames.encode_entry(entry)]))
+        (copy,) = frames.decode_batch(frames.batch([frames.encode(entry)]))
         converter.add(copy)
     converter.writer.close()
     assert converter.writer.path is not None

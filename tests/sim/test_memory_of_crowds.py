@@ -36,7 +36,7 @@ def bits(robot: Robot, actions: Actions | None) -> bytes:
         type(actions.host).__name__,
         [reply.code for reply in actions.replies],
     ]
-    return frames.encode_entry(entry) + repr(rest).encode()
+    return frames.encode(entry) + repr(rest).encode()
 
 
 class Twin:

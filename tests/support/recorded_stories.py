@@ -56,7 +56,7 @@ class FileRecorder(Recorder):
 
     def add(self, entry: frames.Entry) -> None:
         if self._converter is not None:
-            (copy,) = frames.decode_batch(frames.batch([frames.encode_entry(entry)]))
+            (copy,) = frames.decode_batch(frames.batch([frames.encode(entry)]))
             self._converter.add(copy)
 
     def begin(self, robot: RobotHarness) -> None:

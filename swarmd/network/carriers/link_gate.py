@@ -25,7 +25,7 @@ from collections.abc import Collection, Iterable, Mapping
 
 from swarmd.core.bounds import keep_newest
 from swarmd.network.carriers.packet_filter import attach_filter, host_filter
-from swarmd.network.carriers.session import own_sockets
+from swarmd.network.carriers.session import FDS, own_sockets
 from swarmd.security.roster import Roster
 
 LOOK_PERIOD = 0.25  # s between two counts of the open files
@@ -40,7 +40,6 @@ MAX_OTHER_LINKS = 512
 MAX_ENDED = 16  # links of a host that may be ended at one look before the host is refused
 LINE_RATE, LINE_BURST = 0.1, 5.0
 """Lines about ended links per second, and at once."""
-_FDS = "/proc/self/fd"
 _SO_DETACH_FILTER = 27
 
 
@@ -159,7 +158,7 @@ class LinkGate:
 def open_files() -> int:
     """The number of open files of this process; the limit if no further file can be opened."""
     try:
-        return len(os.listdir(_FDS))
+        return len(os.listdir(FDS))
     except OSError:
         return os.sysconf("SC_OPEN_MAX")
 

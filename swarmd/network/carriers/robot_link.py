@@ -25,6 +25,7 @@ from msgspec import Struct
 from swarmd.core.bounds import Name
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, ConfigError, NetworkError
+from swarmd.network.carriers.arrival_time import ROOM, SO_TIMESTAMPNS, waited
 from swarmd.network.settings import Endpoint, parse_endpoint
 
 if TYPE_CHECKING:
@@ -41,9 +42,6 @@ _HEAD = struct.Struct("<BI")
 _CHUNK = 1 << 16
 _READS = 16  # chunks that one call reads at most, so that a flood does not hold the reader
 _SEND_BUFFER = 1 << 16  # bytes for a frozen receiver, besides those of its own buffer
-_SO_TIMESTAMPNS = 35  # asm-generic/socket.h
-_TIMESPEC = struct.Struct("@ll")
-_ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 4))  # s
 GIVE_UP = 30.0
 """Seconds after which a host that vanished is given up, or a process that reads nothing.
@@ -87,14 +85,14 @@ class Connection:
         self.is_open = True  # False from the end of the connection on; then call `close`
         self.age = 0.0  # s for which the newest frame waited before `receive`, if `is_timed`
         self._wanted = self._least = 1  # bytes; see `wait_for`
-        self._room = _ROOM if is_timed else 0
+        self._room = ROOM if is_timed else 0
         self._received = bytearray()
         self._unsent = b""
         connected.setblocking(False)
         with suppress(OSError):  # the connection has ended already
             connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-            connected.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, is_timed)
+            connected.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, is_timed)
             connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             for option, value in _KEEPALIVE:
                 connected.setsockopt(socket.IPPROTO_TCP, option, value)
@@ -127,7 +125,7 @@ class Connection:
             for _ in range(_READS):
                 data, ancillary, _, _ = self.socket.recvmsg(_CHUNK, self._room)
                 self._received += data
-                self.age = _age(ancillary)
+                self.age = waited(ancillary)
                 self.is_open = bool(data)
                 if len(data) < _CHUNK:
                     break
@@ -452,12 +450,3 @@ def read_endpoint(text: str, prefix: str, example: str = "tcp/127.0.0.1:0") -> E
     if endpoint.protocol != "tcp" or endpoint.suffix:
         raise ConfigError(f"{prefix}{text!r}; expected a value such as {example}")
     return endpoint
-
-
-def _age(ancillary: list[tuple[int, int, bytes]]) -> float:
-    """Seconds since the last byte arrived, by the wall clock; 0 without the kernel's time."""
-    for level, kind, content in ancillary:
-        if (level, kind, len(content)) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS, _TIMESPEC.size):
-            seconds, nanoseconds = _TIMESPEC.unpack(content)
-            return time.time() - float(seconds) - 1e-9 * float(nanoseconds)
-    return 0.0

@@ -45,7 +45,7 @@ _MAX_PENDING_LINKS = 512  # connections without a handshake; Zenoh's default of 
 _MAX_BATCHES = 16  # the most that Zenoh allows
 _FRAGMENT_TIMEOUT_US = 5_000
 _IFF_UP = 1  # linux/if.h
-_FDS = "/proc/self/fd"
+FDS = "/proc/self/fd"
 # SO_LINGER off: close() returns at once, and the kernel still delivers unsent data. SO_LINGER on
 # with 0 s would discard the last messages of a daemon that leaves.
 _NO_LINGER = struct.pack("ii", 0, 0)
@@ -282,12 +282,16 @@ def foreign_options(
             "scouting/multicast/interface": settings.interface_name,
             "open/return_conditions/connect_scouted": True,
         }
-    # Nest the options: "a/b/c" becomes {"a": {"b": {"c": value}}}.
     sizes_and_timeouts = ("transport/unicast", "transport/link/tx", "transport/link/rx")
+    return nested_options(
+        {path: x for path, x in options.items() if not path.startswith(sizes_and_timeouts)}
+    )
+
+
+def nested_options(options: Mapping[str, object]) -> dict[str, Any]:
+    """Options by path as Zenoh's files have them: `a/b/c` becomes {"a": {"b": {"c": value}}}."""
     nested: dict[str, Any] = {}
     for path, value in options.items():
-        if path.startswith(sizes_and_timeouts):
-            continue
         *section_names, name = path.split("/")
         section = nested
         for section_name in section_names:
@@ -534,12 +538,12 @@ def own_sockets() -> Iterator[socket.socket]:
     descriptors at any moment. A duplicate keeps referring to the same socket.
     """
     try:
-        descriptors = os.listdir(_FDS)
+        descriptors = os.listdir(FDS)
     except OSError:  # not Linux, or no file can be opened
         return
     for descriptor in descriptors:
         try:
-            if not os.readlink(f"{_FDS}/{descriptor}").startswith("socket:"):
+            if not os.readlink(f"{FDS}/{descriptor}").startswith("socket:"):
                 continue
             duplicate = os.dup(int(descriptor))
         except OSError:  # the descriptor was closed meanwhile

@@ -32,7 +32,6 @@ import select
 import socket
 import struct
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from enum import Enum
@@ -41,6 +40,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import Clock, boottime
 from swarmd.core.errors import NetworkError
+from swarmd.network.carriers import arrival_time
 from swarmd.network.carriers.flood_limits import MAX_WEIGHT, FloodLimits
 from swarmd.network.carriers.interface_watch import addresses_of, index_of
 from swarmd.network.carriers.packet_filter import attach_filter, swarm_filter
@@ -82,15 +82,12 @@ _TAG = slice(5, 5 + TAG_BYTES)
 _IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
 _IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
 _SO_RCVBUFFORCE = 33
-_SO_TIMESTAMPNS = 35
 _SO_MEMINFO = 55
 _MEMINFO = struct.Struct("@9I")  # linux/sock_diag.h, SK_MEMINFO_*
 _QUEUED = 0  # index in _MEMINFO: bytes in the receive queue
 _QUEUE_LIMIT = 1  # index in _MEMINFO: bytes that the queue may hold
 _LOST = 8  # index in _MEMINFO: datagrams that were dropped
 _NEARLY_FULL = 0.75  # the share of the queue's limit above which drops are counted
-_TIMESPEC = struct.Struct("@ll")
-_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)  # the kernel's time of arrival
 _NEVER = -1e9  # s
 SHORT_WAIT = 0.2  # s since the sockets were empty, up to which the wait of a datagram counts as 0
 
@@ -565,7 +562,7 @@ class UdpCarrier:
             scope = self._index if host.startswith("ff") else 0
             sock.bind((host, port) if family == socket.AF_INET else (host, port, 0, scope))
             self._enlarge(sock)
-            sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            sock.setsockopt(socket.SOL_SOCKET, arrival_time.SO_TIMESTAMPNS, 1)
             if way in (_Way.MULTICAST, _Way.COPY):
                 self._join(listener, socket.IP_ADD_MEMBERSHIP, socket.IPV6_JOIN_GROUP)
         except OSError:
@@ -677,17 +674,8 @@ def _read(sock: socket.socket, longest_wait: float) -> tuple[bytes, tuple[str, i
     if longest_wait <= SHORT_WAIT:
         payload, name = sock.recvfrom(MAX_DATAGRAM + 1)
         return payload, name, 0.0
-    payload, ancillary, _, name = sock.recvmsg(MAX_DATAGRAM + 1, _ANCILLARY_BYTES)
-    return payload, name, min(max(_waited(ancillary), 0.0), longest_wait)
-
-
-def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
-    """Seconds since a datagram arrived, by the wall clock; 0 without the kernel's time."""
-    for level, kind, content in ancillary:
-        if (level, kind, len(content)) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS, _TIMESPEC.size):
-            seconds, nanoseconds = _TIMESPEC.unpack(content)
-            return time.time() - float(seconds) - 1e-9 * float(nanoseconds)
-    return 0.0
+    payload, ancillary, _, name = sock.recvmsg(MAX_DATAGRAM + 1, arrival_time.ROOM)
+    return payload, name, min(max(arrival_time.waited(ancillary), 0.0), longest_wait)
 
 
 def _count_lost(sock: socket.socket) -> int | None:

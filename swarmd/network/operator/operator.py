@@ -20,11 +20,12 @@ import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from msgspec.structs import replace
 
 from swarmd.core.clock import boottime, clock_id
+from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import ANY
 from swarmd.core.messages import Epoch
@@ -77,7 +78,7 @@ D = TypeVar("D")
 StopVerb = Literal["stop", "estop"]
 
 
-class Operator:
+class Operator(Closing):
     """An operator in a swarm: finds robots, sends requests and stops; a context manager.
 
     `settings`: of the swarm. `identity`: keys and name of the operator in a secured swarm; None: a
@@ -142,12 +143,6 @@ class Operator:
             # Signs datagrams, and checks the datagrams of robots.
             answers=None if identity is None else self._answers_for(identity),
         )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Leave the network within CLOSE_TIMEOUT; threads go on closing the slow sessions."""

@@ -22,17 +22,13 @@ class _Record(Struct, frozen=True, array_like=True):
     counter: Annotated[int, Meta(ge=0, le=_MAX_COUNTER)]
 
 
-def _wall_clock() -> float:
-    return time.time()
-
-
 class StopOrigin:
     """Gives each stop an origin and a counter (`stop_freshness.py`); never raises or waits.
 
     Without a `folder`, or if the file cannot be read, locked and written: a random origin.
     """
 
-    def __init__(self, folder: Path | None, clock: Callable[[], float] = _wall_clock) -> None:
+    def __init__(self, folder: Path | None, clock: Callable[[], float] = time.time) -> None:
         self._path = None if folder is None else folder / FILE
         self._clock = clock
 

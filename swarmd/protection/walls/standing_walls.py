@@ -223,7 +223,6 @@ class StandingWalls(ReturnLayer):
                 continue
             if runs[run + RUN_IS_LONG] > 0.0 or self._runs.corner_of(j) >= 0:
                 self._add_wall(run, motion)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -242,7 +241,6 @@ class StandingWalls(ReturnLayer):
                 self._continue(i, run, is_on_wall, motion)
                 self._runs.fields[run + RUN_TAKEN] = i + 1.0
                 break
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -263,7 +261,6 @@ class StandingWalls(ReturnLayer):
             walls[wall + _W_SEEN] = 0.0
         for i in range(_BINS * self._wall_count):
             self._next_since[i] = INFINITY
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -289,7 +286,6 @@ class StandingWalls(ReturnLayer):
         walls[wall + _W_HIGH] -= shift
         walls[wall + _W_X] += _BIN * shift * walls[wall + _W_UX]
         walls[wall + _W_Y] += _BIN * shift * walls[wall + _W_UY]
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -392,7 +388,6 @@ class StandingWalls(ReturnLayer):
         if now - walls[at + _W_AT] >= self._seconds:
             self._move_line(at, run, motion)
             walls[at + _W_OFF] = 0.0
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -413,7 +408,6 @@ class StandingWalls(ReturnLayer):
                 is_near: cython.bint = fabs(along - before) <= SPACING
                 self._cover(first, at, run, before if is_near else along, along, now)
                 before = along
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -441,7 +435,6 @@ class StandingWalls(ReturnLayer):
                 self.has_kinds = True
             elif 0 <= bin_of_wall < _BINS:
                 self._ripen(place, self._next_since[first + bin_of_wall])
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -488,7 +481,6 @@ class StandingWalls(ReturnLayer):
         for k in range(low if low > 0 else 0, high + 1 if high < _BINS else _BINS):
             since: cython.double = self._since[first + k]
             self._next_since[first + k] = since if since < INFINITY else now
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -499,7 +491,6 @@ class StandingWalls(ReturnLayer):
         is_later: cython.bint = self.ripe_at < since + self._seconds < INFINITY
         if is_later and dx * dx + dy * dy <= _NEAR * _NEAR:
             self.ripe_at = since + self._seconds
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -568,7 +559,6 @@ class StandingWalls(ReturnLayer):
                 self._keep_wall(i, kept)
                 kept += 1
         self._wall_count = kept
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -597,7 +587,6 @@ class StandingWalls(ReturnLayer):
                 walls[to + _W_HIGH] = k
                 if walls[to + _W_LOW] == _BINS:
                     walls[to + _W_LOW] = k
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -664,7 +653,6 @@ class StandingWalls(ReturnLayer):
             if distance < farthest:
                 stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
                 self.moved = MovedWall(stood, distance, distance / seconds)
-        return 0
 
     @cython.cfunc
     @cython.inline

@@ -125,7 +125,6 @@ class StraightRuns:
             runs[run + RUN_TAKEN] = 0.0
             is_long: cython.bint = runs[run + RUN_TO] - runs[run + RUN_FROM] >= self._length
             runs[run + RUN_IS_LONG] = 1.0 if is_long and self._is_straight(run) else 0.0
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -233,7 +232,6 @@ class StraightRuns:
         sums[to + _SUM_XX] = sums[before + _SUM_XX] + x * x
         sums[to + _SUM_XY] = sums[before + _SUM_XY] + x * y
         sums[to + _SUM_YY] = sums[before + _SUM_YY] + y * y
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -249,7 +247,6 @@ class StraightRuns:
             if k - begin >= _FEWEST:
                 self._split(begin, k - 1)
             begin = k
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -299,7 +296,6 @@ class StraightRuns:
                 top += 4
             elif self.count < _RUNS:
                 self._add_run(first, last)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -315,7 +311,6 @@ class StraightRuns:
             )
         if self._fit(run):
             self.count += 1
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -387,7 +382,6 @@ class StraightRuns:
             for j in range(RUN_FIELDS):
                 runs[j] = runs[RUN_FIELDS * kept + j]
         self.count = kept
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
