@@ -39,7 +39,7 @@ class Shot:
 
 
 def _film_of(pattern: str) -> Shot:
-    """The film of its scenario; FILM of its outcome.py has what differs."""
+    """The film of its scenario; FILM of its outcomes has what differs."""
     look = dict(getattr(MODULES[pattern], "FILM", {}))
     title = "; ".join(filter(None, (pattern, look.pop("title", ""))))
     stop = look.pop("stop", None) or load_scenario(pattern).duration

@@ -17,10 +17,10 @@ import numpy as np
 
 from studies.debates import IN_STEP, Motion, Result, hold_all
 from studies.outcomes.outcome import PATTERNS
+from studies.outcomes.patterns import collective_perception as perception
+from studies.outcomes.patterns import voter_model
+from studies.outcomes.patterns.majority_rule import LOSSY
 from swarmd.core.values import Value
-from swarmd.patterns.collective_perception import outcome as perception
-from swarmd.patterns.majority_rule.outcome import LOSSY
-from swarmd.patterns.voter_model import outcome as voter_model
 from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 

@@ -79,8 +79,7 @@ class PatternFolder:
     """A folder with the `pattern.py` of one pattern. `package`: its import name.
 
     `source`: the distribution and its version, or the file, for display. Beside `pattern.py` may
-    lie `scenario.yaml` (a scenario that shows the pattern), `page.md` (its page of the docs) and
-    `outcome.py` (a study: its outcomes over seeds).
+    lie `scenario.yaml` (a scenario that shows the pattern) and `page.md` (its page of the docs).
     """
 
     path: Path

@@ -95,16 +95,14 @@ ALIKE = {"Track", "axis_of"}
 
 @cache
 def sources(*folders: str) -> list[Path]:
-    """Each Python file once: links are not followed. Outcomes of patterns are studies."""
+    """Each Python file once: links are not followed."""
     found = []
-    outcomes = set((ROOT / "patterns").glob("*/outcome.py"))
     for folder in folders:
         for path in sorted((ROOT / folder).rglob("*.py")):
             inside = path.relative_to(ROOT).parts
             is_link = any((ROOT / Path(*inside[:n])).is_symlink() for n in range(1, len(inside)))
-            if not is_link and path not in outcomes:
+            if not is_link:
                 found.append(path)
-        found += sorted(outcomes) if folder == "studies" else ()
     return found
 
 

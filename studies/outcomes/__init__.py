@@ -1,1 +1,1 @@
-"""What each pattern brings about in a swarm: a module a pattern, measured over seeds."""
+"""What each pattern brings about in a swarm: measured over seeds."""

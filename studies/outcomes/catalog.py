@@ -1,14 +1,16 @@
-"""The outcomes of each pattern: `outcome.py` of its folder, with `outcomes(seeds, jobs)`."""
+"""The outcomes of each pattern: its module in `patterns`, with `outcomes(seeds, jobs)`."""
 
 from __future__ import annotations
 
 from importlib import import_module
+from pkgutil import iter_modules
 
-from studies.outcomes.outcome import PATTERNS, SHORT_SEED, Outcome
+from studies.outcomes import patterns
+from studies.outcomes.outcome import SHORT_SEED, Outcome
 
 MODULES = {
-    path.parent.name: import_module(f"swarmd.patterns.{path.parent.name}.outcome")
-    for path in sorted(PATTERNS.glob("*/outcome.py"))
+    name: import_module(f"{patterns.__name__}.{name}")
+    for _, name, _ in iter_modules(patterns.__path__)
 }
 
 

@@ -83,10 +83,10 @@ def test_each_of_our_patterns_has_a_group(name: str) -> None:
     assert FIND(name).group
 
 
-def test_each_folder_is_a_pattern_with_scenario_page_and_outcome() -> None:
+def test_each_folder_is_a_pattern_with_scenario_and_page() -> None:
     folders = [path for path in FOLDER.iterdir() if path.is_dir() and path.name[0] != "_"]
     assert sorted(path.name for path in folders) == OURS
-    wanted = {"pattern.py", "scenario.yaml", "page.md", "outcome.py"}
+    wanted = {"pattern.py", "scenario.yaml", "page.md"}
     for path in folders:
         names = {file.name for file in path.iterdir() if file.is_file()}
         assert wanted <= names <= wanted | {"outcome.json", "film.gif", "figure.png"}, path.name

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from studies.outcomes.outcome import Outcome
-from swarmd.patterns.line_formation.outcome import BURGERS, BY_LIDAR, SETTINGS, Setting, formed
+from studies.outcomes.patterns.line_formation import BURGERS, BY_LIDAR, SETTINGS, Setting, formed
 from swarmd.sim.metrics.formation import circle_errors
 
 SHORT_FORM = {"settings": (BURGERS,)}

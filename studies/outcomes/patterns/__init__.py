@@ -1,0 +1,1 @@
+"""A module a pattern, with `outcomes(seeds, jobs)`: numbers over seeds beside the wanted ones."""
