@@ -27,7 +27,16 @@ CONTENTS = {
         "trouble",
     ),
     "Robots": [
-        *_inside("docs", "installation", "field", "security", "ros", "ros_faults", "drivers"),
+        *_inside(
+            "docs",
+            "acceptance",
+            "installation",
+            "field",
+            "security",
+            "ros",
+            "ros_faults",
+            "drivers",
+        ),
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
         *_inside(
             "docs/robots", "thymio", "epuck2", "crazyflie", "new_robot", "calibration", "last_word"

@@ -78,7 +78,6 @@ class Step:
     - `of`: the step whose recording this step judges; empty: its own.
     - `needs`: steps that must have passed.
     - `is_latched`: the robot may be emergency-stopped in this step, by this test.
-    - `shows`: the rows of "not shown on a robot" that this step would show.
     """
 
     id: str
@@ -93,7 +92,6 @@ class Step:
     of: str = ""
     needs: tuple[str, ...] = ()
     is_latched: bool = False
-    shows: tuple[str, ...] = ()
 
     @property
     def is_asked(self) -> bool:

@@ -21,7 +21,7 @@ STOP_TIME = 0.5
 END_TIME = 1.3
 """As STOP_TIME, after the daemon or its link to the base has ended: the base stops within 0.6 s
 (docs/safety.md), and the last 0.5 s of a killed daemon are not in its recording."""
-_AT_REST = 0.003  # m: a base that moves no farther rests
+_AT_REST = 0.001  # m: a base that moves no farther rests
 _LEAST_CRUISE = 0.02  # m/s
 _GOES_ON = 0.5  # share of the cruise at the end of the recording: the base does not brake
 _PAUSE = 0.75 * LEASE  # s between two words of the operator: the lease is renewed four times

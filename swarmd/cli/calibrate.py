@@ -339,7 +339,7 @@ def _show(
         fastest_speeds = tuple(map(float, str(report.get("drove")).split()))  # m/s, rad/s
     except ValueError as error:
         raise Failure(f"{robot} has another version of the calibration: {error}", FAILED) from None
-    file_text = _platform_text(robot, status, figures, fastest_speeds)
+    file_text = platform_text(robot, status, figures, fastest_speeds)
     if options.is_json:
         figures_json = {name: _figure_json(figure) for name, figure in figures.items()}
         print_json("Calibration", {"robot": robot, "figures": figures_json, "file": file_text})
@@ -353,7 +353,7 @@ def _show(
         warn(f"wrote {write}; use it as `platform: {write.name}` in the robot's file")
 
 
-def _platform_text(
+def platform_text(
     robot: str, status: Status, figures: Mapping[str, Figure], fastest_speeds: tuple[float, ...]
 ) -> str:
     """A platform file with the measured figures, which extends the present file of the robot."""
