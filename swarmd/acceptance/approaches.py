@@ -15,7 +15,7 @@ _TOUCH_SPEED = 0.02
 """m/s at which the outline may approach what it touches (docs/safety.md, the claim)."""
 _TOUCH_GAP = 0.005  # m: less counts as a touch; the noise of a range is as large
 _NEAR = 0.5  # m: a robot that stays farther away was not tested
-_LEAST_SHARE = 0.8  # of the way that a robot must make along a wall or through a door
+_LEAST_SHARE = 0.7  # of the way that a robot must make along a wall or through a door
 
 
 def distance_left(evidence: Evidence) -> Verdict:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from swarmd.acceptance import approaches, at_rest, calibrated, stops
 from swarmd.acceptance.step import End, Judge, Motion, Step, Work
 from swarmd.calibration.figures import PATTERN
 from swarmd.calibration.floor import needed_floor, top_speeds
 from swarmd.core.values import Platform
+from swarmd.protection.modes import make_mode, narrowest_passage
 
 REST_TIME = 60.0
 """Seconds for which topics are recorded at rest."""
@@ -44,6 +47,7 @@ NOT_SHOWN_YET: Mapping[str, tuple[str, ...]] = {
 _TEST_SPEED = 0.1  # m/s of the drives of part B
 _LOW_SPEED, _LOW_TIME = 0.02, 5.0  # m/s, s; near obstacles robots creep at 0.015 m/s
 _SLACK_TIME, _SLACK = 2.0, 0.1  # s at full speed and m, for a base that stops late
+_DOOR_SLACK = 0.2  # m beyond the narrowest door
 _HAND_TIME = 10.0  # s
 _ABSENCE = 120.0  # s in which a person ends and restores a daemon, a link or a bridge
 _LONGEST_CALIBRATION = 600.0  # s
@@ -237,7 +241,10 @@ def _part_b() -> tuple[Step, ...]:
             "B8",
             "driver lost",
             "A bridge or router between daemon and base fails.",
-            stops.across_gap("look at command_timeout: nothing reaches the base without its hub"),
+            stops.across_gap(
+                "without a command timeout nothing stops it until its bridge is back: run"
+                " the bridge by swarmd hub"
+            ),
             prepare="While the wheels turn, end the bridge of the base, and start it after 10 s:"
             " sudo systemctl restart zenoh-bridge-ros2dds.",
             end=End.PERSON,
@@ -381,6 +388,8 @@ def _part_d(platform: Platform) -> tuple[Step, ...]:
     ]
     half = 0.5 * fastest
     first = len(boxes) + 1
+    passage = narrowest_passage(make_mode(platform))
+    door = 4.0 * _body_width(platform) if passage is None else passage.door + _DOOR_SLACK
     return (
         *boxes,
         _approach(
@@ -409,10 +418,15 @@ def _part_d(platform: Platform) -> tuple[Step, ...]:
             f"D{first + 3}",
             "door",
             approaches.passage(_BOX_WAY),
-            "Put two boxes 0.6 m ahead as a door, two widths of the robot apart.",
+            f"Put two boxes 0.6 m ahead as a door, {door:.2f} m apart.",
             half,
         ),
     )
+
+
+def _body_width(platform: Platform) -> float:
+    """The width of the outline in m."""
+    return float(np.ptp(platform.footprint[:, 1]))
 
 
 def _approach(

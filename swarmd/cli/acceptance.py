@@ -193,7 +193,7 @@ class _Talk:
         self._told_at = 0.0  # s of the last line of progress
 
     def run(self) -> None:
-        """Talk until the dialogue ends; Ctrl-C and signals stop a robot that may move."""
+        """Talk until the dialogue ends; Ctrl-C, signals and errors stop a robot that may move."""
         from swarmd.acceptance.dialogue import Closed, Tick
 
         self._carry_out(self._dialogue.begin(time.monotonic()))
@@ -203,10 +203,12 @@ class _Talk:
                 while not self._robot.inputs.empty():
                     self._take(self._robot.inputs.get())
                 self._take(Tick())
+                self._robot.check()
                 self._tell_progress()
         except (KeyboardInterrupt, SystemExit):
-            self._take(Closed())
+            rewrite("")
         finally:
+            self._take(Closed())  # stops a robot that may move, after any error
             self._terminal.close()
             self._robot.wait_for_stop()
 

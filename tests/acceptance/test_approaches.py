@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -58,6 +59,31 @@ def test_a_way_that_is_not_made_fails() -> None:
     assert approaches.passage(1.2)(made).result is Result.PASS
     assert approaches.passage(2.0)(made).result is Result.FAIL
     assert approaches.passage(0.0)(replace(made, samples=Samples())).result is Result.NOT_SHOWN
+
+
+def boxes(*places: tuple[float, float, float, float]) -> dict[str, Any]:
+    """A hall with boxes: x and y of the middle, and the sides, in m."""
+    made = [
+        {"name": f"box{number}", "at": [x, y], "size": [length, width]}
+        for number, (x, y, length, width) in enumerate(places)
+    ]
+    return {"size": [6.0, 3.0], "boxes": made}
+
+
+@pytest.mark.parametrize(
+    ("id", "arena"),
+    [
+        ("D2", boxes((1.04, 0.6, 0.3, 0.3))),
+        ("D6", boxes((1.04, -0.6, 0.3, 0.3))),
+        ("D10", boxes((0.3, 0.55, 0.3, 0.3))),
+        ("D12", boxes((1.0, 0.39, 4.0, 0.1))),
+        ("D13", boxes((0.75, 0.499, 0.3, 0.3), (0.75, -0.499, 0.3, 0.3))),
+    ],
+)
+def test_a_sound_robot_passes_beside_and_between_boxes(id: str, arena: dict[str, Any]) -> None:
+    known = {"B1": passed(""), "C2": passed("")}
+    bench = Bench(BURGER, [STEPS[id]], arena=arena, verdicts=known).run()
+    assert bench.verdicts[id].result is Result.PASS, bench.verdicts[id]
 
 
 def test_a_drive_to_a_box_ends_before_it_and_within_its_bound() -> None:

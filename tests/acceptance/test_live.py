@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import pty
 import re
-import select
-import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -21,76 +16,12 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.starting import statuses_of
-from tests.support.processes import CAP, unique_swarm, wait_until
-from tests.support.swarmctl import SWARMCTL, swarmctl
+from tests.acceptance.person import READ_TIME, person
+from tests.support.processes import unique_swarm, wait_until
+from tests.support.swarmctl import swarmctl
 
 pytestmark = pytest.mark.integration
 ROBOT = "r01"
-QUESTION = "[y/N]"
-READ_TIME = 1.5  # s that a person reads a question
-
-
-class Person:
-    """What a person sees and types: `swarmctl acceptance` in a process with a terminal."""
-
-    def __init__(self, swarm: str, *words: str) -> None:
-        self.text = ""
-        self._read_to = 0
-        self.pid, self.keyboard = pty.fork()
-        if self.pid == 0:
-            os.environ.update(SWARM=swarm, COLUMNS="40")
-            os.execv(SWARMCTL[0], [*SWARMCTL, "acceptance", ROBOT, *words])
-
-    def see(self, seconds: float) -> None:
-        """Take what comes within `seconds`."""
-        if select.select([self.keyboard], [], [], seconds)[0]:
-            try:
-                self.text += os.read(self.keyboard, 4096).decode(errors="replace")
-            except OSError:  # the process has ended
-                time.sleep(seconds)
-
-    def read_on(self, word: str, cap: float = CAP) -> None:
-        """Read until a word comes that was not read before."""
-        end = time.monotonic() + cap
-        while (place := self.text.find(word, self._read_to)) < 0:
-            assert time.monotonic() < end, self.text
-            self.see(0.1)
-        self._read_to = place + len(word)
-
-    def answer(self, text: str) -> None:
-        """Read the next question, and answer it."""
-        self.read_on(QUESTION)
-        time.sleep(READ_TIME)
-        os.write(self.keyboard, f"{text}\n".encode())
-
-    def press(self, key: bytes) -> None:
-        os.write(self.keyboard, key)
-
-    def end(self) -> int:
-        """The exit code."""
-        found: list[int] = []
-
-        def has_ended() -> bool:
-            self.see(0.05)
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            if pid:
-                found.append(os.waitstatus_to_exitcode(status))
-            return bool(pid)
-
-        wait_until(has_ended, "the test ends")
-        os.close(self.keyboard)
-        return found[0]
-
-
-@contextmanager
-def person(swarm: str, *words: str) -> Iterator[Person]:
-    one = Person(swarm, *words)
-    try:
-        yield one
-    finally:
-        with suppress(ProcessLookupError, ChildProcessError):
-            os.kill(one.pid, signal.SIGKILL)
-            os.waitpid(one.pid, 0)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +45,7 @@ def is_so(swarm: str, condition: Callable[[Status], bool]) -> bool:
 
 def test_a_stop_is_measured_although_the_first_answers_are_none(swarm: str, tmp_path: Path) -> None:
     folder = tmp_path / "results"
-    with person(swarm, "--only", "B1", "--folder", str(folder)) as one:
+    with person(swarm, ROBOT, "--only", "B1", "--folder", str(folder)) as one:
         one.read_on("platform")
         one.press(b"y\ny\n")  # before the question
         one.answer("sure")
@@ -137,7 +68,7 @@ def test_a_stop_is_measured_although_the_first_answers_are_none(swarm: str, tmp_
 @pytest.mark.parametrize("end", [b" ", b"\x03"])
 def test_a_key_and_ctrl_c_stop_a_robot_that_drives(swarm: str, tmp_path: Path, end: bytes) -> None:
     folder = tmp_path / "results"
-    with person(swarm, "--only", "B1", "--folder", str(folder)) as one:
+    with person(swarm, ROBOT, "--only", "B1", "--folder", str(folder)) as one:
         one.answer("y")
         wait_until(lambda: is_so(swarm, lambda status: status.state is State.RUNNING), "it drives")
         one.press(end)
@@ -145,3 +76,17 @@ def test_a_key_and_ctrl_c_stop_a_robot_that_drives(swarm: str, tmp_path: Path, e
     assert is_so(swarm, lambda status: status.state is not State.RUNNING)
     verdicts = read_record(folder).verdicts
     assert "B1" not in verdicts or "key" in verdicts["B1"].reason
+
+
+def test_the_checklist_is_printed_without_a_question(swarm: str) -> None:
+    done = swarmctl("acceptance", ROBOT, "--print", environ={"SWARM": swarm})
+    assert done.code == 0
+    assert "[ ] A1 identity" in done.out
+    assert "Part D: it does not touch" in done.out
+    assert "at most" in done.out
+    assert is_so(swarm, lambda status: status.state is not State.RUNNING)
+
+
+def test_without_a_terminal_nothing_is_asked(swarm: str) -> None:
+    done = swarmctl("acceptance", ROBOT, environ={"SWARM": swarm})
+    assert (done.code, "no terminal" in done.err) == (2, True)

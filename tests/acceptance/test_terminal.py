@@ -88,6 +88,7 @@ class FakeRobot:
     def __init__(self) -> None:
         self.inputs: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self.did: list[str] = []
+        self.fault: Exception | None = None
         self.is_moving = threading.Event()
         self.is_over = threading.Event()
         threading.Thread(target=self._tell, daemon=True).start()
@@ -108,6 +109,10 @@ class FakeRobot:
     def stop(self) -> None:
         self.did.append("stop")
         self.is_moving.clear()
+
+    def check(self) -> None:
+        if self.fault is not None and self.is_moving.is_set():
+            raise self.fault
 
     def wait_for_stop(self) -> None:
         self.did.append("waited")
@@ -171,6 +176,16 @@ def test_ctrl_c_stops_and_waits_for_the_stop(
     assert robot.did == ["begin B1", "stop", "waited"]
     assert read_record(tmp_path).verdicts == {}
     assert not one.record.is_whole
+
+
+def test_an_error_stops_the_robot_and_is_raised(
+    keyboard: int, robot: FakeRobot, tmp_path: Path
+) -> None:
+    robot.fault = RuntimeError("a fault of the program")
+    later(1.6, keyboard, b"y\n")
+    with pytest.raises(RuntimeError):
+        talk(robot, tmp_path, DRIVE).run()
+    assert robot.did == ["begin B1", "stop", "waited"]
 
 
 def test_a_part_or_a_step_is_picked() -> None:
