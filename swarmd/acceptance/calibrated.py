@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.step import Judge
 from swarmd.acceptance.stops import way_of
-from swarmd.acceptance.verdict import Verdict, failed, not_shown, passed
+from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
 from swarmd.calibration.figures import DONE, Figure
 from swarmd.calibration.report import usable_report
 from swarmd.protection.assumption_monitor import SOUND
 
 _SCALE_ERROR = 0.05  # share: docs/safety.md, assumptions 7 and 13
 _DEVIATIONS = 2.0
+_ROUNDING = 1e-3  # m: figures have six digits
 _LEAST_SHARE = 0.5  # of the commanded way that a base must drive at a low speed
 
 
@@ -34,30 +35,36 @@ def calibration(evidence: Evidence) -> Verdict:
 def brakes(calibrated: str, *names: str) -> Judge:
     """A judge of decelerations: at least SOUND of those of the platform file."""
 
-    def weak(figure: Figure) -> bool:
-        return figure.value - _DEVIATIONS * figure.spread < SOUND * figure.assumed
+    def result(figure: Figure) -> Result:
+        least = SOUND * figure.assumed
+        if figure.value < least:
+            return Result.FAIL
+        return _sure(figure.value - _DEVIATIONS * figure.spread >= least)
 
     cause = "the brakes are weaker than the platform file says: use the measured file"
-    return _figures(calibrated, names, weak, cause, f"{SOUND:.0%} of the file's")
+    return _figures(calibrated, names, result, cause, f"{SOUND:.0%} of the file's")
 
 
 def margin(calibrated: str) -> Judge:
     """A judge of the reaction delay, by the margin that it needs."""
 
-    def narrow(figure: Figure) -> bool:
-        return figure.value > figure.assumed + 1e-3
+    def result(figure: Figure) -> Result:
+        return Result.FAIL if figure.value > figure.assumed + _ROUNDING else Result.PASS
 
     cause = "the base responds later than its margin covers: use the measured file"
-    return _figures(calibrated, ("margin",), narrow, cause, "the file's margin")
+    return _figures(calibrated, ("margin",), result, cause, "the file's margin")
 
 
 def scales(calibrated: str, *names: str, cause: str) -> Judge:
     """A judge of ratios that should be 1."""
 
-    def wrong(figure: Figure) -> bool:
-        return abs(figure.value - 1.0) - _DEVIATIONS * figure.spread > _SCALE_ERROR
+    def result(figure: Figure) -> Result:
+        error = abs(figure.value - 1.0)
+        if error - _DEVIATIONS * figure.spread > _SCALE_ERROR:
+            return Result.FAIL
+        return _sure(error <= _SCALE_ERROR)
 
-    return _figures(calibrated, names, wrong, cause, f"1 +- {_SCALE_ERROR:g}")
+    return _figures(calibrated, names, result, cause, f"1 +- {_SCALE_ERROR:g}")
 
 
 def scan_delay(calibrated: str) -> Judge:
@@ -67,11 +74,13 @@ def scan_delay(calibrated: str) -> Judge:
         spec = evidence.platform.scan
         bound = spec.latency + spec.max_scan_delay
 
-        def late(figure: Figure) -> bool:
-            return figure.value - _DEVIATIONS * figure.spread > bound
+        def result(figure: Figure) -> Result:
+            if figure.value - _DEVIATIONS * figure.spread > bound:
+                return Result.FAIL
+            return _sure(figure.value <= bound)
 
         cause = "scans come later than declared, which holds the robot"
-        return _figures(calibrated, ("scan_delay",), late, cause, f"{bound:.3f} s")(evidence)
+        return _figures(calibrated, ("scan_delay",), result, cause, f"{bound:.3f} s")(evidence)
 
     return judge
 
@@ -90,10 +99,15 @@ def low_speed(speed: float, seconds: float) -> Judge:
     return judge
 
 
+def _sure(is_within: bool) -> Result:
+    """A pass, unless the scatter of the figure reaches beyond its bound."""
+    return Result.PASS if is_within else Result.NOT_SHOWN
+
+
 def _figures(
     calibrated: str,
     names: Sequence[str],
-    is_wrong: Callable[[Figure], bool],
+    result_of: Callable[[Figure], Result],
     cause: str,
     bound: str,
 ) -> Judge:
@@ -105,8 +119,17 @@ def _figures(
         measured = {name: one for name, one in figures.items() if one.is_measured}
         if not measured:
             return not_shown("; ".join(one.why for one in figures.values()))
-        wrong = {name: one for name, one in measured.items() if is_wrong(one)}
-        text = ", ".join(f"{name} {one.value:.3g}" for name, one in (wrong or measured).items())
-        return failed(cause, text, bound) if wrong else passed("as the file says", text, bound)
+        texts = {
+            name: f"{name} {one.value:.3g} +- {one.spread:.2g}" for name, one in measured.items()
+        }
+        results = {name: result_of(one) for name, one in measured.items()}
+        wrong = [texts[name] for name, one in results.items() if one is Result.FAIL]
+        unsure = [texts[name] for name, one in results.items() if one is Result.NOT_SHOWN]
+        if wrong:
+            return failed(cause, ", ".join(wrong), bound)
+        if unsure:
+            why = "it scatters too much: repeat the calibration with walls nearer"
+            return not_shown(f"{', '.join(unsure)}: {why}")
+        return passed("as the file says", ", ".join(texts.values()), bound)
 
     return judge

@@ -441,6 +441,8 @@ class Dialogue:
 
     def _finish(self, text: str, *, is_whole: bool = False) -> list[Action]:
         self.phase = Phase.ENDED
+        if self._sight is not None and self._sight.is_estopped:
+            text += "; it stays emergency-stopped until a reset (step B4, or swarmctl reset)"
         return [Finish(text, is_whole)]
 
 

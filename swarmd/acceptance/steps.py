@@ -246,7 +246,7 @@ def _part_b() -> tuple[Step, ...]:
                 " the bridge by swarmd hub"
             ),
             prepare="While the wheels turn, end the bridge of the base, and start it after 10 s:"
-            " sudo systemctl restart zenoh-bridge-ros2dds.",
+            " sudo systemctl restart zenoh-bridge-ros2dds; sudo systemctl start swarmd.",
             end=End.PERSON,
         ),
     )

@@ -287,3 +287,15 @@ def test_a_robot_that_falls_silent_is_not_seen_to_rest() -> None:
     talk.take(Key())
     talk.take(Sight("", False, Pose(0.3)), 0.1)
     assert not [one for one in talk.take(Tick(), 1.2) if isinstance(one, Judge)]
+
+
+def test_the_end_says_that_the_robot_stays_emergency_stopped() -> None:
+    talk = Talk(make_step("B3", prepare="Restart it.", is_latched=True))
+    talk.rest(4.0, is_estopped=True)
+    (finish,) = talk.take(Line("q"))
+    assert isinstance(finish, Finish)
+    assert "reset" in finish.text
+    talk = Talk(DRIVE)
+    talk.rest()
+    (finish,) = talk.take(Line("q"))
+    assert finish == Finish("interrupted", is_whole=False)
