@@ -148,6 +148,20 @@ def test_stamps_that_go_back_fail(kind: type[Input]) -> None:
     assert "back" in found.reason
 
 
+def test_scans_that_come_later_than_a_robot_may_bear_fail() -> None:
+    """A lidar of 10 Hz holds the robot by 0.2 s beyond its delay."""
+    fast = replace(BURGER, scan=replace(SPEC, rate=10.0))
+    found = at_rest.stamps(replace(evidence(*at_rest_for(20.0, lag=0.25)), platform=fast))
+    assert found.result is Result.FAIL
+    assert "later than declared" in found.reason
+
+
+def test_one_long_pause_of_scans_fails_by_itself() -> None:
+    inputs = [(one, at) for one, at in at_rest_for(200.0) if not 110.0 < at < 111.1]
+    found = at_rest.scan_rate(evidence(*inputs))
+    assert (found.result, "paused" in found.reason) == (Result.FAIL, True)
+
+
 def test_a_pause_of_scans_and_of_odometry_fails() -> None:
     inputs = [(one, at) for one, at in at_rest_for(30.0) if not 110.0 < at < 111.5]
     for judge in (at_rest.scan_rate, at_rest.odometry_at_rest):
