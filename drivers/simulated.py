@@ -17,7 +17,6 @@ from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink, TakeLate, ZeroSenderSpec
-from swarmd.drivers.scan_content import ENOUGH_SCANS, ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.network.carriers.robot_link import (
     Connection,
@@ -28,6 +27,8 @@ from swarmd.network.carriers.robot_link import (
     read_endpoint,
 )
 from swarmd.network.settings import Endpoint
+from swarmd.protection.footprint import Footprint
+from swarmd.sensing.scan_content import ENOUGH_SCANS, ScanContent
 from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
@@ -312,7 +313,7 @@ class _CheckSink(NullSink):
     """A sink that keeps what scans show, and arrivals and stamps of scans and odometry."""
 
     def __init__(self, platform: Platform) -> None:
-        self.content = ScanContent(platform.scan, footprint=platform.footprint)
+        self.content = ScanContent(platform.scan, gaps=Footprint(platform.footprint).gaps)
         self.has_ring = platform.ranges is None
         self.scans: list[tuple[float, float]] = []
         self.odometries: list[tuple[float, float]] = []

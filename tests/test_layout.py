@@ -63,7 +63,10 @@ SLACK = 1.05
 # The public names, which are imported when they are used, and where type checkers find them.
 SURFACE = "swarmd/__init__.py"
 # Packages that take the time as an argument, and read no clock.
-PURE = ("robot", "protection", "steering", "kit", "mission", "sensing", "calibration")
+PURE = (
+    *("robot", "protection", "steering", "kit", "mission", "sensing", "calibration"),
+    "acceptance",
+)
 CLOCKS = ("time", "datetime", "asyncio", "swarmd.core.clock.boottime")
 # Layers of `swarmd/`, from the ground up. A module imports its own package and lower layers only.
 LAYERS: tuple[tuple[str, ...], ...] = (
@@ -78,7 +81,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("robot",),
     ("recording",),
     ("mission", "calibration"),
-    ("pattern_host", "client"),
+    ("pattern_host", "acceptance", "client"),
     ("daemon", "replay", "view"),
     ("cli",),
     ("testing",),

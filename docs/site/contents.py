@@ -17,7 +17,7 @@ CONTENTS = {
         "docs", "operating", "watching", "recording", "python", "zenoh", "configuration", "trouble"
     ),
     "Robots": _inside(
-        "docs", "installation", "field", "security", "robots/README", "ros", "drivers"
+        "docs", "acceptance", "installation", "field", "security", "robots/README", "ros"
     ),
     "Safety and evidence": _inside("docs", "safety", "evidence/README"),
     "Reference and changes": ["docs/reference/README", "CONTRIBUTING", "CHANGELOG"],
@@ -38,6 +38,7 @@ INNER = {
     "docs/robots/README": [
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
         *_inside("docs/robots", "thymio", "epuck2", "crazyflie", "new_robot", "calibration"),
+        "docs/drivers",
     ],
     "docs/evidence/README": [
         *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals"),

@@ -24,7 +24,8 @@ from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
 from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
 from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings
 from swarmd.drivers.ros.topic_stats import TopicStats
-from swarmd.drivers.scan_content import ScanContent
+from swarmd.protection.footprint import Footprint
+from swarmd.sensing.scan_content import ScanContent
 
 Deliver = Callable[[Sink], None]
 Decode = Callable[[type, bytes], Any]
@@ -57,7 +58,9 @@ class Subscriptions:
         self.contents: dict[str, ScanContent] = {}
         has_lidar = not options.ranges or platform.ranges is not None
         if has_lidar:
-            self.contents["scan"] = ScanContent(platform.scan, footprint=platform.footprint)
+            self.contents["scan"] = ScanContent(
+                platform.scan, gaps=Footprint(platform.footprint).gaps
+            )
         self._add_ring(options, platform)
         self._add_entries(options)
         self.topics: Mapping[str, TopicStats] = {

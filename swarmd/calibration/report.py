@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from swarmd.calibration.figures import AXES, NAMES, Figure, names_of
-from swarmd.core.messages import SweepFigure
+from swarmd.core.messages import DecisionSummary, SweepFigure
 
 # A limit is lowered if the base drives slower than commanded by more than this share.
 _SLOWER = 0.03
@@ -34,6 +34,21 @@ def figures_of(report: Mapping[str, object]) -> dict[str, Figure]:
     if missing:
         raise ValueError(f"the report has no {missing[0]}")
     return {name: Figure.parse(str(report[name])) for name in names}
+
+
+def usable_report(
+    report: Mapping[str, object], decision: DecisionSummary
+) -> Mapping[str, object] | None:
+    """The report, in which the speeds of a robot that is slowed down are not measured.
+
+    `decision`: the last decision of protection. None if protection limited commands, so that the
+    figures are not those of the base.
+    """
+    if decision.speed_share < 1.0:  # it scales commands, a stop not: brakes and delays are right
+        why = f"the assumption monitor slows the robot to {decision.speed_share:.0%}"
+        speeds = (name for name in report if name.startswith("speed_"))
+        return {**report, **dict.fromkeys(speeds, Figure(assumed=1.0, why=why).text)}
+    return None if decision.duty > 0.0 else report
 
 
 def rows(figures: Mapping[str, Figure]) -> list[tuple[str, str, str, str, str]]:

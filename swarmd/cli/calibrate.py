@@ -240,6 +240,8 @@ def _print_step(line: str) -> None:
 
 def _report(robot: str, status: Status) -> Mapping[str, object]:
     """The report of a finished run; Failure, with the reason, for any other end."""
+    from swarmd.calibration.report import usable_report
+
     if status.state is State.RUNNING:
         text = f"{robot} runs {status.pattern} now, by {status.changed_by}; no figures"
         raise Failure(text, FAILED)
@@ -249,18 +251,14 @@ def _report(robot: str, status: Status) -> Mapping[str, object]:
         raise Failure(text, FAILED)
     if status.report.get("state") != DONE:
         raise Failure(f"{robot}: {status.report.get('why', status.detail)}; no figures", REFUSED)
-    decision = status.decision
-    if decision.speed_share < 1.0:  # it scales commands, a stop not: brakes and delays are right
-        why = f"the assumption monitor slows the robot to {decision.speed_share:.0%}"
-        speeds = (name for name in status.report if name.startswith("speed_"))
-        return {**status.report, **dict.fromkeys(speeds, Figure(assumed=1.0, why=why).text)}
-    if decision.duty > 0.0:
+    report = usable_report(status.report, status.decision)
+    if report is None:
         raise Failure(
-            f"{robot}: protection limited {decision.duty:.1%} of the decisions, so that the figures"
-            " are not those of the base; no figures; repeat it on a larger floor",
+            f"{robot}: protection limited {status.decision.duty:.1%} of the decisions, so that the"
+            " figures are not those of the base; no figures; repeat it on a larger floor",
             FAILED,
         )
-    return status.report
+    return report
 
 
 def _end_findings(
@@ -341,7 +339,7 @@ def _show(
         fastest_speeds = tuple(map(float, str(report.get("drove")).split()))  # m/s, rad/s
     except ValueError as error:
         raise Failure(f"{robot} has another version of the calibration: {error}", FAILED) from None
-    file_text = _platform_text(robot, status, figures, fastest_speeds)
+    file_text = platform_text(robot, status, figures, fastest_speeds)
     if options.is_json:
         figures_json = {name: _figure_json(figure) for name, figure in figures.items()}
         print_json("Calibration", {"robot": robot, "figures": figures_json, "file": file_text})
@@ -355,7 +353,7 @@ def _show(
         warn(f"wrote {write}; use it as `platform: {write.name}` in the robot's file")
 
 
-def _platform_text(
+def platform_text(
     robot: str, status: Status, figures: Mapping[str, Figure], fastest_speeds: tuple[float, ...]
 ) -> str:
     """A platform file with the measured figures, which extends the present file of the robot."""

@@ -95,11 +95,11 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
     for robot in robots:
         other_robots = set(view.alive) - {robot}  # robots that `robot` should hear
         timeout = (options.timeout or ASK_TIME) if robot in reachable else None
-        for finding in _findings_of(operator, robot, len(other_robots), timeout):
+        for finding in findings_of_robot(operator, robot, len(other_robots), timeout):
             yield _Line(robot, finding)
 
 
-def _findings_of(
+def findings_of_robot(
     operator: Operator, robot: str, others: int, timeout: float | None
 ) -> Iterator[Finding]:
     """Yields the findings about a robot, from its answer to a query.

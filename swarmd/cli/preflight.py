@@ -41,8 +41,13 @@ CLOSE_TIMEOUT = 0.2  # s for the driver to close its connections
 
 def check_daemon(settings: DaemonSettings) -> int:
     """Print a line for each finding; 0 without a problem, else 1."""
+    return print_findings(findings_of(settings))
+
+
+def findings_of(settings: DaemonSettings) -> list[Finding]:
+    """The findings on everything that a run of this robot needs; moves nothing."""
     deadline = monotonic() + CHECK_TIMEOUT
-    findings = [
+    return [
         Finding("settings", True, f"robot {settings.id} of swarm {settings.network.swarm}"),
         Finding("platform", True, _platform_text(settings)),
         *_check_passage(settings),
@@ -55,7 +60,6 @@ def check_daemon(settings: DaemonSettings) -> int:
         *check_patterns(settings),
         *_check_driver(settings, deadline),
     ]
-    return print_findings(findings)
 
 
 def print_findings(findings: Sequence[Finding]) -> int:

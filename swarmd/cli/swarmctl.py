@@ -92,6 +92,8 @@ VERBS = dict((
           "Repeat a recorded run without a robot, and compare its commands."),
     _verb("calibrate", RECORD, "tb3-01 --floor 2.5",
           "Measure brakes, delays and scales of a robot by a few short drives."),
+    _verb("acceptance", RECORD, "tb3-01",
+          "Guide through the acceptance test of one robot; one file remains."),
     _verb("keys", HERE, "init meadow --robots 'tb3-[01-07]'",
           "Make, hand out, renew and revoke the keys of a swarm."),
     _verb("context", HERE, "use lab", "Keep network options by name, and use one set of them."),

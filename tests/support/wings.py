@@ -21,6 +21,7 @@ WINGS: Mapping[str, tuple[str, ...]] = {
     "operator": (
         *(
             "drivers/ros2swarm",
+            "swarmd/acceptance",
             "swarmd/calibration",
             "swarmd/cli",
             "swarmd/client",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Scan, ScanSpec
-from swarmd.protection.footprint import Footprint
 from swarmd.sensing.scan_pipeline import COMPARED_SCANS, MAX_REPEATS, MIN_DISTINCT_RETURNS
 from swarmd.sensing.sector_history import SECTORS
 
@@ -32,15 +32,19 @@ class ScanContent:
     """
 
     def __init__(
-        self, spec: ScanSpec, section: str = "scan", footprint: Array | None = None
+        self,
+        spec: ScanSpec,
+        section: str = "scan",
+        gaps: Callable[[Array], Array] | None = None,
     ) -> None:
         """No scan yet.
 
-        `section`: of the platform's file, which describes the sensor. `footprint`: (k, 2) m, the
-        outline in which no return of another object can lie; None: not known.
+        `section`: of the platform's file, which describes the sensor. `gaps`: the distances (k,) in
+        m of points (k, 2) from the outline, 0 for points inside, where no return of another object
+        can lie (`Footprint.gaps`); None: the outline is not known.
         """
         self.spec, self.section = spec, section
-        self._outline = None if footprint is None else Footprint(footprint)
+        self._gaps = gaps
         self._own_degrees = np.ones(_DEGREES, np.bool_)  # see `_degrees_inside`, in each scan
         self._recent: deque[bytes] = deque(maxlen=COMPARED_SCANS)
         self._repeats = 0
@@ -129,13 +133,13 @@ class ScanContent:
         """
         degrees = np.zeros(_DEGREES, np.bool_)
         is_return = self._is_return(scan) & ~self.spec.masked(scan.bearings)
-        if self._outline is not None and self._expects_return(scan) and is_return.any():
+        if self._gaps is not None and self._expects_return(scan) and is_return.any():
             bearings = scan.bearings[is_return]
             directions = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
             ranges = scan.ranges[is_return]
             ranges = np.where(ranges < self.spec.range_min, 0.0, ranges)
             places = self.spec.offset + ranges[:, None] * directions
-            inside = bearings[self._outline.gaps(places) == 0.0]
+            inside = bearings[self._gaps(places) == 0.0]
             degrees[np.floor(np.degrees(inside) + 1e-6).astype(np.intp) % _DEGREES] = True
         return degrees
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Scan, ScanSpec
-from swarmd.drivers.scan_content import ENOUGH_SCANS, ScanContent
+from swarmd.protection.footprint import Footprint
+from swarmd.sensing.scan_content import ENOUGH_SCANS, ScanContent
 from swarmd.settings.platforms import load_platform
 
 SPEC = load_platform("burger").scan
@@ -47,10 +48,10 @@ def test_rays_that_end_inside_the_outline_propose_a_mask(near: float, zero: str)
     spec = replace(SPEC, zero=zero)
     bearings = np.radians(np.arange(360.0))
     post = np.array([*range(88, 93), *range(358, 360), 0, 1])
-    made = ScanContent(spec, footprint=burger.footprint)
+    made = ScanContent(spec, gaps=Footprint(burger.footprint).gaps)
     masked = ScanContent(
         replace(spec, mask=((math.radians(87), math.radians(94)), (math.radians(357), 0.05))),
-        footprint=burger.footprint,
+        gaps=Footprint(burger.footprint).gaps,
     )
     rng = np.random.default_rng(1)
     for seq in range(ENOUGH_SCANS):

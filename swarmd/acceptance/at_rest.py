@@ -1,0 +1,241 @@
+"""Part A: what a robot that rests shows of itself, its topics, its lidar and its network."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from swarmd.acceptance.evidence import Evidence, Samples
+from swarmd.acceptance.step import Judge
+from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
+from swarmd.core.events import ReadingsInput
+from swarmd.core.messages import Reason
+from swarmd.core.values import Array
+from swarmd.protection.footprint import Footprint
+from swarmd.sensing.scan_content import ScanContent
+from swarmd.sensing.scan_pipeline import delay_by_stamps
+
+LOOK_TIME = 2.0
+"""Seconds of a step with a hand, before the hand comes."""
+_LEAST_SCANS = 10
+_SLOW_SHARE = 0.9  # of the declared rate
+_LOST_SHARE = 0.02  # of the scans; 5 % of lost datagrams are usual on a poor WiFi
+_LATEST_ODOMETRY, _STALE_ODOMETRY = 0.15, 0.5  # s: docs/safety.md, assumption 7
+_DRIFT, _TURN_DRIFT = 0.01, math.radians(2.0)  # m, rad, in a minute at rest
+_CLOCK_ERROR = 0.5  # s between two clocks that should agree
+_DAY = 86400.0  # s: two clocks farther apart have another zero, which is no fault
+_HAND = 0.8  # m within which a hand is held
+_NEARER = 0.15  # m by which a hand is nearer than what was there before
+_THICKNESS = 0.1  # m of a hand: an arm is farther
+_ASTRAY = math.radians(30.0)  # of a hand that is held ahead, left, behind or right
+
+
+def findings_on(*subjects: str) -> Judge:
+    """A judge of the findings on these subjects: a fault or a warning fails."""
+
+    def judge(evidence: Evidence) -> Verdict:
+        if evidence.status is not None and evidence.status.reason is Reason.DUPLICATE_ID:
+            return failed(f"two daemons have its name: {evidence.status.detail}; stop one of them")
+        found = [finding for finding in evidence.findings if finding.subject in subjects]
+        if bad := [finding for finding in found if not finding.is_well]:
+            texts = (f"{bad_one.subject}: {bad_one.text}; {bad_one.remedy}" for bad_one in bad)
+            return failed("; ".join(texts), f"{len(bad)} of {len(found)}", "0 findings")
+        known = [finding for finding in found if finding.is_measured]
+        if not known:
+            return not_shown("; ".join(one.text for one in found) or "it did not answer")
+        names = ", ".join(dict.fromkeys(one.subject for one in known))
+        return passed(names, f"{len(known)} ok", "0 findings")
+
+    return judge
+
+
+def all_findings(evidence: Evidence) -> Verdict:
+    """The verdict of `swarmd --check`, as `findings_on` gives it."""
+    return findings_on(*{finding.subject for finding in evidence.findings})(evidence)
+
+
+def base(evidence: Evidence) -> Verdict:
+    """Whether the driver has the base, and nobody else drives it."""
+    states = evidence.samples.driver_states
+    if not states:
+        return not_shown("the recording has no state of the driver")
+    for state in states:
+        if not state.is_up or state.hold is not None:
+            hold = f" ({state.hold})" if state.hold is not None else ""
+            return failed(f"{state.text}{hold}")
+    return passed(states[-1].text)
+
+
+def scan_rate(evidence: Evidence) -> Verdict:
+    """Rate, losses and the longest gap of the scans."""
+    spec, scans = evidence.platform.scan, evidence.samples.scans
+    if len(scans) < _LEAST_SCANS:
+        return failed(f"scans are missing: {_driver_text(evidence)}", f"{len(scans)} scans")
+    gaps = np.diff([at for at, _ in scans])
+    period = float(np.median(gaps))
+    rate = 1.0 / period
+    lost = int(np.maximum(np.rint(gaps / period) - 1.0, 0.0).sum())
+    share = lost / (len(scans) + lost)
+    longest = float(gaps.max())
+    values = {"rate": rate, "lost": share, "longest": longest}
+    if rate < _SLOW_SHARE * spec.rate:
+        reason = "scans come too rarely: look at the lidar and the load; or correct scan.rate"
+        return failed(reason, f"{rate:.1f} Hz", f"{_SLOW_SHARE * spec.rate:.1f} Hz", **values)
+    if share > _LOST_SHARE:
+        reason = "scans are lost on their way to the daemon: look at the network and the load"
+        return failed(reason, f"{share:.1%} lost", f"{_LOST_SHARE:.0%}", **values)
+    if longest > spec.stale_after:
+        reason = "scans paused: the robot would have been held"
+        return failed(reason, f"{longest:.2f} s", f"{spec.stale_after:.2f} s", **values)
+    figure = f"{rate:.1f} Hz, {share:.1%} lost"
+    bound = f"{_SLOW_SHARE * spec.rate:.1f} Hz, {_LOST_SHARE:.0%}"
+    return passed(f"the longest gap is {longest:.2f} s", figure, bound, **values)
+
+
+def stamps(evidence: Evidence) -> Verdict:
+    """Whether scans and odometry are stamped by one clock, and whether it is the wall clock."""
+    spec, samples = evidence.platform.scan, evidence.samples
+    scans = [(at, scan.stamp) for at, scan in samples.scans]
+    odometry = [(at, reading.stamp) for at, reading in samples.odometry]
+    if len(scans) < _LEAST_SCANS or len(odometry) < _LEAST_SCANS:
+        return not_shown("too few scans or odometry")
+    for name, pairs in (("scans", scans), ("odometry", odometry)):
+        if min(np.diff([stamp for _, stamp in pairs])) < 0.0:
+            return failed(f"the stamps of {name} went back: a clock was set, or two nodes publish")
+    scan_lag, odometry_lag = _median_lag(scans), _median_lag(odometry)
+    apart = scan_lag - odometry_lag
+    if _CLOCK_ERROR < abs(apart) < _DAY:
+        which = "older" if apart > 0.0 else "newer"
+        reason = f"the stamps of scans are {which} than those of odometry: two clocks differ"
+        return failed(reason, f"{abs(apart):.2f} s", f"{_CLOCK_ERROR} s", apart=apart)
+    off_wall = odometry_lag + samples.wall
+    if _CLOCK_ERROR < abs(off_wall) < _DAY:
+        reason = "stamps and the clock of the computer differ: synchronise the clocks"
+        return failed(reason, f"{abs(off_wall):.2f} s", f"{_CLOCK_ERROR} s")
+    figure = delay_by_stamps(scans, odometry, samples.scans[-1][1], spec)
+    if figure.delay is None:
+        return not_shown(figure.text)
+    late = figure.delay - spec.latency
+    text = f"{figure.delay:.3f} s"
+    if late - figure.spread > spec.max_scan_delay:
+        bound = f"{spec.latency + spec.max_scan_delay:.3f} s"
+        return failed("scans come later than declared, which holds the robot", text, bound)
+    return passed("scans and odometry have one clock", text, delay=figure.delay)
+
+
+def lidar(evidence: Evidence) -> Verdict:
+    """What `--check` says of the content of scans: own body, blind sectors, zeros, repeats."""
+    platform = evidence.platform
+    content = ScanContent(platform.scan, gaps=Footprint(platform.footprint).gaps)
+    for _, scan in evidence.samples.scans:
+        content.take(scan)
+    if content.last is None:
+        return not_shown("no scan came")
+    return failed(content.fault) if content.fault else passed(content.text)
+
+
+def hand(wanted: float, ahead: str = "") -> Judge:
+    """A judge of the bearing at which a hand is seen that is held at `wanted` degrees.
+
+    `ahead`: the step with the hand ahead; empty for this step itself.
+    """
+
+    def judge(evidence: Evidence) -> Verdict:
+        seen = _hand_bearing(evidence.samples)
+        if seen is None:
+            why = f"no hand was seen within {_HAND} m: the lidar is blind there, or the hand"
+            return failed(f"{why} was above or below its plane", bound=f"{wanted:.0f} deg")
+        degrees = math.degrees(seen)
+        figure, bound = f"{degrees:.0f} deg", f"{wanted:.0f} +- {math.degrees(_ASTRAY):.0f} deg"
+        if _is_near(seen, math.radians(wanted)):
+            return passed("the hand is where the scan shows it", figure, bound, bearing=degrees)
+        earlier = evidence.earlier.get(ahead)
+        is_ahead_right = earlier is not None and earlier.result is Result.PASS
+        if is_ahead_right and _is_near(seen, math.radians(-wanted)):
+            cause = "the scan is mirrored: set scan_upside_down"
+        else:
+            turned = math.degrees(math.remainder(seen - math.radians(wanted), math.tau))
+            cause = f"the scan is turned by {turned:.0f} deg: correct scan_yaw_deg"
+        return failed(cause, figure, bound, bearing=degrees)
+
+    return judge
+
+
+def odometry_at_rest(evidence: Evidence) -> Verdict:
+    """Gaps of odometry, and its drift at rest."""
+    readings = evidence.samples.odometry
+    if len(readings) < _LEAST_SCANS:
+        return failed(f"odometry is missing: {_driver_text(evidence)}", f"{len(readings)} readings")
+    gaps = np.diff([reading.stamp for _, reading in readings])
+    period, longest = float(np.median(gaps)), float(gaps.max())
+    if period > _LATEST_ODOMETRY or longest > _STALE_ODOMETRY:
+        figure = f"{period:.2f} s, at most {longest:.2f} s"
+        bound = f"{_LATEST_ODOMETRY} s, at most {_STALE_ODOMETRY} s"
+        return failed("odometry comes too rarely, or pauses", figure, bound)
+    first = readings[0][1].pose
+    ways = [math.hypot(one.pose.x - first.x, one.pose.y - first.y) for _, one in readings]
+    turns = [abs(math.remainder(one.pose.yaw - first.yaw, math.tau)) for _, one in readings]
+    drift = f"{1e3 * max(ways):.0f} mm, {math.degrees(max(turns)):.1f} deg"
+    bound = f"{1e3 * _DRIFT:.0f} mm, {math.degrees(_TURN_DRIFT):.0f} deg"
+    if max(ways) > _DRIFT or max(turns) > _TURN_DRIFT:
+        return failed("odometry drifts at rest, or the robot was moved", drift, bound)
+    return passed(f"{1.0 / period:.0f} Hz; drift at rest", drift, bound)
+
+
+def battery(evidence: Evidence) -> Verdict:
+    """Whether the charge of the battery is reported, if the platform has it."""
+    if "reading:battery" not in evidence.platform.provides:
+        return not_shown("its platform file names no battery: add reading:battery to provides")
+    values = [one.readings.get("battery", math.nan) for _, one in _readings(evidence.samples)]
+    if not values or math.isnan(values[-1]):
+        return failed("no battery message comes: look at its topic and type in the driver options")
+    charge = values[-1]
+    if not 0.0 <= charge <= 1.0:
+        reason = "the charge is no share: correct battery_volts or battery_percentage"
+        return failed(reason, f"{charge:g}", "0 to 1")
+    return passed("the charge is reported", f"{charge:.0%}")
+
+
+def _readings(samples: Samples) -> list[tuple[float, ReadingsInput]]:
+    return list(samples.of(ReadingsInput))
+
+
+def _driver_text(evidence: Evidence) -> str:
+    """What the driver said last."""
+    states = evidence.samples.driver_states
+    return states[-1].text if states else "the recording has no word of the driver"
+
+
+def _median_lag(pairs: list[tuple[float, float]]) -> float:
+    return float(np.median([at - stamp for at, stamp in pairs]))
+
+
+def _is_near(bearing: float, other: float) -> bool:
+    return abs(math.remainder(bearing - other, math.tau)) <= _ASTRAY
+
+
+def _hand_bearing(samples: Samples) -> float | None:
+    """The bearing in rad of the nearest return that came after LOOK_TIME; None without one."""
+    scans = samples.scans
+    if not scans:
+        return None
+    begin, count = scans[0][0], len(scans[0][1].ranges)
+    same = [(at, scan) for at, scan in scans if len(scan.ranges) == count]
+    before = [_distances(scan.ranges) for at, scan in same if at - begin < LOOK_TIME]
+    background = np.median(before, axis=0)
+    best, bearing = _HAND, None
+    for at, scan in same:
+        distances = _distances(scan.ranges)
+        is_new = distances < background - _NEARER
+        nearest = float(distances[is_new].min(initial=math.inf))
+        if at - begin >= LOOK_TIME and nearest < best:
+            rays = scan.bearings[is_new & (distances <= nearest + _THICKNESS)]
+            best = nearest
+            bearing = math.atan2(float(np.sin(rays).sum()), float(np.cos(rays).sum()))
+    return bearing
+
+
+def _distances(ranges: Array) -> Array:
+    """(n,) m; infinite without a measured return. Large finite numbers have a median."""
+    return np.where(np.isfinite(ranges) & (ranges > 0.0), ranges, 1e3)

@@ -1,0 +1,35 @@
+"""Reads the samples of a step from the recordings of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from swarmd.acceptance.evidence import Samples, TimedDecision
+from swarmd.recording import messages
+from swarmd.recording.inputs import InputReader, TimedInput
+from swarmd.recording.reader import RecordedFile, clock_of
+
+_DECISION = "/decision"
+
+
+def read_samples(files: Iterable[RecordedFile]) -> Samples:
+    """The samples of recordings of one robot, in order.
+
+    ConfigError or CodecError for a file that is damaged, or of another version.
+    """
+    inputs: list[TimedInput] = []
+    decisions: list[TimedDecision] = []
+    wall = 0.0
+    for file in files:
+        reader = InputReader()
+        for message in file.messages:
+            at = clock_of(file.about, message.at)
+            wall = 1e-9 * message.at - at
+            if (input := reader.read(message)) is not None:
+                inputs.append(input)
+            elif message.topic == _DECISION:
+                decision = messages.message_on(_DECISION, message.kind, message.payload)
+                safe = messages.twist_of(decision.safe)
+                gap, share = float(decision.gap), float(decision.speed_share)
+                decisions.append(TimedDecision(at, safe, gap, share))
+    return Samples(inputs, decisions, wall)

@@ -1,0 +1,341 @@
+"""The robot of an acceptance test, over the client: sights, runs, stops, recordings, findings."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from swarmd.acceptance.dialogue import Input, Judged, Refused, Sight
+from swarmd.acceptance.evidence import Evidence, Samples
+from swarmd.acceptance.result_file import RECORDINGS
+from swarmd.acceptance.samples import read_samples
+from swarmd.acceptance.step import End, Step, Work
+from swarmd.acceptance.stops import LEASE
+from swarmd.acceptance.verdict import Verdict, not_shown
+from swarmd.calibration.report import figures_of
+from swarmd.cli.calibrate import platform_text
+from swarmd.cli.doctor import LISTEN_TIME, findings_of_robot
+from swarmd.client.ask_robots import ASK_TIME
+from swarmd.client.operator_pool import OperatorPool
+from swarmd.client.session import Session
+from swarmd.client.swarm import Swarm
+from swarmd.client.targets import Targets
+from swarmd.core.clock import boottime
+from swarmd.core.errors import SwarmError
+from swarmd.core.finding import Finding, unknown, warning
+from swarmd.core.messages import State, Status
+from swarmd.core.values import Pose
+from swarmd.core.verbs import RecordingFile, RecordRequest
+from swarmd.recording.fetch import Ask, fetch, recordings_of
+from swarmd.recording.head import RecordingHead, head_of
+from swarmd.recording.reader import RecordedFile, read_file
+
+if TYPE_CHECKING:
+    from swarmd.cli.options import CommonOptions
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
+
+T = TypeVar("T")
+_REASON = "acceptance test"
+_PROBE = "probe"
+_PROBE_TIME = 1.5  # s of the recording that tells the robot's platform
+_LAST_TIME = 2.0  # s of the recording after a daemon or a link has come back
+_FINISH_TIME, _POLL = 10.0, 0.2  # s in which a recording that was stopped is on the disk
+_SLOW_TRIP, _MUCH_LOSS = 0.2, 0.2  # s and share of a link on which stops come late
+
+
+class TestedRobot:
+    """One robot of a swarm; what happens to it arrives in `inputs`.
+
+    Nothing here waits for the person: requests and recordings are the work of one thread, in the
+    order of the calls, and each stop has a thread of its own.
+    """
+
+    __test__ = False  # its name is no name of a test
+
+    def __init__(
+        self, options: CommonOptions, robot: str, folder: Path, config: Path | None
+    ) -> None:
+        """Not connected. `folder`: of the results. `config`: of the daemon, on the robot itself."""
+        self.robot, self._folder, self._config = robot, folder, config
+        self.inputs: queue.SimpleQueue[Input] = queue.SimpleQueue()
+        self.head: RecordingHead
+        self._targets = Targets((robot,))
+        self._make = partial(options.operator, lambda text: None)
+        self._pool = OperatorPool(self._make)
+        self._swarm = Swarm(self._pool)
+        self._runner: Swarm | None = None  # renews the lease of the present run
+        self._cancelled = threading.Event()  # the present run must not begin any more
+        self._worker = ThreadPoolExecutor(1, "acceptance")
+        self._work: deque[Future[None]] = deque()
+        self._stopping: threading.Thread | None = None
+        self._known: frozenset[str] = frozenset()  # recordings before the step
+
+    def __enter__(self) -> TestedRobot:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._worker.shutdown(cancel_futures=True)
+        self._end_lease()
+        self._swarm.close()
+
+    def open(self) -> None:
+        """Learn platform and settings of the robot from a short recording; then watch the robot.
+
+        SwarmError if it does not answer, or does not record.
+        """
+        self._start_recording()
+        time.sleep(_PROBE_TIME)
+        files = self._fetched(_PROBE)
+        if not files:
+            text = "made no recording, or records already; see swarmctl record list"
+            raise SwarmError(f"{self.robot} {text}")
+        self.head = head_of(files[-1].about, str(files[-1].path))
+        files[-1].path.unlink()
+        threading.Thread(target=self._watch, name="acceptance-watch", daemon=True).start()
+
+    # What the dialogue wants
+
+    def begin(self, step: Step) -> None:
+        """Begin the recording of a step, and its run."""
+        self._cancelled.clear()
+        self._submit(self._begin, step, boottime())
+
+    def bring(self, end: End) -> None:
+        """Bring about the end of a motion."""
+        if end is End.SILENCE:
+            self._end_lease()
+        else:
+            self.stop(is_emergency=end is End.ESTOP)
+
+    def stop(self, *, is_emergency: bool = False) -> None:
+        """Send a stop, unless the one before is still under way; a run that is asked for ends."""
+        self._cancelled.set()
+        if self._stopping is None or not self._stopping.is_alive():
+            self._stopping = threading.Thread(target=self._stop, args=(is_emergency,))
+            self._stopping.start()
+
+    def wait_for_stop(self) -> None:
+        """Wait until the last stop was acknowledged, or its time is over."""
+        if self._stopping is not None:
+            self._stopping.join()
+
+    def judge(self, step: Step, verdicts: Mapping[str, Verdict]) -> None:
+        """Collect the evidence of a step, and judge it."""
+        self._submit(self._judge, step, dict(verdicts))
+
+    def check(self) -> None:
+        """Raise the error of the thread of requests that is none of the network or of a file."""
+        while self._work and self._work[0].done():
+            self._work.popleft().result()
+
+    def samples(self, step: str) -> Samples:
+        """The recorded samples of a step; none without a recording."""
+        return read_samples(map(read_file, self.files(step)))
+
+    def files(self, step: str) -> list[Path]:
+        """The recordings of a step in the folder."""
+        return sorted((self._folder / RECORDINGS).glob(f"{step}-*.mcap"))
+
+    def status(self) -> Status | None:
+        """The present status; None if the robot does not answer."""
+        with self._session() as session:
+            member = session.operator.members().members.get(self.robot)
+            return None if member is None else member.status
+
+    # The thread of requests
+
+    def _submit(self, work: Callable[[Step, T], None], step: Step, more: T) -> None:
+        self._work.append(self._worker.submit(self._guarded, work, step, more))
+
+    def _guarded(self, work: Callable[[Step, T], None], step: Step, more: T) -> None:
+        """Do a work of the thread; an error of the network or of a file is the step's verdict."""
+        try:
+            work(step, more)
+        except (SwarmError, OSError) as error:
+            self.inputs.put(Refused(str(error)))
+            self.inputs.put(Judged(not_shown(str(error))))
+
+    def _begin(self, step: Step, began: float) -> None:
+        if step.work is Work.RECORD:
+            self._start_recording()
+        if (motion := step.motion) is None:
+            return
+        self._end_lease()
+        self._runner = Swarm(OperatorPool(self._make))
+        # The robot refuses a run that was wanted before a stop: `began` is the time of the yes.
+        outcome = self._runner._cancellable(self._cancelled, began).run(
+            motion.pattern,
+            (self.robot,),
+            params=motion.params,
+            seconds=motion.seconds,
+            lease=LEASE,
+        )
+        if not outcome.applied:
+            reply = outcome.replies.get(self.robot)
+            self.inputs.put(Refused("no answer" if reply is None else reply.text))
+
+    def _judge(self, step: Step, verdicts: dict[str, Verdict]) -> None:
+        self._end_lease()
+        if step.work is Work.RECORD:
+            if step.motion is not None and step.motion.end is End.PERSON:
+                self._record("start")  # again, if the daemon was killed
+                time.sleep(_LAST_TIME)
+            self._fetched(step.id)
+        findings: Sequence[Finding] = ()
+        if step.work is Work.DOCTOR:
+            findings = self._doctor()
+        elif step.work is Work.CHECK:
+            findings = self._check()
+        elif step.work is Work.RESET:
+            self._swarm.reset((self.robot,), reason=_REASON)
+        elif step.work is Work.WRITE:
+            findings = [self._write_platform(verdicts)]
+        evidence = Evidence(
+            self.head.identity.platform,
+            self.samples(step.of or step.id),
+            self.status(),
+            findings,
+            verdicts,
+        )
+        self.inputs.put(Judged(step.judge(evidence)))
+
+    def _stop(self, is_emergency: bool) -> None:
+        with suppress(SwarmError):
+            if is_emergency:
+                self._swarm.estop((self.robot,), reason=_REASON)
+            else:
+                self._swarm.stop((self.robot,))
+
+    def _end_lease(self) -> None:
+        runner, self._runner = self._runner, None
+        if runner is not None:
+            runner.close()
+
+    def _watch(self) -> None:
+        """Put a sight of the robot for each pose and each change, until the connection closes."""
+        while True:
+            try:
+                for state in self._swarm.states((self.robot,), poses=True):
+                    pattern = state.pattern if state.state is State.RUNNING else ""
+                    pose = Pose(state.x, state.y, state.yaw)
+                    is_estopped = state.state is State.ESTOPPED
+                    self.inputs.put(Sight(pattern or "", is_estopped, pose))
+                return
+            except SwarmError:
+                time.sleep(_PROBE_TIME)
+
+    @contextmanager
+    def _session(self) -> Iterator[Session]:
+        with self._pool.lend() as operator:
+            yield Session(operator)
+
+    # Recordings
+
+    def _start_recording(self) -> None:
+        """Start a recording; what the robot has recorded before is known from now on."""
+        with self._session() as session:
+            session.operator.members()
+            reply = recordings_of(partial(_ask, session.operator), self.robot)
+            self._known = frozenset(file.name for file in reply.files)
+        self._record("start")
+
+    def _record(self, action: str) -> None:
+        with self._session() as session:
+            targeted = session.target(self._targets, needs_status=False)
+            targeted.request(RecordRequest, action=action)
+
+    def _fetched(self, step: str) -> list[RecordedFile]:
+        """End the recording, and copy what is new as the files of a step, in place of earlier ones.
+
+        NetworkError if the robot does not answer.
+        """
+        self._record("stop")
+        for path in self.files(step):
+            path.unlink()
+        found = []
+        with self._session() as session:
+            session.operator.members()
+            ask = partial(_ask, session.operator)
+            files = self._finished_files(ask)
+            for number, file in enumerate(files, 1):
+                copy = fetch(ask, self.robot, file, self._folder / RECORDINGS)
+                path = self._folder / RECORDINGS / f"{step}-{number}.mcap"
+                copy.path.rename(path)
+                found.append(read_file(path))
+        return found
+
+    def _finished_files(self, ask: Ask) -> list[RecordingFile]:
+        """The new recordings, in their order, once the robot has finished the last one."""
+        end = time.monotonic() + _FINISH_TIME
+        while True:
+            found = [one for one in recordings_of(ask, self.robot).files if self._is_new(one)]
+            files = sorted(found, key=lambda one: one.name)
+            # A file that is no longer open gets its checksum once its last chunk is written; a file
+            # of a killed daemon never does.
+            if (files and files[-1].crc is not None) or time.monotonic() > end:
+                return files
+            time.sleep(_POLL)
+
+    def _is_new(self, file: RecordingFile) -> bool:
+        return file.name not in self._known
+
+    # Findings
+
+    def _doctor(self) -> list[Finding]:
+        """The findings of the doctor, on the name, and on the link."""
+        with self._session() as session:
+            operator = session.operator
+            view = operator.members()
+            time.sleep(LISTEN_TIME)
+            others = len(set(view.alive) - {self.robot})
+            findings = list(findings_of_robot(operator, self.robot, others, ASK_TIME))
+            return [*findings, self._name(view), _round_trip(view)]
+
+    def _name(self, view: MembersView) -> Finding:
+        if (instances := view.duplicates.get(self.robot)) is None:
+            return Finding("name", True, "one daemon has this name")
+        text = f"{len(instances)} daemons have this name"
+        return Finding("name", False, text, "stop one of them, or give it another id")
+
+    def _check(self) -> list[Finding]:
+        """The findings of `swarmd --check` on this machine."""
+        if self._config is None:
+            text = "run the test on the robot itself with --daemon-config FILE, or swarmd --check"
+            return [unknown("check", text)]
+        from swarmd.cli.preflight import findings_of
+        from swarmd.settings.settings import load_daemon_settings
+
+        found = findings_of(load_daemon_settings(self._config, {}))
+        # The running daemon counts as another node that commands the base: step A6 looks for those.
+        return [one for one in found if one.subject != "last_word"]
+
+    def _write_platform(self, verdicts: Mapping[str, Verdict]) -> Finding:
+        """Write the platform file that follows from the calibration to the folder."""
+        status = self.status()
+        if status is None:
+            return unknown("platform file", "the robot does not answer")
+        report = verdicts["C2"].values
+        speeds = tuple(map(float, str(report["drove"]).split()))
+        text = platform_text(self.robot, status, figures_of(report), speeds)
+        path = self._folder / f"{self.robot}.yaml"
+        path.write_text(text)
+        return Finding("platform file", True, f"written: {path}")
+
+
+def _round_trip(view: MembersView) -> Finding:
+    text = f"{1e3 * view.round_trip:.0f} ms, {view.loss:.0%} lost"
+    is_due = view.round_trip > _SLOW_TRIP or view.loss > _MUCH_LOSS
+    return warning("round trip", text, "see swarmctl links; move the access point", is_due=is_due)
+
+
+def _ask(operator: Operator, robot: str, name: str, payload: bytes) -> bytes | None:
+    return operator.ask(robot, name, payload, timeout=ASK_TIME)

@@ -1,0 +1,102 @@
+"""Part C: figures of a calibration against the platform file."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from swarmd.acceptance import calibrated
+from swarmd.acceptance.evidence import Evidence
+from swarmd.acceptance.verdict import Verdict, passed
+from swarmd.calibration.figures import DONE, REFUSED, Figure
+from swarmd.core.messages import DecisionSummary
+from swarmd.settings.platforms import load_platform
+from tests.support.statuses import status
+
+BURGER = load_platform("burger")
+
+
+def judged(judge: object, **figures: Figure) -> Verdict:
+    values = {name: figure.text for name, figure in figures.items()}
+    evidence = Evidence(BURGER, earlier={"C2": passed("", **values)})
+    return judge(evidence)  # type: ignore[operator,no-any-return]
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "result"),
+    [
+        (1.0, 0.02, "pass"),
+        (0.86, 0.004, "pass"),
+        (0.84, 0.001, "fail"),
+        (0.7, 0.2, "fail"),
+        (1.0, 0.2, "not shown"),  # two deviations below 0.85
+    ],
+)
+def test_brakes_must_be_85_percent_of_the_files(value: float, spread: float, result: str) -> None:
+    """The share SOUND of docs/evidence/sensing.md."""
+    judge = calibrated.brakes("C2", "braking_linear", "braking_lateral")
+    assert judged(judge, braking_linear=Figure(value, spread, 8, 1.0)).result == result
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "result"),
+    [
+        (1.0, 0.01, "pass"),
+        (0.96, 0.1, "pass"),
+        (1.1, 0.01, "fail"),
+        (0.9, 0.02, "fail"),
+        (1.08, 0.03, "not shown"),
+    ],
+)
+def test_scales_must_be_within_five_percent(value: float, spread: float, result: str) -> None:
+    judge = calibrated.scales("C2", "odometry_linear", cause="the wheels")
+    found = judged(judge, odometry_linear=Figure(value, spread, 8, 1.0))
+    assert found.result == result
+    assert (result == "fail") == ("the wheels" in found.reason)
+
+
+@pytest.mark.parametrize(("value", "result"), [(0.03, "pass"), (0.05, "fail")])
+def test_the_margin_must_cover_the_response(value: float, result: str) -> None:
+    assert judged(calibrated.margin("C2"), margin=Figure(value, 0.0, 8, 0.03)).result == result
+
+
+def test_one_wrong_figure_fails_and_is_named_alone() -> None:
+    judge = calibrated.brakes("C2", "braking_linear", "braking_angular")
+    found = judged(
+        judge,
+        braking_linear=Figure(1.0, 0.0, 8, 1.0),
+        braking_angular=Figure(1.0, 0.0, 8, 3.0),
+    )
+    assert "braking_angular" in found.figure
+    assert "braking_linear" not in found.figure
+
+
+def test_a_figure_that_is_not_measured_is_not_shown_with_its_reason() -> None:
+    found = judged(calibrated.scan_delay("C2"), scan_delay=Figure(why="a round room"))
+    assert (found.result, found.reason) == ("not shown", "a round room")
+
+
+@pytest.mark.parametrize(
+    ("report", "duty", "share", "result"),
+    [
+        ({"state": DONE, "speed_linear": "1 0 8 1"}, 0.0, 1.0, "pass"),
+        ({"state": DONE, "speed_linear": "1 0 8 1"}, 0.1, 1.0, "not shown"),
+        ({"state": DONE, "speed_linear": "1 0 8 1"}, 0.1, 0.7, "pass"),
+        ({"state": REFUSED, "why": "the floor is not free"}, 0.0, 1.0, "fail"),
+        ({}, 0.0, 1.0, "fail"),
+    ],
+)
+def test_a_calibration_counts_if_it_ended_and_nothing_limited_it(
+    report: dict[str, str], duty: float, share: float, result: str
+) -> None:
+    decision = DecisionSummary(duty=duty, speed_share=share)
+    ended = replace(status("r"), report=report, decision=decision)
+    found = calibrated.calibration(Evidence(BURGER, status=ended))
+    assert found.result == result
+    assert report.get("why", "") in found.reason
+    is_slowed = result == "pass" and share < 1.0
+    assert ("slows" in str(found.values.get("speed_linear"))) is is_slowed
+
+
+def test_without_an_answer_a_calibration_is_not_shown() -> None:
+    assert calibrated.calibration(Evidence(BURGER)).result == "not shown"

@@ -1,0 +1,179 @@
+"""The table of faults: each is found by the step that should find it, with its cause in the line.
+
+The wanted steps and words are written by hand. A simulated Burger has one fault at a time; its
+daemon has the platform's own file. Faults of nodes, networks and several daemons are in
+test_at_rest.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from dataclasses import replace as replace_fields
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from swarmd.acceptance.step import Step
+from swarmd.acceptance.steps import steps_of
+from swarmd.acceptance.verdict import Result, passed
+from swarmd.core.values import Array, Scan
+from swarmd.settings.platforms import load_platform
+from tests.acceptance.bench import HALL, ROOM, Bench
+
+FILE = load_platform("burger")
+BURGER = replace_fields(FILE, provides=FILE.provides | {"reading:battery"})
+REST = 10.0  # s, in place of a minute
+STEPS = [replace_fields(step, seconds=min(step.seconds, REST)) for step in steps_of(BURGER)]
+FEWER = {"C2": {"floor": 2.0, "repeats": 1}}
+"""Parameters of a shorter calibration."""
+OUTSIDE = ("A1", "A2", "A3", "A4", "A5", "C8")
+"""Steps that need a network, a machine or a person's file."""
+DEGREE_OF_MAST, MAST = 100, 0.05  # deg, m: at the left rim of the outline
+LOST = 0.08  # share of the scans
+DEAD_ZONE = 0.05  # m/s
+COASTS = 0.05  # m/s2
+STEP = 0.01  # s
+
+
+@dataclass(frozen=True)
+class Row:
+    """A fault: `step` finds it, with `words` in its line; `also`: other steps that may fail."""
+
+    step: str
+    words: str
+    bench: dict[str, Any] = field(default_factory=dict)
+    make: Callable[[], dict[str, Any]] = dict
+    also: tuple[str, ...] = ()
+
+
+def mirrored(scan: Scan) -> Scan:
+    return replace(scan, ranges=np.roll(scan.ranges[::-1], 1))
+
+
+def turned(scan: Scan) -> Scan:
+    return replace(scan, ranges=np.roll(scan.ranges, 90))
+
+
+def late_stamp(scan: Scan) -> Scan:
+    return replace(scan, stamp=scan.stamp - 3.0)
+
+
+def early_stamp(scan: Scan) -> Scan:
+    return replace(scan, stamp=scan.stamp + 3.0)
+
+
+def with_mast(scan: Scan) -> Scan:
+    ranges = scan.ranges.copy()
+    ranges[DEGREE_OF_MAST - 3 : DEGREE_OF_MAST + 3] = MAST
+    return replace(scan, ranges=ranges)
+
+
+def half_rate() -> dict[str, Any]:
+    return {"scan_fault": lambda scan: None if scan.seq % 2 else scan}
+
+
+def losses() -> dict[str, Any]:
+    draws = np.random.default_rng(5)
+    return {"scan_fault": lambda scan: None if draws.random() < LOST else scan}
+
+
+def dead_zone(commands: Array) -> Array:
+    commands[np.abs(commands[:, 0]) < DEAD_ZONE, 0] = 0.0
+    return commands
+
+
+def memory_of_base(change: Callable[[float, float], float]) -> dict[str, Any]:
+    """A base whose speed follows from the command and from its speed before."""
+    speed = 0.0
+
+    def follow(commands: Array) -> Array:
+        nonlocal speed
+        speed = change(speed, float(commands[0, 0]))
+        commands[0, 0] = speed
+        return commands
+
+    return {"command_fault": follow}
+
+
+def ignores_zero() -> dict[str, Any]:
+    return memory_of_base(lambda speed, wanted: wanted or speed)
+
+
+def coasts() -> dict[str, Any]:
+    return memory_of_base(lambda speed, wanted: max(wanted, speed - STEP * COASTS))
+
+
+ROWS = {
+    "brakes 30 % weaker": Row(
+        "C3", "brakes", {"base": {"linear_acceleration": 0.7, "angular_acceleration": 2.1}}
+    ),
+    "command delay 200 ms": Row(
+        "C4", "later", {"realism": {"preset": "realistic", "actuation": {"delay": 0.2}}}
+    ),
+    "lidar mirrored": Row("A13", "mirrored", {"scan_fault": mirrored}, also=("A15",)),
+    "lidar turned": Row("A12", "turned by 90", {"scan_fault": turned}, also=("A13", "A14", "A15")),
+    "stamps 3 s old": Row("A8", "older", {"scan_fault": late_stamp}),
+    "stamps 3 s new": Row("A8", "newer", {"scan_fault": early_stamp}),
+    "scans at half rate": Row("A7", "rarely", make=half_rate),
+    "8 % of scans lost": Row("A7", "lost", make=losses),
+    "own mast in the scan": Row("A9", "inside", {"scan_fault": with_mast}),
+    "odometry scale 10 % off": Row("C6", "scale", {"odometry_scale": 1.1}, also=("C5",)),
+    "watchdog off": Row("B7", "drove on", {"has_watchdog": False}, also=("B8",)),
+    "base that ignores zero": Row("B1", "ignores zero", make=ignores_zero),
+    "base that coasts": Row("B1", "coasts", make=coasts),
+    "dead zone": Row("C1", "dead zone", {"command_fault": dead_zone}),
+    "no battery message": Row("A11", "battery", {"reading": None}),
+}
+"""The faults of issue 69 that a base and a lidar can have by themselves."""
+
+
+def shorter(step: Step) -> Step:
+    """The step with fewer drives."""
+    if step.motion is None or step.id not in FEWER:
+        return step
+    return replace_fields(step, motion=step.motion._replace(params=FEWER[step.id]))
+
+
+def part_of(step: str, last: str = "", **bench: Any) -> Bench:
+    """The part of a step, up to the step `last`; what it needs of other parts has passed."""
+    part = [one for one in STEPS if one.id[0] == step[0]]
+    ids = [one.id for one in part]
+    own = part[: ids.index(last) + 1] if last else part
+    own = [one for one in own if one.id not in OUTSIDE]
+    known = {"B1": passed("")} if step[0] != "B" else {}
+    arena = HALL if step[0] == "B" else ROOM
+    steps = [shorter(one) for one in own] if last else own
+    return Bench(BURGER, steps, arena=arena, verdicts=known, **bench).run()
+
+
+@pytest.mark.parametrize("fault", ROWS)
+def test_each_fault_is_found_by_its_step_with_its_cause(fault: str) -> None:
+    row = ROWS[fault]
+    last = row.also[-1] if row.also and row.also[-1][0] == row.step[0] else row.step
+    last = max(row.step, last, key=[one.id for one in STEPS].index)
+    bench = part_of(row.step, last, **{"reading": 0.8, **row.bench, **row.make()})
+    found = bench.verdicts[row.step]
+    assert found.result is Result.FAIL, found
+    assert row.words in found.reason
+    failures = {name for name, one in bench.verdicts.items() if one.result is Result.FAIL}
+    assert failures <= {row.step, *row.also}
+    check_bounds(bench)
+
+
+@pytest.mark.parametrize("part", ["A", "B", "C"])
+def test_a_sound_robot_passes_all(part: str) -> None:
+    bench = part_of(part, reading=0.8)
+    results = {name: one for name, one in bench.verdicts.items() if name[0] == part}
+    assert len(results) >= 7
+    assert {name: one for name, one in results.items() if one.result is not Result.PASS} == {}
+    check_bounds(bench)
+
+
+def check_bounds(bench: Bench) -> None:
+    """No step on the floor moved the base farther than announced, by the true poses."""
+    for step in bench.dialogue.steps:
+        if step.motion is not None and not step.motion.is_lifted:
+            assert bench.farthest.get(step.id, 0.0) <= step.motion.reach

@@ -1,0 +1,184 @@
+"""Parts A and B of the test with a daemon and a ROS 2 base behind the real bridge.
+
+The person kills and restarts the daemon and the bridge as the steps say.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import yaml
+
+from swarmd.acceptance.result_file import read_record
+from swarmd.acceptance.verdict import Result
+from tests.acceptance.person import Person, person
+from tests.acceptance.ros2_base import LiftedBase, is_driving
+from tests.support.processes import end_process, unique_swarm, wait_until, watchdogs
+from tests.support.ros2_bridge import why_no_bridge
+from tests.support.swarmctl import Running
+
+pytestmark = [
+    pytest.mark.evidence,
+    pytest.mark.integration,
+    pytest.mark.skipif(bool(why_no_bridge()), reason=why_no_bridge()),
+]
+ROBOT = "tb3-01"
+DOWN = 3.0  # s
+LONG = 120.0  # s
+
+
+class Rig:
+    """A daemon of a Burger without a command timeout, its bridge and its base."""
+
+    def __init__(self, folder: Path, left: ExitStack, **fields: object) -> None:
+        self.base = LiftedBase(**fields)  # type: ignore[arg-type]
+        left.callback(self.base.close)
+        left.callback(self.end_watchdogs)
+        self.swarm, self._left = unique_swarm(), left
+        self.config, self.folder = folder / "robot.yaml", folder
+        options = {"endpoint": self.base.endpoint}
+        settings = {
+            "id": ROBOT,
+            "swarm": self.swarm,
+            "platform": "burger",
+            "driver": "ros2dds",
+            "driver_options": options,
+            "state_dir": str(folder / "state"),
+        }
+        self.config.write_text(yaml.safe_dump(settings))
+        self.start()
+
+    def start(self) -> None:
+        words = ("--config", str(self.config))
+        self.daemon = self._left.enter_context(Running(*words, program="swarmd"))
+
+    def restart(self) -> None:
+        self.daemon.terminate()
+        self.daemon.wait(10.0)
+        self.start()
+
+    def kill(self) -> None:
+        self.daemon.kill()
+        self.daemon.wait(10.0)
+
+    def end_watchdogs(self) -> None:
+        for pid in watchdogs(self.swarm, ROBOT):
+            end_process(pid)
+
+    def answer(self, one: Person) -> None:
+        """Say yes, and wait until the wheels turn."""
+        one.answer("y")
+        wait_until(lambda: is_driving(self.base), "its wheels turn", 20.0)
+        time.sleep(1.5)
+
+
+@pytest.fixture
+def left() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+def restored(one: Person) -> None:
+    """Press Enter once the test asks whether all is as before."""
+    one.read_on("press Enter", LONG)
+    time.sleep(6.0)
+    one.press(b"\n")
+
+
+def test_a_sound_base_stops_in_every_case(tmp_path: Path, left: ExitStack) -> None:
+    rig, folder = Rig(tmp_path, left), tmp_path / "results"
+    one = left.enter_context(person(rig.swarm, ROBOT, "--only", "B", "--folder", str(folder)))
+    for step in ("B1", "B2"):
+        one.answer("y")
+        one.read_on(f"{step} PASS", LONG)
+    rig.restart()
+    time.sleep(3.0)
+    one.answer("y")
+    one.read_on("B3 PASS", LONG)
+    one.answer("y")
+    one.read_on("B4 PASS", LONG)
+    one.answer("y")
+    one.read_on("B5 PASS", LONG)
+    one.answer("n")  # B6: profile dev has no link to cut
+    rig.answer(one)
+    rig.kill()
+    time.sleep(DOWN)
+    rig.start()
+    restored(one)
+    one.read_on("B7 PASS", LONG)
+    rig.answer(one)
+    rig.base.disconnect()
+    time.sleep(DOWN)
+    rig.base.reconnect()
+    restored(one)
+    one.read_on("B8 ", LONG)
+    one.end()
+    found = read_record(folder).verdicts
+    # A Burger keeps its last velocity: nothing reaches it without its bridge (docs/safety.md).
+    assert found["B8"].result is Result.FAIL
+    assert "drove on" in found["B8"].reason
+    passed = {name for name, verdict in found.items() if verdict.result is Result.PASS}
+    assert passed == {"B1", "B2", "B3", "B4", "B5", "B7"}
+
+
+def test_a_daemon_without_a_watchdog_is_found(tmp_path: Path, left: ExitStack) -> None:
+    rig, folder = Rig(tmp_path, left), tmp_path / "results"
+    with person(rig.swarm, ROBOT, "--only", "B1", "--folder", str(folder)) as one:
+        one.answer("y")
+        one.read_on("B1 PASS", LONG)
+        one.end()
+    with person(rig.swarm, ROBOT, "--only", "B7", "--folder", str(folder)) as one:
+        rig.answer(one)
+        for pid in watchdogs(rig.swarm, ROBOT):  # before it can send its zeros
+            os.kill(pid, signal.SIGKILL)
+        rig.kill()
+        time.sleep(DOWN)
+        rig.start()
+        restored(one)
+        one.read_on("B7 FAIL", LONG)
+        one.end()
+    assert "drove on" in read_record(folder).verdicts["B7"].reason
+
+
+def test_a_base_that_ignores_zero_never_gets_to_the_floor(tmp_path: Path, left: ExitStack) -> None:
+    rig, folder = Rig(tmp_path, left, ignores_zero=True), tmp_path / "results"
+    with person(rig.swarm, ROBOT, "--only", "B", "--folder", str(folder)) as one:
+        one.answer("y")
+        one.read_on("B1 FAIL", LONG)
+        one.end()
+    found = read_record(folder).verdicts
+    assert "ignores zero" in found["B1"].reason
+    with person(rig.swarm, ROBOT, "--only", "C", "--folder", str(folder)) as one:
+        one.end()
+    assert read_record(folder).verdicts["C1"].result is Result.NOT_SHOWN
+
+
+def test_a_second_publisher_of_commands_is_found(tmp_path: Path, left: ExitStack) -> None:
+    rig, folder = Rig(tmp_path, left), tmp_path / "results"
+    other = rig.base.other_node()
+    left.callback(other.close)
+    with person(rig.swarm, ROBOT, "--only", "A6", "--folder", str(folder)) as one:
+        one.answer("y")
+        for _ in range(20):
+            other.command("cmd_vel", 0.05)
+            time.sleep(0.2)
+        one.read_on("A6 FAIL", LONG)
+        one.end()
+    assert "someone else drives" in read_record(folder).verdicts["A6"].reason
+
+
+def test_the_check_runs_beside_the_daemon(tmp_path: Path, left: ExitStack) -> None:
+    rig, folder = Rig(tmp_path, left), tmp_path / "results"
+    words = ("--folder", str(folder), "--daemon-config", str(rig.config))
+    with person(rig.swarm, ROBOT, "--only", "A5", *words) as one:
+        one.read_on("A5 ", LONG)
+        one.end()
+    found = read_record(folder).verdicts["A5"]
+    assert found.result is Result.PASS, found
+    assert "cmd_vel" in found.reason

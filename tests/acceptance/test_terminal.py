@@ -1,0 +1,208 @@
+"""The shell on a pseudo terminal of 40 columns, with a robot that is no more than its actions."""
+
+from __future__ import annotations
+
+import os
+import pty
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+
+from swarmd.acceptance.dialogue import Closed, Dialogue, Input, Judged, Key, Line, Sight
+from swarmd.acceptance.result_file import AcceptanceRecord, read_record
+from swarmd.acceptance.step import End, Motion, Step
+from swarmd.acceptance.steps import steps_of
+from swarmd.acceptance.verdict import Result, passed
+from swarmd.cli import acceptance as verb
+from swarmd.core.values import Pose
+from swarmd.settings.platforms import load_platform
+
+CAP = 20.0  # s
+SHORT = Motion("drive", {"speed": 0.1}, 60.0, 0.1, 0.0, reach=2.0)
+DRIVE = Step("B1", "a drive", "A reason.", lambda _: passed("fine"), question="Free?", motion=SHORT)
+LOOK = Step("A1", "a look", "Another reason.", lambda _: passed("well", "5 Hz", "4 Hz"))
+RECORD = AcceptanceRecord(robot="r", platform="burger", driver="none", began="2026-11-27")
+
+
+@pytest.fixture
+def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """The other end of a terminal that is standard input."""
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs, "rb", buffering=0) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        monkeypatch.setenv("COLUMNS", "40")
+        yield ours
+    os.close(ours)
+
+
+def typed(terminal: verb._Terminal, *, gives_lines: bool) -> Input | None:
+    """What the terminal gives next."""
+    end = time.monotonic() + CAP
+    while time.monotonic() < end:
+        if (found := terminal.read(gives_lines, 0.05)) is not None:
+            return found
+    return None
+
+
+def test_lines_while_asked_and_keys_while_moving(keyboard: int) -> None:
+    terminal = verb._Terminal()
+    os.write(keyboard, b"yes\n")
+    assert typed(terminal, gives_lines=True) == Line("yes\n")
+    assert terminal.read(False, 0.0) is None
+    os.write(keyboard, b" ")
+    assert typed(terminal, gives_lines=False) == Key()
+    os.write(keyboard, b"y\n")
+    time.sleep(0.1)
+    assert terminal.read(True, 0.1) is None, "typed before the question"
+    terminal.close()
+
+
+def test_what_is_typed_before_a_question_is_discarded(keyboard: int) -> None:
+    terminal = verb._Terminal()
+    os.write(keyboard, b"y\ny\n")
+    time.sleep(0.1)
+    terminal.discard()
+    assert terminal.read(True, 0.2) is None
+    os.write(keyboard, b"n\n")
+    assert typed(terminal, gives_lines=True) == Line("n\n")
+
+
+def test_the_end_of_the_terminal_is_told(keyboard: int) -> None:
+    terminal = verb._Terminal()
+    os.write(keyboard, b"\x04")
+    assert typed(terminal, gives_lines=True) == Closed()
+
+
+class FakeRobot:
+    """Rests, and moves from the begin of a step until it is stopped."""
+
+    def __init__(self) -> None:
+        self.inputs: queue.SimpleQueue[Input] = queue.SimpleQueue()
+        self.did: list[str] = []
+        self.fault: Exception | None = None
+        self.is_moving = threading.Event()
+        self.is_over = threading.Event()
+        threading.Thread(target=self._tell, daemon=True).start()
+
+    def _tell(self) -> None:
+        while not self.is_over.wait(0.05):
+            pattern = "drive" if self.is_moving.is_set() else ""
+            self.inputs.put(Sight(pattern, False, Pose()))
+
+    def begin(self, step: Step) -> None:
+        self.did.append(f"begin {step.id}")
+        if step.motion is not None:
+            self.is_moving.set()
+
+    def bring(self, end: End) -> None:
+        self.did.append(f"bring {end}")
+
+    def stop(self) -> None:
+        self.did.append("stop")
+        self.is_moving.clear()
+
+    def check(self) -> None:
+        if self.fault is not None and self.is_moving.is_set():
+            raise self.fault
+
+    def wait_for_stop(self) -> None:
+        self.did.append("waited")
+
+    def judge(self, step: Step, verdicts: Any) -> None:
+        self.inputs.put(Judged(step.judge(None)))  # type: ignore[arg-type]
+
+    def files(self, step: str) -> list[Path]:
+        return []
+
+
+@pytest.fixture
+def robot() -> Iterator[FakeRobot]:
+    made = FakeRobot()
+    yield made
+    made.is_over.set()
+
+
+def talk(robot: FakeRobot, folder: Path, *steps: Step) -> verb._Talk:
+    dialogue = Dialogue(steps, {})
+    return verb._Talk(dialogue, robot, folder, RECORD, [one.id for one in steps])  # type: ignore[arg-type]
+
+
+def later(seconds: float, keyboard: int, *texts: bytes) -> None:
+    """Type texts one after the other, each so many s after the one before."""
+
+    def type_all() -> None:
+        for text in texts:
+            time.sleep(seconds)
+            os.write(keyboard, text)
+
+    threading.Thread(target=type_all, daemon=True).start()
+
+
+def test_a_drive_on_40_columns_that_a_key_stops(
+    keyboard: int, robot: FakeRobot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    later(1.6, keyboard, b"what?\n", b"y\n", b"x")
+    one = talk(robot, tmp_path, LOOK, DRIVE)
+    one.run()
+    assert robot.did[:3] == ["begin A1", "begin B1", "stop"]
+    assert one.record.is_whole
+    verdicts = read_record(tmp_path).verdicts
+    assert verdicts["A1"].result is Result.PASS
+    assert (verdicts["B1"].result, "key" in verdicts["B1"].reason) == (Result.NOT_SHOWN, True)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 40
+    text = " ".join(" ".join(lines).split())
+    for words in ("B1 a drive (2/2", "A reason.", "2.00 m at most", "Free? [y/N]", "4 Hz"):
+        assert words in text
+
+
+def test_ctrl_c_stops_and_waits_for_the_stop(
+    keyboard: int, robot: FakeRobot, tmp_path: Path
+) -> None:
+    later(1.6, keyboard, b"y\n")
+    timer = threading.Timer(3.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    one = talk(robot, tmp_path, DRIVE)
+    one.run()
+    assert robot.did == ["begin B1", "stop", "waited"]
+    assert read_record(tmp_path).verdicts == {}
+    assert not one.record.is_whole
+
+
+def test_an_error_stops_the_robot_and_is_raised(
+    keyboard: int, robot: FakeRobot, tmp_path: Path
+) -> None:
+    robot.fault = RuntimeError("a fault of the program")
+    later(1.6, keyboard, b"y\n")
+    with pytest.raises(RuntimeError):
+        talk(robot, tmp_path, DRIVE).run()
+    assert robot.did == ["begin B1", "stop", "waited"]
+
+
+def test_a_part_or_a_step_is_picked() -> None:
+    steps = steps_of(load_platform("burger"))
+    assert {one.id[0] for one in verb._wanted(steps, "B")} == {"B"}
+    assert [one.id for one in verb._wanted(steps, "A1")] == ["A1"]
+    assert len(verb._wanted(steps, None)) == len(steps)
+    with pytest.raises(click.UsageError):
+        verb._wanted(steps, "E")
+
+
+def test_long_texts_are_wrapped(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    for step in steps_of(load_platform("jackal")):
+        verb._say(replace(step).prepare, "  ")
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) > 50
+    assert max(map(len, lines)) <= 40
