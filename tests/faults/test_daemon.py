@@ -133,9 +133,9 @@ def test_an_estopped_daemon_that_is_killed_returns_estopped_until_reset(
     bench: Bench,
 ) -> None:
     bench.start()
-    moving = bench.drive()
+    bench.drive()
     bench.halt("estop")
-    zero = bench.body.wait_zero(moving.at)
+    zero = bench.body.wait_zero(boottime())
     held = set(bench.status().latches)
     bench.daemon.kill()
 

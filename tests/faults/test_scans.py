@@ -80,7 +80,7 @@ def test_bad_scans_stop_a_robot_and_good_scans_do_not_start_it(
     broken = boottime()
 
     held = robot.await_reason(reason, broken)
-    zero = robot.body.wait_zero(broken)
+    zero = robot.body.wait_zero(held.at)
     stopped = robot.await_state(State.STOPPED, reason, held.at)
     print(f"zero after {zero.at - broken:.3f} s, stopped after {stopped.at - broken:.3f} s")
     assert held.status.state is State.RUNNING
