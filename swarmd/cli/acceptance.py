@@ -112,6 +112,7 @@ def _test(
     from swarmd.acceptance.steps import steps_of
     from swarmd.cli.acceptance_robot import TestedRobot
 
+    _platform_name(options, robot)
     folder.mkdir(parents=True, exist_ok=True)
     # These signals end the program as Ctrl-C does, so that the robot is stopped.
     with signals_end(), TestedRobot(options, robot, folder, config) as tested:
@@ -350,18 +351,10 @@ def _write_file(folder: Path, record: AcceptanceRecord, keep_names: bool) -> Pat
 def _print_checklist(options: CommonOptions, robot: str, only: str | None) -> None:
     """Print the steps for a robot of this platform, as a page for the hall."""
     from swarmd.acceptance.steps import PARTS, steps_of
-    from swarmd.client.session import Session
-    from swarmd.client.targets import check_known
     from swarmd.settings.platforms import load_platform
 
-    with options.operator() as operator:
-        view = Session(operator, options.timeout, warn).look()
-    check_known(robot, view.members)
-    status = view.members[robot].status
-    if status is None:
-        raise Failure(f"{robot} does not answer; see `swarmctl members`", FAILED)
     part = ""
-    for step in _wanted(steps_of(load_platform(status.platform)), only):
+    for step in _wanted(steps_of(load_platform(_platform_name(options, robot))), only):
         if step.id[0] != part:
             part = step.id[0]
             _say(f"\nPart {part}: {PARTS[part]}")
@@ -369,6 +362,20 @@ def _print_checklist(options: CommonOptions, robot: str, only: str | None) -> No
         _say(step.prepare, "    ")
         if step.motion is not None:
             _say(f"Moves: {step.motion.text}. {step.question}", "    ")
+
+
+def _platform_name(options: CommonOptions, robot: str) -> str:
+    """The platform of a robot; Failure if it is not known, or does not answer."""
+    from swarmd.client.session import Session
+    from swarmd.client.targets import check_known
+
+    with options.operator() as operator:
+        view = Session(operator, options.timeout, warn).look()
+    check_known(robot, view.members)
+    status = view.members[robot].status
+    if status is None:
+        raise Failure(f"{robot} does not answer; see `swarmctl members`", FAILED)
+    return status.platform
 
 
 def _show(options: CommonOptions, path: Path) -> None:

@@ -92,3 +92,15 @@ def test_the_checklist_is_printed_without_a_question(swarm: str) -> None:
 def test_without_a_terminal_nothing_is_asked(swarm: str) -> None:
     done = swarmctl("acceptance", ROBOT, environ={"SWARM": swarm})
     assert (done.code, "no terminal" in done.err) == (2, True)
+
+
+def test_an_unknown_robot_is_told_from_the_known_ones_and_leaves_no_folder(
+    swarm: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "results"
+    with person(swarm, "r02", "--folder", str(folder)) as one:
+        code = one.end()
+    assert code != 0
+    assert "r02" in one.text
+    assert ROBOT in one.text
+    assert not folder.exists()
