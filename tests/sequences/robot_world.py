@@ -108,7 +108,7 @@ class RobotWorld:
         self._kinds: dict[str, list[str]] = {}  # by kind of request, the ids in order
         self._reports: dict[type, list[HostInput]] = {Loaded: [], Stepped: []}
         self._was_running = False
-        self._charge = FULL
+        self._charge = self._told_charge = FULL
         self._shift = 0.0  # s, of the clock of the drivers
         self._count = 0
         self._ticks = 0
@@ -214,6 +214,7 @@ class RobotWorld:
             shared = SharedPose(harness.now, harness.pose, 0.02, 0.01, FRAME)
             harness.step(PoseInput(shared))
         if self._ticks % 10 == 0:
+            self._told_charge = self._charge
             harness.step(ReadingsInput({"battery": self._charge}))
 
     def _scan(self, seq: int, now: float) -> Scan | None:
@@ -361,12 +362,16 @@ class RobotWorld:
         self._shift = 0.0 if self._shift else CLOCK_STEP
 
     def battery(self) -> None:
-        """The battery becomes low, or full again."""
-        is_low = self._charge == FULL
+        """The battery becomes low, or full again.
+
+        A low battery ends the run if a reading has told that the battery was full before.
+        """
+        is_low, was_told = self._charge == FULL, self._told_charge == FULL
         self._charge = EMPTY if is_low else FULL
         if is_low:
             self.advance(LEAST_BATTERY_TIME + 1.0)
-            self._ended("battery", self.harness.now)
+            if was_told:
+                self._ended("battery", self.harness.now)
 
     def push(self) -> None:
         """New code is pushed with a new run: a present run ends, and one of the new code begins."""

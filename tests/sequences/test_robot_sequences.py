@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.core.messages import State
 from tests.histories.invariants import RULES
 from tests.sequences.__main__ import main
 from tests.sequences.robot import ALPHABETS, Alphabet
@@ -43,6 +44,7 @@ def test_no_short_sequence_breaks_a_rule(name: str) -> None:
         ("clock_set", "clock_set", "obstacle", "raises"),
         ("clock_set", "clock_set", "obstacle", "peer_goal:new"),
         ("clock_set", "peer_goal:new", "clock_set", "obstacle"),
+        ("peer_goal:new", "clock_set", "clock_set", "obstacle"),
         ("run", "clock_set", "clock_set", "obstacle", "unknown"),
     ],
     ids=",".join,
@@ -51,6 +53,24 @@ def test_a_robot_sees_an_obstacle_0_7_s_after_its_clock_was_set_back(labels: Lab
     """Sequences of four that broke the rule `hold` when it allowed 0.2 s; the last one waits."""
     total = Tally()
     assert Search(RobotWorld, lambda before: (), 0).replay(labels, total) == 0, total.violations
+
+
+@pytest.mark.parametrize(
+    ("labels", "state"),
+    [
+        (("battery", "run", "battery", "battery"), State.RUNNING),
+        (("battery", "run", "battery", "run", "battery"), State.STOPPED),
+    ],
+    ids=["no reading of a full battery", "a reading of a full battery"],
+)
+def test_a_battery_ends_a_later_run_once_it_was_told_as_full(labels: Labels, state: State) -> None:
+    """By docs/configuration.md: unless the battery is charged and then low again."""
+    total = Tally()
+    assert Search(RobotWorld, lambda before: (), 0).replay(labels, total) == 0, total.violations
+    world = RobotWorld()
+    for label in labels:
+        world.act(label)
+    assert world.harness.robot.state is state
 
 
 def test_each_rule_is_judged_and_each_judge_has_a_rule() -> None:
