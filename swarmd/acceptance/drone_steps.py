@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from swarmd.acceptance import approaches, flights, stops
+from swarmd.acceptance import approaches, calibrated, flights, stops
 from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.step import End, Judge, Motion, Step, Work, reach_of
 from swarmd.acceptance.verdict import Verdict, not_shown
 from swarmd.core.values import Platform
 
 _SPEED = 0.1  # m/s
-_HEIGHT = 0.5  # m, of a platform without heights
 _TAKE_OFF = 4.0  # s, with the estimate that must rest before
-_FLIGHT, _LONG_FLIGHT = 12.0, 15.0  # s with the take-off; long: a person acts meanwhile
+_FLIGHT = 15.0  # s with the take-off; a person acts meanwhile
 _LANDING = 10.0  # s: 5 s of hovering, and the way down
-_ESTOP_LANDING = 6.0  # s
-_ABSENCE = 120.0  # s in which a person ends and restores a daemon, a link or a radio
 _WALL, _WALL_WAY = 1.8, 1.0  # m to a wall ahead whose range shows the way, and the way
 _NEAR_WALL = 1.2  # m
 _AHEAD = 2.0  # m of free air
@@ -42,7 +39,7 @@ CHECK = _not_asked(
 
 def flying_steps(platform: Platform) -> tuple[Step, ...]:
     """Parts B, C and D for a drone."""
-    height = _HEIGHT if platform.heights is None else platform.heights.scan_plane
+    height = 0.5 if platform.heights is None else platform.heights.scan_plane
     fastest = platform.limits.linear
     return (
         *_part_b(height),
@@ -58,9 +55,9 @@ def flying_steps(platform: Platform) -> tuple[Step, ...]:
         ),
         Step(
             "C2",
-            "speed",
+            "flight ahead",
             "Patterns and protection count on the commanded speed.",
-            flights.lands(flights.speed(_SPEED)),
+            flights.lands(calibrated.low_speed(_SPEED, _WALL_WAY / _SPEED)),
             prepare=f"Set the drone on the floor, {_WALL:g} m from a wall that it faces.",
             question=_FREE.format(_WALL),
             motion=_motion(height, _SPEED, _TAKE_OFF + _WALL_WAY / _SPEED),
@@ -182,8 +179,6 @@ def _flight(
     height: float, id: str, name: str, why: str, judge: Judge, *, end: End, prepare: str = ""
 ) -> Step:
     """A flight ahead that `end` ends; all after `B1` need it."""
-    is_by_person = end is End.PERSON
-    motion = _motion(height, _SPEED, _LONG_FLIGHT if is_by_person else _FLIGHT)
     return Step(
         id,
         name,
@@ -191,11 +186,10 @@ def _flight(
         judge,
         prepare=f"Set the drone on the floor. {prepare}".rstrip(),
         question=_FREE.format(_AHEAD),
-        motion=motion._replace(
+        motion=_motion(height, _SPEED, _FLIGHT)._replace(
             end=end,
             end_after=_TAKE_OFF + 2.5,
-            absence=_ABSENCE if is_by_person else stops.LEASE,
-            rest=_ESTOP_LANDING if end is End.ESTOP else _LANDING,
+            absence=stops.ABSENCE if end is End.PERSON else stops.LEASE,
         ),
         needs=() if id == "B1" else ("B1",),
         is_latched=end is End.ESTOP,

@@ -49,7 +49,6 @@ _TEST_SPEED = 0.1  # m/s of the drives of part B
 _LOW_SPEED, _LOW_TIME = 0.02, 5.0  # m/s, s; near obstacles robots creep at 0.015 m/s
 _DOOR_SLACK = 0.2  # m beyond the narrowest door
 _HAND_TIME = 10.0  # s
-_ABSENCE = 120.0  # s in which a person ends and restores a daemon, a link or a bridge
 _LONGEST_CALIBRATION = 600.0  # s
 _BOX_WAY = 1.2  # m to the box
 _SHARES = {"slowly": 0.3, "at half speed": 0.6, "at full speed": 1.0}
@@ -279,7 +278,7 @@ def _lifted(id: str, name: str, why: str, judge: Judge, *, end: End, prepare: st
             is_lifted=True,
             end=end,
             end_after=2.5,
-            absence=_ABSENCE if is_by_person else stops.LEASE,
+            absence=stops.ABSENCE if is_by_person else stops.LEASE,
         ),
         needs=() if id == "B1" else ("B1",),
         is_latched=end is End.ESTOP,

@@ -16,6 +16,8 @@ from swarmd.core.values import Array, Platform
 
 LEASE = 2.0
 """Seconds for which a run goes on without its operator: the lease of each run of the test."""
+ABSENCE = 120.0
+"""Seconds in which a person ends and restores a daemon, a link or a bridge."""
 STOP_TIME = 0.5
 """Seconds from a stop to rest, beside the braking: ticks, the link to the base, odometry."""
 END_TIME = 1.3
@@ -136,7 +138,8 @@ def _rest_after(evidence: Evidence, event: float, within: float) -> Verdict:
     times, ways = track[:, 0], _ways(track)
     stop = stop_of(times, ways, event) if len(track) else None
     if stop is None or stop.speed < _LEAST_CRUISE:
-        return failed(f"it did not drive before its stop: {_standing_cause(evidence.platform)}")
+        causes = "motors off, a dead zone of the base, or a drone that did not take off"
+        return failed(f"it did not drive before its stop: {causes}")
     speed = stop.speed
     bound = within + speed / _braking(evidence.platform)
     seconds = float(times[np.flatnonzero(_is_moving(track, evidence.platform))[-1]]) - event
@@ -155,15 +158,10 @@ def _is_moving(track: Array, platform: Platform) -> Array:
     times, ways = track[:, 0], _ways(track)
     if not is_drone(platform):
         return np.asarray(ways[-1] - ways > _AT_REST)
-    ends = [np.clip(times + half, times[0], times[-1]) for half in (-_DRIFT_TIME, _DRIFT_TIME)]
-    moved = [np.subtract(*(np.interp(end, times, place) for end in ends)) for place in track.T[1:]]
-    return np.asarray(np.hypot(*moved) > HOVER_DRIFT * (ends[1] - ends[0]))
-
-
-def _standing_cause(platform: Platform) -> str:
-    if is_drone(platform):
-        return "the line `driver` of swarmctl describe says why it did not fly"
-    return "motors off, or a dead zone of the base"
+    near = np.interp(times[:, None] + (-_DRIFT_TIME, _DRIFT_TIME), times, np.arange(len(times)))
+    rows = np.rint(near).astype(int)
+    seconds, x, y = (track[rows[:, 1]] - track[rows[:, 0]]).T
+    return np.asarray(np.hypot(x, y) > HOVER_DRIFT * seconds)
 
 
 def _late_cause(stop: Braking, seconds: float, within: float) -> str:
