@@ -75,8 +75,7 @@ def flying_steps(platform: Platform) -> tuple[Step, ...]:
         _not_asked(
             "C4",
             "brakes, response, scan delay",
-            "The drives of calibrate begin before a drone has taken off, and four ranges tell no"
-            " turn.",
+            "The first drive of calibrate is over before a drone has taken off.",
         ),
         *(
             Step(

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from swarmd.acceptance import at_rest, flights, stops
 from swarmd.acceptance.evidence import Evidence, Samples, is_drone
@@ -91,6 +92,20 @@ def test_the_time_to_rest_of_a_drone_that_drifts_is_that_of_its_flight(late: flo
     assert float(found.values["seconds"]) == pytest.approx(late, abs=0.12)
 
 
+def test_a_drone_that_tells_no_height_is_not_said_to_land() -> None:
+    whole = flight(STOP)
+    inputs = [one for one in whole.samples.inputs if not isinstance(one[0], ReadingsInput)]
+    found = flights.lands(stops.after_stop())(Evidence(CRAZYFLIE, Samples(inputs)))
+    assert found.result is Result.FAIL
+
+
+def test_a_drone_that_lands_at_once_does_not_hover() -> None:
+    whole = flight(speed=0.0)
+    early = [one for one in whole.samples.inputs if not 3.0 < one[1] < DOWN]
+    late = [(one, at if at < DOWN else at - 9.0) for one, at in early]
+    assert flights.hovers(Evidence(CRAZYFLIE, Samples(late))).result is Result.FAIL
+
+
 def test_a_drone_that_nobody_watches_is_judged_by_its_last_lease() -> None:
     leases = [(LeaseInput("run", n), 0.5 * n) for n in range(9)]  # the last at 4 s: 2.6 s before
     found = flights.lands(stops.after_silence)(flight(*leases))
@@ -124,6 +139,20 @@ def test_a_wrong_scale_of_the_estimate_is_found_by_the_range_ahead() -> None:
     found = flights.scale(flight(scale=1.1, drift=0.0))
     assert shown(found, "fail", "Flow deck")
     assert found.figure.endswith("1.100")
+
+
+@pytest.mark.parametrize("fields", [{"speed": 0.0}, {"speed": 0.3}])
+def test_a_way_that_the_range_does_not_show_gives_no_scale(fields: dict[str, float]) -> None:
+    """It hardly flew, or flew farther than to the wall."""
+    whole = flight(**fields)  # type: ignore[arg-type]
+    beyond = [
+        (ScanInput(replace(one.scan, ranges=np.full(4, np.inf))), at)
+        if isinstance(one, ScanInput) and one.scan.ranges[0] < 1.0
+        else (one, at)
+        for one, at in whole.samples.inputs
+    ]
+    found = flights.scale(Evidence(CRAZYFLIE, Samples(beyond)))
+    assert shown(found, "not shown", "wall")
 
 
 def test_a_drone_without_a_word_of_its_battery_fails() -> None:
