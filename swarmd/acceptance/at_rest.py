@@ -153,7 +153,7 @@ def hand(wanted: float, ahead: str = "") -> Judge:
         earlier = evidence.earlier.get(ahead)
         is_ahead_right = earlier is not None and earlier.result is Result.PASS
         if is_ahead_right and _is_near(seen, math.radians(-wanted)):
-            cause = "the scan is mirrored: set scan_upside_down"
+            cause = "the scan is mirrored: set scan_upside_down, or swap the left and right sensor"
         else:
             turned = math.degrees(math.remainder(seen - math.radians(wanted), math.tau))
             cause = f"the scan is turned by {turned:.0f} deg: correct scan_yaw_deg"
@@ -185,7 +185,7 @@ def odometry_at_rest(evidence: Evidence) -> Verdict:
 
 def battery(evidence: Evidence) -> Verdict:
     """Whether the charge of the battery is reported, if the platform has it."""
-    if "reading:battery" not in evidence.platform.provides:
+    if not {"reading:battery", "reading:height"} & evidence.platform.provides:  # as each drone
         return not_shown("its platform file names no battery: add reading:battery to provides")
     values = [one.readings.get("battery", math.nan) for _, one in _readings(evidence.samples)]
     if not values or math.isnan(values[-1]):

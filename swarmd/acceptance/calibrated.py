@@ -12,7 +12,7 @@ from swarmd.calibration.figures import DONE, Figure
 from swarmd.calibration.report import usable_report
 from swarmd.protection.assumption_monitor import SOUND
 
-_SCALE_ERROR = 0.05  # share: docs/safety.md, assumptions 7 and 13
+SCALE_ERROR = 0.05  # share: docs/safety.md, assumptions 7 and 13
 _DEVIATIONS = 2.0
 _ROUNDING = 1e-3  # m: figures have six digits
 _LEAST_SHARE = 0.5  # of the commanded way that a base must drive at a low speed
@@ -60,11 +60,11 @@ def scales(calibrated: str, *names: str, cause: str) -> Judge:
 
     def result(figure: Figure) -> Result:
         error = abs(figure.value - 1.0)
-        if error - _DEVIATIONS * figure.spread > _SCALE_ERROR:
+        if error - _DEVIATIONS * figure.spread > SCALE_ERROR:
             return Result.FAIL
-        return _sure(error <= _SCALE_ERROR)
+        return _sure(error <= SCALE_ERROR)
 
-    return _figures(calibrated, names, result, cause, f"1 +- {_SCALE_ERROR:g}")
+    return _figures(calibrated, names, result, cause, f"1 +- {SCALE_ERROR:g}")
 
 
 def scan_delay(calibrated: str) -> Judge:

@@ -394,7 +394,8 @@ class Dialogue:
                 if not self._awaits_person:
                     return self._break_off(not_shown("a key stopped the robot"), now)
                 self._awaits_person = False
-        if self._is_at_rest(now) and not self._awaits_person:
+        is_over = self._broken is not None or now - self._since >= motion.rest
+        if self._is_at_rest(now) and is_over and not self._awaits_person:
             return self._judge(now, self._broken)
         patience = GIVE_UP if self._broken is not None else GIVE_UP + motion.absence
         if now - self._since > patience:

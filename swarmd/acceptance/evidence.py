@@ -14,6 +14,7 @@ from swarmd.core.events import (
     Input,
     LeaseInput,
     OdometryInput,
+    ReadingsInput,
     RequestInput,
     ScanInput,
 )
@@ -23,6 +24,7 @@ from swarmd.core.values import Odometry, Platform, Scan, Twist
 from swarmd.core.verbs import EstopRequest, StopRequest
 
 K = TypeVar("K", bound=Struct)
+_HEIGHT = "height"  # the reading, in m above the floor
 
 
 class TimedDecision(NamedTuple):
@@ -61,6 +63,12 @@ class Samples:
         return [(at, odometry) for at, odometry in readings if odometry.is_valid]
 
     @property
+    def heights(self) -> list[tuple[float, float]]:
+        """The arrival of each reading of the height of a drone, with the height in m."""
+        readings = ((at, input.readings) for at, input in self.of(ReadingsInput))
+        return [(at, one[_HEIGHT]) for at, one in readings if _HEIGHT in one]
+
+    @property
     def driver_states(self) -> list[DriverInput]:
         """The states of the base; the first is that at the begin of the recording."""
         return [input for _, input in self.of(DriverInput)]
@@ -93,3 +101,8 @@ class Evidence:
     status: Status | None = None
     findings: Sequence[Finding] = ()
     earlier: Mapping[str, Verdict] = field(default_factory=dict)
+
+
+def is_drone(platform: Platform) -> bool:
+    """True for a platform that reports its height: it flies."""
+    return f"reading:{_HEIGHT}" in platform.provides

@@ -36,9 +36,11 @@ class Motion(NamedTuple):
     turn: float  # rad/s
     reach: float  # m from the place where the step begins, by odometry
     is_lifted: bool = False  # the wheels do not touch the floor
+    height: float = 0.0  # m to which a drone takes off first
     end: End = End.RUN
     end_after: float = 0.0  # s of motion until the end that the dialogue brings about
     absence: float = 0.0  # s for which the robot may not be heard meanwhile
+    rest: float = 0.0  # s at least from the end until the step is judged: a drone lands
 
     @property
     def stop_at(self) -> float:
@@ -50,10 +52,17 @@ class Motion(NamedTuple):
         """The bounds in words."""
         turn = f", turns at up to {self.turn:.1f} rad/s" if self.turn else ""
         where = "its wheels are lifted and turn by" if self.is_lifted else "it moves by"
+        if self.height:
+            where = f"it takes off to {self.height:.2f} m, and flies by"
         return (
             f"{where} {self.reach:.2f} m at most, at up to {self.speed:.2f} m/s{turn}, for"
             f" {self.seconds:.0f} s at most"
         )
+
+
+def reach_of(speed: float, seconds: float) -> float:
+    """The announced bound in m of a drive at `speed` m/s that ends by itself after `seconds`."""
+    return speed * (seconds + _SLACK_TIME) + _SLACK
 
 
 class Work(StrEnum):
@@ -106,6 +115,7 @@ class Step:
         return self.seconds + moves + (_ANSWER_TIME if self.is_asked else 0.0)
 
 
+_SLACK_TIME, _SLACK = 2.0, 0.1  # s at full speed and m, for a base that stops late
 _STOP_TIME = 0.7  # s of way at full speed, from a pose that is too far to rest
 _ANSWER_TIME = 45.0  # s to read and to prepare: an estimate
 _USUAL_TIME = 120.0  # s of a motion whose bound is longer, such as a calibration

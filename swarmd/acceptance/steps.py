@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.acceptance import approaches, at_rest, calibrated, stops
-from swarmd.acceptance.step import End, Judge, Motion, Step, Work
+from swarmd.acceptance import approaches, at_rest, calibrated, drone_steps, stops
+from swarmd.acceptance.evidence import is_drone
+from swarmd.acceptance.step import End, Judge, Motion, Step, Work, reach_of
 from swarmd.calibration.figures import PATTERN
 from swarmd.calibration.floor import needed_floor, top_speeds
 from swarmd.core.values import Platform
@@ -46,10 +47,8 @@ NOT_SHOWN_YET: Mapping[str, tuple[str, ...]] = {
 
 _TEST_SPEED = 0.1  # m/s of the drives of part B
 _LOW_SPEED, _LOW_TIME = 0.02, 5.0  # m/s, s; near obstacles robots creep at 0.015 m/s
-_SLACK_TIME, _SLACK = 2.0, 0.1  # s at full speed and m, for a base that stops late
 _DOOR_SLACK = 0.2  # m beyond the narrowest door
 _HAND_TIME = 10.0  # s
-_ABSENCE = 120.0  # s in which a person ends and restores a daemon, a link or a bridge
 _LONGEST_CALIBRATION = 600.0  # s
 _BOX_WAY = 1.2  # m to the box
 _SHARES = {"slowly": 0.3, "at half speed": 0.6, "at full speed": 1.0}
@@ -61,11 +60,23 @@ _BEARINGS = {
 
 
 def steps_of(platform: Platform) -> tuple[Step, ...]:
-    """All steps for robots of a platform; a base without a range sensor has no part D."""
-    return (*_part_a(), *_part_b(), *_part_c(platform), *_part_d(platform))
+    """All steps for robots of a platform; a drone has rows of its own (drone_steps.py)."""
+    if is_drone(platform):
+        return (*_part_a(drone_steps.CHECK, "range sensors"), *drone_steps.flying_steps(platform))
+    return (*_part_a(_CHECK, "lidar"), *_part_b(), *_part_c(platform), *_part_d(platform))
 
 
-def _part_a() -> tuple[Step, ...]:
+_CHECK = Step(
+    "A5",
+    "check",
+    "swarmd --check compares the robot's nodes and topics with its configuration.",
+    at_rest.all_findings,
+    work=Work.CHECK,
+)
+
+
+def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
+    """The steps of part A; `lidar`: what measures its scans, in words."""
     doctor: dict[str, Any] = {"work": Work.DOCTOR, "seconds": LISTEN_TIME}
     same: dict[str, Any] = {"work": Work.NOTHING, "of": "A6"}
     return (
@@ -102,13 +113,7 @@ def _part_a() -> tuple[Step, ...]:
             ),
             **doctor,
         ),
-        Step(
-            "A5",
-            "check",
-            "swarmd --check compares the robot's nodes and topics with its configuration.",
-            at_rest.all_findings,
-            work=Work.CHECK,
-        ),
+        check,
         Step(
             "A6",
             "base",
@@ -152,7 +157,7 @@ def _part_a() -> tuple[Step, ...]:
             at_rest.battery,
             **same,
         ),
-        *(_hand(*row) for row in _HANDS),
+        *(_hand(*row, lidar) for row in _HANDS),
     )
 
 
@@ -165,14 +170,14 @@ _HANDS = (
 )
 
 
-def _hand(id: str, side: str, bearing: float) -> Step:
+def _hand(id: str, side: str, bearing: float, lidar: str) -> Step:
     return Step(
         id,
         f"hand {side} it",
         "A lidar that is turned or mirrored sends the robot into what it sees elsewhere.",
         at_rest.hand(bearing, "" if id == "A12" else "A12"),
         prepare=f"Stand back. Answer y, count to three, then hold a hand {side} the robot, 30 cm"
-        " away, as high as its lidar, until the next step.",
+        f" away, as high as its {lidar}, until the next step.",
         seconds=_HAND_TIME,
     )
 
@@ -269,11 +274,11 @@ def _lifted(id: str, name: str, why: str, judge: Judge, *, end: End, prepare: st
             seconds,
             speed=_TEST_SPEED,
             turn=0.0,
-            reach=_reach(_TEST_SPEED, seconds),
+            reach=reach_of(_TEST_SPEED, seconds),
             is_lifted=True,
             end=end,
             end_after=2.5,
-            absence=_ABSENCE if is_by_person else stops.LEASE,
+            absence=stops.ABSENCE if is_by_person else stops.LEASE,
         ),
         needs=() if id == "B1" else ("B1",),
         is_latched=end is End.ESTOP,
@@ -297,7 +302,7 @@ def _part_c(platform: Platform) -> tuple[Step, ...]:
                 _LOW_TIME,
                 speed=_LOW_SPEED,
                 turn=0.0,
-                reach=_reach(_LOW_SPEED, _LOW_TIME),
+                reach=reach_of(_LOW_SPEED, _LOW_TIME),
             ),
             needs=("B1",),
         ),
@@ -446,12 +451,7 @@ def _approach(
             _BOX_WAY / speed,
             speed=speed,
             turn=turn,
-            reach=_reach(speed, _BOX_WAY / speed),
+            reach=reach_of(speed, _BOX_WAY / speed),
         ),
         needs=("B1", "C2"),
     )
-
-
-def _reach(speed: float, seconds: float) -> float:
-    """The announced bound in m of a drive at `speed` m/s that ends by itself after `seconds`."""
-    return speed * (seconds + _SLACK_TIME) + _SLACK

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swarmd.acceptance.evidence import Evidence, Samples
+from swarmd.acceptance.evidence import Evidence, Samples, is_drone
 from swarmd.acceptance.step import Judge
 from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
 from swarmd.calibration.estimators import CRUISE, Braking, stop_of
@@ -16,11 +16,17 @@ from swarmd.core.values import Array, Platform
 
 LEASE = 2.0
 """Seconds for which a run goes on without its operator: the lease of each run of the test."""
+ABSENCE = 120.0
+"""Seconds in which a person ends and restores a daemon, a link or a bridge."""
 STOP_TIME = 0.5
 """Seconds from a stop to rest, beside the braking: ticks, the link to the base, odometry."""
 END_TIME = 1.3
 """As STOP_TIME, after the daemon or its link to the base has ended: the base stops within 0.6 s
 (docs/safety.md), and the last 0.5 s of a killed daemon are not in its recording."""
+HOVER_DRIFT = 0.03
+"""m/s at which a drone that hovers may drift; our guess."""
+_DRIFT_TIME = 0.2  # s before and after, over which a drift is told from a flight
+_HOVER_TIME = 2.0  # s of hovering that are looked at; land_after is longer
 _AT_REST = 0.001  # m: a base that moves no farther rests
 _LEAST_CRUISE = 0.02  # m/s
 _GOES_ON = 0.5  # share of the cruise at the end of the recording: the base does not brake
@@ -63,7 +69,7 @@ def across_gap(what: str) -> Judge:
     """
 
     def judge(evidence: Evidence) -> Verdict:
-        track = _track(evidence.samples)
+        track = track_of(evidence.samples)
         gaps = np.diff(track[:, 0])
         if not len(gaps) or gaps.max() < _LEAST_GAP:
             return not_shown("odometry did not pause, or did not come back: nothing had ended")
@@ -110,22 +116,33 @@ def is_reset(evidence: Evidence) -> Verdict:
     return passed("it can be reset, and does not move")
 
 
+def track_of(samples: Samples) -> Array:
+    """(n, 3) arrival in s, and x and y in m, of each reading of odometry."""
+    rows: Sequence[tuple[float, float, float]] = [
+        (at, reading.pose.x, reading.pose.y) for at, reading in samples.odometry
+    ]
+    return np.array(rows, np.float64).reshape(-1, 3)
+
+
 def way_of(samples: Samples) -> float:
     """The way in m from the first to the last reading of odometry, straight."""
-    track = _track(samples)
+    track = track_of(samples)
     return math.hypot(*(track[-1, 1:3] - track[0, 1:3])) if len(track) else 0.0
 
 
 def _rest_after(evidence: Evidence, event: float, within: float) -> Verdict:
     """The verdict on the rest after `event` s, which must come `within` s and the braking."""
-    track = _track(evidence.samples)
+    track = track_of(evidence.samples)
+    if is_drone(evidence.platform):
+        track = track[track[:, 0] <= event + within + _HOVER_TIME]
     times, ways = track[:, 0], _ways(track)
     stop = stop_of(times, ways, event) if len(track) else None
     if stop is None or stop.speed < _LEAST_CRUISE:
-        return failed("it did not drive before its stop: motors off, or a dead zone of the base")
+        causes = "motors off, a dead zone of the base, or a drone that did not take off"
+        return failed(f"it did not drive before its stop: {causes}")
     speed = stop.speed
     bound = within + speed / _braking(evidence.platform)
-    seconds = float(times[np.flatnonzero(ways[-1] - ways > _AT_REST)[-1]]) - event
+    seconds = float(times[np.flatnonzero(_is_moving(track, evidence.platform))[-1]]) - event
     way = stop.seconds * speed
     values = {"seconds": seconds, "way": way, "speed": speed}
     figure = f"{max(seconds, 0.0):.2f} s, {way:.2f} m"
@@ -134,6 +151,17 @@ def _rest_after(evidence: Evidence, event: float, within: float) -> Verdict:
     if seconds > bound:
         return failed(_late_cause(stop, seconds, within), figure, f"{bound:.2f} s", **values)
     return passed(f"at rest from {speed:.2f} m/s", figure, f"{bound:.2f} s", **values)
+
+
+def _is_moving(track: Array, platform: Platform) -> Array:
+    """(n,) bool: whether the base still moves at each row; a drone that drifts does not."""
+    times, ways = track[:, 0], _ways(track)
+    if not is_drone(platform):
+        return np.asarray(ways[-1] - ways > _AT_REST)
+    near = np.interp(times[:, None] + (-_DRIFT_TIME, _DRIFT_TIME), times, np.arange(len(times)))
+    rows = np.rint(near).astype(int)
+    seconds, x, y = (track[rows[:, 1]] - track[rows[:, 0]]).T
+    return np.asarray(np.hypot(x, y) > HOVER_DRIFT * seconds)
 
 
 def _late_cause(stop: Braking, seconds: float, within: float) -> str:
@@ -146,14 +174,6 @@ def _late_cause(stop: Braking, seconds: float, within: float) -> str:
 def _speed_at_end(times: Array, ways: Array) -> float:
     recent = float(times[-1]) - CRUISE
     return (float(ways[-1]) - float(np.interp(recent, times, ways))) / CRUISE
-
-
-def _track(samples: Samples) -> Array:
-    """(n, 3) arrival in s, and x and y in m, of each reading of odometry."""
-    rows: Sequence[tuple[float, float, float]] = [
-        (at, reading.pose.x, reading.pose.y) for at, reading in samples.odometry
-    ]
-    return np.array(rows, np.float64).reshape(-1, 3)
 
 
 def _ways(track: Array) -> Array:

@@ -102,6 +102,17 @@ def test_a_look_begins_by_itself_and_a_drive_only_after_a_yes() -> None:
     assert talk.take(Line(" Yes ")) == (Begin(DRIVE),)
 
 
+def test_a_drone_is_judged_once_its_landing_is_over_or_at_once_after_a_key() -> None:
+    step = make_step("B1", motion=MOTION._replace(end=End.STOP, end_after=1.0, rest=10.0))
+    talk = Talk(step).under_way()
+    assert talk.move(0.1, 1.0) == [Bring(End.STOP)]
+    assert not talk.rest(9.5)
+    assert talk.rest(1.0) == [Judge(step)]
+    talk = Talk(step).under_way()
+    assert talk.take(Key()) == (Stop(),)
+    assert Judge(step) in talk.rest(2.0)
+
+
 @pytest.mark.parametrize("word", ["", "n", "No"])
 def test_a_no_is_kept_and_asks_on(word: str) -> None:
     talk = Talk(DRIVE)

@@ -39,6 +39,7 @@ from swarmd.core.values import Pose
 from swarmd.settings.platforms import load_platform
 
 STEPS = steps_of(load_platform("burger"))
+FLIGHTS = steps_of(load_platform("crazyflie"))
 SEEDS = 200
 PERIOD = 0.1  # s between two sights
 LEASE = 2.0  # s, as the runs of the test have
@@ -96,11 +97,13 @@ class Base:
 class History:
     """One history, drawn by its seed."""
 
-    def __init__(self, seed: int) -> None:
-        self.random = random.Random(seed)
-        self.base = Base(self.random.choice(FAULTS))
+    def __init__(
+        self, seed: int, steps: tuple[Step, ...] = STEPS, faults: tuple[str, ...] = FAULTS
+    ) -> None:
+        self.random, self.steps = random.Random(seed), steps
+        self.base = Base(self.random.choice(faults))
         self.now = 0.0
-        self.dialogue = Dialogue(STEPS, self.earlier())
+        self.dialogue = Dialogue(steps, self.earlier())
         self.cut_until = 0.0
         self.consent = ""  # the step whose question the person has read and answered with yes
         self.place = 0.0
@@ -114,7 +117,9 @@ class History:
         obeys = self.base.fault != "ignores zero"
         known: dict[str, Verdict] = {}
         if self.random.random() < 0.6:
-            known = {step.id: passed("") for step in STEPS[: self.random.randrange(len(STEPS))]}
+            known = {
+                step.id: passed("") for step in self.steps[: self.random.randrange(len(self.steps))]
+            }
         if not obeys:
             known = {name: one for name, one in known.items() if name < "B"}
         return known
@@ -230,6 +235,18 @@ def test_nothing_moves_without_a_yes_or_beyond_its_bound(seed: int) -> None:
         assert abs(history.base.speed) < 0.01
     if history.base.fault == "ignores zero":
         assert not [name for name in history.began if name.startswith(("C", "D"))]
+
+
+def test_a_drone_that_obeys_zero_flies_within_its_bounds() -> None:
+    """It has no block: one that ignores zero leaves its circle until it has landed."""
+    obeying = tuple(fault for fault in FAULTS if fault != "ignores zero")
+    began = Counter[str]()
+    for seed in range(SEEDS):
+        history = History(seed, FLIGHTS, obeying)
+        while not history.is_over and history.now < LONGEST:
+            history.advance()
+        began.update(history.began)
+    assert not [step.id for step in FLIGHTS if step.motion is not None and not began[step.id]]
 
 
 def test_the_histories_reach_all_kinds_of_ends() -> None:
