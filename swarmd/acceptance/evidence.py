@@ -101,8 +101,3 @@ class Evidence:
     status: Status | None = None
     findings: Sequence[Finding] = ()
     earlier: Mapping[str, Verdict] = field(default_factory=dict)
-
-
-def is_drone(platform: Platform) -> bool:
-    """True for a platform that reports its height: it flies."""
-    return f"reading:{_HEIGHT}" in platform.provides

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from swarmd.acceptance import approaches, at_rest, calibrated, drone_steps, stops
-from swarmd.acceptance.evidence import is_drone
 from swarmd.acceptance.step import End, Judge, Motion, Step, Work, reach_of
 from swarmd.calibration.figures import PATTERN
 from swarmd.calibration.floor import needed_floor, top_speeds
@@ -61,7 +60,7 @@ _BEARINGS = {
 
 def steps_of(platform: Platform) -> tuple[Step, ...]:
     """All steps for robots of a platform; a drone has rows of its own (drone_steps.py)."""
-    if is_drone(platform):
+    if platform.is_drone:
         return (*_part_a(drone_steps.CHECK, "range sensors"), *drone_steps.flying_steps(platform))
     return (*_part_a(_CHECK, "lidar"), *_part_b(), *_part_c(platform), *_part_d(platform))
 

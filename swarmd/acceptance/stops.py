@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swarmd.acceptance.evidence import Evidence, Samples, is_drone
+from swarmd.acceptance.evidence import Evidence, Samples
 from swarmd.acceptance.step import Judge
 from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
 from swarmd.calibration.estimators import CRUISE, Braking, stop_of
@@ -133,7 +133,7 @@ def way_of(samples: Samples) -> float:
 def _rest_after(evidence: Evidence, event: float, within: float) -> Verdict:
     """The verdict on the rest after `event` s, which must come `within` s and the braking."""
     track = track_of(evidence.samples)
-    if is_drone(evidence.platform):
+    if evidence.platform.is_drone:
         track = track[track[:, 0] <= event + within + _HOVER_TIME]
     times, ways = track[:, 0], _ways(track)
     stop = stop_of(times, ways, event) if len(track) else None
@@ -156,7 +156,7 @@ def _rest_after(evidence: Evidence, event: float, within: float) -> Verdict:
 def _is_moving(track: Array, platform: Platform) -> Array:
     """(n,) bool: whether the base still moves at each row; a drone that drifts does not."""
     times, ways = track[:, 0], _ways(track)
-    if not is_drone(platform):
+    if not platform.is_drone:
         return np.asarray(ways[-1] - ways > _AT_REST)
     near = np.interp(times[:, None] + (-_DRIFT_TIME, _DRIFT_TIME), times, np.arange(len(times)))
     rows = np.rint(near).astype(int)

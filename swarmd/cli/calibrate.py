@@ -89,6 +89,7 @@ def calibrate(
         member = view.members[robot]
         is_alive = member.presence is Presence.ALIVE
         status = _resting_status(robot, member.status if is_alive else None)
+        _check_wheels(robot, status)
         side_m = _floor(status) if floor is None else floor
         statuses = {name: other_member.status for name, other_member in view.members.items()}
         if moving := running_beside(statuses, robot):
@@ -112,6 +113,18 @@ def _resting_status(robot: str, status: Status | None) -> Status:
         activity = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
         raise Failure(f"{robot} {activity}; nothing was sent; it must be idle or stopped", REFUSED)
     return status
+
+
+def _check_wheels(robot: str, status: Status) -> None:
+    """Failure for a drone, as far as its platform is known here."""
+    from swarmd.settings.platforms import load_platform, platform_names
+
+    if status.platform in platform_names() and load_platform(status.platform).is_drone:
+        raise Failure(
+            f"{robot} is a drone: the drives of a calibration are over before it has taken off;"
+            f" nothing was sent; see swarmctl acceptance {robot}",
+            REFUSED,
+        )
 
 
 def running_beside(statuses: Mapping[str, Status | None], robot: str) -> list[str]:

@@ -430,6 +430,11 @@ class Platform:
     sensors: Mapping[str, Array] = field(default_factory=dict)
     words: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
+    @property
+    def is_drone(self) -> bool:
+        """True for a platform that reports its height: it flies."""
+        return f"{_READING}height" in self.provides
+
 
 OPTION_INPUTS = ("detections",)
 """Inputs of patterns that a driver gives if it has an option of that name.

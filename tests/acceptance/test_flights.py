@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.acceptance import at_rest, flights, stops
-from swarmd.acceptance.evidence import Evidence, Samples, is_drone
+from swarmd.acceptance.evidence import Evidence, Samples
 from swarmd.acceptance.step import End, Step
 from swarmd.acceptance.steps import steps_of
 from swarmd.acceptance.verdict import Result, Verdict
@@ -164,7 +164,7 @@ def test_a_drone_without_a_word_of_its_battery_fails() -> None:
 
 
 def test_drones_are_told_by_their_height() -> None:
-    drones = [name for name in platform_names() if is_drone(load_platform(name))]
+    drones = [name for name in platform_names() if load_platform(name).is_drone]
     assert drones == ["crazyflie"]
 
 

@@ -226,6 +226,21 @@ def test_late_scans_need_a_larger_floor() -> None:
     assert none == known < late
 
 
+def test_a_drone_is_refused_before_anything_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    def of_drone(daemon: FakeDaemon) -> Status:
+        return replace(light_status(daemon.robot, daemon.instance), platform="crazyflie")
+
+    monkeypatch.setattr(FakeDaemon, "status", of_drone)
+    settings = NetworkSettings(swarm=unique_swarm())
+    with closing(FakeSwarm(settings, (ROBOT,))) as fleet:
+        words = ("calibrate", ROBOT, "--floor", "3", "--yes")
+        done = swarmctl(*words, environ={"SWARM": settings.swarm})
+        asked = fleet[ROBOT].different_requests
+    assert (done.code, f"{ROBOT} is a drone" in done.err, list(asked)) == (DISTURBED, True, []), (
+        done
+    )
+
+
 def test_robots_that_run_beside_it_are_named() -> None:
     members = (make_member(ROBOT), make_member("r02"), ESTOPPED)
     statuses = {member.robot: member.status for member in members} | {"r09": None}
