@@ -39,7 +39,9 @@ def findings_on(*subjects: str) -> Judge:
             return failed(f"two daemons have its name: {evidence.status.detail}; stop one of them")
         found = [finding for finding in evidence.findings if finding.subject in subjects]
         if bad := [finding for finding in found if not finding.is_well]:
-            texts = (f"{bad_one.subject}: {bad_one.text}; {bad_one.remedy}" for bad_one in bad)
+            texts = (
+                f"{one.subject}: {'; '.join(filter(None, (one.text, one.remedy)))}" for one in bad
+            )
             return failed("; ".join(texts), f"{len(bad)} of {len(found)}", "0 findings")
         known = [finding for finding in found if finding.is_measured]
         if not known:

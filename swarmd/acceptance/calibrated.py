@@ -8,7 +8,7 @@ from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.step import Judge
 from swarmd.acceptance.stops import way_of
 from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
-from swarmd.calibration.figures import DONE, Figure
+from swarmd.calibration.figures import DONE, NOT_FREE, Figure
 from swarmd.calibration.report import usable_report
 from swarmd.protection.assumption_monitor import SOUND
 
@@ -24,8 +24,8 @@ def calibration(evidence: Evidence) -> Verdict:
     if status is None:
         return not_shown("the robot did not answer after its drives")
     if status.report.get("state") != DONE:
-        why = status.report.get("why") or status.detail or "it did not finish"
-        return failed(f"no figures: {why}")
+        why = str(status.report.get("why") or status.detail or "it did not finish")
+        return (not_shown if NOT_FREE in why else failed)(f"no figures: {why}")
     report = usable_report(status.report, status.decision)
     if report is None:
         return not_shown("protection limited the drives: repeat it on a larger floor")

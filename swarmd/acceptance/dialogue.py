@@ -399,7 +399,8 @@ class Dialogue:
             return self._judge(now, self._broken)
         patience = GIVE_UP if self._broken is not None else GIVE_UP + motion.absence
         if now - self._since > patience:
-            self._last_word = "the robot does not rest: use the switch of its base"
+            what = "does not rest" if self._is_heard(now) else "is not heard, and may move"
+            self._last_word = f"the robot {what}: use the switch of its base"
             self._broken = self._broken or failed("it did not come to rest")
             return [Stop(), *self._judge(now, self._broken)]
         # A planned end is waited for; the stop of a broken step is repeated.

@@ -11,6 +11,8 @@ from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.verdict import Verdict
 
 Judge = Callable[[Evidence], Verdict]
+SLACK_TIME = 2.0
+"""s at full speed that a bound of motion has for a base that stops late."""
 
 
 class End(StrEnum):
@@ -62,7 +64,7 @@ class Motion(NamedTuple):
 
 def reach_of(speed: float, seconds: float) -> float:
     """The announced bound in m of a drive at `speed` m/s that ends by itself after `seconds`."""
-    return speed * (seconds + _SLACK_TIME) + _SLACK
+    return speed * (seconds + SLACK_TIME) + _SLACK
 
 
 class Work(StrEnum):
@@ -115,7 +117,7 @@ class Step:
         return self.seconds + moves + (_ANSWER_TIME if self.is_asked else 0.0)
 
 
-_SLACK_TIME, _SLACK = 2.0, 0.1  # s at full speed and m, for a base that stops late
+_SLACK = 0.1  # m, for a base that stops late
 _STOP_TIME = 0.7  # s of way at full speed, from a pose that is too far to rest
 _ANSWER_TIME = 45.0  # s to read and to prepare: an estimate
 _USUAL_TIME = 120.0  # s of a motion whose bound is longer, such as a calibration

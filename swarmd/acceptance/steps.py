@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from swarmd.acceptance import approaches, at_rest, calibrated, drone_steps, stops
-from swarmd.acceptance.step import End, Judge, Motion, Step, Work, reach_of
+from swarmd.acceptance.step import SLACK_TIME, End, Judge, Motion, Step, Work, reach_of
 from swarmd.calibration.figures import PATTERN
 from swarmd.calibration.floor import needed_floor, top_speeds
 from swarmd.core.values import Platform
@@ -49,6 +50,7 @@ _LOW_SPEED, _LOW_TIME = 0.02, 5.0  # m/s, s; near obstacles robots creep at 0.01
 _DOOR_SLACK = 0.2  # m beyond the narrowest door
 _HAND_TIME = 10.0  # s
 _LONGEST_CALIBRATION = 600.0  # s
+_OTHERS_SPEED = 0.3  # m/s of a box that is pushed, for a robot without a barrier
 _BOX_WAY = 1.2  # m to the box
 _SHARES = {"slowly": 0.3, "at half speed": 0.6, "at full speed": 1.0}
 _BEARINGS = {
@@ -62,7 +64,8 @@ def steps_of(platform: Platform) -> tuple[Step, ...]:
     """All steps for robots of a platform; a drone has rows of its own (drone_steps.py)."""
     if platform.is_drone:
         return (*_part_a(drone_steps.CHECK, "range sensors"), *drone_steps.flying_steps(platform))
-    return (*_part_a(_CHECK, "lidar"), *_part_b(), *_part_c(platform), *_part_d(platform))
+    part_d = (_as_it_evades(step, platform) for step in _part_d(platform))
+    return (*_part_a(_CHECK, "lidar"), *_part_b(), *_part_c(platform), *part_d)
 
 
 _CHECK = Step(
@@ -393,6 +396,7 @@ def _part_d(platform: Platform) -> tuple[Step, ...]:
     half = 0.5 * fastest
     first = len(boxes) + 1
     passage = narrowest_passage(make_mode(platform))
+    others = (platform.protection["barrier"] or {}).get("others_speed", _OTHERS_SPEED)
     door = 4.0 * _body_width(platform) if passage is None else passage.door + _DOOR_SLACK
     return (
         *boxes,
@@ -407,8 +411,9 @@ def _part_d(platform: Platform) -> tuple[Step, ...]:
         _approach(
             f"D{first + 1}",
             "box pushed",
-            approaches.distance_left,
-            "Push the box with a stick towards the robot at walking speed, from 2 m ahead.",
+            approaches.pushed,
+            "Push the box with a stick towards the robot, from 2 m ahead, as slowly as protection"
+            f" assumes others: {others:g} m/s.",
             half,
         ),
         _approach(
@@ -453,4 +458,15 @@ def _approach(
             reach=reach_of(speed, _BOX_WAY / speed),
         ),
         needs=("B1", "C2"),
+    )
+
+
+def _as_it_evades(step: Step, platform: Platform) -> Step:
+    """The step with the speeds of mode `potential_field`, which evades a box at full speed."""
+    motion, limits = step.motion, platform.limits
+    if motion is None or platform.protection["mode"] != "potential_field":
+        return step
+    reach = motion.reach + SLACK_TIME * (limits.linear - motion.speed)
+    return replace(
+        step, motion=motion._replace(speed=limits.linear, turn=limits.angular, reach=reach)
     )

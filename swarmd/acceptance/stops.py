@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from swarmd.acceptance.evidence import Evidence, Samples
 from swarmd.acceptance.step import Judge
@@ -59,7 +60,12 @@ def after_silence(evidence: Evidence) -> Verdict:
         return not_shown("no lease arrived at the robot")
     pauses = np.diff(leases, append=math.inf)
     last = leases[int(np.flatnonzero(pauses > _PAUSE)[0])]
-    return _rest_after(evidence, last, LEASE + STOP_TIME)
+    verdict = _rest_after(evidence, last, LEASE + STOP_TIME)
+    late = [one for one in evidence.samples.decisions if one.at > last + LEASE + STOP_TIME]
+    if verdict.result is Result.FAIL and any(not one.safe.is_zero for one in late):
+        reason = "the daemon drove on without its operator: the run lease did not end the run"
+        return replace(verdict, reason=reason)
+    return verdict
 
 
 def across_gap(what: str) -> Judge:

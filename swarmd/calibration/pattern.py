@@ -289,7 +289,7 @@ class Calibration(Pattern[CalibrationParams]):
             bearing = math.degrees(math.atan2(nearest[1], nearest[0]))
             side = self.params.floor
             raise _EndError(
-                f"the floor of {side:g} x {side:g} m is not free: something stands"
+                f"the floor of {side:g} x {side:g} m {figures.NOT_FREE}: something stands"
                 f" {float(ranges.min()):.2f} m from the axle at {bearing:.0f} deg (90: left);"
                 " remove it, or put the robot elsewhere"
             )

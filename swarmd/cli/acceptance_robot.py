@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from swarmd.acceptance.dialogue import Input, Judged, Refused, Sight
 from swarmd.acceptance.evidence import Evidence, Samples
-from swarmd.acceptance.result_file import RECORDINGS
+from swarmd.acceptance.result_file import RECORD, RECORDINGS
 from swarmd.acceptance.samples import read_samples
 from swarmd.acceptance.step import End, Step, Work
 from swarmd.acceptance.stops import LEASE
@@ -31,7 +31,7 @@ from swarmd.client.targets import Targets
 from swarmd.core.clock import boottime
 from swarmd.core.errors import SwarmError
 from swarmd.core.finding import Finding, unknown, warning
-from swarmd.core.messages import State, Status
+from swarmd.core.messages import Reason, State, Status
 from swarmd.core.values import Pose
 from swarmd.core.verbs import RecordingFile, RecordRequest
 from swarmd.recording.fetch import Ask, fetch, recordings_of
@@ -92,6 +92,20 @@ class TestedRobot:
 
         SwarmError if it does not answer, or does not record.
         """
+        try:
+            self._learn()
+        except SwarmError:  # the files of two daemons differ
+            status = self.status()
+            if status is None or status.reason is not Reason.DUPLICATE_ID:
+                raise
+            text = f"two daemons have its name: {status.detail}; stop one of them"
+            raise SwarmError(f"{self.robot}: {text}") from None
+        threading.Thread(target=self._watch, name="acceptance-watch", daemon=True).start()
+
+    def _learn(self) -> None:
+        """Make and read a short recording."""
+        if (self._folder / RECORD).exists():  # an interrupted step may still be recorded
+            self._record("stop")
         self._start_recording()
         time.sleep(_PROBE_TIME)
         files = self._fetched(_PROBE)
@@ -100,7 +114,6 @@ class TestedRobot:
             raise SwarmError(f"{self.robot} {text}")
         self.head = head_of(files[-1].about, str(files[-1].path))
         files[-1].path.unlink()
-        threading.Thread(target=self._watch, name="acceptance-watch", daemon=True).start()
 
     # What the dialogue wants
 

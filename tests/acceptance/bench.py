@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from msgspec.structs import replace as replace_struct
@@ -208,7 +208,7 @@ class Bench:
 
     # Time
 
-    def run(self, longest: float = 1500.0) -> Bench:
+    def run(self, longest: float = 1500.0) -> Self:
         """Carry the dialogue out to its end."""
         end = self.now + longest
         while not self.is_over and self.now < end:

@@ -7,7 +7,7 @@ import pty
 import select
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
 from tests.support.processes import CAP, wait_until
@@ -18,15 +18,27 @@ READ_TIME = 1.5  # s that a person reads a question
 
 
 class Person:
-    """What a person sees and types: `swarmctl acceptance` in a process with a terminal."""
+    """What a person sees and types: `swarmctl acceptance` in a process with a terminal.
 
-    def __init__(self, swarm: str, robot: str, *words: str) -> None:
+    `prefix`: a command that becomes the program, such as that of a network namespace. `environ` is
+    added to the environment.
+    """
+
+    def __init__(
+        self,
+        swarm: str,
+        robot: str,
+        *words: str,
+        prefix: Sequence[str] = (),
+        environ: Mapping[str, str] | None = None,
+    ) -> None:
         self.text = ""
         self._read_to = 0
         self.pid, self.keyboard = pty.fork()
         if self.pid == 0:
-            os.environ.update(SWARM=swarm, COLUMNS="40")
-            os.execv(SWARMCTL[0], [*SWARMCTL, "acceptance", robot, *words])
+            os.environ.update({"SWARM": swarm, "COLUMNS": "40", **(environ or {})})
+            command = [*prefix, *SWARMCTL, "acceptance", robot, *words]
+            os.execvp(command[0], command)
 
     def see(self, seconds: float) -> None:
         """Take what comes within `seconds`."""
@@ -43,6 +55,11 @@ class Person:
             assert time.monotonic() < end, self.text
             self.see(0.1)
         self._read_to = place + len(word)
+
+    @property
+    def words(self) -> str:
+        """What was read so far, without breaks of lines."""
+        return " ".join(self.text.split())
 
     def answer(self, text: str) -> None:
         """Read the next question, and answer it."""
@@ -70,8 +87,14 @@ class Person:
 
 
 @contextmanager
-def person(swarm: str, robot: str, *words: str) -> Iterator[Person]:
-    one = Person(swarm, robot, *words)
+def person(
+    swarm: str,
+    robot: str,
+    *words: str,
+    prefix: Sequence[str] = (),
+    environ: Mapping[str, str] | None = None,
+) -> Iterator[Person]:
+    one = Person(swarm, robot, *words, prefix=prefix, environ=environ)
     try:
         yield one
     finally:

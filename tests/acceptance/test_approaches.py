@@ -9,17 +9,21 @@ from typing import Any
 import pytest
 
 from swarmd.acceptance import approaches
+from swarmd.acceptance.dialogue import Phase
 from swarmd.acceptance.evidence import Evidence, Samples, TimedDecision
 from swarmd.acceptance.steps import steps_of
 from swarmd.acceptance.verdict import Result, passed
+from swarmd.core.errors import SwarmError
 from swarmd.core.events import OdometryInput
-from swarmd.core.values import Odometry, Pose, Twist
+from swarmd.core.values import Array, Odometry, Pose, Twist
 from swarmd.settings.platforms import load_platform
+from tests.acceptance import test_faults as faults
 from tests.acceptance.bench import Bench
 from tests.support.statuses import status
 
 BURGER = load_platform("burger")
 BOX = {"size": [6.0, 3.0], "boxes": [{"name": "box", "at": [1.2, 0.0], "size": [0.3, 0.3]}]}
+BOX_AHEAD = 2.15  # m, the middle of a box of which the front is 2 m ahead
 STEPS = {step.id: step for step in steps_of(BURGER)}
 
 
@@ -44,6 +48,7 @@ def evidence(*gaps: float, speed: float = 0.0, findings: tuple[str, ...] = ()) -
         ((1.0, 0.9), 0.0, (), "not shown"),
         ((math.nan,), 0.0, (), "not shown"),
         ((), 0.0, (), "not shown"),
+        ((1.0, 0.01), 0.1, (), "fail"),  # the noise of a range
     ],
 )
 def test_the_distance_left(
@@ -96,3 +101,81 @@ def test_a_drive_to_a_box_ends_before_it_and_within_its_bound() -> None:
         assert 0.0 < float(found.values["gap"]) < 0.5
         assert step.motion is not None
         assert bench.farthest[step.id] <= step.motion.reach
+
+
+# A box that is pushed
+
+
+class PushedBox(Bench):
+    """The person pushes the box from 2 m ahead at `push` m/s, until it is at the robot."""
+
+    push = 0.0
+    arrived: Array | None = None  # the twist of the robot when the box was there
+    _box, _last = BOX_AHEAD, 0.0
+
+    def _on_step(self, now: float) -> None:
+        super()._on_step(now)
+        if self.dialogue.phase is Phase.MOVING and self.arrived is None:
+            self._box -= self.push * (now - self._last)
+            try:
+                self.sim.world.place("box", (self._box, 0.0, 0.0))
+            except SwarmError:  # it would overlap the robot
+                self.arrived = self.sim.world.twists()[0]
+        self._last = now
+
+
+@pytest.mark.parametrize(
+    ("push", "coasts", "result", "word"),
+    [
+        (0.3, False, "pass", "did not touch"),  # as fast as protection assumes others
+        (0.3, True, "fail", "touched at speed"),
+        (1.4, False, "not shown", "push slower"),  # walking speed: a scan each 0.2 s is too late
+    ],
+)
+def test_a_box_that_is_pushed(push: float, coasts: bool, result: str, word: str) -> None:
+    arena = {**boxes((BOX_AHEAD, 0.0, 0.3, 0.3)), "size": [7.0, 3.0]}
+    arena["boxes"][0] |= {"name": "box", "mass": 2.0}
+    PushedBox.push = push
+    known = {"B1": passed(""), "C2": passed("")}
+    fault = faults.coasts() if coasts else {}
+    bench = PushedBox(BURGER, [STEPS["D11"]], arena=arena, verdicts=known, **fault).run()
+    found = bench.verdicts["D11"]
+    assert (found.result, word in found.reason) == (result, True), found
+    assert bench.arrived is not None
+    assert bool(bench.arrived[0] > 0.02) is (result != "pass")
+
+
+# A robot without a barrier
+
+
+@pytest.mark.parametrize("name", ["thymio", "epuck2"])
+def test_a_robot_without_a_barrier_is_not_said_to_touch_what_it_cannot_measure(name: str) -> None:
+    """It evades at full speed, which the question says, and 1 to 5 mm from the box."""
+    steps = {step.id: step for step in steps_of(load_platform(name))}
+    known = {"B1": passed(""), "C2": passed("")}
+    for id, arena, word in (
+        ("D7", boxes((1.35, 0.0, 0.3, 0.3)), "without a barrier"),
+        ("D12", boxes((1.0, 0.39, 4.0, 0.1)), "showed no obstacle within its 0."),
+    ):
+        bench = Bench(load_platform(name), [steps[id]], arena=arena, verdicts=known).run()
+        found = bench.verdicts[id]
+        assert (found.result, word in found.reason) == (Result.NOT_SHOWN, True), found
+
+
+def test_the_speed_at_which_a_robot_evades_is_announced() -> None:
+    thymio = load_platform("thymio")
+    (slow,) = [step for step in steps_of(thymio) if step.id == "D1"]
+    assert slow.motion is not None
+    assert (slow.motion.speed, slow.motion.turn) == (0.12, 1.0)  # its limits
+    bench = Bench(
+        thymio,
+        [slow],
+        arena=boxes((1.35, 0.0, 0.3, 0.3)),
+        verdicts={"B1": passed(""), "C2": passed("")},
+    ).run()
+    speeds = [one.twist.linear for _, one in bench.kept["D1"].odometry]
+    assert max(map(abs, speeds)) > 0.05  # of 0.036 m/s that are asked for
+    assert bench.farthest["D1"] <= slow.motion.reach
+    walks = {step.id: step for step in steps_of(BURGER)}["D1"].motion
+    assert walks is not None
+    assert walks.speed == pytest.approx(0.3 * 0.22)

@@ -68,6 +68,13 @@ def test_two_daemons_of_one_name_are_named() -> None:
     assert "10.0.0.7" in found.reason
 
 
+def test_a_finding_without_a_remedy_ends_with_its_text() -> None:
+    found = LINK(evidence(findings=(Finding("heard here", False, "deaf"),)))
+    assert found.reason == "heard here: deaf"
+    found = LINK(evidence(findings=(Finding("heard here", False, "deaf", "listen"),)))
+    assert found.reason == "heard here: deaf; listen"
+
+
 @pytest.mark.parametrize(
     ("findings", "result"),
     [

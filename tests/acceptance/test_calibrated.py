@@ -82,7 +82,8 @@ def test_a_figure_that_is_not_measured_is_not_shown_with_its_reason() -> None:
         ({"state": DONE, "speed_linear": "1 0 8 1"}, 0.0, 1.0, "pass"),
         ({"state": DONE, "speed_linear": "1 0 8 1"}, 0.1, 1.0, "not shown"),
         ({"state": DONE, "speed_linear": "1 0 8 1"}, 0.1, 0.7, "pass"),
-        ({"state": REFUSED, "why": "the floor is not free"}, 0.0, 1.0, "fail"),
+        ({"state": REFUSED, "why": "the floor is not free"}, 0.0, 1.0, "not shown"),
+        ({"state": REFUSED, "why": "it does not move steadily"}, 0.0, 1.0, "fail"),
         ({}, 0.0, 1.0, "fail"),
     ],
 )

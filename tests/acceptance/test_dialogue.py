@@ -243,7 +243,18 @@ def test_a_base_that_never_rests_ends_the_test() -> None:
     talk.take(Key())
     found = talk.move(0.01, GIVE_UP + 1.0)
     assert found[-1] == Judge(DRIVE)
-    assert isinstance(talk.take(Judged(WELL))[-1], Finish)
+    finish = talk.take(Judged(WELL))[-1]
+    assert isinstance(finish, Finish)
+    assert "does not rest" in finish.text
+
+
+def test_a_base_that_is_not_heard_any_more_is_not_said_to_move() -> None:
+    talk = Talk(DRIVE, STOPPED).under_way()
+    assert talk.take(Tick(), SILENCE + 0.1) == (Stop(),)
+    assert talk.take(Tick(), GIVE_UP + 0.1) == (Stop(), Judge(DRIVE))
+    finish = talk.take(Judged(WELL))[-1]
+    assert isinstance(finish, Finish)
+    assert "is not heard, and may move" in finish.text
 
 
 @pytest.mark.parametrize("result", [not_shown("no"), failed("bad")])

@@ -8,19 +8,25 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from cyclonedds.core import Policy, Qos
 
 from swarmd.acceptance.result_file import read_record
 from swarmd.acceptance.verdict import Result
 from tests.acceptance.person import Person, person
 from tests.acceptance.ros2_base import LiftedBase, is_driving
+from tests.drivers.ros2.dds_rig import SENSES
+from tests.drivers.ros2.robots import open_session
+from tests.support.dds_node import RELIABLE, SENSOR, DdsNode
 from tests.support.processes import end_process, unique_swarm, wait_until, watchdogs
 from tests.support.ros2_bridge import why_no_bridge
+from tests.support.ros2_types import Twist
 from tests.support.swarmctl import Running
 
 pytestmark = [
@@ -31,18 +37,30 @@ pytestmark = [
 ROBOT = "tb3-01"
 DOWN = 3.0  # s
 LONG = 120.0  # s
+KEPT = Qos(
+    Policy.Reliability.Reliable(10**8), Policy.Durability.TransientLocal, Policy.History.KeepLast(1)
+)
 
 
 class Rig:
-    """A daemon of a Burger without a command timeout, its bridge and its base."""
+    """A daemon of a Burger without a command timeout, its bridge and its base.
 
-    def __init__(self, folder: Path, left: ExitStack, **fields: object) -> None:
-        self.base = LiftedBase(**fields)  # type: ignore[arg-type]
+    `first`: a topic of which another node has another quality of service, before the base begins.
+    """
+
+    def __init__(
+        self, folder: Path, left: ExitStack, first: Mapping[str, Qos] | None = None, **fields: Any
+    ) -> None:
+        if first is not None:
+            fields["is_on"] = False
+        self.base = LiftedBase(**fields)
         left.callback(self.base.close)
+        for topic, quality in (first or {}).items():
+            left.callback(self._first(topic, quality).close)
         left.callback(self.end_watchdogs)
         self.swarm, self._left = unique_swarm(), left
         self.config, self.folder = folder / "robot.yaml", folder
-        options = {"endpoint": self.base.endpoint}
+        options = {"endpoint": self.base.endpoint, "cmd_vel_listeners": ["/rosbag2"]}
         settings = {
             "id": ROBOT,
             "swarm": self.swarm,
@@ -53,6 +71,19 @@ class Rig:
         }
         self.config.write_text(yaml.safe_dump(settings))
         self.start()
+
+    def _first(self, topic: str, quality: Qos) -> DdsNode:
+        """A node that has a topic first, and then the base: the route of the bridge is as here."""
+        base = self.base
+        ends = ({f"/{topic}": SENSES[topic]}, {}) if topic in SENSES else ({}, {f"/{topic}": Twist})
+        node = DdsNode(base.domain, "rosbag2", *ends, qos={f"/{topic}": quality})
+        session = open_session("client", "connect/endpoints", base.endpoint)
+        with closing(session):
+            liveliness = session.liveliness()
+            wait_until(lambda: any(liveliness.get(f"@/*/@ros2_lv/*/{topic}/**")), "the route")
+            base.start()
+            wait_until(lambda: any(session.get("@/*/ros2/node/*/base")), "the base is listed")
+        return node
 
     def start(self) -> None:
         words = ("--config", str(self.config))
@@ -182,3 +213,26 @@ def test_the_check_runs_beside_the_daemon(tmp_path: Path, left: ExitStack) -> No
     found = read_record(folder).verdicts["A5"]
     assert found.result is Result.PASS, found
     assert "cmd_vel" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("topic", "first", "own", "step"),
+    [("cmd_vel", RELIABLE, KEPT, ""), ("odom", RELIABLE, SENSOR, "A10"),
+     ("scan", RELIABLE, SENSOR, "A7")],
+)  # fmt: skip
+def test_a_quality_of_service_that_does_not_match_is_found(
+    tmp_path: Path, left: ExitStack, topic: str, first: Qos, own: Qos, step: str
+) -> None:
+    """The route of the bridge is as the first node wants it; the base comes later."""
+    rig, folder = Rig(tmp_path, left, {topic: first}, qos={topic: own}), tmp_path / "results"
+    words = ("--folder", str(folder), "--daemon-config", str(rig.config))
+    for one_step in filter(None, ("A5", step and "A6", step)):
+        with person(rig.swarm, ROBOT, "--only", one_step, *words) as one:
+            if one_step == "A6":
+                one.answer("y")
+            one.read_on(f"{one_step} FAIL", LONG)
+            one.end()
+    found = read_record(folder).verdicts
+    assert f"/{topic}" in found["A5"].reason
+    assert "nothing passes" in found["A5"].reason
+    assert not step or "missing" in found[step].reason

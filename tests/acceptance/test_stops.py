@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace as fields_replace
+
 import pytest
 from msgspec.structs import replace
 
 from swarmd.acceptance import stops
-from swarmd.acceptance.evidence import Evidence, Samples
+from swarmd.acceptance.evidence import Evidence, Samples, TimedDecision
 from swarmd.acceptance.verdict import Verdict, passed
 from swarmd.core.events import Input, LeaseInput, OdometryInput, RequestInput
 from swarmd.core.messages import Latch, State, Status
@@ -85,6 +87,19 @@ def test_a_lease_is_counted_from_the_last_word_before_the_silence() -> None:
     assert stops.after_silence(evidence(0.1, 1.0, *before, *again)).result == "pass"
     assert stops.after_silence(evidence(1.5, 1.0, *before, *again)).result == "fail"
     assert stops.after_silence(evidence(0.1, 1.0)).result == "not shown"
+
+
+@pytest.mark.parametrize(("speed", "is_lease"), [(SPEED, True), (0.0, False)])
+def test_a_daemon_that_drives_on_without_its_operator_is_told_from_a_base(
+    speed: float, is_lease: bool
+) -> None:
+    heard = [(LeaseInput("g", n), 0.5 * n) for n in range(3)]  # the last at 1.0 s
+    track = evidence(2.0, 1.0, *heard)  # it brakes at 5 s
+    decisions = [TimedDecision(0.1 * n, Twist(speed), 1.0, 1.0) for n in range(50)]
+    samples = fields_replace(track.samples, decisions=decisions)
+    found = stops.after_silence(fields_replace(track, samples=samples))
+    assert found.result == "fail"
+    assert ("run lease did not end the run" in found.reason) is is_lease
 
 
 @pytest.mark.parametrize(

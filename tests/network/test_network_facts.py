@@ -39,6 +39,13 @@ def test_rules_that_drop_are_found() -> None:
     assert dropping_rules(NFT.replace("drop", "accept")) == []
 
 
+def test_rules_that_drop_groups_by_their_address_are_found() -> None:
+    dropped = ("ip daddr 224.0.0.0/4 drop", "ip daddr 239.1.2.3 drop", "ip6 daddr ff00::/8 drop")
+    assert dropping_rules("\n".join(dropped)) == list(dropped)
+    kept = ("ip daddr 10.224.0.1 drop", "ether daddr ff:ff:ff:ff:ff:ff drop")
+    assert dropping_rules("\n".join(kept)) == []
+
+
 def test_a_port_names_its_user() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, socket.socket() as tcp:
         udp.bind(("127.0.0.1", 0))

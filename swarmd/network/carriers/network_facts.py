@@ -26,7 +26,9 @@ _LISTENING = {"tcp": "0A", "udp": "07"}
 _MAX_USERS = 8
 _DROPS = re.compile(r"\b(drop|reject)\b|policy drop|-j (DROP|REJECT)|^:(INPUT|OUTPUT) DROP")
 _CONCERNS = re.compile(
-    r"dport|udp|multicast|pkttype|policy|^:INPUT|-A INPUT|ct state invalid", re.I
+    r"dport|udp|multicast|pkttype|policy|^:INPUT|-A INPUT|ct state invalid"
+    r"|(?<![.\d])(22[4-9]|23\d)\.\d|\bff[0-9a-f]{2}:",  # groups of IPv4 and IPv6
+    re.I,
 )
 
 

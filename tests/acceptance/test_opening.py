@@ -1,0 +1,60 @@
+"""How a test opens a robot: what another test has left, and two robots that both answer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+from swarmd.acceptance.result_file import RECORD
+from swarmd.cli.acceptance_robot import TestedRobot
+from swarmd.core.errors import SwarmError
+from swarmd.core.messages import Reason, Status
+from tests.support.statuses import status
+
+TWICE = status("r", reason=Reason.DUPLICATE_ID, detail="this id is also held by abc")
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> TestedRobot:
+    return TestedRobot(mock.Mock(), "r", tmp_path, None)
+
+
+@pytest.mark.parametrize(
+    ("now", "words"),
+    [
+        (TWICE, "two daemons have its name: this id is also held by abc"),
+        (status("r"), "the copy was damaged"),
+        (None, "the copy was damaged"),
+    ],
+)
+def test_recordings_of_two_daemons_are_told_by_their_cause(
+    robot: TestedRobot, now: Status | None, words: str
+) -> None:
+    damaged = SwarmError("the copy was damaged")
+    with (
+        mock.patch.object(robot, "_learn", side_effect=damaged),
+        mock.patch.object(robot, "status", return_value=now),
+        pytest.raises(SwarmError, match=words),
+    ):
+        robot.open()
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_test_that_goes_on_ends_the_recording_of_the_step_that_was_cut(
+    robot: TestedRobot, tmp_path: Path, goes_on: bool
+) -> None:
+    """A recording that is no test's own goes on: the robot then refuses the test's."""
+    if goes_on:
+        (tmp_path / RECORD).touch()
+    done: list[str] = []
+    with (
+        mock.patch.object(robot, "_record", side_effect=done.append),
+        mock.patch.object(robot, "_start_recording", side_effect=lambda: done.append("start")),
+        mock.patch.object(robot, "_fetched", return_value=[]),
+        mock.patch("time.sleep"),
+        pytest.raises(SwarmError, match="records already"),
+    ):
+        robot._learn()
+    assert done == (["stop", "start"] if goes_on else ["start"])
