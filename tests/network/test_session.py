@@ -111,6 +111,7 @@ def test_another_program_gets_a_file_that_dials_and_does_not_scout() -> None:
     assert found["mode"] == "peer"
     assert found["connect"]["endpoints"] == ["tcp/127.0.0.1:9", "tcp/127.0.0.1:10"]
     assert found["scouting"]["multicast"] == found["scouting"]["gossip"] == {"enabled": False}
+    assert found["transport"] == {"shared_memory": {"enabled": False}}, "no sizes, no timeouts"
     zenoh.Config.from_json5(json.dumps(found))
     routed = foreign_options(ROUTED, ["tcp/10.0.0.5:7440"])
     assert (routed["mode"], routed["connect"]["endpoints"]) == ("client", ["tcp/10.0.0.1:7447"])

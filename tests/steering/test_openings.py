@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -165,7 +165,12 @@ def test_the_order_of_rays_does_not_matter(order: NDArray[np.intp]) -> None:
 
 
 @pytest.mark.parametrize("form", both_forms("swarmd.steering.openings"))
-@given(st.lists(st.tuples(MOVES, MOVES), max_size=12), MOVES, MOVES, MOVES)
+@given(
+    points=st.lists(st.tuples(MOVES, MOVES), max_size=12), along=MOVES, aside=MOVES, heading=MOVES
+)
+@example(  # of two gaps the one whose middle, 0.09, is nearer to 0.02 than -0.075
+    points=[(0.0, -0.14), (0.0, -0.01), (0.0, 0.19)], along=0.0, aside=0.0, heading=0.0
+)
 @settings(max_examples=examples(30))
 def test_the_middle_of_a_gap(
     form: Any, points: list[tuple[float, float]], along: float, aside: float, heading: float
