@@ -34,14 +34,20 @@ async def freeze(harness: DriverHarness, stop: Callable[[], None]) -> None:
 
 
 async def drive_on(harness: DriverHarness, thaw: Callable[[], None]) -> list[Twist]:
-    """Command at 20 Hz until the base is lost, thaw the hub, and return what the base gets."""
+    """Command at 20 Hz until the base is lost, thaw the hub, and return all that the base gets."""
+    taken: list[Twist] = []
+
+    def has_come() -> bool:
+        taken.extend(harness.rig.commands())  # several at once, as after a stall
+        return bool(taken)
+
     for _ in range(20):
         harness.driver.send(Twist(0.1), 1, 1)
         await asyncio.sleep(0.05)
     await harness.until(lambda: not harness.sink.is_up, publishing=True)
     harness.rig.commands()
     thaw()
-    taken = [await harness.command()]
+    await harness.until(has_come)
     await asyncio.sleep(1.0)
     return [*taken, *harness.rig.commands()]
 
