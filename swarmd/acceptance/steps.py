@@ -30,7 +30,7 @@ NOT_SHOWN_YET: Mapping[str, tuple[str, ...]] = {
     "A1": ("the archive on an arm64 computer, with a daemon",),
     "A4": ("a WiFi with more than a few robots; a mesh of layer 2",),
     "A5": (
-        "nodes with Fast DDS (`rmw_fastrtps_cpp`) behind the bridge; the tests have CycloneDDS",
+        "nodes with `rmw_fastrtps_cpp` behind the bridge; the tests have Fast DDS without ROS",
         "a TurtleBot 4 with a discovery server",
         "a Create 3 of another ROS distribution than the Raspberry Pi",
         "`rmw_zenoh` on a TurtleBot 4, with a republisher for the Create 3",

@@ -55,7 +55,7 @@ class DdsNode:
         enclave = Qos(Policy.Userdata(b"enclave=/;")) if name else None  # as each ROS process
         self._participant = DomainParticipant(domain, enclave)
         self._qos = {**(qos or {}), **{f"{name}/_action/status": _KEPT for name in actions}}
-        self._served = [entity for name in actions for entity in self._action(name)]
+        self._served = [self._end(*end) for name in actions for end in action_ends(name)]
         statuses = {f"{name}/_action/status": dds.GoalStatusArray for name in actions}
         published = {**(published or {}), **statuses}
         self._writers = {
@@ -128,34 +128,47 @@ class DdsNode:
         reply = Topic(self._participant, f"rr{service}Reply", dds.TriggerAnswer, RELIABLE)
         return DataWriter(self._participant, request), DataReader(self._participant, reply)
 
-    def _action(self, name: str) -> Iterator[Any]:
-        """The services and the feedback of an action, which no test uses; a bridge wants all."""
-        typed = "irobot_create_msgs::action::dds_::Dock"
-        for part, kind in {
-            "send_goal": f"{typed}_SendGoal",
-            "cancel_goal": "action_msgs::srv::dds_::CancelGoal",
-            "get_result": f"{typed}_GetResult",
-        }.items():
-            asked, answer = (dds.empty(f"{kind}_{end}_") for end in ("Request", "Response"))
-            topic = f"{name}/_action/{part}"
-            request = Topic(self._participant, f"rq{topic}Request", asked, RELIABLE)
-            reply = Topic(self._participant, f"rr{topic}Reply", answer, RELIABLE)
-            yield DataReader(self._participant, request)
-            yield DataWriter(self._participant, reply)
-        feedback = dds.empty(f"{typed}_FeedbackMessage_")
-        about = Topic(self._participant, f"rt{name}/_action/feedback", feedback, RELIABLE)
-        yield DataWriter(self._participant, about)
+    def _end(self, topic: str, kind: type, is_writer: bool) -> Any:
+        end = DataWriter if is_writer else DataReader
+        return end(self._participant, Topic(self._participant, topic, kind, RELIABLE))
 
     def _info(self, name: str, namespace: str) -> object:
         entities = [*self._readers.values(), *self._writers.values(), *self._served]
-        node = dds.NodeEntitiesInfo(
-            node_namespace=namespace,
-            node_name=name,
-            reader_gid_seq=[_gid(entity) for entity in entities if isinstance(entity, DataReader)],
-            writer_gid_seq=[_gid(entity) for entity in entities if isinstance(entity, DataWriter)],
-        )
-        return dds.ParticipantEntitiesInfo(_gid(self._participant), [node])
+        readers = [_guid(entity) for entity in entities if isinstance(entity, DataReader)]
+        writers = [_guid(entity) for entity in entities if isinstance(entity, DataWriter)]
+        return node_info(_guid(self._participant), name, namespace, readers, writers)
 
 
-def _gid(entity: Any) -> dds.Gid:
-    return dds.Gid(list(entity.guid.bytes))
+def action_ends(name: str) -> Iterator[tuple[str, type, bool]]:
+    """What an action's server has beside the status: DDS topic, type, and True for a writer.
+
+    No test uses these services and feedback, but a bridge wants all. `name`: such as `/dock`.
+    """
+    typed = "irobot_create_msgs::action::dds_::Dock"
+    for part, kind in {
+        "send_goal": f"{typed}_SendGoal",
+        "cancel_goal": "action_msgs::srv::dds_::CancelGoal",
+        "get_result": f"{typed}_GetResult",
+    }.items():
+        topic = f"{name}/_action/{part}"
+        yield f"rq{topic}Request", dds.empty(f"{kind}_Request_"), False
+        yield f"rr{topic}Reply", dds.empty(f"{kind}_Response_"), True
+    yield f"rt{name}/_action/feedback", dds.empty(f"{typed}_FeedbackMessage_"), True
+
+
+def node_info(
+    participant: bytes,
+    name: str,
+    namespace: str,
+    readers: Sequence[bytes],
+    writers: Sequence[bytes],
+) -> dds.ParticipantEntitiesInfo:
+    """What a process with one node writes on `ros_discovery_info`; a GUID has 16 bytes."""
+    ends = ([dds.Gid(list(guid)) for guid in guids] for guids in (readers, writers))
+    node = dds.NodeEntitiesInfo(namespace, name, *ends)
+    return dds.ParticipantEntitiesInfo(dds.Gid(list(participant)), [node])
+
+
+def _guid(entity: Any) -> bytes:
+    guid: bytes = entity.guid.bytes
+    return guid

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from swarmd.core.values import Twist, Value
 from tests.drivers.ros2.robots import BridgedRobot, open_session
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
+from tests.support.fast_dds import FastDdsNode
 from tests.support.ros2_bridge import LOOPBACK, Bridge, free_domain
 
 SENSES: Mapping[str, Any] = {"scan": dds.LaserScan, "odom": dds.Odometry}
@@ -28,6 +29,7 @@ class DdsRobot(BridgedRobot):
     `is_elsewhere`: the bridge is in another domain. `qos`: by topic, where it is not the usual one.
     `actions` are the names of actions that the node serves. With `is_on` False the node begins with
     `start`: a node that ends while the bridge starts may leave the bridge deaf to later nodes.
+    `make_node`: another library's node, in place of CycloneDDS.
     `stop` ends the node, `disconnect` the bridge.
     """
 
@@ -43,15 +45,17 @@ class DdsRobot(BridgedRobot):
         qos: Mapping[str, Qos] | None = None,
         actions: Sequence[str] = (),
         is_on: bool = True,
+        make_node: Callable[..., DdsNode | FastDdsNode] = DdsNode,
     ) -> None:
         self.namespace, self.at = namespace, at
         self._published, self._qos, self._actions = published, qos or {}, actions
+        self._make_node = make_node
         self._folder = tempfile.TemporaryDirectory()
         self.domain = free_domain()
         self._held = Domain(self.domain, LOOPBACK)  # ends, with all in it, when it is deleted
         folder, domain = Path(self._folder.name), free_domain() if is_elsewhere else self.domain
         self.bridge = Bridge(folder, domain, namespace=at or "/", distro=distro)
-        self.node: DdsNode | None = None
+        self.node: DdsNode | FastDdsNode | None = None
         super().__init__(is_stamped=is_stamped)
         self.endpoint = self.bridge.endpoint
         if is_on:
@@ -66,7 +70,9 @@ class DdsRobot(BridgedRobot):
         subscribed = {self.name("cmd_vel"): command}
         qos = {self.name(topic): one for topic, one in self._qos.items()}
         actions = [self.name(action) for action in self._actions]
-        self.node = DdsNode(self.domain, "base", published, subscribed, qos=qos, actions=actions)
+        self.node = self._make_node(
+            self.domain, "base", published, subscribed, qos=qos, actions=actions
+        )
 
     def stop(self) -> None:
         """End the node in order; the bridge continues."""
@@ -113,7 +119,7 @@ class DdsRobot(BridgedRobot):
         return DdsDock(self.domain, is_latched=is_latched)
 
     def other_node(self, *, has_lidar: bool = False) -> OtherDdsNode:
-        return OtherDdsNode(self.domain, has_lidar=has_lidar)
+        return OtherDdsNode(self.domain, has_lidar=has_lidar, make_node=self._make_node)
 
     def close(self) -> None:
         self.bridge.kill()
@@ -144,10 +150,16 @@ class OtherDdsNode:
 
     cancels = "/dock/_action/cancel_goal"
 
-    def __init__(self, domain: int, *, has_lidar: bool) -> None:
+    def __init__(
+        self,
+        domain: int,
+        *,
+        has_lidar: bool,
+        make_node: Callable[..., DdsNode | FastDdsNode] = DdsNode,
+    ) -> None:
         published = {f"/{topic}": dds.Twist for topic in ("cmd_vel", "cmd_vel_joy")}
         lidar = {"/scan": dds.LaserScan} if has_lidar else {}
-        self._node: DdsNode | None = DdsNode(
+        self._node: DdsNode | FastDdsNode | None = make_node(
             domain, "other", {**published, **lidar}, actions=["/dock"]
         )
 
