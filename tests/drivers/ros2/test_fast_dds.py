@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -67,24 +68,24 @@ def test_the_bridge_drops_the_calls_of_services(program: Path) -> None:
         source = command_source(harness.driver)
         assert source is not None
         source.serve(take)
-        fast = FastDdsNode(program, robot.domain, "fast", clients=[ESTOP])
+        with (
+            closing(FastDdsNode(program, robot.domain, "fast", clients=[ESTOP])) as fast,
+            closing(DdsNode(robot.domain, "cyclone", clients=[STOP])) as cyclone,
+        ):
+            count = itertools.count(1)
 
-        def is_dropped() -> bool:
-            fast.call(ESTOP)
-            return DROPPED in robot.bridge.log.read_text()
+            def is_dropped() -> bool:
+                fast.call(ESTOP)
+                return DROPPED in robot.bridge.log.read_text()
 
-        await harness.until(is_dropped, publishing=True)
-        cyclone, count = DdsNode(robot.domain, "cyclone", clients=[STOP]), itertools.count(1)
+            def is_served() -> bool:
+                cyclone.call(STOP, next(count))
+                fast.call(ESTOP)
+                return bool(cyclone.answers(STOP))
 
-        def is_served() -> bool:
-            cyclone.call(STOP, next(count))
-            fast.call(ESTOP)
-            return bool(cyclone.answers(STOP))
-
-        await harness.until(is_served, publishing=True)
-        assert {command.verb for command in commands} == {"stop"}
-        assert not fast.take(ESTOP)
-        fast.close()
-        cyclone.close()
+            await harness.until(is_dropped, publishing=True)
+            await harness.until(is_served, publishing=True)
+            assert {command.verb for command in commands} == {"stop"}
+            assert not fast.take(ESTOP)
 
     play(robot, story, connected=True, services={"operator": "ros"})
