@@ -48,7 +48,7 @@ class TestContract(RosContract):
 
 def test_check_finds_the_topics_and_the_node(program: Path) -> None:
     robot = DdsRobot(make_node=partial(FastDdsNode, program))
-    found = check(robot, robot.publish)
+    found = check(robot, robot.publish, tries=4)
     assert "/scan (sensor_msgs/msg/LaserScan, best effort)" in found["scan"].text
     assert "/odom (nav_msgs/msg/Odometry, reliable)" in found["odometry"].text
     assert found["cmd_vel"].text.endswith("has a subscriber: /base")
