@@ -98,7 +98,7 @@ class FastDdsNode:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
-        self._thread = threading.Thread(target=self._read)
+        self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
         try:
             *ends, own = [self._guids.get(timeout=CAP) for _ in range(len(self._types) + 1)]

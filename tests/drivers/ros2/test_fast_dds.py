@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -47,7 +48,7 @@ class TestContract(RosContract):
 
 def test_check_finds_the_topics_and_the_node(program: Path) -> None:
     robot = DdsRobot(make_node=partial(FastDdsNode, program))
-    found = check(robot, robot.publish)
+    found = check(robot, robot.publish, tries=4)
     assert "/scan (sensor_msgs/msg/LaserScan, best effort)" in found["scan"].text
     assert "/odom (nav_msgs/msg/Odometry, reliable)" in found["odometry"].text
     assert found["cmd_vel"].text.endswith("has a subscriber: /base")
@@ -67,24 +68,24 @@ def test_the_bridge_drops_the_calls_of_services(program: Path) -> None:
         source = command_source(harness.driver)
         assert source is not None
         source.serve(take)
-        fast = FastDdsNode(program, robot.domain, "fast", clients=[ESTOP])
+        with (
+            closing(FastDdsNode(program, robot.domain, "fast", clients=[ESTOP])) as fast,
+            closing(DdsNode(robot.domain, "cyclone", clients=[STOP])) as cyclone,
+        ):
+            count = itertools.count(1)
 
-        def is_dropped() -> bool:
-            fast.call(ESTOP)
-            return DROPPED in robot.bridge.log.read_text()
+            def is_dropped() -> bool:
+                fast.call(ESTOP)
+                return DROPPED in robot.bridge.log.read_text()
 
-        await harness.until(is_dropped, publishing=True)
-        cyclone, count = DdsNode(robot.domain, "cyclone", clients=[STOP]), itertools.count(1)
+            def is_served() -> bool:
+                cyclone.call(STOP, next(count))
+                fast.call(ESTOP)
+                return bool(cyclone.answers(STOP))
 
-        def is_served() -> bool:
-            cyclone.call(STOP, next(count))
-            fast.call(ESTOP)
-            return bool(cyclone.answers(STOP))
-
-        await harness.until(is_served, publishing=True)
-        assert {command.verb for command in commands} == {"stop"}
-        assert not fast.take(ESTOP)
-        fast.close()
-        cyclone.close()
+            await harness.until(is_dropped, publishing=True)
+            await harness.until(is_served, publishing=True)
+            assert {command.verb for command in commands} == {"stop"}
+            assert not fast.take(ESTOP)
 
     play(robot, story, connected=True, services={"operator": "ros"})
