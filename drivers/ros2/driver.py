@@ -164,8 +164,8 @@ class RosDriver:
                     self._bridges.is_awaited(self._announcing())
                 ):
                     break
-            parts = self._state, self._services, self._opinions
-            own_findings = (finding for part in parts for finding in part.findings())
+            services = self._services.findings(self._bridges.nodes.endpoints)
+            own_findings = *self._state.findings(), *services, *self._opinions.findings()
             return (*self._report().findings(), *own_findings)
         finally:
             task.cancel()

@@ -10,7 +10,7 @@ import asyncio
 import struct
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -25,6 +25,7 @@ from swarmd.core.messages import Code, Reply
 from swarmd.core.threads import hand_over
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.driver_api.command_source import DriverCommand, TakeCommand
+from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.service_options import ESTOP, RESET, RUN, STOP
 from swarmd.drivers.ros2.key_scheme import KeyScheme
@@ -36,6 +37,11 @@ CALL_RATE, CALL_BURST = 10.0, 10.0
 MAX_MESSAGE = 500
 """Characters of the field `message`."""
 
+_FAST_DDS = "010f"
+"""With it the id of a DDS participant on Fast DDS begins: the vendor's id (DDSI-RTPS, 9.3.1.5).
+
+The bridge reads the header of a request as rmw_cyclonedds writes it, and drops other requests.
+"""
 _HEADER = b"\0\1\0\0"  # CDR, little-endian
 _MAX_REQUEST = 8  # bytes of an empty request: the header, a byte that stands for no field, padding
 _VERBS: dict[str, Literal["stop", "estop", "reset"]] = {
@@ -73,10 +79,15 @@ class CommandServices:
         """True with the option `services`."""
         return self._options is not None
 
-    def findings(self) -> tuple[Finding, ...]:
-        """The finding of `swarmd --check` on option `services`."""
+    def findings(self, nodes: Iterable[Endpoint]) -> tuple[Finding, ...]:
+        """The finding of `swarmd --check` on option `services`; `nodes`: those of bridges."""
         if self._options is None:
             return ()
+        if fast := sorted({one.node for one in nodes if one.process.startswith(_FAST_DDS)}):
+            text = f"the bridge drops calls by Fast DDS, also of stop and estop: {', '.join(fast)}"
+            return (
+                Finding("services", False, text, "use rmw_cyclonedds_cpp, or stop by swarmctl"),
+            )
         role = f"{self._options.operator}, {self._options.role}"
         return (Finding("services", True, f"serves {', '.join(self._names.values())} ({role})"),)
 

@@ -54,6 +54,13 @@ def test_check_finds_the_topics_and_the_node(program: Path) -> None:
     assert found["cmd_vel"].text.endswith("has a subscriber: /base")
 
 
+def test_check_warns_of_services_that_the_node_cannot_call(program: Path) -> None:
+    robot = DdsRobot(make_node=partial(FastDdsNode, program))
+    found = check(robot, robot.publish, tries=4, services={"operator": "ros"})
+    assert not found["services"].is_well
+    assert "drops calls by Fast DDS, also of stop and estop: /base" in found["services"].text
+
+
 def test_the_bridge_drops_the_calls_of_services(program: Path) -> None:
     """A call by a node on Fast DDS does nothing and has no answer; one by CycloneDDS has."""
     commands: list[DriverCommand] = []

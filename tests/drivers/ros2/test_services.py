@@ -16,9 +16,11 @@ from swarmd.core.messages import Code, Refusal, Reply, State
 from swarmd.core.values import Value
 from swarmd.daemon.driver_commands import MAX_COMMAND_AGE
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
+from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, read_options
+from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.request_age import SETTLE_TIME
-from swarmd.drivers.ros2.services import CALL_BURST, CALL_RATE, MAX_MESSAGE
+from swarmd.drivers.ros2.services import CALL_BURST, CALL_RATE, MAX_MESSAGE, CommandServices
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_contract import DriverHarness
@@ -267,6 +269,21 @@ def test_a_check_names_the_services() -> None:
     finding = check(robot, robot.publish, namespace="tb3_01", services=SERVICES)["services"]
     assert "/tb3_01/swarmd/run/go" in finding.text
     assert "ros, operator" in finding.text
+
+
+def test_a_check_warns_of_nodes_whose_calls_the_bridge_drops() -> None:
+    """By the vendor's id, of DDSI-RTPS: 0x010f is Fast DDS, 0x0110 CycloneDDS."""
+    options = read_options(RosOptions, {"services": SERVICES}, "ros2dds", "r")
+    services = CommandServices(Ros2Dds(), options, lambda: False)
+    nodes = [
+        Endpoint(True, "/scan", "t", node=f"/{name}", process=f"{vendor}9f{name}")
+        for name, vendor in (("fast", "010f"), ("cyclone", "0110"), ("unknown", ""))
+    ]
+    (warned,) = services.findings(nodes)
+    assert (warned.subject, warned.is_well) == ("services", False)
+    assert warned.text.endswith(": /fast")
+    (well,) = services.findings(nodes[1:])
+    assert well.is_well
 
 
 @pytest.mark.integration
