@@ -775,6 +775,15 @@ def test_alarms_come_first_in_their_colours_and_what_runs_is_told(
             swarm.change(name, State.RUNNING)
         wanted = "7 robots: flocking 4, attraction 1, 1 more"
         page.until(f"{told}.textContent === '{wanted}'", "three patterns")
+        swarm.patterns |= {"tb3-001": "one_bit_aggregation", "tb3-003": "discussed_dispersion"}
+        for name in swarm.names:
+            swarm.change(name, State.RUNNING)
+        wanted = "7 robots: flocking 5, one bit aggregation 1, 1 more"
+        page.until(f"{told}.textContent === '{wanted}' && {CHIPS}.length === 1", "long names")
+        page.evaluate(f"{FRAMES}.then(() => null)")
+        assert page.evaluate(f"{told}.scrollWidth <= {told}.clientWidth")
+        whole = f"{told}.scrollHeight <= {told}.clientHeight + 1"
+        assert page.evaluate(whole) or width == 320  # the last words are in the title of the line
 
 
 PIXELS = """(name) => {
