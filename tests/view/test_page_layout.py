@@ -74,6 +74,8 @@ def test_one_key_leaves_the_map_and_its_legend_alone(
         page.until(f"{SHARE} === 1", "the whole window")
         assert page.evaluate("document.getElementById('caveat').checkVisibility()")
         assert page.evaluate(seen) == ["#legend"]
+        told = "getComputedStyle(document.getElementById('legend'), '::before').content"
+        page.until(f"{told} === '\"attraction 1, dispersion 1, 1 more\"'", "what they run")
         page.key("f")
         page.until(f"{SHARE} < 0.9", "all again")
         assert page.evaluate(seen) == ["#chips", "#estop", "#time", "#tools"]

@@ -92,6 +92,7 @@ function counts() {
   const size = model.robots.size;
   show('counts', `${size} ${size === 1 ? 'robot' : 'robots'}: ${running()}`);
   element('counts').title = element('counts').textContent;
+  element('legend').dataset.runs = running(); // seen in Map only, which has no first line
   chips.draw();
   show('clock', clock());
   const isUnaligned = isByOdometry() && model.isUnaligned();
