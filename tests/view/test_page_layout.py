@@ -561,6 +561,19 @@ def test_the_map_fits_again_when_a_robot_leaves_it_until_the_view_is_moved(
         assert page.evaluate("swarm.map.scale") == scale
 
 
+def test_the_map_of_a_small_phone_has_its_whole_width(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(7, capsys) as (_, (address,)):
+        page.resize(320, 640, is_phone=True)
+        ready(page, address, 7)
+        page.until("swarm.map.insets[0] > 44", "tools above")
+        assert box_of(page, "#tools")[3] < 60  # one line, of buttons of 44 px
+        assert page.evaluate("swarm.map.insets[3]") == 0
+        page.resize(640, 320, is_phone=True)
+        page.until("swarm.map.insets[3] > 44", "tools at the right, of a phone that lies")
+
+
 def test_a_narrow_axis_of_time_has_its_labels_inside(
     page: Page, capsys: pytest.CaptureFixture[str]
 ) -> None:
