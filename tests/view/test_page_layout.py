@@ -813,6 +813,27 @@ PIXELS = """(name) => {
 """The number of bright red pixels of the map around a robot."""
 
 
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_name_of_a_silent_robot_is_no_fainter_than_the_others(
+    page: Page, capsys: pytest.CaptureFixture[str], theme: str
+) -> None:
+    with shown(3, capsys) as (swarm, (address,)):
+        ready(page, address, 3)
+        if theme == "dark":
+            page.evaluate("document.getElementById('dark').click()")
+        swarm.silent.add("tb3-002")
+        page.until(f"{CHIPS}[0] === 'silent1: tb3-002'", "silent")
+        page.evaluate(
+            "(() => { const { map } = swarm, fill = map.ctx.fillText; window.inks = {};"
+            " map.ctx.fillText = function (text, ...rest) {"
+            " window.inks[text] = this.fillStyle; fill.call(this, text, ...rest); };"
+            " map.draw(); })()"
+        )
+        inks = page.evaluate("window.inks")
+        wanted = {"light": ("#16191d", "#55606c"), "dark": ("#eef1f4", "#a3afbb")}[theme]
+        assert (inks["tb3-002"], inks["tb3-001"]) == wanted
+
+
 def test_a_robot_that_left_is_no_alarm(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
     with shown(3, capsys) as (swarm, (address,)):
         for name in swarm.names:
