@@ -272,7 +272,7 @@ class Dialogue:
                 return [*actions, Begin(step)]
             self._enter(Phase.ASKED, now)
             return [*actions, Ask(step)]
-        return [*actions, *self._finish("all steps were asked", is_whole=True)]
+        return [*actions, *self._finish("all steps of this call were asked", is_whole=True)]
 
     def _has_passed(self, name: str) -> bool:
         verdict = self.verdicts.get(name)
@@ -444,7 +444,7 @@ class Dialogue:
     def _finish(self, text: str, *, is_whole: bool = False) -> list[Action]:
         self.phase = Phase.ENDED
         if self._sight is not None and self._sight.is_estopped:
-            text += "; it stays emergency-stopped until a reset (step B4, or swarmctl reset)"
+            text += "; it stays emergency-stopped until you reset it (swarmctl reset ROBOT)"
         return [Finish(text, is_whole)]
 
 

@@ -20,7 +20,9 @@ _STYLE = (
     "body{font:15px sans-serif;max-width:62em;margin:2em auto;padding:0 1em}"
     "table{border-collapse:collapse;width:100%}td,th{padding:.3em .5em;text-align:left;"
     "border-top:1px solid #ddd;vertical-align:top}small{color:#555}"
+    "th{width:10%}th:first-child,th:last-child{width:35%}td:nth-child(2){white-space:nowrap}"
 )
+_NONE = "<tr><td colspan=5>no step of this part was asked yet</tr>"
 
 
 def page(record: AcceptanceRecord, samples: Mapping[str, Samples]) -> str:
@@ -36,7 +38,7 @@ def page(record: AcceptanceRecord, samples: Mapping[str, Samples]) -> str:
     for part, words in PARTS.items():
         rows = [_row(step) for step in record.steps if step.id.startswith(part)]
         heads = "<tr><th>step<th>verdict<th>figure<th>bound<th>reason</tr>"
-        parts.append(f"<h2>{part}: {words}</h2><table>{heads}{''.join(rows)}</table>")
+        parts.append(f"<h2>{part}: {words}</h2><table>{heads}{''.join(rows) or _NONE}</table>")
     missing = [step for step in record.steps if step.verdict.result is Result.NOT_SHOWN]
     lines = "".join(
         f"<li>{escape(f'{one.id} {one.name}: {one.verdict.reason}')}" for one in missing

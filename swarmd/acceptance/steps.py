@@ -252,8 +252,9 @@ def _part_b() -> tuple[Step, ...]:
                 "without a command timeout nothing stops it until its bridge is back: run"
                 " the bridge by swarmd hub"
             ),
-            prepare="While the wheels turn, end the bridge of the base, and start it after 10 s:"
-            " sudo systemctl restart zenoh-bridge-ros2dds; sudo systemctl start swarmd.",
+            prepare="While the wheels turn, kill the bridge of the base: sudo systemctl kill -s"
+            " KILL zenoh-bridge-ros2dds. Start it after 10 s: sudo systemctl start"
+            " zenoh-bridge-ros2dds swarmd.",
             end=End.PERSON,
         ),
     )

@@ -128,7 +128,7 @@ def _test(
         talk = _Talk(dialogue, tested, folder, record, [step.id for step in steps])
         talk.run()
     path = _write_file(folder, talk.record, keep_names)
-    _say(talk.record.headline)
+    _say(talk.record.headline + ("" if talk.record.is_whole else "; the same command goes on"))
     _say(f"The results: {path}; open report.html in it, or swarmctl acceptance --show {path}")
     return talk.record
 

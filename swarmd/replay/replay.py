@@ -24,7 +24,7 @@ import numpy as np
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
 from swarmd.core.events import HostInput, Input, RequestInput, tag_of
-from swarmd.core.host_messages import KillHost, Load, Loaded, StartTrial, Stepped
+from swarmd.core.host_messages import KillHost, Load, LoadRefused, StartTrial, Stepped
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.messages import State
@@ -265,8 +265,11 @@ class Replay:
         if isinstance(command, Load):
             self._loader.begin(self._origins)
         event = self._executor.handle(command)  # type: ignore[arg-type]
-        if isinstance(command, Load) and event is not None and not isinstance(event, Loaded):
-            self._note(f"the pattern {command.pattern} does not load here: {event}")
+        if isinstance(command, Load) and isinstance(event, LoadRefused):
+            self._note(
+                f"the pattern {command.pattern} does not load here; a file of your own needs"
+                f" --plugin-dir: {event.text}"
+            )
         if isinstance(event, Stepped):
             self._steps.append(event)
 

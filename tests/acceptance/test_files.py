@@ -202,6 +202,15 @@ def test_the_report_begins_with_the_verdict_and_escapes() -> None:
     assert all(f"{step.id} {step.name}" in text for step in STEPS)
 
 
+def test_the_report_says_of_which_parts_no_step_was_asked() -> None:
+    whole = whole_record()
+    record = msgspec.structs.replace(
+        whole, steps=tuple(one for one in whole.steps if one.id[0] in "AB")
+    )
+    assert page(record, {}).count("no step of this part was asked yet") == 2  # C and D
+    assert "was asked yet" not in page(whole, {})
+
+
 @pytest.mark.parametrize("content", [b"", b"no zip", b"PK\x05\x06" + bytes(18)])
 def test_a_file_that_is_no_result_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.zip"

@@ -54,6 +54,16 @@ def test_a_change_of_pattern_parameters_and_an_estop_are_repeated(tmp_path: Path
     assert_equal(story.replayed(), 300)
 
 
+def test_a_pattern_that_is_not_here_is_named_with_the_option_for_it(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    story.run("drive", speed=0.1)
+    story.robot.advance(1.0)
+    notes = story.replayed({"random_walk": ORIGINS["random_walk"]}).notes
+    assert "--plugin-dir: no pattern 'drive'" in notes[0]
+
+
 def test_a_run_of_a_robot_with_a_ring_is_repeated(tmp_path: Path) -> None:
     story = Story(tmp_path, has_ring=True)
     story.recorder.begin(story.robot)

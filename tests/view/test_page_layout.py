@@ -74,6 +74,8 @@ def test_one_key_leaves_the_map_and_its_legend_alone(
         page.until(f"{SHARE} === 1", "the whole window")
         assert page.evaluate("document.getElementById('caveat').checkVisibility()")
         assert page.evaluate(seen) == ["#legend"]
+        told = "getComputedStyle(document.getElementById('legend'), '::before').content"
+        page.until(f"{told} === '\"attraction 1, dispersion 1, 1 more\"'", "what they run")
         page.key("f")
         page.until(f"{SHARE} < 0.9", "all again")
         assert page.evaluate(seen) == ["#chips", "#estop", "#time", "#tools"]
@@ -559,6 +561,19 @@ def test_the_map_fits_again_when_a_robot_leaves_it_until_the_view_is_moved(
         assert page.evaluate("swarm.map.scale") == scale
 
 
+def test_the_map_of_a_small_phone_has_its_whole_width(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(7, capsys) as (_, (address,)):
+        page.resize(320, 640, is_phone=True)
+        ready(page, address, 7)
+        page.until("swarm.map.insets[0] > 44", "tools above")
+        assert box_of(page, "#tools")[3] < 60  # one line, of buttons of 44 px
+        assert page.evaluate("swarm.map.insets[3]") == 0
+        page.resize(640, 320, is_phone=True)
+        page.until("swarm.map.insets[3] > 44", "tools at the right, of a phone that lies")
+
+
 def test_a_narrow_axis_of_time_has_its_labels_inside(
     page: Page, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -775,6 +790,15 @@ def test_alarms_come_first_in_their_colours_and_what_runs_is_told(
             swarm.change(name, State.RUNNING)
         wanted = "7 robots: flocking 4, attraction 1, 1 more"
         page.until(f"{told}.textContent === '{wanted}'", "three patterns")
+        swarm.patterns |= {"tb3-001": "one_bit_aggregation", "tb3-003": "discussed_dispersion"}
+        for name in swarm.names:
+            swarm.change(name, State.RUNNING)
+        wanted = "7 robots: flocking 5, one bit aggregation 1, 1 more"
+        page.until(f"{told}.textContent === '{wanted}' && {CHIPS}.length === 1", "long names")
+        page.evaluate(f"{FRAMES}.then(() => null)")
+        assert page.evaluate(f"{told}.scrollWidth <= {told}.clientWidth")
+        whole = f"{told}.scrollHeight <= {told}.clientHeight + 1"
+        assert page.evaluate(whole) or width == 320  # the last words are in the title of the line
 
 
 PIXELS = """(name) => {
@@ -787,6 +811,27 @@ PIXELS = """(name) => {
   return red;
 }"""
 """The number of bright red pixels of the map around a robot."""
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_name_of_a_silent_robot_is_no_fainter_than_the_others(
+    page: Page, capsys: pytest.CaptureFixture[str], theme: str
+) -> None:
+    with shown(3, capsys) as (swarm, (address,)):
+        ready(page, address, 3)
+        if theme == "dark":
+            page.evaluate("document.getElementById('dark').click()")
+        swarm.silent.add("tb3-002")
+        page.until(f"{CHIPS}[0] === 'silent1: tb3-002'", "silent")
+        page.evaluate(
+            "(() => { const { map } = swarm, fill = map.ctx.fillText; window.inks = {};"
+            " map.ctx.fillText = function (text, ...rest) {"
+            " window.inks[text] = this.fillStyle; fill.call(this, text, ...rest); };"
+            " map.draw(); })()"
+        )
+        inks = page.evaluate("window.inks")
+        wanted = {"light": ("#16191d", "#55606c"), "dark": ("#eef1f4", "#a3afbb")}[theme]
+        assert (inks["tb3-002"], inks["tb3-001"]) == wanted
 
 
 def test_a_robot_that_left_is_no_alarm(page: Page, capsys: pytest.CaptureFixture[str]) -> None:

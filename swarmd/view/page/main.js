@@ -25,7 +25,7 @@ const free = () => { // what the map shows by Fit is not covered
   const isColumn = !isPhone && !document.body.matches('.present'); // beside the map, which is wider than an arena
   const [tools, hints, legend] = ['tools', 'hints', 'legend'].map((id) => size(id, 'offsetHeight'));
   const side = (...ids) => (isPhone ? 0 : Math.max(...ids.map((id) => size(id, 'offsetWidth'))));
-  const isShort = isPhone && matchMedia('(max-height: 700px)').matches; // its tools are a column at the right
+  const isShort = isPhone && matchMedia('(max-height: 700px) and (orientation: landscape)').matches; // its tools are a column at the right
   const column = isColumn ? side('tools', 'hints', 'legend') : 0, commands = side('commands');
   // The card of a robot counts on a phone alone: in a wide window a click that selects a robot must not move the map.
   const sheet = isPhone ? Math.max(...['detail-pane', 'look', 'list-pane'].map((id) => element(id).offsetHeight)) : 0;
@@ -92,6 +92,7 @@ function counts() {
   const size = model.robots.size;
   show('counts', `${size} ${size === 1 ? 'robot' : 'robots'}: ${running()}`);
   element('counts').title = element('counts').textContent;
+  element('legend').dataset.runs = running(); // seen in Map only, which has no first line
   chips.draw();
   show('clock', clock());
   const isUnaligned = isByOdometry() && model.isUnaligned();

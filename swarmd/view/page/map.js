@@ -498,7 +498,8 @@ export class SwarmMap {
       ctx.lineWidth = 3 * this.ratio;
       ctx.strokeStyle = back;
       ctx.strokeText(robot.name + word, ...place); // readable on trails and other robots
-      ctx.fillStyle = !this.model.isHeard(robot, performance.now()) ? colourOf(this.model.stateOf(robot, performance.now())) : isMarked(robot) ? text : dim;
+      const state = this.model.stateOf(robot, performance.now());
+      ctx.fillStyle = state === 'left' ? colourOf(state) : isMarked(robot) || state === 'silent' ? text : dim; // red is fainter than the other names
       ctx.fillText(robot.name + word, ...place);
     }
     ctx.textBaseline = 'alphabetic';
