@@ -85,7 +85,7 @@ def scan_rate(evidence: Evidence) -> Verdict:
         reason = "scans come too rarely: look at the lidar and the load; or correct scan.rate"
         return failed(reason, f"{rate:.1f} Hz", f"{_SLOW_SHARE * spec.rate:.1f} Hz", **values)
     if share > _LOST_SHARE:
-        reason = "scans are lost on their way to the daemon: look at the network and the load"
+        reason = "scans are lost, or published late: look at the network, the load and the lidar"
         return failed(reason, f"{share:.1%} lost", f"{_LOST_SHARE:.0%}", **values)
     if longest > spec.stale_after:
         reason = "scans paused: the robot would have been held"

@@ -46,7 +46,8 @@ def page(record: AcceptanceRecord, samples: Mapping[str, Samples]) -> str:
     parts.append(f"<h2>Not shown, and why</h2><ul>{lines or '<li>nothing'}</ul>")
     parts.append("<h2>Ways by odometry, and the first scan of each</h2>")
     parts += [_map(record, id, one) for id, one in samples.items() if one.odometry]
-    head = f"<meta charset=utf-8><title>{escape(title)}</title><style>{_STYLE}</style>"
+    view = "<meta name=viewport content='width=device-width'>"
+    head = f"<meta charset=utf-8>{view}<title>{escape(title)}</title><style>{_STYLE}</style>"
     return f"<!doctype html><html lang=en><head>{head}</head><body>{''.join(parts)}</body></html>\n"
 
 
