@@ -228,9 +228,10 @@ class DaemonProcess:
 def children(pid: int) -> list[int]:
     """The process ids of a process's living children, oldest first, without a server of forks."""
     found: list[int] = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(OSError):  # this thread has ended meanwhile
-            found += [int(child) for child in task.read_text().split()]
+    with contextlib.suppress(OSError):  # the process has ended meanwhile
+        for task in Path(f"/proc/{pid}/task").glob("*/children"):
+            with contextlib.suppress(OSError):  # this thread has ended meanwhile
+                found += [int(child) for child in task.read_text().split()]
     return sorted(child for child in found if not _is_server(child))
 
 

@@ -155,8 +155,11 @@ async def test_an_adapter_that_ends_or_hangs_is_replaced_and_stops_the_base(
 
 
 def is_stopped(pid: int) -> bool:
-    """True once all threads of a process are stopped: on a busy machine one after the other."""
-    stats = (path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/stat"))
+    """True once all threads of a process are stopped, one after the other, or it has ended."""
+    try:
+        stats = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/stat")]
+    except OSError:
+        return not is_running(pid)
     return all(stat.rpartition(")")[2].split()[0] == "T" for stat in stats)
 
 
