@@ -38,7 +38,7 @@ MAX_MESSAGE = 500
 """Characters of the field `message`."""
 
 _FAST_DDS = "010f"
-"""With it the id of a DDS participant on Fast DDS begins: the vendor's id (DDSI-RTPS, 9.3.1.5).
+"""With it the id of a DDS participant on Fast DDS begins: the vendor's id (DDSI-RTPS).
 
 The bridge reads the header of a request as rmw_cyclonedds writes it, and drops other requests.
 """

@@ -139,7 +139,7 @@ def _part_b(height: float) -> tuple[Step, ...]:
             height,
             "B5",
             "laptop gone",
-            "A run must end when nobody watches it.",
+            "A run must end when the computer of its operator is gone.",
             flights.lands(stops.after_silence),
             end=End.SILENCE,
         ),

@@ -223,7 +223,7 @@ def _part_b() -> tuple[Step, ...]:
         _lifted(
             "B5",
             "laptop gone",
-            "A run must end when nobody watches it.",
+            "A run must end when the computer of its operator is gone.",
             stops.after_silence,
             end=End.SILENCE,
         ),
