@@ -52,6 +52,13 @@ class Robot:
             )
         threading.Thread(target=self._publish_at_rate, daemon=True).start()
 
+    def obey_lines(self) -> None:
+        """Print `ready`, and obey standard input to its end."""
+        with self._lock:  # a command may arrive already, and its line would part this one
+            print("ready", flush=True)
+        for line in sys.stdin:
+            self.obey(json.loads(line))
+
     def obey(self, order: dict[str, Any]) -> None:
         if order["do"] == "rate":
             self._rate = order["hz"]
@@ -169,10 +176,7 @@ def main() -> None:
     parser.add_argument("--latch", action="store_true")
     args = parser.parse_args()
     rospy.init_node(args.name, argv=[], disable_signals=True, disable_rosout=True)
-    robot = Robot(args)
-    print("ready", flush=True)
-    for line in sys.stdin:
-        robot.obey(json.loads(line))
+    Robot(args).obey_lines()
 
 
 if __name__ == "__main__":
