@@ -44,6 +44,12 @@ def doubles(count: cython.Py_ssize_t) -> cython.double[::1]:
     return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
 
 
+@cython.cfunc
+def scratch(count: cython.Py_ssize_t) -> cython.double[::1]:
+    """A buffer of `count` doubles with any contents, which takes a tenth of the time."""
+    return np.empty(count) if cython.compiled else [0.0] * count
+
+
 def places(count):
     """A buffer of `count` whole numbers."""
     return array("q", bytes(8 * count)) if cython.compiled else [0] * count

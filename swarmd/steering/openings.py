@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.core.values import Array, Pose, Scan
-from swarmd.steering.buffers import doubles, rows
+from swarmd.steering.buffers import rows, scratch
 from swarmd.steering.tracks import ScanReturns
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -106,7 +106,7 @@ class _PlacedReturns:
     bearings: cython.double[::1]  # rad
     x: cython.double[::1]
     y: cython.double[::1]
-    tracks: cython.double[::1]  # x, y, radius of each moving object
+    tracks: cython.double[::1]  # x, y, square of the radius with slack of each moving object
     # The place of the sensor in the base frame, and the pose of the base by odometry.
     offset_x: cython.double
     offset_y: cython.double
@@ -127,7 +127,7 @@ class _PlacedReturns:
         yaw: cython.double = pose.yaw
         # All buffers from one allocation, which costs as much as a hundred returns.
         n: cython.Py_ssize_t = returns.count
-        room: cython.double[::1] = doubles(5 * n)
+        room: cython.double[::1] = scratch(5 * n)
         self.ranges, self.bearings = returns.ranges[:n], returns.bearings[:n]
         self.x, self.y, self.along = room[:n], room[n : 2 * n], room[2 * n : 3 * n]
         self.side, self.places = room[3 * n : 4 * n], room[4 * n :]
@@ -147,9 +147,13 @@ class _PlacedReturns:
     def set_tracks(self, tracks: tuple) -> cython.int:
         """Set `tracks`, each given as (x, y, radius)."""
         k: cython.Py_ssize_t = 0
-        self.tracks = doubles(3 * len(tracks))
+        x: cython.double
+        y: cython.double
+        radius: cython.double
+        self.tracks = scratch(3 * len(tracks))
         for x, y, radius in tracks:
-            self.tracks[k], self.tracks[k + 1], self.tracks[k + 2] = x, y, radius
+            radius += _TRACK_SLACK
+            self.tracks[k], self.tracks[k + 1], self.tracks[k + 2] = x, y, radius * radius
             k += 3
 
     @cython.cfunc
@@ -176,11 +180,13 @@ class _PlacedReturns:
     def is_free(self, row: cython.Py_ssize_t) -> cython.bint:
         """True for a return that is no part of a track."""
         i: cython.Py_ssize_t
-        for i in range(0, len(self.tracks), 3):
-            dx: cython.double = self.x[row] - self.tracks[i]
-            dy: cython.double = self.y[row] - self.tracks[i + 1]
-            radius: cython.double = self.tracks[i + 2] + _TRACK_SLACK
-            if dx * dx + dy * dy <= radius * radius:
+        tracks: cython.double[::1] = self.tracks
+        x: cython.double = self.x[row]
+        y: cython.double = self.y[row]
+        for i in range(0, len(tracks), 3):
+            dx: cython.double = x - tracks[i]
+            dy: cython.double = y - tracks[i + 1]
+            if dx * dx + dy * dy <= tracks[i + 2]:
                 return False
         return True
 

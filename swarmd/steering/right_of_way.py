@@ -29,7 +29,7 @@ from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.buffers import speed_of
 from swarmd.steering.openings import HALF_TURN, SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
-from swarmd.steering.tracks import TURN, ScanReturns, Surroundings, Track, jumps, pose_after
+from swarmd.steering.tracks import TURN, Motion, ScanReturns, Surroundings, Track
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -278,8 +278,10 @@ class RightOfWay:
     _openings: Openings
     # Of the last command: the tracks in the base frame, and the pose of the base.
     _surroundings: Surroundings
-    _pose: object
-    _last_odometry: object  # None before the first reading
+    _x: cython.double  # the pose by odometry at the last command
+    _y: cython.double
+    _yaw: cython.double
+    _motion: Motion  # the last reading of odometry; None before the first
     _passed_at = cython.declare(cython.double, visibility="public")
     # m to the left of the axis at which the robot drives in a corridor
     _lean: cython.double
@@ -320,7 +322,7 @@ class RightOfWay:
         self._lead = min(max(lead, _LEAD_TIMES[0]), _LEAD_TIMES[1])
         self._rng = Random(f"way {seed}")
         self._openings = Openings(clearance.body, returns)
-        self._passed_at, self._pose = -INFINITY, Pose()
+        self._passed_at = -INFINITY
         self.reset()
 
     @cython.ccall
@@ -332,8 +334,10 @@ class RightOfWay:
     @cython.ccall
     def on_odometry(self, odometry: Odometry):
         """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
-        last, self._last_odometry = self._last_odometry, odometry
-        if last is not None and (odometry.stamp < last.stamp or jumps(odometry, last)):
+        last: Motion = self._motion
+        motion: Motion = Motion(odometry)
+        self._motion = motion
+        if last is not None and (motion.stamp < last.stamp or motion.jumps_from(last)):
             self._openings.clear()
             self._release()
 
@@ -359,11 +363,19 @@ class RightOfWay:
         odometry = context.odometry
         if self.state is WayState.NONE or opening is None or odometry is None:
             return None
-        pose = pose_after(odometry, context.odometry_age or 0.0)
-        x: cython.double = opening.x - pose.x
-        y: cython.double = opening.y - pose.y
-        bearing: cython.double = remainder(atan2(y, x) - pose.yaw, TURN)
+        base_x, base_y, yaw = self._motion_of(odometry).pose_after(context.odometry_age or 0.0)
+        x: cython.double = opening.x - base_x
+        y: cython.double = opening.y - base_y
+        bearing: cython.double = remainder(atan2(y, x) - yaw, TURN)
         return Avoided(bearing, math.hypot(x, y), self.state)
+
+    @cython.cfunc
+    def _motion_of(self, odometry) -> Motion:
+        """The numbers of a reading, which is the last one as a rule."""
+        motion: Motion = self._motion
+        if motion is None or motion.odometry is not odometry:
+            motion = Motion(odometry)
+        return motion
 
     @cython.ccall
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext):
@@ -385,9 +397,16 @@ class RightOfWay:
         if abs(odometry.twist.angular) > _TURNING:
             return
         scan_age = (scan.newest_age or 0.0) + context.scan_delay
-        pose = pose_after(odometry, context.odometry_age - scan_age)
-        placed = tuple(_by_odometry(tracks, self._pose))
-        self._openings.observe(scan, offset, pose, context.now, placed, self._opening)
+        motion: Motion = self._motion_of(odometry)
+        pose = Pose(*motion.pose_after(context.odometry_age - scan_age))
+        c: cython.double = cos(self._yaw)
+        s: cython.double = sin(self._yaw)
+        track: Track
+        placed: list = []
+        for track in tracks:
+            x, y = _moved(track.x, track.y, self._x, self._y, c, s)
+            placed.append((x, y, track.radius))
+        self._openings.observe(scan, offset, pose, context.now, tuple(placed), self._opening)
 
     @cython.ccall
     def command(
@@ -407,16 +426,16 @@ class RightOfWay:
             safe_for: gives the command that protection would make of any command.
             points: gives the returns of the scan, (n, 2) in m in the base frame.
         """
-        odometry = context.odometry
+        odometry, odometry_age = context.odometry, context.odometry_age
         now: cython.double = context.now
-        if odometry is None or context.odometry_age is None:
+        if odometry is None or odometry_age is None:
             return requested
-        if self._last_odometry is not odometry:
+        if self._motion is None or self._motion.odometry is not odometry:
             self.on_odometry(odometry)
 
         # 1. The pose of the base, and the direction of the request.
-        pose = pose_after(odometry, context.odometry_age)
-        self._surroundings, self._pose = surroundings, pose
+        base_x, base_y, yaw = self._motion.pose_after(odometry_age)
+        self._surroundings, self._x, self._y, self._yaw = surroundings, base_x, base_y, yaw
         linear: cython.double = requested.linear
         angular: cython.double = requested.angular
         lateral: cython.double = requested.lateral
@@ -425,42 +444,51 @@ class RightOfWay:
             return requested
         # m/s, the fastest that was requested so far.
         self._speed = max(self._speed, speed_of(linear, lateral))
-        self._wanted_yaw = self._requested_yaw(linear, angular, lateral, pose.yaw)
+        self._wanted_yaw = self._requested_yaw(linear, angular, lateral, yaw)
 
         # 2. Chooses an opening, if none is chosen, and places the robot in its frame.
         if self._opening is None:
-            self._choose(pose, now)
+            self._choose(base_x, base_y, now)
         opening: Opening = self._opening
         if opening is None:
             return requested
-        along, aside = opening.to_local(pose.x, pose.y, self._sign)
+        along, aside = opening.to_local(base_x, base_y, self._sign)
         begin, end = opening.ends(self._sign)
-        yaw_off: cython.double = pose.yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
+        depth: cython.double = end - begin
+        along -= begin
+        yaw_off: cython.double = yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
         heading: cython.double = remainder(yaw_off, TURN)
-        place = _Place(along - begin, aside, heading, end - begin, opening.half)
 
         # 3. Drops the opening once it is passed, far away, not on the way, or after _GIVE_UP s.
-        is_passed: cython.bint = place.along > place.depth + _BEYOND
-        if is_passed and surroundings.tracks:
+        tracks: tuple = surroundings.tracks
+        is_passed: cython.bint = along > depth + _BEYOND
+        if is_passed and tracks:
             self._passed_at = now  # others are near: next time this robot lets them pass longer
         cos_to_request: cython.double = cos(self._wanted_yaw - opening.angle) * self._sign
         is_too_long: cython.bint = now - self._chosen_at > _GIVE_UP
-        if is_passed or place.along < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
+        if is_passed or along < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
             self._release()
             return requested
 
         # 4. Places the tracks that persist in the frame of the opening. New tracks may be walls.
-        tracks: tuple = surroundings.tracks
-        self._seen_since = {track.id: self._seen_since.get(track.id, now) for track in tracks}
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        track: Track
+        others, seen_since = [], {}
+        for track in tracks:
+            id = track.id
+            since: cython.double = self._seen_since.get(id, now)
+            seen_since[id] = since
+            if now - since >= _PERSISTS:
+                x, y = _moved(track.x, track.y, base_x, base_y, c, s)
+                x, y = opening.to_local(x, y, self._sign)
+                others.append(_PlacedTrack(id, x - begin, y))
+        self._seen_since = seen_since
         for by_track in (self._sides, self._farthest):
-            for id in by_track.keys() - self._seen_since.keys():
+            for id in by_track.keys() - seen_since.keys():
                 del by_track[id]
-        self._came_out &= self._seen_since.keys()
-        others = []
-        for track, (x, y, _) in zip(tracks, _by_odometry(tracks, pose), strict=True):
-            track_along, track_aside = opening.to_local(x, y, self._sign)
-            if now - self._seen_since[track.id] >= _PERSISTS:
-                others.append(_PlacedTrack(track.id, track_along - begin, track_aside))
+        self._came_out &= seen_since.keys()
+        place = _Place(along, aside, heading, depth, opening.half)
         return self._decide_state(place, others, now, safe_for, points)
 
     @cython.cfunc
@@ -488,12 +516,12 @@ class RightOfWay:
         return yaw + bearing
 
     @cython.cfunc
-    def _choose(self, pose: Pose, now: cython.double):
+    def _choose(self, x: cython.double, y: cython.double, now: cython.double):
         """Choose the nearest opening through which the request leads, or into whose wall it leads.
 
         Sets `_opening` and `_sign` (the direction through the opening), and resets what belongs to
-        another opening. Nothing changes if no opening is on the way. `pose` is the pose of the base
-        in the frame of the odometry.
+        another opening. Nothing changes if no opening is on the way. `x`, `y`: the place in m of
+        the base in the frame of the odometry.
         """
         opening: Opening
         nearest, chosen = INFINITY, None
@@ -505,7 +533,7 @@ class RightOfWay:
 
             # 2. Skips an opening that the robot has passed, or beside which the robot is.
             sign = 1.0 if fabs(angle) < 0.5 * HALF_TURN else -1.0
-            along, aside = opening.to_local(pose.x, pose.y, sign)
+            along, aside = opening.to_local(x, y, sign)
             begin, end = opening.ends(sign)
             along -= begin
             if along > end - begin or (along > -_IN_ANYHOW and fabs(aside) > opening.half):
@@ -830,18 +858,17 @@ class RightOfWay:
 
 
 @cython.cfunc
-def _by_odometry(tracks: tuple, pose: Pose) -> list:
-    """Of each track its x, y and radius in m in the frame of the odometry.
+@cython.inline
+def _moved(
+    x: cython.double,
+    y: cython.double,
+    base_x: cython.double,
+    base_y: cython.double,
+    c: cython.double,
+    s: cython.double,
+) -> tuple[cython.double, cython.double]:
+    """A place in m in the frame of the odometry; `x`, `y`: in the base frame.
 
-    `pose` is the pose of the base in this frame. Callers place tracks only if an opening is chosen,
-    or for the next scan, to save time: in a crowd each of 35 commands a second sees 15 tracks.
+    `base_x`, `base_y` in m and the cosine `c` and sine `s` of the yaw: the pose of the base.
     """
-    track: Track
-    x: cython.double = pose.x
-    y: cython.double = pose.y
-    c: cython.double = cos(pose.yaw)
-    s: cython.double = sin(pose.yaw)
-    placed: list = []
-    for track in tracks:
-        placed.append((x + c * track.x - s * track.y, y + s * track.x + c * track.y, track.radius))
-    return placed
+    return base_x + c * x - s * y, base_y + s * x + c * y

@@ -33,7 +33,6 @@ from swarmd.core.values import (
     Array,
     Odometry,
     Platform,
-    Pose,
     Scan,
 )
 from swarmd.protection.decision import DecisionContext
@@ -111,7 +110,6 @@ TURN = cython.declare(cython.double, 2.0 * math.pi)
 _SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # sectors in a rad
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
 _max_step = cython.declare(cython.double, MAX_STEP)
-_Pose = cython.declare(object, Pose)  # a C name: a name of the module takes ten times as long
 _max_speed = cython.declare(cython.double, MAX_SPEED)
 
 
@@ -135,33 +133,51 @@ class Track:
         self.id, self.x, self.y, self.vx, self.vy, self.radius = numbers
 
 
-@cython.ccall
-def pose_after(odometry, seconds: cython.double):
-    """The pose some time after a reading, at its twist."""
-    twist, pose = odometry.twist, odometry.pose
-    x: cython.double = pose.x
-    y: cython.double = pose.y
-    yaw: cython.double = pose.yaw
-    linear: cython.double = twist.linear
-    angular: cython.double = twist.angular
-    lateral: cython.double = twist.lateral
-    middle_yaw: cython.double = yaw + 0.5 * seconds * angular
-    c: cython.double = cos(middle_yaw)
-    s: cython.double = sin(middle_yaw)
-    x += seconds * (c * linear - s * lateral)
-    y += seconds * (s * linear + c * lateral)
-    return _Pose(x, y, yaw + seconds * angular)
+@cython.final
+@cython.cclass
+class Motion:
+    """The pose and the twist of a reading of odometry: m, rad, m/s, rad/s.
 
+    An extension type, whose numbers are of C: each of 35 decisions a second reads them twice.
+    """
 
-@cython.cfunc
-def jumps(odometry, last) -> cython.bint:
-    """As `Odometry.jumps_from`, which takes ten times as long."""
-    pose, last_pose = odometry.pose, last.pose
-    dx: cython.double = pose.x - last_pose.x
-    dy: cython.double = pose.y - last_pose.y
-    turn: cython.double = fabs(remainder(pose.yaw - last_pose.yaw, TURN))
-    seconds: cython.double = odometry.stamp - last.stamp
-    return max(hypot(dx, dy), turn) > _max_step + _max_speed * seconds
+    odometry = cython.declare(object, visibility="readonly")
+    stamp: cython.double
+    x: cython.double
+    y: cython.double
+    yaw: cython.double
+    linear: cython.double
+    angular: cython.double
+    lateral: cython.double
+
+    def __init__(self, odometry: Odometry) -> None:
+        """Read the numbers of `odometry`."""
+        pose, twist = odometry.pose, odometry.twist
+        self.odometry, self.stamp = odometry, odometry.stamp
+        self.x, self.y, self.yaw = pose.x, pose.y, pose.yaw
+        self.linear, self.angular, self.lateral = twist.linear, twist.angular, twist.lateral
+
+    @cython.cfunc
+    def pose_after(
+        self, seconds: cython.double
+    ) -> tuple[cython.double, cython.double, cython.double]:
+        """The pose (x, y, yaw) some time after the reading, at its twist."""
+        middle_yaw: cython.double = self.yaw + 0.5 * seconds * self.angular
+        c: cython.double = cos(middle_yaw)
+        s: cython.double = sin(middle_yaw)
+        return (
+            self.x + seconds * (c * self.linear - s * self.lateral),
+            self.y + seconds * (s * self.linear + c * self.lateral),
+            self.yaw + seconds * self.angular,
+        )
+
+    @cython.cfunc
+    def jumps_from(self, last: Motion) -> cython.bint:
+        """As `Odometry.jumps_from`, which takes ten times as long."""
+        turn: cython.double = fabs(remainder(self.yaw - last.yaw, TURN))
+        seconds: cython.double = self.stamp - last.stamp
+        distance: cython.double = hypot(self.x - last.x, self.y - last.y)
+        return max(distance, turn) > _max_step + _max_speed * seconds
 
 
 _no_doubles = cython.declare(cython.double[::1], doubles(0))
@@ -231,10 +247,13 @@ class ScanReturns:
             lowest = 0
 
         # 2. The returns in the order of their bearings.
+        own_ranges: cython.double[::1] = self.ranges
+        own_bearings: cython.double[::1] = self.bearings
+        own_ages: cython.double[::1] = self.ages
         for k in range(count):
             i = order[k + lowest if k + lowest < count else k + lowest - count]
-            self.ranges[k], self.bearings[k] = ranges[i], bearings[i]
-            self.ages[k] = ages[i] if has_ages else 0.0
+            own_ranges[k], own_bearings[k] = ranges[i], bearings[i]
+            own_ages[k] = ages[i] if has_ages else 0.0
         self.count, self._scan = count, scan
         return 0
 
@@ -437,8 +456,8 @@ class Tracker:
     _fastest: cython.double  # m/s, of an object
     _widest: cython.double  # m, of an object that is no wall
     _spacing: cython.double  # rad between two rays
-    _history: object  # readings of odometry
-    _latest: object  # of them; None without one
+    _history: object  # readings of odometry, as Motion
+    _latest: Motion  # of them; None without one
     _filters: list
     _next_id: cython.longlong
     # Places of walls in the frame of the odometry.
@@ -482,13 +501,14 @@ class Tracker:
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all objects are forgotten."""
-        latest = self._latest
-        if latest is not None and (odometry.stamp <= latest.stamp or jumps(odometry, latest)):
-            if odometry.stamp == latest.stamp:
+        latest: Motion = self._latest
+        motion: Motion = Motion(odometry)
+        if latest is not None and (motion.stamp <= latest.stamp or motion.jumps_from(latest)):
+            if motion.stamp == latest.stamp:
                 return
             self.reset()
-        self._history.append(odometry)
-        self._latest = odometry
+        self._history.append(motion)
+        self._latest = motion
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan that has arrived at the time of `context`.
@@ -496,21 +516,22 @@ class Tracker:
         Cuts the scan into clusters (visible surfaces of objects), updates the filters of known
         objects, and begins a filter for each new object. Does nothing before the first odometry.
         """
-        if self._latest is None or context.odometry_age is None:
+        odometry_age = context.odometry_age
+        if self._latest is None or odometry_age is None:
             return
 
         # 1. When and where the scan was measured, on the clock of odometry.
         newest_age = self._latency if scan.newest_age is None else scan.newest_age
         scan_time: cython.double = (
-            self._latest.stamp + context.odometry_age - newest_age - context.scan_delay
+            self._latest.stamp + odometry_age - newest_age - context.scan_delay
         )
-        pose = self._pose(scan_time)
+        x, y, yaw = self._pose(scan_time)
         cluster: _Cluster
         track: _Filter
 
         # 2. Clusters of the scan, and of places that peers shared.
         self._wall_count = 0
-        self._take_returns(scan, pose)
+        self._take_returns(scan, x, y, yaw)
         clusters: list = self._clusters(scan_time)
         self._add_shared_places(clusters, context)
 
@@ -518,7 +539,7 @@ class Tracker:
         for track in self._filters:
             track.predict(scan_time)
         self._associate(clusters)
-        self._end_missed(pose, scan_time)
+        self._end_missed(x, y, yaw, scan_time)
 
         # 4. A cluster that fits no object is a new object.
         for cluster in clusters:
@@ -539,39 +560,38 @@ class Tracker:
 
         Read the result before the tracker takes in the next scan. Empty before the first odometry.
         """
-        if self._latest is None or context.odometry_age is None:
+        odometry_age = context.odometry_age
+        if self._latest is None or odometry_age is None:
             return Surroundings((), np.empty((0, 2)))
-        time: cython.double = self._latest.stamp + context.odometry_age
+        time: cython.double = self._latest.stamp + odometry_age
         around: Surroundings = Surroundings(None, None)
         around._filters, around._time = self._filters, time
         around._wall_x, around._wall_y = self._wall_x, self._wall_y
         around._wall_count = self._wall_count
-        pose = self._pose(time)
-        around._x, around._y, around._yaw = pose.x, pose.y, pose.yaw
+        around._x, around._y, around._yaw = self._pose(time)
         return around
 
     @cython.cfunc
-    def _pose(self, time: cython.double):
-        """The pose at a time, interpolated, or extrapolated from the last reading."""
-        later = self._latest
-        stamp: cython.double = later.stamp
-        if time >= stamp or len(self._history) == 1:
-            seconds: cython.double = time - stamp
-            seconds = min(max(seconds, -_max_extrapolation), _max_extrapolation)
-            return pose_after(later, seconds)
+    def _pose(self, time: cython.double) -> tuple[cython.double, cython.double, cython.double]:
+        """The pose (x, y, yaw) at a time, interpolated, or extrapolated from the last reading."""
+        later: Motion = self._latest
+        earlier: Motion
+        if time >= later.stamp or len(self._history) == 1:
+            seconds: cython.double = time - later.stamp
+            return later.pose_after(min(max(seconds, -_max_extrapolation), _max_extrapolation))
         for earlier in reversed(self._history):
-            stamp = earlier.stamp
-            if stamp <= time:
-                fraction: cython.double = (time - stamp) / max(later.stamp - stamp, 1e-9)
-                earlier_pose, later_pose = earlier.pose, later.pose
-                turn: cython.double = remainder(later_pose.yaw - earlier_pose.yaw, TURN)
-                return Pose(
-                    earlier_pose.x + fraction * (later_pose.x - earlier_pose.x),
-                    earlier_pose.y + fraction * (later_pose.y - earlier_pose.y),
-                    earlier_pose.yaw + fraction * turn,
+            if earlier.stamp <= time:
+                share: cython.double = (time - earlier.stamp) / max(
+                    later.stamp - earlier.stamp, 1e-9
+                )
+                turn: cython.double = remainder(later.yaw - earlier.yaw, TURN)
+                return (
+                    earlier.x + share * (later.x - earlier.x),
+                    earlier.y + share * (later.y - earlier.y),
+                    earlier.yaw + share * turn,
                 )
             later = earlier
-        return later.pose
+        return later.x, later.y, later.yaw
 
     @cython.cfunc
     def _add_shared_places(self, clusters: list, context):
@@ -580,14 +600,13 @@ class Tracker:
             return
         now: cython.double = self._latest.stamp + context.odometry_age
         for obstacle in context.told:
-            pose = self._pose(now - obstacle.age)
-            yaw: cython.double = pose.yaw
+            base_x, base_y, yaw = self._pose(now - obstacle.age)
             c: cython.double = cos(yaw)
             s: cython.double = sin(yaw)
             x: cython.double = obstacle.x
             y: cython.double = obstacle.y
             cluster: _Cluster = _Cluster()
-            cluster.x, cluster.y = pose.x + c * x - s * y, pose.y + s * x + c * y
+            cluster.x, cluster.y = base_x + c * x - s * y, base_y + s * x + c * y
             cluster.half_width, cluster.range = obstacle.radius, hypot(x, y)
             cluster.visible_ends = 1
             cluster.measured_at, cluster.is_shared = now - obstacle.age, True
@@ -601,24 +620,29 @@ class Tracker:
         return 0
 
     @cython.cfunc
-    def _take_returns(self, scan, pose) -> cython.int:
+    def _take_returns(
+        self, scan, base_x: cython.double, base_y: cython.double, yaw: cython.double
+    ) -> cython.int:
         """Store the returns of a scan, sorted by bearing, with their places by odometry.
 
-        `pose` is the pose of the base when the scan was measured. Sets the arrays of returns, and
-        makes the arrays of places, runs and walls long enough.
+        `base_x`, `base_y`, `yaw`: the pose of the base when the scan was measured. Sets the arrays
+        of returns, and makes the arrays of places, runs and walls long enough.
         """
         returns: ScanReturns = self._returns
         returns.take(scan)
         if len(self._x) < len(returns.ranges):
             self._make_room(len(returns.ranges))
-        yaw: cython.double = pose.yaw
-        self._lidar_x = pose.x + cos(yaw) * self._offset_x - sin(yaw) * self._offset_y
-        self._lidar_y = pose.y + sin(yaw) * self._offset_x + cos(yaw) * self._offset_y
+        lidar_x: cython.double = base_x + cos(yaw) * self._offset_x - sin(yaw) * self._offset_y
+        lidar_y: cython.double = base_y + sin(yaw) * self._offset_x + cos(yaw) * self._offset_y
+        self._lidar_x, self._lidar_y = lidar_x, lidar_y
+        ranges: cython.double[::1] = returns.ranges
+        bearings: cython.double[::1] = returns.bearings
+        x: cython.double[::1] = self._x
+        y: cython.double[::1] = self._y
         k: cython.Py_ssize_t
         for k in range(returns.count):
-            angle: cython.double = returns.bearings[k] + yaw
-            self._x[k] = self._lidar_x + returns.ranges[k] * cos(angle)
-            self._y[k] = self._lidar_y + returns.ranges[k] * sin(angle)
+            angle: cython.double = bearings[k] + yaw
+            x[k], y[k] = lidar_x + ranges[k] * cos(angle), lidar_y + ranges[k] * sin(angle)
         return 0
 
     def _make_room(self, count):
@@ -879,12 +903,14 @@ class Tracker:
         return False
 
     @cython.cfunc
-    def _end_missed(self, pose, at: cython.double) -> cython.int:
+    def _end_missed(
+        self, x: cython.double, y: cython.double, yaw: cython.double, at: cython.double
+    ) -> cython.int:
         """End the tracks whose place was seen empty, or that were hidden for too long."""
         track: _Filter
         kept: list = []
         for track in self._filters:
-            if track.misses and not self._is_hidden(track, pose):
+            if track.misses and not self._is_hidden(track, x, y, yaw):
                 if track.misses >= _MAX_MISSES or track.hits < _MIN_HITS:
                     continue
             elif track.misses:
@@ -894,15 +920,17 @@ class Tracker:
         self._filters = kept
 
     @cython.cfunc
-    def _is_hidden(self, track: _Filter, pose) -> cython.bint:
-        """True if a return in front of a track hides its middle."""
+    def _is_hidden(
+        self, track: _Filter, base_x: cython.double, base_y: cython.double, yaw: cython.double
+    ) -> cython.bint:
+        """True if a return in front of a track hides its middle from the pose of the base."""
         n: cython.Py_ssize_t = self._returns.count
         if n == 0:
             return False
-        cos_yaw: cython.double = cos(pose.yaw)
-        sin_yaw: cython.double = sin(pose.yaw)
-        dx: cython.double = track.x - pose.x
-        dy: cython.double = track.y - pose.y
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
+        dx: cython.double = track.x - base_x
+        dy: cython.double = track.y - base_y
         x: cython.double = cos_yaw * dx + sin_yaw * dy - self._offset_x
         y: cython.double = cos_yaw * dy - sin_yaw * dx - self._offset_y
         # The first return whose bearing is not below; the bearings rise.
