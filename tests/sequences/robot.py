@@ -4,6 +4,7 @@ Two searches: all sequences of commands, deep, and all sequences of commands and
 
     python -m tests.sequences robot                       # both, at the depth of `make sequences`
     python -m tests.sequences robot events --depth 5      # some CPU-hours
+    python -m tests.sequences robot events --depth 5 --draw 40  # what begins with 40 pairs
     python -m tests.sequences robot --replay run,hazard:lifted,stop
 
 Finished parts are kept in a file per search, so that the same command goes on. A sequence that
@@ -78,6 +79,7 @@ def main(folder: Path, arguments: Sequence[str]) -> int:
     parser.add_argument("--depth", type=int, help="actions of the longest sequences")
     parser.add_argument("--short", action="store_true", help="the depths of `make test`")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--draw", type=int, metavar="N", help="a sample of N units [all]")
     parser.add_argument("--replay", metavar="ACTION,...", help="carry out one sequence")
     parser.add_argument("--fault", choices=FAULTS, default="", help="a robot with this fault")
     parser.add_argument("--shortest", action="store_true", help="the shortest broken sequence")
@@ -100,7 +102,7 @@ def main(folder: Path, arguments: Sequence[str]) -> int:
             print(name, search.shortest())
             continue
         file = folder / f"robot-{name}-{depth}{options.fault and '-' + options.fault}.jsonl"
-        total = search.run(options.jobs, file, Head(name, depth, _digest()), _tell)
+        total = search.run(options.jobs, file, Head(name, depth, _digest()), _tell, options.draw)
         status |= _told(f"{name}, depth {depth}", total)
         if options.figures:
             write_figures("robot", name, len(alphabet.actions), depth, total)

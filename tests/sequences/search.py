@@ -16,6 +16,7 @@ import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from random import Random
 from typing import Protocol
 
 import msgspec
@@ -166,25 +167,30 @@ class Search:
         file: Path | None = None,
         head: Head | None = None,
         tell: Callable[[int, Tally], None] = lambda done, total: None,
+        draw: int | None = None,
     ) -> Tally:
         """The tally of the search.
 
         `jobs`: processes that compute; 1: this one. `file`, `head`: keeps finished units; those of
         another search or of other code are dropped. `tell` hears of the share that is done, in
-        percent, and the tally.
+        percent, and the tally. `draw`: the first units of a random order, the same each time; None:
+        all.
         """
         done = {} if file is None or head is None else read(file, head)
         total = Tally()
         for tally in done.values():
             total.add(tally)
         wanted = list(self.units())
+        if draw is not None:
+            Random(1).shuffle(wanted)
+            del wanted[draw:]
         for unit in _each(self.unit, [prefix for prefix in wanted if prefix not in done], jobs):
             done[unit.prefix] = unit.tally
             total.add(unit.tally)
             if file is not None:
                 with file.open("ab") as opened:
                     opened.write(msgspec.json.encode(unit) + b"\n")
-            tell(100 * len(done) // len(wanted), total)
+            tell(100 * sum(one in done for one in wanted) // len(wanted), total)
         return total
 
     def shortest(self) -> Violation | None:

@@ -176,6 +176,16 @@ class TestSearch:
         )
         assert len(heard) == 3 + 6
 
+    def test_a_draw_is_a_part_of_each_larger_one_and_goes_on(self, tmp_path: Path) -> None:
+        file, head, heard = tmp_path / "units", Head("letters", 4, "1"), list[int]()
+        self.search.run(file=file, head=head, draw=2)
+        drawn = self.search.run(
+            file=file, head=head, draw=4, tell=lambda done, _: heard.append(done)
+        )
+        assert heard == [75, 100]
+        whole = self.search.run(file=file, head=head)
+        assert drawn.sequences < whole.sequences == self.search.run().sequences
+
     def test_the_shortest_is_the_first_one(self) -> None:
         found = self.search.shortest()
         assert found is not None
