@@ -56,6 +56,12 @@ class Person:
             self.see(0.1)
         self._read_to = place + len(word)
 
+    def restore(self, cap: float = CAP) -> None:
+        """Press Enter once the test asks whether all is as before."""
+        self.read_on("press Enter", cap)
+        time.sleep(6.0)
+        self.press(b"\n")
+
     @property
     def words(self) -> str:
         """What was read so far, without breaks of lines."""

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-import yaml
 
 from swarmd.acceptance.result_file import read_record
 from swarmd.acceptance.verdict import Result, Verdict
 from tests.acceptance.crazyflie_base import CrazyflieBase
-from tests.acceptance.person import Person, person
-from tests.support.processes import unique_swarm, wait_until
-from tests.support.swarmctl import Running, swarmctl
+from tests.acceptance.daemon_rig import DaemonRig
+from tests.support.processes import wait_until
+from tests.support.swarmctl import swarmctl
 
 pytest.importorskip("cflib", reason="extra crazyflie")
 pytestmark = [pytest.mark.evidence, pytest.mark.integration, pytest.mark.timeout(900)]
@@ -30,41 +29,13 @@ TRIES = 3
 """On a busy machine a run may begin too late, or the drone may land: not shown, then."""
 
 
-class Rig:
+class Rig(DaemonRig):
     """A daemon of a Crazyflie, and its drone."""
 
     def __init__(self, folder: Path, left: ExitStack, **fields: object) -> None:
         self.base = CrazyflieBase(**fields)  # type: ignore[arg-type]
         left.callback(self.base.close)
-        self.swarm, self._left = unique_swarm(), left
-        self.results, self._config = folder / "results", folder / "robot.yaml"
-        settings = {
-            "id": ROBOT,
-            "swarm": self.swarm,
-            "platform": "crazyflie",
-            "driver": "crazyflie",
-            "driver_options": self.base.options,
-            "state_dir": str(folder / "state"),
-        }
-        self._config.write_text(yaml.safe_dump(settings))
-        self.start()
-
-    def start(self) -> None:
-        words = ("--config", str(self._config))
-        self.daemon = self._left.enter_context(Running(*words, program="swarmd"))
-
-    def restart(self) -> None:
-        self.daemon.terminate()
-        self.daemon.wait(20.0)
-        self.start()
-
-    def kill(self) -> None:
-        self.daemon.kill()
-        self.daemon.wait(10.0)
-
-    def asked(self, only: str) -> Person:
-        words = ("--only", only, "--folder", str(self.results))
-        return self._left.enter_context(person(self.swarm, ROBOT, *words))
+        super().__init__(folder, left, ROBOT, "crazyflie", "crazyflie", self.base.options)
 
     @property
     def found(self) -> Mapping[str, Verdict]:
@@ -107,18 +78,10 @@ class Rig:
                 base.unplug()
                 time.sleep(DOWN)
                 base.plug_in()
-            one.read_on("press Enter", LONG)
-            time.sleep(6.0)
-            one.press(b"\n")
+            one.restore(LONG)
         one.read_on(f"{name} ", LONG)
         one.end()
         base.hand = -1
-
-
-@pytest.fixture
-def left() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
 
 
 def rig_of(folder: Path, left: ExitStack, **fields: object) -> Rig:

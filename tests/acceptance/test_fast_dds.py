@@ -5,7 +5,6 @@ The other tests have CycloneDDS, which the bridge has, too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -37,12 +36,6 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def left() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
-
-
-@pytest.fixture
 def rig(program: Path, tmp_path: Path, left: ExitStack) -> Rig:
     make_node = partial(FastDdsNode, program)
     others: dict[str, Value] = {"other_actions": ["dock"]}
@@ -51,7 +44,7 @@ def rig(program: Path, tmp_path: Path, left: ExitStack) -> Rig:
 
 def judged(rig: Rig, *steps: str) -> dict[str, Verdict]:
     """The verdicts on steps of part A."""
-    folder = rig.folder / "results"
+    folder = rig.results
     words = ("--folder", str(folder), "--daemon-config", str(rig.config))
     for step in steps:
         with person(rig.swarm, ROBOT, "--only", step, *words) as one:
@@ -73,7 +66,7 @@ def test_a_sound_base_is_as_it_says_while_it_rests(rig: Rig) -> None:
 
 
 def test_a_sound_base_stops_in_every_case(rig: Rig) -> None:
-    judge_part_b(rig, rig.folder / "results")
+    judge_part_b(rig, rig.results)
 
 
 def test_a_goal_of_an_action_is_found(rig: Rig) -> None:

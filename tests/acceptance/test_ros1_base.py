@@ -7,20 +7,18 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-import yaml
 
 from swarmd.acceptance.result_file import read_record
 from swarmd.acceptance.verdict import Result
-from tests.acceptance.person import Person, person
+from tests.acceptance.daemon_rig import DaemonRig
+from tests.acceptance.person import Person
 from tests.drivers.ros1.rig import RosRobot
-from tests.support.processes import children, unique_swarm, wait_until
+from tests.support.processes import children, wait_until
 from tests.support.roscore import PYTHON, RosCore, why_no_ros1
-from tests.support.swarmctl import Running
 
 pytestmark = [
     pytest.mark.evidence,
@@ -79,47 +77,16 @@ class LiftedBase:
             pipe.close()
 
 
-class Rig:
+class Rig(DaemonRig):
     """A daemon of a Burger without a command timeout, and its base."""
 
     def __init__(self, folder: Path, left: ExitStack, *words: str) -> None:
         self.core = left.enter_context(RosCore(folder / "ros", is_whole=False))
         self.base = LiftedBase(self.core, *words)
         left.callback(self.base.close)
-        self.swarm, self._left = unique_swarm(), left
-        self.results, self._config = folder / "results", folder / "robot.yaml"
-        settings = {
-            "id": ROBOT,
-            "swarm": self.swarm,
-            "platform": "burger",
-            "driver": "ros1",
-            "driver_options": {
-                "master": self.core.uri,
-                "ip": "127.0.0.1",
-                "namespace": NAMESPACE,
-            },
-            "state_dir": str(folder / "state"),
-        }
-        self._config.write_text(yaml.safe_dump(settings))
-        self.start()
+        options = {"master": self.core.uri, "ip": "127.0.0.1", "namespace": NAMESPACE}
+        super().__init__(folder, left, ROBOT, "burger", "ros1", options)
         time.sleep(DOWN)
-
-    def start(self) -> None:
-        words = ("--config", str(self._config))
-        self.daemon = self._left.enter_context(Running(*words, program="swarmd"))
-
-    def restart(self) -> None:
-        self.daemon.terminate()
-        self.daemon.wait(20.0)
-        self.start()
-
-    def kill(self) -> None:
-        self.daemon.kill()
-        self.daemon.wait(10.0)
-
-    def asked(self, only: str) -> Person:
-        words = ("--only", only, "--folder", str(self.results))
-        return self._left.enter_context(person(self.swarm, ROBOT, *words))
 
     def answer(self, one: Person) -> None:
         """Say yes, and wait until the wheels turn."""
@@ -135,19 +102,6 @@ class Rig:
 
 def _is_adapter(pid: int) -> bool:
     return b"adapter_process" in Path(f"/proc/{pid}/cmdline").read_bytes()
-
-
-@pytest.fixture
-def left() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
-
-
-def restored(one: Person) -> None:
-    """Press Enter once the test asks whether all is as before."""
-    one.read_on("press Enter", LONG)
-    time.sleep(6.0)
-    one.press(b"\n")
 
 
 def test_a_sound_base_is_as_it_says_while_it_rests(tmp_path: Path, left: ExitStack) -> None:
@@ -184,11 +138,11 @@ def test_a_sound_base_stops_in_every_case(tmp_path: Path, left: ExitStack) -> No
     rig.kill()
     time.sleep(DOWN)
     rig.start()
-    restored(one)
+    one.restore(LONG)
     one.read_on("B7 ", LONG)
     rig.answer(one)
     rig.end_adapter()
-    restored(one)
+    one.restore(LONG)
     one.read_on("B8 ", LONG)
     one.end()
     found = read_record(rig.results).verdicts

@@ -8,27 +8,26 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from cyclonedds.core import Policy, Qos
 
 from swarmd.acceptance.result_file import read_record
 from swarmd.acceptance.verdict import Result
 from swarmd.core.values import Value
+from tests.acceptance.daemon_rig import DaemonRig
 from tests.acceptance.person import Person, person
 from tests.acceptance.ros2_base import LiftedBase, is_driving
 from tests.drivers.ros2.dds_rig import SENSES
 from tests.drivers.ros2.robots import open_session
 from tests.support.dds_node import RELIABLE, SENSOR, DdsNode
-from tests.support.processes import end_process, unique_swarm, wait_until, watchdogs
+from tests.support.processes import end_process, wait_until, watchdogs
 from tests.support.ros2_bridge import why_no_bridge
 from tests.support.ros2_types import Twist
-from tests.support.swarmctl import Running
 
 pytestmark = [
     pytest.mark.evidence,
@@ -43,7 +42,7 @@ KEPT = Qos(
 )
 
 
-class Rig:
+class Rig(DaemonRig):
     """A daemon of a Burger without a command timeout, its bridge and its base.
 
     `first`: a topic of which another node has another quality of service, before the base begins.
@@ -65,23 +64,12 @@ class Rig:
         for topic, quality in (first or {}).items():
             left.callback(self._first(topic, quality).close)
         left.callback(self.end_watchdogs)
-        self.swarm, self._left = unique_swarm(), left
-        self.config, self.folder = folder / "robot.yaml", folder
         options: dict[str, Value] = {
             "endpoint": self.base.endpoint,
             "cmd_vel_listeners": ["/rosbag2"],
         }
         options.update(others or {})
-        settings = {
-            "id": ROBOT,
-            "swarm": self.swarm,
-            "platform": "burger",
-            "driver": "ros2dds",
-            "driver_options": options,
-            "state_dir": str(folder / "state"),
-        }
-        self.config.write_text(yaml.safe_dump(settings))
-        self.start()
+        super().__init__(folder, left, ROBOT, "burger", "ros2dds", options)
 
     def _first(self, topic: str, quality: Qos) -> DdsNode:
         """A node that has a topic first, and then the base: the route of the bridge is as here."""
@@ -96,19 +84,6 @@ class Rig:
             wait_until(lambda: any(session.get("@/*/ros2/node/*/base")), "the base is listed")
         return node
 
-    def start(self) -> None:
-        words = ("--config", str(self.config))
-        self.daemon = self._left.enter_context(Running(*words, program="swarmd"))
-
-    def restart(self) -> None:
-        self.daemon.terminate()
-        self.daemon.wait(10.0)
-        self.start()
-
-    def kill(self) -> None:
-        self.daemon.kill()
-        self.daemon.wait(10.0)
-
     def end_watchdogs(self) -> None:
         for pid in watchdogs(self.swarm, ROBOT):
             end_process(pid)
@@ -118,19 +93,6 @@ class Rig:
         one.answer("y")
         wait_until(lambda: is_driving(self.base), "its wheels turn", 20.0)
         time.sleep(1.5)
-
-
-@pytest.fixture
-def left() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
-
-
-def restored(one: Person) -> None:
-    """Press Enter once the test asks whether all is as before."""
-    one.read_on("press Enter", LONG)
-    time.sleep(6.0)
-    one.press(b"\n")
 
 
 def test_a_sound_base_stops_in_every_case(tmp_path: Path, left: ExitStack) -> None:
@@ -153,13 +115,13 @@ def judge_part_b(rig: Rig, folder: Path) -> None:
         rig.kill()
         time.sleep(DOWN)
         rig.start()
-        restored(one)
+        one.restore(LONG)
         one.read_on("B7 PASS", LONG)
         rig.answer(one)
         rig.base.disconnect()
         time.sleep(DOWN)
         rig.base.reconnect()
-        restored(one)
+        one.restore(LONG)
         one.read_on("B8 ", LONG)
         one.end()
     found = read_record(folder).verdicts
@@ -183,7 +145,7 @@ def test_a_daemon_without_a_watchdog_is_found(tmp_path: Path, left: ExitStack) -
         rig.kill()
         time.sleep(DOWN)
         rig.start()
-        restored(one)
+        one.restore(LONG)
         one.read_on("B7 FAIL", LONG)
         one.end()
     assert "drove on" in read_record(folder).verdicts["B7"].reason

@@ -22,12 +22,14 @@ from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver
 from swarmd.drivers.crazyflie import driver as driver_module
+from swarmd.drivers.crazyflie import flight as flight_module
 from swarmd.drivers.crazyflie.driver import make_driver
 from swarmd.drivers.crazyflie.emulator import CrtpRobots
 from swarmd.drivers.crazyflie.flight import LANDED_HEIGHT
 from swarmd.drivers.crazyflie.link import IS_TUMBLED
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, DriverHarness, play
+from tests.support.processes import CAP
 
 UdpDriver: Any = pytest.importorskip("cflib.crtp.udpdriver", reason="extra crazyflie").UdpDriver
 
@@ -95,6 +97,16 @@ class Drone:
         self.robots.close()
 
 
+@pytest.fixture
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No stall of the machine makes a drone count as lost in flight, which then gets no set-point.
+
+    tests/drivers/crazyflie/test_flight.py has those times.
+    """
+    monkeypatch.setattr(flight_module, "BLIND_TIME", CAP)
+    monkeypatch.setattr(flight_module, "MAX_PAUSE", CAP)
+
+
 class TestCrazyflieDriver(DriverContract):
     def rig(self) -> Drone:
         return Drone()
@@ -133,6 +145,7 @@ def has_landed_softly(seen: Sequence[tuple[float, bool, Twist]]) -> bool:
     return bool(seen) and not seen[-1][1]
 
 
+@pytest.mark.usefixtures("patience")
 @pytest.mark.parametrize("cause", ["stop", "estop", "silence of the daemon", "battery", "end"])
 def test_a_flying_drone_lands_softly_after(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
     drone = Drone()
@@ -216,6 +229,7 @@ def test_a_drone_with_a_pose_in_a_shared_frame_needs_no_flow_deck() -> None:
     play(drone, partial(flying, drone=drone), pose_frame="hall")
 
 
+@pytest.mark.usefixtures("patience")
 def test_a_landing_that_lasts_is_left_to_the_firmware_when_the_driver_ends() -> None:
     drone = Drone()
 
