@@ -52,7 +52,7 @@ SEEDS = re.compile(r"^swarmctl exp (?:run|bench)\b.* --seeds (\d+)\b", re.MULTIL
 # What README.md quotes, and where: the first cell of a row of benchmarks/README.md.
 QUOTED = {
     "[{0} % of a core idle, {1} % driving": "CPU, daemon and host, idle / driving",
-    "driving, {0} MB](benchmarks/README.md#last-measured)": "RSS; PSS",
+    "driving, {0} MB](benchmarks/README.md#in-bursts)": "RSS; PSS",
     "(swarmd: [{0}](benchmarks/README.md#last-measured))": (
         "robot-seconds a CPU-second, 1000 robots with 24 rays"
     ),
