@@ -3,8 +3,7 @@
 Two searches: all sequences of commands, deep, and all sequences of commands and events, less deep::
 
     python -m tests.sequences robot                       # both, at the depth of `make sequences`
-    python -m tests.sequences robot events --depth 5      # some CPU-hours
-    python -m tests.sequences robot events --depth 5 --draw 40  # what begins with 40 pairs
+    python -m tests.sequences robot events --depth 5 --draw 100  # 100,000 random ones, 20 minutes
     python -m tests.sequences robot --replay run,hazard:lifted,stop
 
 Finished parts are kept in a file per search, so that the same command goes on. A sequence that
@@ -79,7 +78,7 @@ def main(folder: Path, arguments: Sequence[str]) -> int:
     parser.add_argument("--depth", type=int, help="actions of the longest sequences")
     parser.add_argument("--short", action="store_true", help="the depths of `make test`")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--draw", type=int, metavar="N", help="a sample of N units [all]")
+    parser.add_argument("--draw", type=int, metavar="N", help="N thousand random sequences")
     parser.add_argument("--replay", metavar="ACTION,...", help="carry out one sequence")
     parser.add_argument("--fault", choices=FAULTS, default="", help="a robot with this fault")
     parser.add_argument("--shortest", action="store_true", help="the shortest broken sequence")
@@ -98,11 +97,15 @@ def main(folder: Path, arguments: Sequence[str]) -> int:
         alphabet = ALPHABETS[name]
         depth = options.depth or (alphabet.short if options.short else alphabet.depth)
         search = Search(RobotWorld, alphabet.choices, depth)
+        if options.draw:
+            total = search.draws(options.draw, options.jobs)
+            status |= _told(f"{name}, depth {depth}, drawn", total)
+            continue
         if options.shortest:
             print(name, search.shortest())
             continue
         file = folder / f"robot-{name}-{depth}{options.fault and '-' + options.fault}.jsonl"
-        total = search.run(options.jobs, file, Head(name, depth, _digest()), _tell, options.draw)
+        total = search.run(options.jobs, file, Head(name, depth, _digest()), _tell)
         status |= _told(f"{name}, depth {depth}", total)
         if options.figures:
             write_figures("robot", name, len(alphabet.actions), depth, total)

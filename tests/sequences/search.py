@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -25,6 +25,10 @@ from msgspec import Struct
 from tests.histories.invariants import BrokenRuleError
 
 Labels = tuple[str, ...]
+T = TypeVar("T")
+R = TypeVar("R")
+DRAWN = 1000
+"""Sequences of a draw."""
 UNIT = 2
 """Actions of a unit: a pair, with all sequences that begin with it."""
 
@@ -167,30 +171,43 @@ class Search:
         file: Path | None = None,
         head: Head | None = None,
         tell: Callable[[int, Tally], None] = lambda done, total: None,
-        draw: int | None = None,
     ) -> Tally:
         """The tally of the search.
 
         `jobs`: processes that compute; 1: this one. `file`, `head`: keeps finished units; those of
         another search or of other code are dropped. `tell` hears of the share that is done, in
-        percent, and the tally. `draw`: the first units of a random order, the same each time; None:
-        all.
+        percent, and the tally.
         """
         done = {} if file is None or head is None else read(file, head)
         total = Tally()
         for tally in done.values():
             total.add(tally)
         wanted = list(self.units())
-        if draw is not None:
-            Random(1).shuffle(wanted)
-            del wanted[draw:]
         for unit in _each(self.unit, [prefix for prefix in wanted if prefix not in done], jobs):
             done[unit.prefix] = unit.tally
             total.add(unit.tally)
             if file is not None:
                 with file.open("ab") as opened:
                     opened.write(msgspec.json.encode(unit) + b"\n")
-            tell(100 * sum(one in done for one in wanted) // len(wanted), total)
+            tell(100 * len(done) // len(wanted), total)
+        return total
+
+    def draw(self, seed: int) -> Tally:
+        """The tally of DRAWN random sequences of `depth` actions; a shorter fault counts, too."""
+        rng, tally = Random(seed), Tally()
+        for _ in range(DRAWN):
+            labels: Labels = ()
+            while len(labels) < self.depth:
+                labels += (rng.choice(self.choices(labels)),)
+            if 0 < self.replay(labels, tally, self.depth - 1) < self.depth:
+                self.replay(labels, tally)
+        return tally
+
+    def draws(self, count: int, jobs: int) -> Tally:
+        """The tally of the first `count` draws."""
+        total = Tally()
+        for tally in _each(self.draw, range(count), jobs):
+            total.add(tally)
         return total
 
     def shortest(self) -> Violation | None:
@@ -203,13 +220,13 @@ class Search:
         return None
 
 
-def _each(work: Callable[[Labels], Unit], prefixes: Sequence[Labels], jobs: int) -> Iterable[Unit]:
-    """The units of these prefixes, as they are finished."""
+def _each(work: Callable[[T], R], of: Sequence[T], jobs: int) -> Iterable[R]:
+    """The results of `work`, as they are finished."""
     if jobs == 1:
-        yield from map(work, prefixes)
+        yield from map(work, of)
         return
     with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        yield from pool.imap_unordered(work, prefixes)
+        yield from pool.imap_unordered(work, of)
 
 
 def read(file: Path, head: Head) -> dict[Labels, Tally]:
