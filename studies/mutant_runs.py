@@ -4,9 +4,10 @@
    code as it is, and write down which functions of DECIDES it calls and how long it takes. Tests
    that fail there are left out.
 2. A mutant of a function: a fork compiles the changed file, replaces the code of the function in
-   place, and runs the tests that call it, those of the file's own tests first, then the cheapest
-   ones first, up to MOST_TESTS, until one fails. The test that failed is run once in another fork,
-   without the mutant: if it fails there, too, it is left out, and the mutant is judged again.
+   place, and runs the tests that call it until one fails: first those that are named as the file,
+   then the cheapest ones, up to a bound of their CPU time. The test that failed is run once in
+   another fork, without the mutant: if it fails there, too, it is left out, and the mutant is
+   judged again.
 3. What runs at import cannot be replaced in place: tables, constants, defaults of arguments. Such a
    mutant, and one of a function that is also called at import and that survived, is judged in a
    process of its own (`python -m studies.mutant_runs`), which imports the changed file.
@@ -34,6 +35,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 from typing import Any, NoReturn, TextIO
@@ -44,6 +46,8 @@ from _pytest.runner import runtestprotocol
 from studies.mutants import ROOT, Mutant, files, mutated
 
 BUILD = ROOT / "build" / "mutants"
+LIMITS = "tests/docs/test_safety_limits.py"
+"""Compares limits of the page with the code."""
 FOLDERS = (
     "tests/protection",
     "tests/robot",
@@ -57,6 +61,7 @@ FOLDERS = (
     "tests/histories",
     "tests/sequences",
     "tests/drivers",
+    LIMITS,
 )
 WITHOUT = "not integration and not evidence and not compiled_only"
 ARGUMENTS = [
@@ -80,9 +85,7 @@ NEAR = {
     "swarmd/client": ("tests/client", "tests/histories", "tests/sequences"),
     "drivers": ("tests/drivers", "tests/sequences"),
 }
-"""By the folder of a file, the tests that judge what runs at its import."""
-MOST_TESTS = 20.0
-"""s of CPU, by the control, of the tests that judge one mutant: the cheapest ones up to this."""
+"""By the folder of a file, the tests that judge commits, and what runs at the file's import."""
 LIMIT = 10.0, 20.0
 """s of CPU, and multiple of what a test takes in the control, after which it counts as failed."""
 SILENCE = 120
@@ -98,7 +101,6 @@ class Control:
     seconds: dict[str, float]  # by test that passes: CPU time, and half of what it slept
     calls: dict[str, list[str]]  # by function of DECIDES, the tests that call it
     failed: list[str]
-    at_import: list[str]  # functions that are called while modules and tests are imported
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,7 @@ class Verdict:
     how: str
     test: str = ""
     cpu: float = 0.0
+    most: float = 0.0  # s of CPU, by the control, of the tests that were run at most
 
 
 class Work:
@@ -123,6 +126,12 @@ class Work:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         self.do(session)
         return True
+
+
+def near(path: str) -> tuple[str, ...]:
+    """The folders of the tests of a file."""
+    found = next(tests for folder, tests in NEAR.items() if path.startswith(f"{folder}/"))
+    return (*found, LIMITS)
 
 
 @cache
@@ -146,17 +155,29 @@ def digest(folders: Sequence[str]) -> str:
 
 
 def judge_all(
-    mutants: Sequence[Mutant], *, jobs: int, folders: Sequence[str] = FOLDERS, build: Path = BUILD
+    mutants: Sequence[Mutant],
+    *,
+    jobs: int,
+    most: float = 20.0,
+    folders: Sequence[str] = FOLDERS,
+    build: Path = BUILD,
 ) -> list[Verdict]:
-    """The verdicts on the mutants, in their order, by the tests of some folders or files.
+    """The verdicts on the mutants, in their order, by the tests of some folders and files.
 
-    Prints a line for each verdict that is not yet kept in the folder `build`.
+    `most`: the s of CPU, by the control, of the tests that judge one mutant. Prints a line for each
+    verdict that is not yet kept in the folder `build`. A mutant that survived a smaller `most` is
+    judged again.
     """
     build.mkdir(parents=True, exist_ok=True)
     kept = build / f"{digest(folders)}.jsonl"
     lines = kept.read_text().splitlines() if kept.exists() else []
     known = {(one.path, one.number): one for one in (Verdict(**json.loads(x)) for x in lines)}
-    missing = [one for one in mutants if (one.path, one.number) not in known]
+    missing = [
+        one
+        for one in mutants
+        if (found := known.get((one.path, one.number))) is None
+        or (found.survived and found.how != NO_TEST and found.most < most)
+    ]
     if missing:
         output = os.fdopen(os.dup(1), "w", buffering=1)
         profile = cProfile.Profile(subcalls=False, builtins=False)
@@ -168,9 +189,10 @@ def judge_all(
             judge = Judge(
                 session,
                 at_import={name_of(one) for one in codes(profile)},
-                kept=kept.with_suffix(".control"),
+                kept=build / f"{digest(())}.control",  # shared by all choices of tests
                 folders=folders,
                 jobs=jobs,
+                most=most,
                 output=output,
             )
             with kept.open("a") as file:
@@ -290,6 +312,7 @@ class Judge:
         kept: Path,
         folders: Sequence[str],
         jobs: int,
+        most: float,
         output: TextIO,
     ) -> None:
         """Run the control, unless the file `kept` has it."""
@@ -298,6 +321,7 @@ class Judge:
         self.kept = kept
         self.folders = folders
         self.jobs = jobs
+        self.most = most
         self.output = output
         gc.unfreeze()  # tests/conftest.py has frozen what the collection made
         with warnings.catch_warnings():
@@ -309,19 +333,20 @@ class Judge:
                 self.live.setdefault(path_of(one.__code__.co_filename), []).append(one)
         self.caches = caches()
         gc.freeze()
-        self.control = self.controlled(at_import)
-        seconds = self.control.seconds
+        self.at_import = at_import
+        self.control = self.controlled()
+        seconds = [self.control.seconds.get(one, 0.0) for one in self.items]
+        failed = self.items.keys() & {*self.control.failed}
         print(
-            f"{len(self.items)} tests of {sum(seconds.values()):.0f} s of CPU reach"
-            f" {len(self.control.calls)} functions; left out, since they fail in a fork:"
-            f" {len(self.control.failed)}",
+            f"{len(self.items)} tests of {sum(seconds):.0f} s of CPU; left out, since they fail in"
+            f" a fork: {len(failed)} {sorted(failed)}",
             file=output,
         )
         self.passes_alone: dict[str, bool] = {}
 
     # --- the code as it is
 
-    def controlled(self, at_import: set[str]) -> Control:
+    def controlled(self) -> Control:
         """What all tests do on the code as it is; goes on where it was ended."""
         lines = self.kept.read_text().splitlines() if self.kept.exists() else []
         known = {json.loads(line)[0] for line in lines}
@@ -343,9 +368,8 @@ class Judge:
                 json.loads(line)[0] for line in self.kept.read_text().splitlines()
             }
             with self.kept.open("a") as file:
-                for name in sorted(lost):  # the process ended
+                for name in sorted(lost):
                     print(json.dumps([name, "its process ended", 0.0, []]), file=file)
-                print(json.dumps(["", "", 0.0, sorted(at_import)]), file=file)
         return read_control(self.kept)
 
     def observe(self, items: Sequence[pytest.Item], output: int) -> None:
@@ -413,10 +437,11 @@ class Judge:
         return self.passes_alone[verdict.test]
 
     def tests_of(self, mutant: Mutant, names: Iterable[str]) -> list[str]:
-        """The tests that call functions, in their order, up to MOST_TESTS."""
+        """The tests that call functions, in their order."""
         seconds = self.control.seconds
         found = {test for name in names for test in self.control.calls.get(name, ())}
-        return ordered(found & seconds.keys(), mutant.path, seconds)
+        known = found & self.items.keys() & seconds.keys()
+        return ordered(known, mutant.path, self.control, self.most)
 
     def judge(self, mutant: Mutant, output: int) -> None:
         """In a fork: write the text of the mutant, the test that runs, and the verdict."""
@@ -424,11 +449,11 @@ class Judge:
         tell(output, text=text)
         names = self.replace(mutant.path, tree)
         if names is None:
-            alone(mutant, self.kept, self.folders, output)
+            alone(mutant, self.kept, self.folders, self.most, output)
         tests = self.tests_of(mutant, names)
         how = run_until_failure(tests, self.items, self.control.seconds, output)
-        if how.startswith("passes") and {*names} & {*self.control.at_import}:
-            alone(mutant, self.kept, self.folders, output)
+        if how.startswith("passes") and {*names} & self.at_import:
+            alone(mutant, self.kept, self.folders, self.most, output)
         tell(output, how=how if tests else NO_TEST)
 
     def replace(self, path: str, tree: ast.Module) -> list[str] | None:
@@ -475,25 +500,24 @@ class Judge:
             how,
             "" if survived else news.get("test", ""),
             round(child.cpu, 2),
+            self.most,
         )
 
 
 def read_control(path: Path) -> Control:
-    """The control that a file has; the functions that are called at import are of a test ``."""
+    """The control that a file has."""
     seconds: dict[str, float] = {}
     calls: dict[str, list[str]] = {}
-    failed, at_import = [], []
+    failed: list[str] = []
     for line in path.read_text().splitlines():
         test, why, taken, called = json.loads(line)
-        if not test:
-            at_import = called
-        elif why:
+        if why:
             failed.append(test)
         else:
             seconds[test] = taken
             for name in called:
                 calls.setdefault(name, []).append(test)
-    return Control(seconds, calls, failed, at_import)
+    return Control(seconds, calls, failed)
 
 
 NO_TEST = "no test calls it"
@@ -523,14 +547,22 @@ def tell(output: int, **news: str) -> None:
     os.write(output, (json.dumps(news) + "\n").encode())
 
 
-def ordered(tests: Iterable[str], path: str, seconds: dict[str, float]) -> list[str]:
-    """The file's own tests first, then the cheapest ones first, up to MOST_TESTS."""
-    own = f"test_{Path(path).stem}.py"
-    found = sorted(tests, key=lambda one: (own not in one, seconds[one], one))
+def ordered(tests: Iterable[str], path: str, control: Control, most: float) -> list[str]:
+    """Tests of a file in the order in which they run, up to `most` s of CPU.
+
+    First those that are named as the file, then those that call it, the cheapest ones first.
+    """
+    own, seconds = f"test_{Path(path).stem}.py", control.seconds
+    calling = (found for name, found in control.calls.items() if name.startswith(f"{path}:"))
+    callers = {*chain.from_iterable(calling)}
+    found = sorted(
+        tests,
+        key=lambda one: (own not in one, one not in callers, seconds[one], one),
+    )
     spent = 0.0
     for count, test in enumerate(found):
         spent += seconds[test]
-        if spent > MOST_TESTS:
+        if spent > most:
             return found[: count + 1]
     return found
 
@@ -552,25 +584,26 @@ def run_until_failure(
 # --- a process of its own
 
 
-def alone(mutant: Mutant, kept: Path, folders: Sequence[str], output: int) -> NoReturn:
+def alone(mutant: Mutant, kept: Path, folders: Sequence[str], most: float, output: int) -> NoReturn:
     """Go on as a process that imports the changed file, and runs the tests of NEAR."""
-    near = next(near for folder, near in NEAR.items() if mutant.path.startswith(f"{folder}/"))
-    near = tuple(one for one in near if one in folders) or tuple(folders)
+    chosen = [one for one in near(mutant.path) if one in folders] or folders
     signal.setitimer(signal.ITIMER_PROF, 0.0)
     os.set_inheritable(output, True)
     command = [sys.executable, "-m", "studies.mutant_runs"]
-    command += [mutant.path, str(mutant.number), str(kept), str(output), *near]
+    command += [mutant.path, str(mutant.number), str(kept), str(most), str(output), *chosen]
     os.chdir(ROOT)
     os.execv(sys.executable, command)
 
 
 def main() -> None:
     """Judge one mutant, as `alone` asks."""
-    path, number, kept, output, *folders = sys.argv[1:]
-    judge_imported(Mutant(path, int(number)), Path(kept), folders, int(output))
+    path, number, kept, most, output, *folders = sys.argv[1:]
+    judge_imported(Mutant(path, int(number)), Path(kept), folders, float(most), int(output))
 
 
-def judge_imported(mutant: Mutant, kept: Path, folders: Sequence[str], output: int) -> NoReturn:
+def judge_imported(
+    mutant: Mutant, kept: Path, folders: Sequence[str], most: float, output: int
+) -> NoReturn:
     """Import the changed file, run tests of some folders, and write the verdict."""
     os.set_inheritable(output, False)
     tree, _ = mutated(mutant)
@@ -583,14 +616,14 @@ def judge_imported(mutant: Mutant, kept: Path, folders: Sequence[str], output: i
         return usual(self, name)
 
     importlib.machinery.SourceFileLoader.get_code = get_code  # type: ignore[assignment,method-assign]
-    seconds = read_control(kept).seconds
+    control = read_control(kept)
     how = ["an import fails"]
 
     def work(session: pytest.Session) -> None:
         if not session.testsfailed:
             items = {item.nodeid: item for item in session.items}
-            tests = ordered(items.keys() & seconds.keys(), mutant.path, seconds)
-            how[0] = run_until_failure(tests, items, seconds, output)
+            tests = ordered(items.keys() & control.seconds.keys(), mutant.path, control, most)
+            how[0] = run_until_failure(tests, items, control.seconds, output)
 
     pytest.main([*ARGUMENTS, *folders], plugins=[Work(work)])
     tell(output, how=how[0])

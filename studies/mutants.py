@@ -117,6 +117,8 @@ def _places(node: ast.AST, function: str) -> Iterator[tuple[ast.AST, str]]:
     if kind is not None and (function or kind is not ast.Not):
         yield node, function
     left_out = {*LEFT_OUT, "keywords"} if isinstance(node, ast.ClassDef) else LEFT_OUT
+    if isinstance(node, ast.If) and not function:
+        left_out = {"test"}
     for field, value in ast.iter_fields(node):
         # Defaults of arguments are of the module.
         inside = function
@@ -294,15 +296,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("commits", nargs="?", metavar="COMMIT", help="COMMIT, COMMIT.. or A..B")
     parser.add_argument("--draw", type=int, metavar="N", help="judge N mutants [all]")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--under", default="", metavar="PATH", help="judge those of files below it")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=20.0,
+        metavar="S",
+        help="s of CPU of the tests of one mutant at most [20]; more judges only survivors again",
+    )
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="mutants at a time [2]")
     options = parser.parse_args(arguments)
     if (options.what == "of") != (options.commits is not None):
         parser.error("name commits with `of`, such as `of HEAD` or `of v0.1..`")
     whole = everywhere() if options.what == "sample" else of_commits(options.commits)
     count = len(whole) if options.draw is None else options.draw
-    from studies.mutant_runs import judge_all  # needs pytest
+    from studies.mutant_runs import FOLDERS, judge_all, near  # needs pytest
 
-    verdicts = judge_all(drawn(whole, count, options.seed), jobs=options.jobs)
+    chosen = drawn(whole, count, options.seed)
+    chosen = [one for one in chosen if one.path.startswith(options.under)]
+    folders = dict.fromkeys(name for one in chosen for name in near(one.path))
+    is_all = options.what == "sample" and not options.under
+    verdicts = judge_all(
+        chosen,
+        jobs=options.jobs,
+        most=options.seconds,
+        folders=FOLDERS if is_all else [*folders],
+    )
     survivors = [one for one in verdicts if one.survived]
     print()
     print("\n".join(f"SURVIVED  {one.text}" for one in survivors))
