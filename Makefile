@@ -29,7 +29,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
+.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
 .DELETE_ON_ERROR:
 
 help:
@@ -62,9 +62,8 @@ help:
 	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make screens     pictures of the page in all sizes, to look at, in build/screens; three minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
-	@echo "make mutants   small changes of the code and the tests that notice them; a night"
-	@echo "make kernel-mutants  the same for the kernels; ARGS=40 draws so many; 2 min each if no test notices"
-	@echo "make mutants-of  the same for what commits changed; ARGS=HEAD [default], or COMMIT.."
+	@echo "make mutants   600 small changes of what decides motion, and the tests that notice them; an hour of a core"
+	@echo "make mutants-of  the same for all that commits changed there; ARGS=HEAD [default], or COMMIT.."
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"
 	@echo "make ros-study    faults of three robots on DDS behind that router, for studies/ros/faults.md; six minutes"
@@ -242,19 +241,12 @@ ros-study: $(VENV)/tools
 	@command -v zenoh-bridge-ros2dds >/dev/null || $(MAKE) --no-print-directory ros2-router
 	@$(BIN)/python -m studies.ros $(ARGS)
 
-# Small changes of protection, robot and the ROS conversion, each with the tests that reach it. All
-# of them take a night; ARGS='swarmd.robot.goals*' selects some, and
-# studies/mutation_sample.py draws a sample.
+# Small changes of the code that decides motion, a seeded sample, each with the tests that reach it.
+# The same command resumes. ARGS="--draw 60 --seed 2" draws others.
 mutants: $(VENV)/tools
-	@$(PIP) install --constraint constraints.txt mutmut
-	@SWARMD_COMPILED=0 $(BIN)/mutmut run $(ARGS)
-	@$(BIN)/mutmut results
+	@$(BIN)/python -m studies.mutants sample --draw 600 $(ARGS)
 
-# Small changes of the kernels, each tested; ARGS=40 draws so many.
-kernel-mutants: $(VENV)/tools
-	@$(BIN)/python -m studies.mutants kernels --draw $(or $(ARGS),40)
-
-# The functions that commits touched, each changed a little: make mutants-of ARGS=HEAD, or v0.1..
+# What commits touched there, each function changed a little: make mutants-of ARGS=HEAD, or v0.1..
 mutants-of: $(VENV)/tools
 	@$(BIN)/python -m studies.mutants of $(or $(ARGS),HEAD)
 
@@ -338,11 +330,11 @@ lock:
 	  "make lock: $(PYTHON) is $$($(PYTHON) -V 2>&1); it must be 3.11.2 of Debian 12, try: make lock PYTHON=/usr/bin/python3" >&2; exit 1; }
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
 	build/lock/bin/pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	build/lock/bin/pip install --quiet --disable-pip-version-check '.[sim,plot]' --group dev --group docs --group mutants
+	build/lock/bin/pip install --quiet --disable-pip-version-check '.[sim,plot]' --group dev --group docs
 	sed -n '/^#/p' constraints.txt > build/constraints.txt
 	build/lock/bin/pip freeze | grep -v '^swarmd' >> build/constraints.txt
 	mv build/constraints.txt constraints.txt
 
 clean:
-	rm -rf $(VENV) build dist mutants *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find swarmd patterns drivers sim config tests benchmarks studies examples -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -29,7 +29,7 @@ release = version = metadata.version("swarmd")
 root_doc = "docs/README"
 include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md", "patterns/**.md", "studies/**.md"]
 # Only so that Sphinx does not walk them.
-exclude_patterns = [".*", "build", "dist", "mutants", "runs", "experiments", "*.egg-info"]
+exclude_patterns = [".*", "build", "dist", "runs", "experiments", "*.egg-info"]
 exclude_patterns += ["swarmd", "drivers", "sim", "config", "tests"]
 
 extensions = ["myst_parser"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.clock import STALL_TIMEOUT
-from swarmd.core.values import MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP
+from swarmd.core.values import MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP, MAX_TOLD_DISTANCE
 from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.protection.fence import fence_pose
 from swarmd.protection.settings import ODOMETRY_SHARE
@@ -32,6 +32,7 @@ LIMITS = {
     "the daemon stalls for at most 1 s": (STALL_TIMEOUT, 1.0),
     "responds within 50 ms": (REACTION_TIME, 0.05),
     "After 1 s a place expires": (TOLD_TIMEOUT, 1.0),
+    "A distance below 0 or above 10 km is ignored": (MAX_TOLD_DISTANCE, 10_000.0),
     "0.5 s after the last pose": (POSE_TIMEOUT, 0.5),
     "the fastest pose is at most 0.1 s late": (FASTEST_POSE, 0.1),
     "at most 5 % of way and turn between poses": (ODOMETRY_SHARE, 0.05),

@@ -76,6 +76,25 @@ def test_trigger_without_a_change_keeps_the_older_reason() -> None:
     assert machine.detail == "by alice"
 
 
+@pytest.mark.parametrize(
+    ("first", "again"),
+    [
+        ("run", "run"),
+        ("stop", "stop"),
+        ("stop", "stall"),
+        ("stop", "hazard"),
+        ("estop", "estop"),
+        ("fault", "fault"),
+    ],
+)
+def test_a_new_cause_of_the_present_state_is_its_reason(first: str, again: str) -> None:
+    """By hand: who stops a robot that stands for a hazard is the reason from then on."""
+    machine = StateMachine(0.0)
+    machine.apply(Trigger(first), Reason.HAZARD, "by itself", 1.0)
+    machine.apply(Trigger(again), Reason.OPERATOR, "by bob", 2.0)
+    assert (machine.reason, machine.detail, machine.since) == (Reason.OPERATOR, "by bob", 1.0)
+
+
 def test_only_this_file_fires_triggers() -> None:
     """So a reader finds there all that changes the state of a robot."""
     robot = Path(state.__file__).parent
