@@ -62,7 +62,7 @@ help:
 	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make screens     pictures of the page in all sizes, to look at, in build/screens; three minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
-	@echo "make mutants   600 small changes of what decides motion, and the tests that notice them; an hour of a core"
+	@echo "make mutants   600 small changes of what decides motion, and the tests that notice them; some hours of a core"
 	@echo "make mutants-of  the same for all that commits changed there; ARGS=HEAD [default], or COMMIT.."
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"

@@ -361,6 +361,8 @@ class Judge:
                     if child.wait(0.0):
                         del running[number]
                     whole, _, child.text = child.text.rpartition("\n")
+                    if '{"error"' in whole:
+                        raise RuntimeError(f"the control of the tests ended: {whole[-500:]}")
                     file.write(f"{whole}\n" if whole else "")
                     file.flush()
         if missing:
@@ -418,7 +420,7 @@ class Judge:
                     if verdict.survived or self.is_sound(verdict):
                         yield verdict
                     else:
-                        self.control.seconds.pop(verdict.test)
+                        self.control.seconds.pop(verdict.test, None)  # another mutant may have
                         waiting.append(mutant)
 
     def is_sound(self, verdict: Verdict) -> bool:

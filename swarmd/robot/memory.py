@@ -51,7 +51,7 @@ MAX_BYTES = 1 << 22
 MAX_RATIO = 100
 """Bytes before compression per byte after compression; a robot has a ratio of 8 at most."""
 MAX_OBJECTS = 1000
-"""Objects in a memory, each with up to 40 kB of buffers; a robot has some 60."""
+"""Objects in a memory, each with up to 40 kB of buffers; a robot has some 100."""
 MAX_DEPTH = 32
 """Nesting depth of values; a robot has 6."""
 MAX_SIZE = 1 << 22

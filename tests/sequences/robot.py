@@ -97,7 +97,7 @@ def main(folder: Path, arguments: Sequence[str]) -> int:
         alphabet = ALPHABETS[name]
         depth = options.depth or (alphabet.short if options.short else alphabet.depth)
         search = Search(RobotWorld, alphabet.choices, depth)
-        if options.draw:
+        if options.draw is not None:
             total = search.draws(options.draw, options.jobs)
             status |= _told(f"{name}, depth {depth}, drawn", total)
             continue

@@ -200,7 +200,7 @@ class Search:
             while len(labels) < self.depth:
                 labels += (rng.choice(self.choices(labels)),)
             if 0 < self.replay(labels, tally, self.depth - 1) < self.depth:
-                self.replay(labels, tally)
+                self.replay(labels, tally)  # of these the shorter parts count, too
         return tally
 
     def draws(self, count: int, jobs: int) -> Tally:
@@ -208,6 +208,7 @@ class Search:
         total = Tally()
         for tally in _each(self.draw, range(count), jobs):
             total.add(tally)
+        total.violations = list({one.labels: one for one in total.violations}.values())
         return total
 
     def shortest(self) -> Violation | None:

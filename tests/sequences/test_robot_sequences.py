@@ -178,10 +178,11 @@ class TestSearch:
 
     def test_draws_find_the_same_faults_each_time(self) -> None:
         drawn = self.search.draws(2, 1)
-        assert drawn.sequences >= 2000 * 3 // 4  # those that no shorter fault ends
-        found = {one.labels for one in drawn.violations}
-        assert found == {one.labels for one in self.search.draws(2, 1).violations}
-        assert found == {one.labels for one in self.search.run().violations}
+        # Of 16 words 14 are whole, and `aa` begins the other two, which count three parts each.
+        assert 2000 <= drawn.sequences <= 3000
+        found = sorted(one.labels for one in drawn.violations)
+        assert found == sorted(one.labels for one in self.search.draws(2, 1).violations)
+        assert found == sorted(one.labels for one in self.search.run().violations)
 
     def test_the_shortest_is_the_first_one(self) -> None:
         found = self.search.shortest()

@@ -3,7 +3,7 @@
 Its namespace is ROS_NAMESPACE. Each line is a JSON object: `{"do": "publish"}` publishes a scan and
 an odometry with the next stamp, `{"do": "ranges", "ranges": [...]}` the same with these ranges, and
 `{"do": "rate", "hz": 5}` publishes at this rate; `Robot.obey` has the other orders. With --latch
-the dock is a latched topic. It prints `ready`, then each command that arrives as `linear angular
+the dock is a latched topic. It prints `ready`, and each command that arrives as `linear angular
 lateral`.
 """
 
