@@ -261,6 +261,19 @@ def test_a_limited_command_keeps_what_the_fence_permits(
     assert Fence(SQUARE, BURGER).limit(asked, context_at(x, 0.0, 0.0), Twist()) == limited
 
 
+@pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi])
+@pytest.mark.parametrize(("ahead", "limited"), [(0.0, Twist(0.2, 0.5)), (0.83, Twist(0.0, 0.5))])
+def test_the_way_since_the_last_pose_counts_in_the_frame_of_the_fence(
+    yaw: float, ahead: float, limited: Twist
+) -> None:
+    """The fence is 2 m from the middle; the last pose was at 1 m, where odometry said 5 m."""
+    began = Pose(5.0, 3.0, 0.0)
+    anchor = Anchor(Pose(math.cos(yaw), math.sin(yaw), yaw), began, 0.01, 0.01, 0.0, 0.0)
+    odometry = Odometry(0.0, Pose(5.0 + ahead, 3.0, 0.0), Twist())
+    context = DecisionContext(0.0, 0.0, odometry, 0.0, anchor=anchor)
+    assert Fence(SQUARE, BURGER).limit(Twist(0.2, 0.5), context, Twist()) == limited
+
+
 @settings(max_examples=examples(200), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_kernel_limits_as_arrays_of_numpy_do(seed: int) -> None:
