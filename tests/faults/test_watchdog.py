@@ -84,7 +84,7 @@ def test_a_daemon_that_is_back_relieves_the_watchdog_of_the_one_before(guarded: 
     wait_until(lambda: not is_running(before), "the first watchdog has ended")
     assert watchdog_of(guarded) != before
     guarded.body.wait(lambda one: one.at > moving.at + 1.0)
-    assert len(zeros_since(guarded, moving.at)) < LATE, "nobody else says zero"
+    assert len(zeros_since(guarded, moving.at)) < LATE, "no other process sends zero"
 
 
 def test_signals_meant_for_everyone_leave_the_watchdog_at_its_post(guarded: Bench) -> None:
