@@ -9,7 +9,6 @@ from benchmarks.budget import Ratio
 from benchmarks.compare import medians, ratios
 from benchmarks.table import Row, markdown
 
-
 TWICE = Row("work", [2.0, 4.0, 6.0])
 
 
