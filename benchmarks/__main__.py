@@ -72,7 +72,7 @@ def main() -> None:
     if options.compare:
         compare(options.compare, names, max(options.rounds, 1))
         return
-    print(f"Measured on {machine()}. Rows with a budget are asserted nowhere.")
+    print(f"Measured on {machine()}. Rows with a goal are asserted nowhere.")
     for name in names:
         known[name]()
 

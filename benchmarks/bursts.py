@@ -36,12 +36,12 @@ BURSTS = 10
 WARM_UP = 1.0  # s of simulation before the first burst
 LENGTHS = {7: 0.4, 100: 0.4, 1000: 0.2}  # s of simulation in a burst; scans come every 0.2 s
 PARTS = 5  # pairs of one core and two, in turn
-BUDGETS = {
+GOALS = {
     (7, "attraction"): ">= 150 x",
     (100, "attraction"): ">= 8.5 x",
     (1000, "attraction"): ">= 0.75 x",
 }
-CORE_BUDGETS = {100: ">= 14 x", 1000: ">= 1.3 x"}
+CORE_GOALS = {100: ">= 14 x", 1000: ">= 1.3 x"}
 Burst = tuple[float, int]
 """s of wall time, and how often another process took the processor meanwhile."""
 
@@ -79,11 +79,11 @@ def burst(advance: Callable[[], object], processor: int) -> Burst:
         return taken, resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw - before
 
 
-def row(what: str, simulated: float, bursts: list[Burst], budget: str = "") -> Row:
+def row(what: str, simulated: float, bursts: list[Burst], goal: str = "") -> Row:
     """The row of bursts of `simulated` s, in times real time."""
     disturbed = sum(switches > 0 for _, switches in bursts)
     note = f"another process took part in {disturbed} of {len(bursts)}" if disturbed else ""
-    return Row(what, [simulated / taken for taken, _ in bursts], budget, note, unit="x")
+    return Row(what, [simulated / taken for taken, _ in bursts], goal, note, unit="x")
 
 
 def scenario_of(robots: int, pattern: str) -> tuple[str, Mapping[str, Any]]:
@@ -101,7 +101,7 @@ def scenario_of(robots: int, pattern: str) -> tuple[str, Mapping[str, Any]]:
 
 def one_core_rows() -> Iterator[Row]:
     processor = min(os.sched_getaffinity(0))
-    for robots, pattern in (*BUDGETS, (100, "random_walk")):
+    for robots, pattern in (*GOALS, (100, "random_walk")):
         run = Lockstep(load_scenario(*scenario_of(robots, pattern)), seed=0)
         run.advance(WARM_UP)
         taken = []
@@ -109,16 +109,16 @@ def one_core_rows() -> Iterator[Row]:
             time.sleep(PAUSE)
             taken.append(burst(partial(run.advance, LENGTHS[robots]), processor))
         what = f"bursts on one core, {robots} robots, {pattern}"
-        yield row(what, LENGTHS[robots], taken, BUDGETS.get((robots, pattern), ""))
+        yield row(what, LENGTHS[robots], taken, GOALS.get((robots, pattern), ""))
 
 
 def two_core_rows() -> Iterator[Row]:
     """PARTS pairs of runs on one core and on two, in turn; a sample is the median of a run."""
-    for robots, budget in CORE_BUDGETS.items():
+    for robots, goal in CORE_GOALS.items():
         simulate = partial(_bursts_of_share, robots)
         pairs = [[run_processes(simulate, cores) for cores in (1, 2)] for _ in range(PARTS)]
         what = f"bursts on two cores, {robots} robots, attraction"
-        yield row(what, LENGTHS[robots], [two for _, two in pairs], budget)
+        yield row(what, LENGTHS[robots], [two for _, two in pairs], goal)
         factors = [one / two for (one, _), (two, _) in pairs]
         yield Row(f"two cores against one, {robots} robots", factors, ">= 1.7 x", unit="x")
 

@@ -1,4 +1,4 @@
-"""swarmctl cold, as a user types it: `--help` and `members`, beside a bare Python.
+"""swarmctl cold, as a user types it: `--help` and `members`, beside a Python that opens a session.
 
 Seven daemons without a world are its members.
 """
@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.table import Row, print_table
+from benchmarks.yardsticks import OPENED
 
 RUNS = 30
 ROBOTS = 7
@@ -40,7 +41,8 @@ def timed(command: Sequence[str]) -> tuple[float, str]:
     return time.perf_counter() - begin, done.stdout
 
 
-def rows(runs: int = RUNS) -> Iterator[Row]:
+def rows(runs: int = RUNS, prefix: Sequence[str] = ()) -> Iterator[Row]:
+    """The yardstick first. `prefix`: words before each timed command, such as `chrt -f 5`."""
     swarm = f"bench-{secrets.token_hex(4)}"
     with tempfile.TemporaryDirectory() as folder:
         daemons = [start(f"r{i}", swarm, Path(folder)) for i in range(1, ROBOTS + 1)]
@@ -50,16 +52,18 @@ def rows(runs: int = RUNS) -> Iterator[Row]:
             while f"{ROBOTS}/{ROBOTS} alive" not in timed(members)[1]:
                 if time.monotonic() > deadline:
                     sys.exit(f"no {ROBOTS} daemons within 30 s")
-            looks = [timed(members) for _ in range(runs)]
-            bare = [timed([sys.executable, "-c", ""])[0] for _ in range(runs)]
-            helped = [timed(swarmctl("--help"))[0] for _ in range(runs)]
+            looks, bare, helped = [], [], []
+            for _ in range(runs):
+                looks.append(timed([*prefix, *members]))
+                bare.append(timed([*prefix, *OPENED])[0])
+                helped.append(timed([*prefix, *swarmctl("--help")])[0])
         finally:
             for daemon in daemons:
                 daemon.terminate()
             for daemon in daemons:
                 daemon.wait(timeout=10)
     complete = sum(f"{ROBOTS}/{ROBOTS} alive" in text for _, text in looks)
-    yield Row("python -c ''", bare, note="yardstick")
+    yield Row("a Python that opens a Zenoh session", bare, note="yardstick")
     yield Row("swarmctl --help", helped, "0.08 s")
     note = f"all {ROBOTS} robots named in {complete} of {runs} runs"
     yield Row("swarmctl members, cold", [seconds for seconds, _ in looks], "0.12 s", note)

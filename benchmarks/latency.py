@@ -21,7 +21,7 @@ from benchmarks.table import Row, print_table
 from swarmd.core.messages import State, Status
 
 ROBOTS = 7
-REFLEX_BUDGET, FULL_BUDGET = "p50 1.2 ms, p99 4 ms", "p50 1.8 ms, p99 6 ms"
+REFLEX_GOAL, FULL_GOAL = "p50 1.2 ms, p99 4 ms", "p50 1.8 ms, p99 6 ms"
 SECONDS = 62.0  # 5 Hz: over 300 scans of each robot
 CYCLES = 10  # of run, endless loops, quarantine, reset
 KILL_TIME = 1.5  # s after which the last looping host has been killed
@@ -99,11 +99,11 @@ def run_for(swarm: Swarm, pattern: str, seconds: float) -> tuple[tuple[int, int]
     return (start, time.monotonic_ns() - 100_000_000), late
 
 
-def row(what: str, budget: str, timing: tuple[list[float], int], note: str = "") -> Row:
+def row(what: str, goal: str, timing: tuple[list[float], int], note: str = "") -> Row:
     samples, lost = timing
     if lost:
         note = f"{note}; {lost} scans without" if note else f"{lost} scans without"
-    return Row(what, samples, budget, note)
+    return Row(what, samples, goal, note)
 
 
 def healthy(seconds: float) -> Iterator[Row]:
@@ -114,8 +114,8 @@ def healthy(seconds: float) -> Iterator[Row]:
         stamps = read_stamps(swarm)
     reflex = between(stamps.put, stamps.safe_back, span)
     full = between(stamps.put, stamps.requested_back, span)
-    yield row("reflex, 7 live daemons", REFLEX_BUDGET, reflex)
-    yield row("full, 7 live daemons", FULL_BUDGET, full)
+    yield row("reflex, 7 live daemons", REFLEX_GOAL, reflex)
+    yield row("full, 7 live daemons", FULL_GOAL, full)
     yield Row("lateness of a bare 100 Hz timer meanwhile", late, note="yardstick")
 
 
@@ -132,11 +132,11 @@ def staged(seconds: float) -> Iterator[Row]:
         "requested_back": stamps.requested_back,
     }
     for what, start, end in STAGES:
-        budget = "p50 200 us" if end == "host_out" else ""
+        goal = "p50 200 us" if end == "host_out" else ""
         chosen = {k: times[start][k] for k in times[start] if span[0] <= stamps.put.get(k, 0)}
         chosen = {k: at for k, at in chosen.items() if stamps.put[k] < span[1]}
         seconds_each = [(times[end][k] - at) / 1e9 for k, at in chosen.items() if k in times[end]]
-        yield Row(what, seconds_each, budget)
+        yield Row(what, seconds_each, goal)
     yield Row("lateness of a bare 100 Hz timer meanwhile", late, note="yardstick")
 
 

@@ -52,8 +52,8 @@ def rows_of(world: World) -> Iterator[Row]:
     n = len(world.ids)
     batch = np.arange(min(n, BATCH))
     together = samples(lambda: world.scans(batch), len(batch))
-    budget = "35 us" if n == 1000 else ""
-    yield Row(f"scan, {n} robots, {len(batch)} at once", together, budget)
+    goal = "35 us" if n == 1000 else ""
+    yield Row(f"scan, {n} robots, {len(batch)} at once", together, goal)
     yield Row(f"scan, {n} robots, one", samples(lambda: world.scans(batch[:1]), 1))
 
 

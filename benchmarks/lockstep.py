@@ -26,7 +26,7 @@ TABLES = ("experiment", "sizes", "pucks", "argos", "growth", "cores")
 SIZES = (7, 100, 1000)
 PATTERNS = ("attraction", "random_walk", "drive")
 SECONDS = {7: 20, 100: 10, 1000: 5}
-BUDGETS = {7: ">= 100 x", 100: ">= 8 x", 1000: ">= 1 x"}
+GOALS = {7: ">= 100 x", 100: ">= 8 x", 1000: ">= 1 x"}
 
 GROWTH = (100, 300, 1000, 3000, 10_000)  # rising, since memory is the most of the process so far
 GROWTH_SECONDS = 2
@@ -45,7 +45,7 @@ HEAP = {
     "platforms": {"burger": {"extends": "burger", "protection": {"mode": "off"}}},
     "start": {"layout": "ring", "radius": 1.3, "heading_deg": 180.0},
 }
-CORE_BUDGETS = {100: ">= 14 x", 1000: ">= 1.8 x"}
+CORE_GOALS = {100: ">= 14 x", 1000: ">= 1.8 x"}
 CORE_PARTS = 5  # pairs of one core and two, in turn
 
 
@@ -78,16 +78,16 @@ def experiment_rows() -> Iterator[Row]:
         taken = seconds_of("paper_exp1_waffle_pi", {"realism": realism}, SECONDS[7])
         factors = [1.0 / seconds for seconds in taken]
         note = f"experiment 1: attraction, 360 rays at 5 Hz, {mode}"
-        yield Row(f"times real time, 7 robots, {realism}", factors, BUDGETS[7], note, unit="x")
+        yield Row(f"times real time, 7 robots, {realism}", factors, GOALS[7], note, unit="x")
 
 
 def size_rows(patterns: Sequence[str]) -> Iterator[Row]:
     for pattern in patterns:
         for n in SIZES:
             taken = seconds_of("thousand", one_per_square_metre(n, pattern), SECONDS[n])
-            budget = BUDGETS.get(n, "") if pattern == "attraction" else ""
+            goal = GOALS.get(n, "") if pattern == "attraction" else ""
             factors = [1.0 / seconds for seconds in taken]
-            yield Row(f"times real time, {n} robots, {pattern}", factors, budget, unit="x")
+            yield Row(f"times real time, {n} robots, {pattern}", factors, goal, unit="x")
             rates = [n / seconds for seconds in taken]
             yield Row(f"robot-seconds a CPU-second, {n}, {pattern}", rates, unit="")
 
@@ -139,7 +139,7 @@ def _core_rows(n: int, parts: int) -> Iterator[Row]:
     note = f"another process took part in {disturbed} of {2 * parts} runs" if disturbed else ""
     what, ratio = f"lockstep on two cores, {n} robots", f"two cores against one, {n} robots"
     factors = [1.0 / on_two for _, (on_two, _) in pairs]
-    yield Row(f"{what}, wall time", factors, CORE_BUDGETS[n], note, unit="x")
+    yield Row(f"{what}, wall time", factors, CORE_GOALS[n], note, unit="x")
     factors = [on_one / on_two for (on_one, _), (on_two, _) in pairs]
     yield Row(f"{ratio}, wall time", factors, ">= 1.7 x", note, unit="x")
 

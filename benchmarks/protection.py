@@ -49,8 +49,8 @@ from tests.support.protection import Commander
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
 REQUESTED = Twist(0.2, 0.1)
 PERIOD = 0.2
-SCAN_BUDGET, MOVING_BUDGET = "p99 0.1 ms", "p99 0.2 ms"
-DECISION_BUDGETS = {1: "p50 15 us", 8: "p50 30 us"}
+SCAN_GOAL, MOVING_GOAL = "p99 0.1 ms", "p99 0.2 ms"
+DECISION_GOALS = {1: "p50 15 us", 8: "p50 30 us"}
 """By neighbours."""
 MOTIONS = {
     "at rest": Twist(),
@@ -214,8 +214,8 @@ def moving_rows(platform: Platform) -> Iterator[Row]:
         for what, twist in MOTIONS.items():
             moving = Moving(platform, among(platform, neighbors), twist)
             name = f"scan with de-skew and decision, {what}, {neighbors} neighbours"
-            budget = SCAN_BUDGET if what == "at rest" else MOVING_BUDGET
-            yield Row(name, measure_each(moving.prepare), budget)
+            goal = SCAN_GOAL if what == "at rest" else MOVING_GOAL
+            yield Row(name, measure_each(moving.prepare), goal)
     yield from avoidance_rows(platform)
 
 
@@ -252,10 +252,10 @@ def mode_rows(platform: Platform) -> Iterator[Row]:
             decider = Decider(platform_with_mode, among(platform_with_mode, neighbors))
             what = f"{mode}, {neighbors} neighbours"
             is_barrier = mode == "barrier"
-            budget = SCAN_BUDGET if is_barrier else "p99 1 ms"
-            yield Row(f"scan and decision, {what}", measure(decider.scan), budget)
-            budget = DECISION_BUDGETS.get(neighbors, "") if is_barrier else ""
-            yield Row(f"decision alone, {what}", measure(decider.requested), budget)
+            goal = SCAN_GOAL if is_barrier else "p99 1 ms"
+            yield Row(f"scan and decision, {what}", measure(decider.scan), goal)
+            goal = DECISION_GOALS.get(neighbors, "") if is_barrier else ""
+            yield Row(f"decision alone, {what}", measure(decider.requested), goal)
 
 
 def wall_rows(platform: Platform) -> Iterator[Row]:

@@ -25,8 +25,8 @@ SECONDS = 25.0
 SETTLING = 3.0  # s after the start, until the robots rest
 GATHERING = 15.0  # s until the robots are near each other
 KINDS = "Rss", "Pss"
-MEMORY_BUDGETS = {"Rss": "90 MB", "Pss": "45 MB"}
-IDLE_BUDGET, CPU_BUDGET = "1.2 %", "2.2 %"
+MEMORY_GOALS = {"Rss": "90 MB", "Pss": "45 MB"}
+IDLE_GOAL, CPU_GOAL = "1.2 %", "2.2 %"
 TICK = os.sysconf("SC_CLK_TCK")
 
 
@@ -85,15 +85,15 @@ def rows(seconds: float = SECONDS) -> Iterator[Row]:
         driving = usage(pids, seconds)
         rss, pss = ([[memory(pid, kind) for pid in pair] for pair in pairs] for kind in KINDS)
     for kind, both in zip(KINDS, (rss, pss), strict=True):
-        sums, budget = [sum(pair) for pair in both], MEMORY_BUDGETS[kind]
-        yield Row(f"{kind.upper()}, daemon + host", sums, budget, unit="MB")
+        sums, goal = [sum(pair) for pair in both], MEMORY_GOALS[kind]
+        yield Row(f"{kind.upper()}, daemon + host", sums, goal, unit="MB")
         yield Row(f"{kind.upper()}, daemon", [daemon for daemon, _ in both], unit="MB")
         yield Row(f"{kind.upper()}, host", [host for _, host in both], unit="MB")
     note = f"of one core, over {seconds:.0f} s"
-    for what, used, budget in (("idle", idle, IDLE_BUDGET), ("driving", driving, CPU_BUDGET)):
+    for what, used, goal in (("idle", idle, IDLE_GOAL), ("driving", driving, CPU_GOAL)):
         cpu, waked = used
         sums = [cpu[daemon] + cpu[host] for daemon, host in pairs]
-        yield Row(f"CPU, daemon + host, {what}", sums, budget, note, "%")
+        yield Row(f"CPU, daemon + host, {what}", sums, goal, note, "%")
         yield Row(f"CPU, daemon, {what}", [cpu[daemon] for daemon, _ in pairs], unit="%")
         yield Row(f"CPU, host, {what}", [cpu[host] for _, host in pairs], unit="%")
         yield Row(f"CPU, world of 7, {what}", [cpu[swarm.world.pid]], unit="%")

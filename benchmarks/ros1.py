@@ -158,8 +158,8 @@ def latencies(seconds: float) -> Iterator[Row]:
         note = f"p50 {np.median(samples) / plain:.2f} x that of the node"
         if lost:
             note += f"; {lost} without a command"
-        budget = "p50 1.5 x, p99 10 ms" if namespace == "/driver" else ""
-        yield Row(what, samples, budget, note)
+        goal = "p50 1.5 x, p99 10 ms" if namespace == "/driver" else ""
+        yield Row(what, samples, goal, note)
 
 
 def decoding() -> Iterator[Row]:

@@ -47,7 +47,7 @@ PLATFORM = load_platform("burger")
 MAKERS = {"ros2dds": ros2dds.make_driver, "rmw_zenoh": rmw_zenoh.make_driver}
 PLAIN, BRIDGE = "a plain node on DDS", "ros2dds behind a bridge"
 BRIDGED = (PLAIN, BRIDGE)
-BUDGET = "p50 1.5 x, p99 10 ms"
+GOAL = "p50 1.5 x, p99 10 ms"
 
 
 STAGES = ("in", "to loop", "decode", "decide", "send", "out")
@@ -190,7 +190,7 @@ def _hub() -> tuple[zenoh.Session, str]:
 def rows(seconds: float = SECONDS) -> Iterator[Row]:
     for name in MAKERS:
         taken, parts = answers(name, seconds)
-        yield Row(f"scan to velocity, {name}", taken, BUDGET, f"beside rospy: see ros1; {parts}")
+        yield Row(f"scan to velocity, {name}", taken, GOAL, f"beside rospy: see ros1; {parts}")
     lacks = why_no_bridge()
     if lacks:
         yield Row(f"scan to velocity, {BRIDGE}", [], note=lacks)

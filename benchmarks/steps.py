@@ -35,7 +35,7 @@ from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of
 
-BUDGET = "p50 100 us"
+GOAL = "p50 100 us"
 CALLS = 5000
 WARM = 500
 PAPER: Mapping[str, str] = {"law": "paper"}
@@ -136,7 +136,7 @@ def pattern_rows(scans: Sequence[Scan]) -> Iterator[Row]:
             pattern = Subject(finder(name), senses, params).make()
             inputs = cycle(tuple(islice(steps(scans, pattern.channels), CALLS + WARM)))
             timing = measure(map(pattern.step, inputs).__next__)
-            yield Row(" ".join(("step of", name, *params.values())), timing, BUDGET)
+            yield Row(" ".join(("step of", name, *params.values())), timing, GOAL)
 
 
 def field_rows(scans: Sequence[Scan], range_max: float, what: str) -> Iterator[Row]:

@@ -21,9 +21,15 @@ ROBOTS = 20
 RUNS = 30
 
 
-def timed(swarm: Swarm, *words: str) -> float:
+def timed(swarm: Swarm, prefix: Sequence[str], *words: str) -> float:
     """Seconds until swarmctl has the replies of all robots; SystemExit if one is missing."""
-    command = [str(Path(sys.executable).with_name("swarmctl")), *words, "--swarm", swarm.name]
+    command = [
+        *prefix,
+        str(Path(sys.executable).with_name("swarmctl")),
+        *words,
+        "--swarm",
+        swarm.name,
+    ]
     seconds, text = 0.0, ""
     start = time.perf_counter()
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -35,14 +41,15 @@ def timed(swarm: Swarm, *words: str) -> float:
     return seconds
 
 
-def rows(robots: int = ROBOTS, runs: int = RUNS) -> Iterator[Row]:
+def rows(robots: int = ROBOTS, runs: int = RUNS, prefix: Sequence[str] = ()) -> Iterator[Row]:
+    """`prefix`: words before each timed command, such as `chrt -f 5`."""
     patterns = cycle(("attraction", "dispersion", "random_walk"))
     with Swarm(robots) as swarm:
         for _ in range(3):  # what each host imports, it imports once
             swarm.run(next(patterns))
-        switches = [timed(swarm, "run", next(patterns), "--all") for _ in range(runs)]
+        switches = [timed(swarm, prefix, "run", next(patterns), "--all") for _ in range(runs)]
         requests = [swarm.run(next(patterns)).seconds for _ in range(runs)]
-        stops = [timed(swarm, "stop") for _ in range(runs)]
+        stops = [timed(swarm, prefix, "stop") for _ in range(runs)]
     note = "process start to answer"
     yield Row(f"swarmctl run --all, {robots} daemons", switches, "0.25 s", f"{note}, all acked")
     yield Row(f"its request alone, {robots} daemons", requests, note="in an open session")

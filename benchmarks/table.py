@@ -1,10 +1,13 @@
-"""The one form in which all benchmarks print: what | budget | met | p50 | p99 | max | n | note."""
+"""The one form in which all benchmarks print: what | goal | p50 | p99 | max | n | note.
+
+A goal has no verdict, since an absolute figure depends on the machine. `benchmarks/budget.py`
+judges ratios.
+"""
 
 from __future__ import annotations
 
 import os
 import platform
-import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,22 +16,20 @@ from pathlib import Path
 
 import numpy as np
 
-HEAD = ("what", "budget", "met", "p50", "p99", "max", "n", "note")
+HEAD = ("what", "goal", "p50", "p99", "max", "n", "note")
 SCALES = {"s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"))}
-_STATISTICS = {"p50": 50.0, "p99": 99.0, "max": 100.0}
-_BOUND = re.compile(r"(?:(p50|p99|max) )?(>= )?([0-9.]+)(?: (s|ms|us|MB|%|x))?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
     """One measured quantity. `unit`: s (shown as s, ms or us), MB, % or x (times).
 
-    `budget`: bounds such as `p50 1.3 ms, p99 4 ms`, `95 MB` (of the median) or `>= 60 x`.
+    `goal`: bounds such as `p50 1.3 ms, p99 4 ms`, `95 MB` (of the median) or `>= 60 x`.
     """
 
     what: str
     samples: Sequence[float]
-    budget: str = ""
+    goal: str = ""
     note: str = ""
     unit: str = "s"
 
@@ -36,30 +37,10 @@ class Row:
         """The texts of the columns."""
         if not len(self.samples):
             note = self.note or "nothing measured"
-            return (self.what, self.budget, "", "-", "-", "-", "0", note)
+            return (self.what, self.goal, "-", "-", "-", "0", note)
         p50, p99, most = np.percentile(self.samples, [50, 99, 100])
         shown = (show(float(value), self.unit) for value in (p50, p99, most))
-        return (self.what, self.budget, self.verdict, *shown, str(len(self.samples)), self.note)
-
-    @property
-    def verdict(self) -> str:
-        """`yes`, or the bounds that are missed; empty without a budget in the row's unit."""
-        bounds = self.budget.split(", ") if self.budget else []
-        judged = [text for text in bounds if (self.unit == "x") == text.endswith(" x")]
-        missed = [text for text in judged if not self._is_met(text)]
-        if missed:
-            return f"**no: {', '.join(missed)}**"
-        return "yes" if judged and len(judged) == len(bounds) else ""
-
-    def _is_met(self, bound: str) -> bool:
-        match = _BOUND.fullmatch(bound)
-        if match is None:
-            raise ValueError(f"{self.what}: no budget {bound!r}; expected such as 'p99 4 ms'")
-        statistic, is_least, number, unit = match.groups()
-        sizes = {name: size for size, name in SCALES["s"]}
-        wanted = float(number) * sizes.get(unit or "", 1.0)
-        value = float(np.percentile(self.samples, _STATISTICS[statistic or "p50"]))
-        return value >= wanted if is_least else value <= wanted
+        return (self.what, self.goal, *shown, str(len(self.samples)), self.note)
 
 
 def show(value: float, unit: str) -> str:

@@ -27,8 +27,8 @@ from tests.support.chromium import FOUND, Browser, Page, chromium
 ROBOTS = 7, 100, 500
 SECONDS = 15.0
 START = 3.0
-TASK_BUDGET, CPU_BUDGET = "max 50 ms", "25 %"
-SIZE_BUDGET = "0.2 MB"
+TASK_GOAL, CPU_GOAL = "max 50 ms", "25 %"
+SIZE_GOAL = "0.2 MB"
 
 
 def size() -> float:
@@ -69,14 +69,14 @@ def measure(browser: Browser, count: int, seconds: float) -> Iterator[Row]:
         assert page.errors == []
     name, note = f"page, {count} robots", f"over {seconds:.0f} s"
     wall, cpu = zip(*tasks, strict=True)
-    yield Row(f"{name}: a task of the main thread", wall, TASK_BUDGET, note)
-    yield Row(f"{name}: its processor time", cpu, TASK_BUDGET, "without what else the machine did")
+    yield Row(f"{name}: a task of the main thread", wall, TASK_GOAL, note)
+    yield Row(f"{name}: its processor time", cpu, TASK_GOAL, "without what else the machine did")
     yield Row(f"{name}: from frame to frame", np.diff(arrivals) / 1e3)
     rate = 1e3 * (len(arrivals) - 1) / (arrivals[-1] - arrivals[0])
     yield Row(f"{name}: frames a second", [rate], ">= 9 x", unit="x")
     yield Row(f"{name}: CPU of the main thread", [100.0 * sum(cpu) / seconds], unit="%")
     note = "of one core, with decoding"
-    yield Row(f"server, {count} robots: CPU", [server_share], CPU_BUDGET, note, "%")
+    yield Row(f"server, {count} robots: CPU", [server_share], CPU_GOAL, note, "%")
 
 
 def trace(page: Page, seconds: float) -> list[tuple[float, float]]:
@@ -115,7 +115,7 @@ def watch_frames(page: Page) -> None:
 
 
 def rows(robots: Sequence[int] = ROBOTS, seconds: float = SECONDS) -> Iterator[Row]:
-    yield Row("page: all files", [size()], SIZE_BUDGET, unit="MB")
+    yield Row("page: all files", [size()], SIZE_GOAL, unit="MB")
     if FOUND is None:
         yield Row("page", [], note="no Chromium here")
         return

@@ -1,33 +1,47 @@
-"""The verdict beside a budget, and the ratios of two commits."""
+"""A budget is held by a ratio to a yardstick, and two commits are compared by ratios."""
 
 from __future__ import annotations
 
 import pytest
 
+from benchmarks import budget
+from benchmarks.budget import Ratio
 from benchmarks.compare import medians, ratios
 from benchmarks.table import Row, markdown
 
+TWICE = Row("work", [2.0, 4.0, 6.0])
+
+
+def test_the_ratio_is_the_median_of_each_sample_to_its_own_yardstick() -> None:
+    assert Ratio(TWICE, [1.0, 4.0, 2.0]).value == 2.0
+    assert Ratio(TWICE, [8.0]).value == 0.5
+    assert Ratio(Row("memory", [50.0, 60.0, 55.0], unit="MB")).value == 55.0
+
 
 @pytest.mark.parametrize(
-    ("row", "verdict"),
+    ("ratio", "excess", "holds"),
     [
-        (Row("a", [1e-3, 2e-3, 1e-3], "p50 1.3 ms"), "yes"),
-        (Row("a", [1e-3, 2e-3, 1e-3], "p50 1.3 ms, p99 1.5 ms"), "**no: p99 1.5 ms**"),
-        (Row("a", [59.0], ">= 60 x", unit="x"), "**no: >= 60 x**"),
-        (Row("a", [61.0], ">= 60 x", unit="x"), "yes"),
-        (Row("a", [94.0], "95 MB", unit="MB"), "yes"),
-        (Row("a", [1e-3], "p50 1.5 x, p99 10 ms"), ""),  # times another row: not judged
-        (Row("a", [1e-3]), ""),
-        (Row("a", [], "p50 1 ms"), ""),
+        (Ratio(TWICE, [1.0]), 0.0, "yes"),
+        (Ratio(TWICE, [0.5]), 1.0, "**no**"),
+        (Ratio(TWICE, [2.0]), -0.5, "yes"),
+        (Ratio(TWICE, [0.5], has_verdict=False), None, ""),
+        (Ratio(Row("other", [9.0]), [1.0]), None, ""),
     ],
 )
-def test_a_row_says_which_bounds_it_misses(row: Row, verdict: str) -> None:
-    assert row.cells()[2] == verdict
+def test_a_ratio_is_held_against_the_budget_of_its_row(
+    ratio: Ratio, excess: float | None, holds: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(budget, "BUDGETS", {"work": 4.0})
+    assert ratio.excess == excess
+    assert ratio.cells()[budget.HEAD.index("holds")] == holds
 
 
-def test_a_budget_that_cannot_be_read_is_an_error() -> None:
-    with pytest.raises(ValueError, match="soon"):
-        Row("a", [1.0], "soon").cells()
+def test_the_summary_names_each_budget_that_does_not_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "BUDGETS", {"work": 4.0, "more": 1.0})
+    held, missed = Ratio(TWICE, [1.0]), Ratio(Row("more", [1.5]), [1.0])
+    assert budget.summary([held]) == "All 1 budgets hold."
+    assert "1 of 2" in budget.summary([held, missed])
+    assert "more by 50 %" in budget.summary([held, missed])
 
 
 def test_medians_are_read_back_from_printed_tables() -> None:
