@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import click
@@ -20,7 +22,9 @@ from swarmd.core.errors import CodecError, ConfigError, NetworkError
 from swarmd.core.finding import Finding, Level, warning
 from swarmd.core.machine import measure_machine
 from swarmd.core.verbs import DOCTOR
+from swarmd.daemon.systemd import CONFIG_FILE
 from swarmd.network.carriers.network_facts import measure_network
+from swarmd.settings.yamlfile import read
 from swarmd.texts import doctor as findings_of
 from swarmd.texts.doctor import worst
 from swarmd.texts.values import counted
@@ -51,6 +55,7 @@ def doctor(options: CommonOptions, targets: Targets, problems: bool) -> None:
     figure that could not be measured.
     """
     lines: list[_Line] = [_Line(HERE, one) for one in findings_of.of_machine(measure_machine(()))]
+    lines += [_Line(HERE, one) for one in _of_daemon_file(CONFIG_FILE)]
     try:
         with options.operator() as operator:
             lines += _of_this_network(operator)
@@ -63,6 +68,15 @@ def doctor(options: CommonOptions, targets: Targets, problems: bool) -> None:
     else:
         _print(lines, only_problems=problems)
     click.get_current_context().exit(1 if level is Level.FAULT else 0)
+
+
+def _of_daemon_file(path: Path) -> Iterator[Finding]:
+    """Yields a fault if the file of a daemon on this machine is no YAML."""
+    try:
+        if os.access(path, os.R_OK):
+            read(path)
+    except ConfigError as error:
+        yield Finding("settings", False, str(error), "mend the file: the daemon starts only then")
 
 
 def _of_this_network(operator: Operator) -> Iterator[_Line]:

@@ -15,31 +15,47 @@ from swarmd.texts.keys import end_of_certificate
 from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from swarmd.security.identity import Identity
     from swarmd.security.roster import Roster
     from swarmd.settings.installed import DraftedFile
 
 DAEMON_FILE = "swarmd.yaml"
+_EXAMPLES = {"platform": "burger", "driver": "ros2dds"}
 
 
 @click.command()
 @click.argument("file", type=FILE)
 @root_option
 @click.option("--interface", metavar="NAME", help="This robot's interface, if it has another.")
+@click.option("--platform", metavar="NAME", help="The robot's platform, such as burger.")
+@click.option("--driver", metavar="NAME", help="The driver of its base, such as ros2dds.")
+@click.option("--replace", is_flag=True, help="Replace another platform or driver in swarmd.yaml.")
 @click.option("--force", is_flag=True, help="Replace an identity of another robot or authority.")
-def install(file: Path, root: Path | None, interface: str | None, force: bool) -> None:
+def install(
+    file: Path,
+    root: Path | None,
+    interface: str | None,
+    platform: str | None,
+    driver: str | None,
+    replace: bool,
+    force: bool,
+) -> None:
     """Take the bundle FILE: this machine becomes the robot that FILE names.
 
     Writes the identity and swarmd.yaml, as root into /etc/swarmd, else into ~/.config/swarmd, and
     starts nothing. Keys of swarmd.yaml that belong to the robot are kept, such as platform and
-    driver.
+    driver. The same command changes nothing when it is repeated.
     """
     from swarmd.cli.service_files import give_to_service, keep_for_root
     from swarmd.daemon.systemd import UNIT_FILE
+    from swarmd.plugins import load_driver
     from swarmd.security.bundle import read_bundle
-    from swarmd.security.installation import check_replaces, installed, replaced_identity
+    from swarmd.security.installation import check_replaces, installed, is_same, replaced_identity
     from swarmd.security.roster import Role
     from swarmd.settings.installed import checked_settings, draft_daemon_file
+    from swarmd.settings.platforms import load_platform
 
     opened = read_bundle(file)
     info = opened.bundle.info
@@ -57,19 +73,32 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     # All is checked before the first write.
     settings = checked_settings(str(file), info.swarm, opened.bundle.settings)
     config = base / DAEMON_FILE
-    drafted = draft_daemon_file(config, info.name, settings, {"interface": interface})
+    given = {"interface": interface, "platform": platform, "driver": driver}
+    if is_this_machine:  # another machine may have other plugins
+        if platform:
+            load_platform(platform)
+        if driver:
+            load_driver(driver)
+    drafted = draft_daemon_file(config, info.name, settings, given)
     folder = base / "identities" / info.swarm
-    check_replaces(opened, installed(folder), is_forced=force)
+    present = installed(folder)
+    check_replaces(opened, present, is_forced=force)
     if not force:
         _check_file(config, info.swarm, info.name)
+    if not replace:
+        _check_kept(drafted, {key: given[key] for key in ("platform", "driver")})
     base.mkdir(parents=True, exist_ok=True)
-    # An error in this block gives the folder of the identity its former content.
-    with replaced_identity(folder, opened) as identity:
-        drafted.write()
+    if present is not None and is_same(opened, present) and drafted.is_present:
+        click.echo(f"{info.name} has this identity and these settings already: nothing is changed")
+    else:
+        # An error in this block gives the folder of the identity its former content.
+        with replaced_identity(folder, opened) as identity:
+            drafted.write()
+        report_identity(identity, opened.roster)
+        _report_file(config, drafted)
     if is_of_service:
         give_to_service(machine_root)
-    report_identity(identity, opened.roster)
-    _report_file(config, drafted)
+    _report_missing(config, drafted)
     if is_of_service and is_this_machine:
         has_service = UNIT_FILE.exists()
         next_step = "systemctl restart swarmd" if has_service else "swarmd service install"
@@ -79,16 +108,32 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
 
 
 def _report_file(config: Path, drafted: DraftedFile) -> None:
-    """Print what was written into swarmd.yaml, and what is missing in it."""
+    """Print what was written into swarmd.yaml."""
     click.echo(f"wrote {config}")
     for verb, keys in (("kept", drafted.kept), ("dropped", drafted.dropped)):
         if keys:
             click.echo(f"{verb} of the file that was there: {', '.join(keys)}")
+
+
+def _report_missing(config: Path, drafted: DraftedFile) -> None:
+    """Print which options a real robot needs and the file lacks."""
     if unset := [key for key in ("platform", "driver") if key not in drafted.data]:
+        options = " ".join(f"--{key} {_EXAMPLES[key]}" for key in unset)
         click.echo(
-            f"note: {config} has no {' and no '.join(unset)}; on a real robot add them, such as"
-            " `platform: burger` and `driver: ros2dds`"
+            f"note: {config} has no {' and no '.join(unset)}; on a real robot repeat the command"
+            f" with them, such as {options}"
         )
+
+
+def _check_kept(drafted: DraftedFile, given: Mapping[str, str | None]) -> None:
+    """ConfigError if the present file has another value of an option."""
+    for key, value in given.items():
+        present = drafted.before.get(key, value)
+        if value and present != value:
+            raise ConfigError(
+                f"{drafted.path} has {key} {present}, and --{key} is {value}; add --replace to"
+                " replace it, or leave the option out"
+            )
 
 
 def report_identity(identity: Identity, roster: Roster) -> None:

@@ -129,7 +129,7 @@ def init(
     option = "" if _is_in_use(swarm) else f" --swarm {swarm}"
     click.echo(
         f"next: swarmctl keys bundle --all -o bundles{option},"
-        " then on each robot: swarmd install FILE\n"
+        " then on each robot: swarmd install FILE --platform NAME --driver NAME\n"
         f"keep a copy of {folder}: without it no name can be added, renewed or revoked"
     )
 

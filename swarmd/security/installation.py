@@ -50,6 +50,16 @@ def installed(folder: Path) -> Identity | None:
         return None  # a bundle repairs it
 
 
+def is_same(opened: OpenedBundle, old: Identity) -> bool:
+    """Whether an installed identity has the certificate, authority and roster of a bundle."""
+    bundle = opened.bundle
+    return (
+        old.certificate.read_bytes() == bundle.certificate
+        and old.authority.read_bytes() == bundle.authority
+        and old.signed_roster == bundle.roster.roster
+    )
+
+
 @contextmanager
 def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
     """A context manager that replaces the identity in `folder` by the identity of a bundle.

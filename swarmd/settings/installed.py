@@ -29,13 +29,20 @@ _REPLACED = ("id", "swarm_file", "identity", "insecure")
 class DraftedFile:
     """The content of a file to write.
 
-    `kept`: keys of the machine that stay. `dropped`: keys of the present file that are removed.
+    `before`: the content of the present file. `kept`: keys of the machine that stay. `dropped`:
+    keys of the present file that are removed.
     """
 
     path: Path
     data: Data
+    before: Data
     kept: tuple[str, ...]
     dropped: tuple[str, ...]
+
+    @property
+    def is_present(self) -> bool:
+        """Whether the present file has this content already."""
+        return self.path.exists() and self.data == self.before
 
     def write(self) -> None:
         """Write the file, whole or not at all; an earlier file becomes `<name>.before`."""
@@ -96,6 +103,7 @@ def draft_daemon_file(
     return DraftedFile(
         path,
         data,
+        old,
         tuple(key for key in kept if key not in given),
         tuple(key for key in old if key not in data),
     )

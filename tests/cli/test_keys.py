@@ -13,8 +13,10 @@ import yaml
 from click.testing import CliRunner, Result
 
 from swarmd.cli.daemon import swarmd
+from swarmd.cli.doctor import _of_daemon_file
 from swarmd.cli.swarmctl import cli
 from swarmd.core.errors import ConfigError
+from swarmd.core.finding import Level
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.security.identity import find_identity, load_identity
 from swarmd.settings.contexts import context_in_use
@@ -125,6 +127,56 @@ def test_bundles_have_the_settings_beside_the_authority(keys: Run, home: Path) -
     settings = load_daemon_settings(config, {"identity": str(folder)})
     assert (settings.id, settings.labels, settings.roster) == ("r1", ("red",), ("r1", "r2"))
     assert settings.identity is not None
+
+
+def test_a_second_installation_changes_nothing(meadow: Run, home: Path) -> None:
+    (home / "root").mkdir()
+    words = ("b/tb3-01.bundle", "--root", "root", "--platform", "burger", "--driver", "ros2dds")
+    assert install(*words).exit_code == 0
+    config = home / "root/etc/swarmd/swarmd.yaml"
+    written = yaml.safe_load(config.read_text())
+    assert (written["platform"], written["driver"]) == ("burger", "ros2dds")
+    before = tree(home / "root")
+    for again in (words, words[:3]):  # without the options the file keeps both
+        done = install(*again)
+        assert done.exit_code == 0
+        assert "nothing is changed" in done.stdout
+        assert tree(home / "root") == before
+
+
+@pytest.mark.parametrize("option", ["--platform=waffle_pi", "--driver=rmw_zenoh"])
+def test_another_platform_or_driver_asks_for_replace(meadow: Run, home: Path, option: str) -> None:
+    (home / "root").mkdir()
+    words = ("b/tb3-01.bundle", "--root", "root")
+    assert install(*words, "--platform", "burger", "--driver", "ros2dds").exit_code == 0
+    before = tree(home / "root")
+    refused = install(*words, option)
+    assert is_refused(refused)
+    assert "--replace" in str(refused.exception)
+    assert tree(home / "root") == before
+    assert install(*words, option, "--replace").exit_code == 0
+    key, _, value = option.removeprefix("--").partition("=")
+    settings = yaml.safe_load((home / "root/etc/swarmd/swarmd.yaml").read_text())
+    assert settings == {**settings, "platform": "burger", "driver": "ros2dds", key: value}
+
+
+def test_a_key_that_stands_twice_is_named_with_both_lines(meadow: Run, home: Path) -> None:
+    (home / "root").mkdir()
+    words = ("b/tb3-01.bundle", "--root", "root")
+    assert install(*words, "--platform", "burger").exit_code == 0
+    config = home / "root/etc/swarmd/swarmd.yaml"
+    lines = config.read_text().splitlines()
+    first = next(at for at, line in enumerate(lines, 1) if line.startswith("platform:"))
+    config.write_text("\n".join([*lines, "platform: burger", ""]))
+    before = tree(home / "root")
+    (fault,) = _of_daemon_file(config)
+    for text in (fault.text, str(install(*words).exception)):
+        assert f"swarmd.yaml:{len(lines) + 1}: " in text
+        assert f"line {first}" in text
+    assert fault.level is Level.FAULT
+    checked = CliRunner().invoke(swarmd, ["--config", str(config), "--check"])
+    assert f"line {first}" in str(checked.exception)
+    assert tree(home / "root") == before
 
 
 def test_list_has_names_roles_ends_and_generations(keys: Run, home: Path) -> None:

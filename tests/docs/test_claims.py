@@ -22,6 +22,7 @@ MEASURED = {
 }
 KEPT = {name: kept for name, kept in outcome.kept_outcomes().items() if kept.outcomes}
 """Of the patterns whose page has a table that a study wrote."""
+README = (ROOT / "README.md").read_text()
 KNOWN_AS_MISSED: dict[str, list[str]] = {}
 """Outcomes with "no" in the table of their page."""
 FEW = "fewer than twenty"
@@ -49,14 +50,36 @@ NO_CLAIM = {
 }
 SEEDS = re.compile(r"^swarmctl exp (?:run|bench)\b.* --seeds (\d+)\b", re.MULTILINE)
 
-# What README.md quotes, and where: the first cell of a row of benchmarks/README.md.
+BENCH, PAPER, FIRST = "benchmarks/README.md", "docs/paper.md", "docs/installation.md"
+# What README.md quotes, and where: page, start of the row, and the column of the cell by its head.
 QUOTED = {
-    "[{0} % of a core idle, {1} % driving": "CPU, daemon and host, idle / driving",
-    "driving, {0} MB](benchmarks/README.md#in-bursts)": "RSS; PSS",
+    "[{0} % of a core idle, {1} % driving": (BENCH, "CPU, daemon and host, idle / driving", ""),
+    "driving, {0} MB](benchmarks/README.md#in-bursts)": (BENCH, "RSS; PSS", ""),
     "(swarmd: [{0}](benchmarks/README.md#last-measured))": (
-        "robot-seconds a CPU-second, 1000 robots with 24 rays"
+        BENCH, "robot-seconds a CPU-second, 1000 robots with 24 rays", ""
     ),
-    "later starts took {0} s": "`swarmctl demo` to 7 moving, without compiled files",
+    "[{0} robot-seconds per CPU-second by default": (BENCH, "default: `dynamics2d`", "1,000"),
+    "by default, {0} tuned](benchmarks/README.md#argos)": (
+        BENCH, "tuned: one iteration of the physics", "1,000"
+    ),
+    "later starts took {0} s": (BENCH, "`swarmctl demo` to 7 moving, without compiled files", ""),
+    "[{0} of {1} runs](docs/paper.md#hardware) of our attraction": (
+        PAPER, "hardware_free, body, settling", "six linked at 120 s"
+    ),
+    "[{0} of {1}](docs/paper.md#hardware) of our rewrite": (
+        PAPER, "hardware_free, body, original", "six linked at 120 s"
+    ),
+    "[{0} of {1}](docs/paper.md#hardware) of robots that do not move": (
+        PAPER, "hardware_free, still", "six linked at 120 s"
+    ),
+    "moved [{0} s](docs/installation.md#from-a-clone-to-moving-robots)": (
+        FIRST, "all seven robots have moved", "s after `make demo`"
+    ),
+}  # fmt: skip
+CONTROLS = {  # by row of "What is different", what its claim stands beside
+    "ROS2swarm": "robots that do not move",
+    "ARGoS": "(swarmd: [",
+    "Nav2": "without protection",
 }
 
 
@@ -126,10 +149,51 @@ def test_a_lesson_with_few_seeds_says_so(page: str) -> None:
     assert FEW in text.lower() or all(int(seeds) >= 20 for seeds in SEEDS.findall(text))
 
 
+def cell_of(page: str, row: str, head: str) -> str:
+    """The cell of the column `head` (the last one: "") in the newest row that begins with `row`.
+
+    The newest measurement stands first below *Last measured* of benchmarks/README.md.
+    """
+    text = (ROOT / page).read_text()
+    lines = (text.partition("\n## Last measured\n")[2] if not head else text).splitlines()
+    at = next(
+        number
+        for number, line in enumerate(lines)
+        if line.startswith(f"| {row}") and (not head or head in head_of(lines, number))
+    )
+    return cells_of(lines[at])[head_of(lines, at).index(head) if head else -1]
+
+
+def cells_of(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def head_of(lines: list[str], at: int) -> list[str]:
+    """The head of the table around a line."""
+    first = next(number for number in range(at, -1, -1) if not lines[number].startswith("|")) + 1
+    return cells_of(lines[first])
+
+
+def quoted(quote: str) -> str:
+    """The words of a quote with the figures of its cell."""
+    return quote.format(*re.findall(r"\d[\d.,]*", cell_of(*QUOTED[quote])))
+
+
 @pytest.mark.parametrize("quote", QUOTED)
-def test_the_readme_quotes_the_newest_measurement(quote: str) -> None:
-    """The last cell of the first row of this name below *Last measured*: the newest is first."""
-    measured = (ROOT / "benchmarks/README.md").read_text().partition("\n## Last measured\n")[2]
-    row = next(line for line in measured.splitlines() if line.startswith(f"| {QUOTED[quote]} |"))
-    newest = re.findall(r"\d[\d.,]*", row.rpartition(" | ")[2])
-    assert quote.format(*newest) in (ROOT / "README.md").read_text()
+def test_the_readme_quotes_the_measured_figure(quote: str) -> None:
+    assert quoted(quote) in README
+
+
+def test_each_figure_of_the_readme_with_a_link_is_quoted() -> None:
+    rest = re.sub(r"`[^`\n]*`", "", README)
+    for quote in QUOTED:
+        rest = rest.replace(quoted(quote), "")
+    links = re.findall(r"\[([^][]*)\]\((?!http)[^()]*\)", rest)
+    assert [text for text in links if re.search(r"(?<![\w.-])\d", text)] == []
+
+
+def test_each_difference_names_its_control() -> None:
+    section = README.partition("## What is different")[2].partition("\n## ")[0]
+    rows = {row[0]: row[1] for row in re.findall(r"(?m)^\| \[(\w+)\](.*)$", section)}
+    assert rows.keys() == CONTROLS.keys()
+    assert [name for name, control in CONTROLS.items() if control not in rows[name]] == []
