@@ -11,15 +11,17 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
+import os
 import re
 import signal
+import sys
 import threading
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, wraps
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, TypeAlias, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeAlias, cast, get_type_hints
 
 import click
 import msgspec
@@ -31,6 +33,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, P, PluginError, SwarmError
 from swarmd.plugins import need
 from swarmd.security.roster import Role
+from swarmd.sim.cli.mcp_input import CallInput
 from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
@@ -140,16 +143,25 @@ async def _serve(connection: Connection, allow: Collection[str], rehearse: Rehea
     assert task is not None
     for number in (signal.SIGTERM, signal.SIGHUP):  # the end of a simulation removes its files
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    # Simulations are processes of their own, which must not read the calls of the agent.
+    calls = CallInput(os.dup(sys.stdin.fileno()))
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), sys.stdin.fileno())
     async with connection as swarm:
-        await make_server(SwarmTools(swarm, rehearse), allow).run_stdio_async()
+        tools = SwarmTools(swarm, rehearse, calls.arrival)
+        await make_server(tools, allow, calls).run_stdio_async()
 
 
-def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
+def make_server(
+    tools: SwarmTools, allow: Collection[str], calls: CallInput | None = None
+) -> MCPServer:
     """The MCP server with the tools for an agent.
 
-    These are all tools that read or simulate, and those of `allow` that command robots.
+    These are all tools that read or simulate, and those of `allow` that command robots. `calls`:
+    what `run_stdio_async` reads.
     """
     from mcp.server.mcpserver import MCPServer
+    from mcp.server.stdio import stdio_server
     from mcp_types import ToolAnnotations
 
     arguments_of: dict[str, type[msgspec.Struct]] = {}  # by tool: a field for each argument
@@ -159,6 +171,11 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
             if name in arguments_of:
                 _check_arguments(name, arguments, arguments_of[name])
             return await super().call_tool(name, arguments, context)
+
+        async def run_stdio_async(self) -> None:
+            options = self._lowlevel_server.create_initialization_options()
+            async with stdio_server(cast("Any", calls)) as (received, answers):
+                await self._lowlevel_server.run(received, answers, options)
 
     server = Server(
         "swarmd", instructions=INSTRUCTIONS, version=version("swarmd"), log_level="WARNING"
@@ -267,11 +284,20 @@ class SwarmTools:
     of other operators by the epochs of the robots (an epoch counts the changes of a robot).
     """
 
-    def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:
-        """`rehearse` simulates each run before it is sent, and raises SwarmError to refuse it."""
-        self._swarm, self._rehearse = swarm, rehearse
+    def __init__(
+        self,
+        swarm: AsyncSwarm,
+        rehearse: Rehearse | None = None,
+        arrival: Callable[[], float] = boottime,
+    ) -> None:
+        """`rehearse` simulates each run before it is sent, and raises SwarmError to refuse it.
+
+        `arrival` returns when the present call arrived; SwarmError if it may start no motion.
+        """
+        self._swarm, self._rehearse, self._arrival = swarm, rehearse, arrival
         self._stops = 0  # asked for by the agent
         self._simulating = asyncio.Lock()  # a simulation takes two processors
+        self._describing, self._listening = asyncio.Lock(), asyncio.Lock()
 
     # Look
 
@@ -311,7 +337,7 @@ class SwarmTools:
         """
         lines = []
         with suppress(TimeoutError):  # the usual end
-            async with asyncio.timeout(_LISTEN):
+            async with self._listening, asyncio.timeout(_LISTEN):
                 async for line in self._swarm.events(since=seconds):
                     lines.append({"robot": line.robot, "text": line.text})
         members = await self._swarm.members()
@@ -323,7 +349,7 @@ class SwarmTools:
 
     async def patterns(self) -> Answer:
         """The behaviours (patterns) that are installed on this computer, with what each needs."""
-        rows = await asyncio.to_thread(describe_patterns, (), None, "waffle_pi", DESCRIBE_TIMEOUT)
+        rows = await self._described((), "waffle_pi")
         keys = ("name", "kind", "summary", "needs", "error")
         return {"patterns": [{key: row[key] for key in keys if key in row} for row in rows]}
 
@@ -332,9 +358,7 @@ class SwarmTools:
         _check_pattern(name)
         if _NAME.fullmatch(platform) is None:  # else a file
             raise ConfigError(f"platform {platform!r}; expected a name, such as burger")
-        (row,) = await asyncio.to_thread(
-            describe_patterns, (name,), None, platform, DESCRIBE_TIMEOUT
-        )
+        (row,) = await self._described((name,), platform)
         if "error" in row:
             raise PluginError(row["error"])
         return dict(row)
@@ -384,7 +408,7 @@ class SwarmTools:
 
         They also stop within 10 s if this server ends.
         """
-        began = boottime()
+        began = self._arrival()
         _check_pattern(pattern)
         _check_bounds("seconds", seconds, MAX_RUN)
         rehearsal: Answer | None = None
@@ -399,6 +423,7 @@ class SwarmTools:
                 rehearsal = await _cancellable(
                     partial(self._rehearse, pattern, params or {}, seconds)
                 )
+            began = boottime()  # the next look shows what has happened to robots until now
             self._check_unstopped(stops_before, epochs_before, await self._epochs())
         # `lease`: robots stop by themselves if this server renews the run no more.
         outcome = await self._swarm.called_at(began).run(
@@ -409,7 +434,7 @@ class SwarmTools:
 
     async def param(self, values: Values, robots: Robots = None) -> Answer:
         """Change parameters of running patterns, until the next run."""
-        return _counted(await self._swarm.param(values, robots))
+        return _counted(await self._swarm.called_at(self._arrival()).param(values, robots))
 
     async def stop(self, robots: Robots = None) -> Answer:
         """Stop robots at once; they need a `run` to move again. Never waits for another call."""
@@ -423,7 +448,15 @@ class SwarmTools:
 
     async def reset(self, reason: str, robots: Robots = None) -> Answer:
         """Clear emergency stops and faults of robots, which become idle; moves nothing."""
-        return _counted(await self._swarm.reset(robots, reason=f"{reason} ({REASON})"))
+        swarm = self._swarm.called_at(self._arrival())
+        return _counted(await swarm.reset(robots, reason=f"{reason} ({REASON})"))
+
+    async def _described(self, names: tuple[str, ...], platform: str) -> list[Answer]:
+        """What patterns are; one child process at a time looks them up."""
+        async with self._describing:
+            return await asyncio.to_thread(
+                describe_patterns, names, None, platform, DESCRIBE_TIMEOUT
+            )
 
     async def _epochs(self) -> Mapping[str, Epoch]:
         """The epoch of each robot that answered; a stop changes it."""
@@ -437,8 +470,8 @@ class SwarmTools:
     def _check_unstopped(
         self, stops: int, before: Mapping[str, Epoch], after: Mapping[str, Epoch]
     ) -> None:
-        """SwarmError if a stop, or another request, came during the rehearsal."""
-        changed = sorted(name for name in before if before[name] != after.get(name, before[name]))
+        """SwarmError if a stop or request came during the rehearsal, or a robot fell silent."""
+        changed = sorted(name for name in before if before[name] != after.get(name))
         if self._stops != stops:
             raise SwarmError(
                 "the run was not sent: a stop came during the rehearsal; ask again for the run"
@@ -446,7 +479,8 @@ class SwarmTools:
         if changed:
             raise SwarmError(
                 f"the run was not sent: {', '.join(changed)} had another request during the"
-                " rehearsal; look at the robots, and ask again for the run"
+                " rehearsal, or did not answer after it; look at the robots, and ask again for"
+                " the run"
             )
 
 

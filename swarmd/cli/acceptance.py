@@ -29,6 +29,8 @@ from swarmd.cli.options import (
     common_options,
 )
 from swarmd.cli.output import print_json, rewrite, signals_end, terminal_width, warn
+from swarmd.client.input_watch import TOO_LATE, InputWatch
+from swarmd.core.clock import boottime
 from swarmd.network.operator.exit_codes import FAILED
 
 if TYPE_CHECKING:
@@ -299,9 +301,13 @@ class _Terminal:
         self._descriptor = sys.stdin.fileno()
         self._before: list[Any] = termios.tcgetattr(self._descriptor)
         self._gives_lines = True
+        self._watch = InputWatch(boottime())
 
     def read(self, gives_lines: bool, seconds: float) -> Input | None:
-        """What was typed, within `seconds`; None for nothing."""
+        """What was typed, within `seconds`; None for nothing.
+
+        A line that may have waited for this program while it stood still is no answer.
+        """
         from swarmd.acceptance.dialogue import Closed, Key, Line
 
         if gives_lines is not self._gives_lines:
@@ -310,7 +316,9 @@ class _Terminal:
                 self.close()
             else:
                 tty.setcbreak(self._descriptor)
+        now = boottime()
         if not select.select([self._descriptor], [], [], seconds)[0]:
+            self._watch.look(now)
             return None
         try:
             data = os.read(self._descriptor, 1024)
@@ -318,6 +326,10 @@ class _Terminal:
             return Closed()
         if not data:
             return Closed()
+        if gives_lines and self._watch.arrival(boottime()) < 0.0:
+            self.discard()
+            _say(f"No answer was taken: {TOO_LATE}")
+            return None
         return Line(data.decode(errors="replace")) if gives_lines else Key()
 
     def discard(self) -> None:

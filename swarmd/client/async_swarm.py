@@ -10,12 +10,12 @@ from functools import partial, wraps
 from types import TracebackType
 from typing import Any, Concatenate, Self
 
-from swarmd.client.hand_over import begin, in_thread
+from swarmd.client.hand_over import begin, from_thread, in_thread
 from swarmd.client.swarm import Swarm
 from swarmd.core.errors import P, R
 
-MAX_WAITING = 1000
-"""Items of an iterator that wait for the loop; its thread waits then."""
+MAX_LOOKS = 4
+"""Looks that have a thread; more wait in the loop. Looks that have threads share queries."""
 _ENDING = 6.0  # s; a call that is cancelled sends its stops within 5 s
 
 
@@ -38,6 +38,20 @@ def _awaited(
     return call
 
 
+def _in_turn(
+    method: Callable[Concatenate[Swarm, P], R],
+) -> Callable[Concatenate[AsyncSwarm, P], Coroutine[Any, Any, R]]:
+    """As `_awaited`, for a look: a look that waits for its turn has no thread."""
+    awaited = _awaited(method)
+
+    @wraps(method)
+    async def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        async with self._looks:
+            return await awaited(self, *args, **kwargs)
+
+    return call
+
+
 def _iterated(
     method: Callable[Concatenate[Swarm, P], Iterator[R]],
 ) -> Callable[Concatenate[AsyncSwarm, P], AsyncGenerator[R, None]]:
@@ -45,7 +59,7 @@ def _iterated(
     def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> AsyncGenerator[R, None]:
         cancelled = threading.Event()
         swarm = self._swarm._cancellable(cancelled)
-        return _from_thread(partial(method, swarm, *args, **kwargs), cancelled)
+        return from_thread(partial(method, swarm, *args, **kwargs), cancelled)
 
     return call
 
@@ -55,8 +69,8 @@ class AsyncSwarm:
 
     The methods, their parameters and results are those of `Swarm`. `events` and `states` are async
     iterators; all other methods are awaited. Each method runs on a thread, so that the event loop
-    does not wait for robots. A stop waits for no other method. SwarmError if 8 requests are under
-    way.
+    does not wait for robots. A stop waits for no other method. Looks (`members`, `describe`,
+    `goal`, `params`, `frame`) take turns. SwarmError if 8 requests are under way.
 
     A cancelled task no longer waits, but robots may have applied its request. The cancellation also
     ends three methods: a `wait`; a run with a canary, whose canaries are stopped; and a run `at` a
@@ -66,6 +80,7 @@ class AsyncSwarm:
     def __init__(self, swarm: Swarm) -> None:
         self._swarm = swarm
         self._under_way: set[Future[Any]] = set()
+        self._looks = asyncio.Semaphore(MAX_LOOKS)
         self._began: float | None = None
 
     def called_at(self, began: float) -> AsyncSwarm:
@@ -76,15 +91,15 @@ class AsyncSwarm:
         (CLOCK_BOOTTIME).
         """
         one = AsyncSwarm(self._swarm)
-        one._under_way = self._under_way
+        one._under_way, one._looks = self._under_way, self._looks
         one._began = began
         return one
 
-    members = _awaited(Swarm.members)
-    describe = _awaited(Swarm.describe)
-    goal = _awaited(Swarm.goal)
-    params = _awaited(Swarm.params)
-    frame = _awaited(Swarm.frame)
+    members = _in_turn(Swarm.members)
+    describe = _in_turn(Swarm.describe)
+    goal = _in_turn(Swarm.goal)
+    params = _in_turn(Swarm.params)
+    frame = _in_turn(Swarm.frame)
     run = _awaited(Swarm.run)
     stop = _awaited(Swarm.stop)
     estop = _awaited(Swarm.estop)
@@ -120,48 +135,3 @@ class AsyncSwarm:
             wait(tuple(self._under_way), _ENDING)
 
         await asyncio.shield(in_thread(close))
-
-
-async def _from_thread(
-    make: Callable[[], Iterator[R]], cancelled: threading.Event
-) -> AsyncGenerator[R, None]:
-    """Yield the items of an iterator that runs on a thread of its own.
-
-    `make` makes the iterator, on that thread. An error of the iterator is raised here. The end of
-    this generator sets `cancelled`, by which the iterator and the thread end. While MAX_WAITING
-    items wait for the reader, the thread waits.
-    """
-    loop = asyncio.get_running_loop()
-    items: asyncio.Queue[R] = asyncio.Queue()
-    room = threading.Semaphore(MAX_WAITING)  # the places in `items` that are free
-
-    def work() -> None:
-        """On the thread: put each item into `items` once a place is free, until cancelled."""
-        for item in make():
-            while not room.acquire(timeout=0.2):
-                if cancelled.is_set():
-                    return
-            if cancelled.is_set():
-                return
-            loop.call_soon_threadsafe(items.put_nowait, item)
-
-    thread_end = asyncio.wrap_future(begin(work))
-    try:
-        while True:
-            next_item = asyncio.ensure_future(items.get())
-            item_or_end: set[asyncio.Future[Any]] = {next_item, thread_end}
-            await asyncio.wait(item_or_end, return_when=asyncio.FIRST_COMPLETED)
-            if next_item.done():
-                room.release()
-                yield next_item.result()
-                continue
-            # The thread has ended, and has put all its items into `items`.
-            next_item.cancel()
-            while not items.empty():
-                yield items.get_nowait()
-            thread_end.result()  # raises the error of the iterator
-            return
-    finally:
-        cancelled.set()
-        next_item.cancel()  # else this task would wait for ever in the loop of a notebook
-        thread_end.cancel()  # the thread may end after the loop, and must not call a closed loop

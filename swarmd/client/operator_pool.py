@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Hashable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
+from itertools import count
+from typing import TYPE_CHECKING, Any
 
-from swarmd.core.errors import SwarmError
+from swarmd.core.errors import R, SwarmError
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -41,15 +42,46 @@ class RequestLimit:
                 self._count -= 1
 
 
+class LookTurns:
+    """Lets one look at a time query the swarm, so that a flood of looks has one operator.
+
+    Calls that wait for their turn share a look that began after them.
+    """
+
+    def __init__(self) -> None:
+        self._turn = threading.Lock()
+        self._order = count()  # of calls and of looks
+        self._last: tuple[Hashable, int, Any] = (None, -1, None)
+
+    def share(self, kind: Hashable, look: Callable[[], R], timeout: float | None = None) -> R:
+        """The result of `look`, or of an equal one of the same `kind` that began after this call.
+
+        SwarmError if the turn does not come within `timeout` s.
+        """
+        called = next(self._order)
+        if not self._turn.acquire(timeout=-1.0 if timeout is None else timeout):
+            raise SwarmError(f"no look within {timeout:g} s: another look is under way; repeat it")
+        try:
+            last_kind, begun, result = self._last
+            if last_kind != kind or begun < called:
+                begun = next(self._order)
+                result = look()
+                self._last = (kind, begun, result)
+            return result  # type: ignore[no-any-return]  # a result of `look`, by its kind
+        finally:
+            self._turn.release()
+
+
 class OperatorPool:
-    """Lends operators that `make` creates, an idle one or a new one: no verb waits."""
+    """Lends operators that `make` creates, an idle one or a new one: no stop or request waits."""
 
     def __init__(self, make: Callable[[], Operator]) -> None:
         self._make = make
         self._lock = threading.Lock()
         self._idle: list[Operator] = []
         self._leases: list[tuple[frozenset[str], ExitStack]] = []
-        self._limit = RequestLimit()
+        self.requests = RequestLimit()
+        self.looks = LookTurns()
         self._is_closed = False
 
     def close(self) -> None:
@@ -106,5 +138,5 @@ class OperatorPool:
     @contextmanager
     def lend_for_request(self) -> Iterator[Operator]:
         """As `lend`, for a request that is no stop; SwarmError if too many are under way."""
-        with self._limit.request(), self.lend() as operator:
+        with self.requests.request(), self.lend() as operator:
             yield operator

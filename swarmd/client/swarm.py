@@ -20,7 +20,9 @@ from swarmd.network.operator.exit_codes import TIMEOUT
 if TYPE_CHECKING:
     from swarmd.client.event_feed import EventLine
     from swarmd.client.operator_pool import OperatorPool
+    from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.outcome import Outcome
+    from swarmd.security.identity import Identity
     from swarmd.texts.assignments import Value
     from swarmd.texts.goal import Difference
 
@@ -72,13 +74,17 @@ class Swarm(Closing):
 
         Robots that did not answer are in `missing`.
         """
-        with self._session(timeout) as session:
-            view = session.look()
-            if not poses:
-                return Members(view)
-            if self._places is not None:
-                return Members(view, self._places(), "true positions")
-            return Members(view, read_poses(session.operator, view.answered))
+        if not poses:
+            return Members(self._look(timeout)[0])
+
+        def look() -> Members:
+            with self._session(timeout) as session:
+                view = session.look()
+                if self._places is not None:
+                    return Members(view, self._places(), "true positions")
+                return Members(view, read_poses(session.operator, view.answered))
+
+        return self._pool.looks.share(("poses", timeout), look, timeout)
 
     def describe(self, robot: str, *, timeout: float | None = None) -> Description:
         """One robot in detail, and why it does not move."""
@@ -99,9 +105,8 @@ class Swarm(Closing):
         from swarmd.texts.goal import differences
 
         targets = _targets(robots, labels, exclude)
-        with self._session(timeout) as session:
-            view = signed_goals(session.look(), session.operator.identity)
-            return tuple(differences(view, robots_of(view, targets)))
+        view = signed_goals(*self._look(timeout))
+        return tuple(differences(view, robots_of(view, targets)))
 
     def params(
         self,
@@ -115,11 +120,10 @@ class Swarm(Closing):
         from swarmd.client.changes import params_of
 
         targets = _targets(robots, labels, exclude)
-        with self._session(timeout) as session:
-            view = session.look()
-            names = [name for name in robots_of(view, targets) if name in view.answered]
-            by_robot = {name: params_of(view.members[name]).items() for name in names}
-            return {name: {key: one.value for key, one in some} for name, some in by_robot.items()}
+        view, _ = self._look(timeout)
+        names = [name for name in robots_of(view, targets) if name in view.answered]
+        by_robot = {name: params_of(view.members[name]).items() for name in names}
+        return {name: {key: one.value for key, one in some} for name, some in by_robot.items()}
 
     def events(
         self,
@@ -223,10 +227,10 @@ class Swarm(Closing):
         )
         run.check()
         targets = _targets(robots, labels, exclude)
-        with ExitStack() as opened:
-            # With a lease this session stays open during the run, to renew the lease. Such a
-            # session must not count as one of the 8 requests that may be under way.
-            session = opened.enter_context(self._session(timeout, is_request=lease is None))
+        # With a lease this session stays open during the run, to renew the lease; it counts as one
+        # of the 8 requests that may be under way until the robots have answered.
+        with self._pool.requests.request(), ExitStack() as opened:
+            session = opened.enter_context(self._session(timeout))
             # A canary is judged by its status before the run, too.
             targeted = session.target(targets, needs_status=canary is not None)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
@@ -384,6 +388,15 @@ class Swarm(Closing):
 
     def _repr_html_(self) -> str:
         return self.members(poses=True)._repr_html_()
+
+    def _look(self, timeout: float | None) -> tuple[MembersView, Identity | None]:
+        """A look that calls may share, and the identity of its operator."""
+
+        def look() -> tuple[MembersView, Identity | None]:
+            with self._session(timeout) as session:
+                return session.look(), session.operator.identity
+
+        return self._pool.looks.share(("look", timeout), look, timeout)
 
     def _stop(
         self,

@@ -26,9 +26,10 @@ _NOW = 1.0  # figures that are newer than this are `now`, in s
 def row(member: SeenMember) -> tuple[str, ...]:
     """The cells of a member's line in the table, below HEADER.
 
-    A member that answered shows its status. Any other member is silent, or has left, and REASON
-    says how it is known. Of another version, STATE is that of the beacon, and REASON and PATTERN
-    come from the head of the status, which is readable. A cell without a value shows NOTHING.
+    A member that answered shows its status. A member that is heard here without a status gives no
+    answer. Any other member is silent, or has left, and REASON says how it is known. Of another
+    version, STATE is that of the beacon, and REASON and PATTERN come from the head of the status,
+    which is readable. A cell without a value shows NOTHING.
     """
     status, status_head = member.status, member.header
     if member.contact is Contact.ANSWERED and status is not None:
@@ -44,10 +45,12 @@ def row(member: SeenMember) -> tuple[str, ...]:
     has_left = member.presence is Presence.LEFT
     states = {
         Contact.GONE: member.presence.value if has_left else SILENT,
+        Contact.NO_ANSWER: Contact.NO_ANSWER.value,
         Contact.OTHER_VERSION: member.state or "other version",
     }
     reasons = {
         Contact.GONE: None if has_left else member.presence.value,
+        Contact.NO_ANSWER: None,
         Contact.OTHER_VERSION: status_head.reason if status_head else None,
     }
     return (

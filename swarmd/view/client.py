@@ -112,7 +112,8 @@ class Client:
 
         A moment has a text (values) and a frame (poses). The frame has its old number, and a
         command of the page quotes the number of the frame that the user sees. So the server knows
-        the age of what the user sees. From MAX_LATENESS s on, only stops are carried out.
+        the age of what the user sees. From MAX_LATENESS s on (`client/input_watch.py`), only stops
+        are carried out.
         """
         if self._is_sending:
             return

@@ -37,13 +37,15 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
+from swarmd.client.input_watch import TOO_LATE, InputWatch
+from swarmd.core.clock import boottime
 from swarmd.core.errors import SwarmError
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.view.access import HEADERS, Access, check_address, page_url, unusable
 from swarmd.view.client import Client, Rows
 from swarmd.view.history import History, Survey
 from swarmd.view.playback import Playback
-from swarmd.view.source import DETAIL_KEYS, CommandProgress, Source, json_of, pack_frame
+from swarmd.view.source import DETAIL_KEYS, STOPS, CommandProgress, Source, json_of, pack_frame
 
 log = logging.getLogger(__name__)
 
@@ -57,13 +59,10 @@ MAX_WATCHED = 20
 """Robots whose scans are watched for all pages together."""
 SELECT_PERIOD = 0.5
 """Seconds between two changes of these: each change is told to the robots."""
-MAX_LATENESS = 3.0
-"""Age in s of the frame that a page had when it sent a command that starts or changes motion."""
 CLOSE_TIME = 1.0
 """Seconds for a page to close its connection."""
 WRONG_TOKEN, ENDED = 4401, 4410
 """Codes with which a connection is closed; the page shows the reason."""
-STOPS = ("stop", "estop", "end_estop")
 MAX_LOAD = 3.0
 """Load of each core, as of the last minute, from which on this computer is overloaded."""
 MAX_NAMES = 3
@@ -108,6 +107,7 @@ class ViewServer:
         self._clients: set[Client] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: Server | None = None
+        self._watch = InputWatch(boottime())
         self._sent_at: deque[tuple[int, float]] = deque(maxlen=round(60.0 / frame_period))
         self._estop: dict[str, Any] | None = None
         self._waiting: dict[ServerConnection, None] = {}
@@ -276,8 +276,7 @@ class ViewServer:
         elif self._commander is None:
             client.tell(_refusal(id, f"{verb}: a recorded run takes no commands"))
         elif verb not in STOPS and self._is_late(message.get("seen")):
-            text = f"{verb}: not carried out: it came too late; look at the robots and repeat it"
-            client.tell(_refusal(id, text))
+            client.tell(_refusal(id, f"{verb}: not carried out: {TOO_LATE}"))
         elif verb == "end_estop":
             self._commander.end_estop()
         else:
@@ -286,9 +285,13 @@ class ViewServer:
             await self._commander.act(verb, message, tell)
 
     def _is_late(self, seen: Any) -> bool:
-        """False if a command quotes a frame that was sent less than MAX_LATENESS s ago."""
-        now = asyncio.get_running_loop().time()
-        return not any(seen == number and now - at < MAX_LATENESS for number, at in self._sent_at)
+        """True if a command that starts or changes motion may have waited too long.
+
+        A command quotes the frame that its page had, so it arrived after that frame was sent. The
+        frame is then too old, or this server did not look at its pages since.
+        """
+        now, watch = boottime(), self._watch
+        return not any(seen == number and watch.is_fresh(at, now) for number, at in self._sent_at)
 
     def _show_estop(self, id: str, answer: CommandProgress, *, is_new: bool = False) -> None:
         """Show the emergency stop on all pages; of two, the later one is shown."""
@@ -319,6 +322,7 @@ class ViewServer:
         while True:
             due = max(due + self._period, loop.time())
             await asyncio.sleep(due - loop.time())
+            self._watch.look(boottime())
             try:
                 if due - selected_at >= SELECT_PERIOD:
                     selected_at = due
@@ -340,7 +344,7 @@ class ViewServer:
         if now - rows_at >= (FEW_ROWS_PERIOD if is_few else ROWS_PERIOD) - 1e-3:
             rows, rows_at = self._rows(), now
         self.frames += 1
-        self._sent_at.append((self.frames, now))
+        self._sent_at.append((self.frames, boottime()))
         for client in list(self._clients):
             client.plot(self._past)
             moment = None if client.past is None else self._past.at(client.past)

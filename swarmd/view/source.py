@@ -19,6 +19,8 @@ from swarmd.view.playback import Playback
 
 FRAME, SCAN = 1, 2
 """Kinds of binary messages to the page."""
+STOPS = ("stop", "estop", "end_estop")
+"""Commands that are carried out however late they come."""
 DETAIL_KEYS = frozenset({"requested", "safe", "rows", "limits", "tracks"})
 """Keys of rows that only the details of a selected robot show."""
 PLACE = np.dtype([("index", "<u4"), ("x", "<f4"), ("y", "<f4"), ("yaw", "<f4")])

@@ -7,6 +7,8 @@ import os
 import signal
 from collections.abc import Iterator, Mapping, Sequence
 
+from swarmd.client.input_watch import TOO_LATE, InputWatch
+from swarmd.core.clock import boottime
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.values import counted
@@ -16,7 +18,7 @@ from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.live import LiveSource
 from swarmd.view.scene import Area, Place, Scene, area_around
 from swarmd.view.screen import KeyDecoder, Screen
-from swarmd.view.source import CommandProgress
+from swarmd.view.source import STOPS, CommandProgress
 from swarmd.view.terminal import lines_of
 
 PERIOD = 0.5
@@ -47,6 +49,7 @@ class TerminalView:
         self._is_warned = False
         self._robots: Sequence[str] = ()
         self._known: Sequence[str] = ()
+        self._watch = InputWatch(boottime())
 
     async def run(self) -> int:
         """Show the swarm; returns the exit code: 0, or 128 plus the number of an ending signal."""
@@ -58,6 +61,7 @@ class TerminalView:
         loop.add_reader(self._screen.input, self._on_input)
         try:
             while self._code is None:
+                self._watch.look(boottime())
                 self._draw()
                 await asyncio.sleep(MIN_PERIOD)
                 await _wait(self._changed, PERIOD - MIN_PERIOD)
@@ -112,6 +116,10 @@ class TerminalView:
             return
         if command.verb == "estop" and self._waiting_estops():
             self._controls.note = "the estop is still being sent"
+            return
+        now = boottime()
+        if command.verb not in STOPS and not self._watch.is_fresh(now, now):
+            self._controls.note = f"{command.verb}: not sent: {TOO_LATE}"
             return
         self._is_warned = False
         self._commands += 1

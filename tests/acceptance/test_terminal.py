@@ -23,6 +23,7 @@ from swarmd.acceptance.step import End, Motion, Step
 from swarmd.acceptance.steps import steps_of
 from swarmd.acceptance.verdict import Result, passed
 from swarmd.cli import acceptance as verb
+from swarmd.core.clock import boottime
 from swarmd.core.values import Pose
 from swarmd.settings.platforms import load_platform
 
@@ -74,6 +75,24 @@ def test_what_is_typed_before_a_question_is_discarded(keyboard: int) -> None:
     assert terminal.read(True, 0.2) is None
     os.write(keyboard, b"n\n")
     assert typed(terminal, gives_lines=True) == Line("n\n")
+
+
+def test_a_yes_that_waited_for_a_frozen_program_is_no_answer(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    terminal = verb._Terminal()
+    assert terminal.read(True, 0.0) is None
+    os.write(keyboard, b"y\n")
+    monkeypatch.setattr(verb, "boottime", lambda: boottime() + 30.0)  # as after SIGCONT
+    assert typed_within(terminal, 5) == []
+    assert "too late" in " ".join(capsys.readouterr().out.split())
+    os.write(keyboard, b"y\n")
+    assert typed(terminal, gives_lines=True) == Line("y\n")
+
+
+def typed_within(terminal: verb._Terminal, reads: int) -> list[Input]:
+    """What so many reads of 0.05 s give."""
+    return [found for _ in range(reads) if (found := terminal.read(True, 0.05)) is not None]
 
 
 def test_the_end_of_the_terminal_is_told(keyboard: int) -> None:

@@ -17,23 +17,26 @@ import pytest
 
 import swarmd
 from swarmd.client.arguments import plain_params
-from swarmd.client.async_swarm import AsyncSwarm, _from_thread
+from swarmd.client.async_swarm import AsyncSwarm
 from swarmd.client.canary import choose_canaries
 from swarmd.client.connect import Connection
+from swarmd.client.hand_over import from_thread
 from swarmd.client.members import Members
 from swarmd.client.network_options import NetworkOptions
-from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, OperatorPool
+from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, LookTurns, OperatorPool
 from swarmd.client.runs import Run
 from swarmd.client.session import Session
 from swarmd.client.states import RobotState, _put
 from swarmd.client.swarm import Swarm, _targets
 from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
-from swarmd.core.messages import Motion, State
+from swarmd.core.messages import Code, Motion, Reply, State
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.contexts import Context, add_context
+from tests.support.processes import CAP, wait_until
 from tests.support.statuses import make_member
 from tests.support.statuses import status as make_status
 
@@ -95,6 +98,89 @@ def test_a_stop_is_lent_an_operator_where_a_request_is_refused() -> None:
     held[0].__exit__(None, None, None)
     with pool.lend_for_request() as again:
         assert again is not None
+
+
+class Held:
+    """An operator whose looks wait for `go_on`; its robots acknowledge a stop at once."""
+
+    identity = None
+    settings = NetworkSettings(swarm="s")
+
+    def __init__(self) -> None:
+        self.notices: list[str] = []
+        self.made = self.looks = 0
+        self.begun, self.go_on = threading.Event(), threading.Event()
+
+    def __call__(self) -> Any:
+        self.made += 1
+        return self
+
+    def members(self, **_: object) -> MembersView:
+        self.looks += 1
+        self.begun.set()
+        assert self.go_on.wait(CAP)
+        return MembersView({"r1": make_member("r1")})
+
+    def seen(self) -> MembersView:
+        return MembersView({"r1": make_member("r1")})
+
+    def send_stop(self, verb: str, **_: object) -> Outcome:
+        return Outcome({"r1": Reply(id="1", robot="r1", code=Code.APPLIED)})
+
+    def close(self) -> None:
+        """Has nothing to close."""
+
+
+async def test_a_stop_comes_before_a_flood_of_looks_that_share_one_operator(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # a look keeps the names of robots
+    held, threads_before = Held(), threading.active_count()
+    swarm = AsyncSwarm(Swarm(OperatorPool(held)))
+    looks = [asyncio.create_task(swarm.members()) for _ in range(300)]
+    try:
+        assert await asyncio.to_thread(held.begun.wait, CAP)
+        outcome = await swarm.stop()
+        assert (outcome.applied, held.made, held.looks) == (("r1",), 2, 1)
+        assert not any(look.done() for look in looks)
+        assert threading.active_count() - threads_before < 20
+    finally:
+        held.go_on.set()
+    assert all("r1" in members for members in await asyncio.gather(*looks))
+    assert held.looks < len(looks)
+
+
+def test_looks_take_turns_and_share_one_that_began_after_them() -> None:
+    turns, begun, go_on = LookTurns(), threading.Event(), threading.Event()
+    results: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def first() -> str:
+        begun.set()
+        assert go_on.wait(CAP)
+        return "before"
+
+    def later() -> str:
+        counted.append(1)
+        return "after"
+
+    counted = list[int]()
+    threads = [threading.Thread(target=lambda: results.put(turns.share("look", first)))]
+    threads[0].start()
+    assert begun.wait(CAP)
+    with pytest.raises(SwarmError, match="under way"):
+        turns.share("look", later, timeout=0.01)
+    for _ in range(9):
+        threads.append(threading.Thread(target=lambda: results.put(turns.share("look", later))))
+        threads[-1].start()
+    # Numbers: two of the first call and its look, one of the call without a turn, nine more.
+    wait_until(lambda: repr(turns._order) == "count(12)", "all wait for their turn")
+    go_on.set()
+    for thread in threads:
+        thread.join(CAP)
+    assert sorted(results.get() for _ in threads) == ["after"] * 9 + ["before"]
+    assert len(counted) == 1
+    assert turns.share("look", lambda: "new") == "new"
+    assert turns.share("another", lambda: "other") == "other"
 
 
 def test_a_connection_is_in_one_block_at_a_time() -> None:
@@ -264,7 +350,11 @@ def test_a_request_whose_caller_has_gone_is_not_sent(
         return MembersView({"r1": make_member("r1")})
 
     operator = SimpleNamespace(
-        settings=NetworkSettings(swarm="s"), notices=[], members=members, close=lambda: None
+        settings=NetworkSettings(swarm="s"),
+        identity=None,
+        notices=[],
+        members=members,
+        close=lambda: None,
     )
     pool = OperatorPool(lambda: cast("Operator", operator))
     swarm = Swarm(pool, cancelled=cancelled)
@@ -335,7 +425,7 @@ async def test_the_loop_goes_on_while_a_thread_iterates_and_errors_come_in_their
         yield from range(5000)  # more than may wait at a time
         raise SwarmError("the robots have left")
 
-    items = _from_thread(numbers, threading.Event())
+    items = from_thread(numbers, threading.Event())
     assert [await anext(items) for _ in range(5000)] == list(range(5000))
     with pytest.raises(SwarmError, match="left"):
         await anext(items)
@@ -351,7 +441,7 @@ async def test_an_iterator_that_is_left_tells_its_thread_to_end() -> None:
         finally:
             ended.set()
 
-    items = _from_thread(endless, cancelled)
+    items = from_thread(endless, cancelled)
     assert await anext(items) == 1
     await items.aclose()
     assert cancelled.is_set()
@@ -390,7 +480,7 @@ async def test_a_task_that_is_cancelled_at_an_iterator_leaves_no_task_in_the_loo
     before = asyncio.all_tasks()
 
     async def wait() -> int:
-        return await anext(_from_thread(silent, cancelled))
+        return await anext(from_thread(silent, cancelled))
 
     waiting = asyncio.create_task(wait())
     assert await asyncio.to_thread(begun.wait, 10.0)

@@ -128,7 +128,7 @@ OTHER = replace(
 @pytest.mark.parametrize(
     ("member", "cells"),
     [
-        (HEARD, {"STATE": "silent", "REASON": "no answer", "SEEN": "300 ms ago"}),
+        (HEARD, {"STATE": "no answer", "REASON": "-", "SEEN": "300 ms ago"}),
         (
             DISTANT,
             {"STATE": "silent", "REASON": "unreachable", "SEEN": "400 ms ago by r1"},

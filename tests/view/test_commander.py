@@ -69,8 +69,9 @@ class Hanging:
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A look keeps the names of robots for completion."""
+    """A look keeps the names of robots for completion. A loaded machine makes gaps."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("swarmd.client.input_watch.MAX_GAP", CAP)
 
 
 def commander(operator: object) -> LiveCommander:

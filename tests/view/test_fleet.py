@@ -180,6 +180,7 @@ def test_list_and_map_share_one_selection(page: Page, capsys: pytest.CaptureFixt
             " f.dispatchEvent(new Event('input'))"
         )
         page.click("th[data-key='name']")
+        page.click("th[data-key='name']")
         page.until("document.querySelector('tr[data-name]').dataset.name === 'tb3-007'", "sorted")
         x, y = place(page, "tb3-001")  # at the left: the card is at the right
         page.mouse(x, y)

@@ -454,6 +454,8 @@ def test_patterns_are_grouped_with_recent_ones_and_greyed_with_the_reason(
         heads = "[...document.querySelectorAll('#pattern-list h3')].map((o) => o.textContent)"
         wanted = ["gather", "spread", "move together", "decide"]
         page.until(f"{heads}.join() === '{','.join(wanted)}'", "groups")
+        groups = "[...document.querySelector('[role=listbox]').children].map((o) => o.role)"
+        assert page.evaluate(groups) == ["group"] * len(wanted)
         grey = "document.querySelector('#pattern-list [data-name=flocking]')"
         assert page.evaluate(f"{grey}.getAttribute('aria-disabled')") == "true"
         assert "lacks gripper" in page.evaluate(f"{grey}.textContent")
@@ -801,6 +803,115 @@ def test_alarms_come_first_in_their_colours_and_what_runs_is_told(
         assert page.evaluate(whole) or width == 320  # the last words are in the title of the line
 
 
+def test_the_map_shows_what_the_head_counts_while_no_frame_comes(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        page.until(f"{CHIPS}.join() === 'running3'", "all run")
+        page.evaluate(
+            "window.drawn = []; const draw = swarm.map.draw;"
+            " swarm.map.draw = function () { draw.call(this);"
+            " drawn.push(this.heard()[1].length); };"
+            " swarm.model.frame = () => {}; swarm.model.rows = () => {};"
+        )
+        page.until(f"{CHIPS}[0].startsWith('silent3')", "silent")
+        page.until("drawn.at(-1) === 3", "drawn as silent, too")
+        assert page.errors == []
+
+
+def test_a_page_that_was_held_up_calls_no_robot_silent(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        page.until(f"{CHIPS}.join() === 'running3'", "all run")
+        page.evaluate(
+            "window.seen = []; new MutationObserver(() =>"
+            " seen.push(document.getElementById('chips').textContent))"
+            ".observe(document.getElementById('chips'), {childList: true, subtree: true});"
+            " const ends = performance.now() + 6000; while (performance.now() < ends);"
+        )
+        page.until("swarm.model.age(swarm.model.byIndex[0], performance.now()) < 1", "rows again")
+        page.evaluate("new Promise((seen) => setTimeout(seen, 1000)).then(() => null)")
+        assert page.evaluate("seen.filter((one) => one.includes('silent'))") == []
+
+
+CONTRAST = """(selector) => {
+  const one = document.querySelector(selector), canvas = new OffscreenCanvas(1, 1).getContext('2d');
+  const bright = (...colours) => {
+    for (const colour of colours) { canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1); }
+    const [r, g, b] = [...canvas.getImageData(0, 0, 1, 1).data].slice(0, 3).map((v) => v / 255)
+      .map((v) => (v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4));
+    return .2126 * r + .7152 * g + .0722 * b + .05;
+  };
+  const { color, backgroundColor, opacity } = getComputedStyle(one);
+  const pale = `color-mix(in srgb, ${color} ${100 * opacity}%, ${backgroundColor})`;
+  const [a, b] = [bright(backgroundColor, pale), bright(backgroundColor)];
+  return Math.max(a, b) / Math.min(a, b);
+}"""
+"""The contrast of a text as of WCAG 2.2, 1.4.3, which wants 4.5."""
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (768, 1024), (360, 780)])
+def test_the_head_has_words_for_all_states_and_buttons_that_keep_their_places(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
+) -> None:
+    with shown(9, capsys) as (swarm, (address,)):
+        page.resize(width, height, is_phone=width < 900)
+        ready(page, address, 9)
+        places = [box_of(page, one) for one in ("#run-open", "#stop", "#reset")]
+        swarm.change("tb3-002", State.RUNNING, reason=Reason.NO_SCAN)
+        for name, state in (
+            ("tb3-001", "ESTOPPED"),
+            ("tb3-003", "STOPPED"),
+            ("tb3-004", "FAULTED"),
+        ):
+            swarm.change(name, State[state])
+        swarm.change("tb3-006", State.RUNNING, reason=Reason.NO_REQUESTED_COMMAND)
+        swarm.silent.add("tb3-005")
+        wanted = ["silent", "estopped", "faulted", "held", "stopped", "running", "at rest"]
+        labels = "[...document.querySelectorAll('#chips > *')].map((one) => one.ariaLabel)"
+        counts = [f"{word}: {3 if word == 'running' else 1}" for word in wanted]
+        page.until(f"{labels}.join() === '{','.join(counts)}'", "a name for each chip")
+        page.evaluate("swarm.model.select(['tb3-001'])")
+        page.until("document.getElementById('reset').ariaDisabled !== 'true'", "a reset is needed")
+        assert [box_of(page, one) for one in ("#run-open", "#stop", "#reset")] == places
+        page.evaluate(f"{FRAMES}.then(() => null)")
+        chips = "document.getElementById('chips')"
+        for one in ("scrollWidth <= {0}.clientWidth", "scrollHeight <= {0}.clientHeight"):
+            assert page.evaluate(f"{chips}.{one.format(chips)}")
+        # Words go one by one, the calm ones first.
+        words = "[...document.querySelectorAll('#chips span')].map((one) => one.checkVisibility())"
+        seen = page.evaluate(words)
+        assert seen == sorted(seen, reverse=True)
+        assert sum(seen) >= (3 if width == 360 else 7)
+        told = "document.getElementById('counts')"
+        assert page.evaluate(f"{told}.scrollWidth <= {told}.clientWidth")
+        swarm.change("tb3-001", State.IDLE)
+        page.until("document.getElementById('reset').ariaDisabled === 'true'", "no reset")
+        for selector in ("#chips .alarm", "#reset"):
+            assert page.evaluate(f"({CONTRAST})('{selector}')") >= 4.5
+
+
+def test_the_table_has_alarms_first_and_tells_a_low_battery(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(4, capsys) as (swarm, (address,)):
+        ready(page, address, 4)
+        swarm.change("tb3-003", State.ESTOPPED)
+        swarm.silent.add("tb3-004")
+        page.evaluate("swarm.model.robots.get('tb3-002').row.battery = 0.2")
+        page.evaluate("swarm.panels.open('list-pane', true)")
+        first = "[...document.querySelectorAll('tr[data-name]')].map((r) => r.dataset.name).join()"
+        page.until(f"{first} === 'tb3-003,tb3-004,tb3-001,tb3-002'", "alarms first")
+        page.evaluate("swarm.model.robots.get('tb3-002').row.battery = 0.2; swarm.list.draw()")
+        cell = "document.querySelector('tr[data-name=tb3-002] .battery').textContent"
+        assert page.evaluate(cell) == "20 % low"
+        page.click("th.name")
+        page.until(f"{first} === 'tb3-001,tb3-002,tb3-003,tb3-004'", "as asked")
+
+
 PIXELS = """(name) => {
   const { map, model } = swarm, robot = model.robots.get(name);
   map.draw();
@@ -881,7 +992,7 @@ def test_an_estop_that_stands_has_a_banner_with_its_reset(
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)
-def test_a_needed_reset_is_first_and_moves_no_stop(
+def test_a_needed_reset_is_told_and_moves_no_button(
     page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
 ) -> None:
     first = (
@@ -898,11 +1009,11 @@ def test_a_needed_reset_is_first_and_moves_no_stop(
         page.click("#reset")
         page.until(f"{LINE}.startsWith('reset: not sent')", "nothing to reset")
         page.click("#estop")
-        page.until(f"{first} === 'reset,stop,run-open' && {grey} === 'false'", "Reset is first")
+        page.until(f"{first} === 'run-open,stop,reset' && {grey} === 'false'", "Reset is usable")
         page.click("#reset")  # asks
         assert (box_of(page, "#stop"), box_of(page, "#estop")) == places
         page.click("#reset")
-        page.until(f"{first} === 'run-open,stop,reset' && {grey} === 'true'", "Run is first")
+        page.until(f"{first} === 'run-open,stop,reset' && {grey} === 'true'", "Reset is grey")
 
 
 ARENA = (

@@ -19,10 +19,12 @@ import pytest
 from click.testing import CliRunner
 
 from swarmd.cli.swarmctl import cli
+from swarmd.client.input_watch import MAX_GAP
+from swarmd.core.clock import boottime
 from swarmd.core.messages import State
 from swarmd.view.source import CommandProgress
 from swarmd.view.terminal_view import answer_lines
-from tests.support.processes import CAP, wait_until
+from tests.support.processes import CAP, stop_process, wait_until
 from tests.support.swarmctl import SWARMCTL
 
 if TYPE_CHECKING:
@@ -103,6 +105,15 @@ def test_keys_command_three_robots_and_answers_are_counted(swarm: Swarm) -> None
             swarm.await_state(name, State.ESTOPPED)
         shown.press("ax")
         shown.until("tb3-03: emergency stop by")
+        # A key that waited for a frozen view resets nothing.
+        frozen_at, so_far = boottime(), len(shown.text)
+        stop_process(shown.process.pid)
+        shown.press("y")
+        wait_until(lambda: boottime() - frozen_at > 2 * MAX_GAP, "the view was away")
+        shown.process.send_signal(signal.SIGCONT)
+        shown.until("reset: not sent", so_far)
+        shown.press("x")
+        shown.until("resets, any other key does not", so_far)
         shown.press("y")
         shown.until("reset: 3 targeted, 3 applied")
         shown.press("r")

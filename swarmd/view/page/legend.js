@@ -17,10 +17,11 @@ export class Legend {
     this.fit();
   }
 
-  // Without room for the words of all entries, those of calm ones are left out.
+  // Without room for the words of all entries, those of the last ones, which are calm, are left out.
   fit() {
-    this.box.classList.remove('tight');
-    this.box.classList.toggle('tight', this.box.scrollWidth > this.box.clientWidth);
+    const { box } = this, items = [...box.children];
+    for (const item of items) item.classList.remove('short');
+    while (items.length && (box.scrollWidth > box.clientWidth || box.scrollHeight > box.clientHeight)) items.pop().classList.add('short');
   }
 
   item({ colour, text, sign, shade, line, look, names, robots }, i) {
@@ -33,6 +34,7 @@ export class Legend {
     const word = document.createElement('span');
     word.textContent = text;
     item.append(mark, word);
+    item.ariaLabel = robots ? `${text}: ${robots.length}` : text; // also where the word is left out
     if (robots) {
       const count = document.createElement('b');
       count.textContent = names ? `${robots.length}: ${names}` : robots.length;

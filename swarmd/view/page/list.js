@@ -1,9 +1,10 @@
 // The list of robots: sorted, filtered, with only the visible rows in the document.
 
-import { colourOf, reasonOf, signOf, wordOf } from './states.js';
+import { colourOf, isAlarm, reasonOf, signOf, wordOf } from './states.js';
 
 const ROW = 30; // px, until a row is drawn
 const PERIOD = 250; // ms between two updates
+const LOW = 0.2; // the share of a battery that is told as low
 const NOW = 2; // s within which a robot was heard now
 const CALM = 10000; // ms for which all robots are heard before their column leaves its room
 
@@ -16,7 +17,7 @@ export const COLUMNS = [
   ['pattern', 'Pattern', (robot) => (robot.row.pattern || '').replaceAll('_', ' ')],
   ['why', 'Why', (robot, now, model) => reasonOf(robot.row, model.time)],
   ['protection', 'Protection', (robot) => robot.row.protection || ''],
-  ['battery', 'Battery', (robot) => (robot.row.battery == null ? '-' : `${(100 * robot.row.battery).toFixed(0)} %`)],
+  ['battery', 'Battery', (robot) => (robot.row.battery == null ? '-' : `${(100 * robot.row.battery).toFixed(0)} %${robot.row.battery <= LOW ? ' low' : ''}`)],
   ['age', 'Heard', (robot, now, model) => heard(model.age(robot, now))],
 ];
 const NUMBERS = {
@@ -26,7 +27,7 @@ const NUMBERS = {
 export class RobotList {
   constructor(model) {
     this.model = model;
-    this.sort = 'name';
+    this.sort = ''; // alarms first, then by name
     this.direction = 1;
     this.words = [];
     this.lateAt = -Infinity; // when a robot was last silent, in ms
@@ -83,10 +84,12 @@ export class RobotList {
       return this.words.every((word) => text.includes(word));
     };
     const robots = [...this.model.robots.values()].filter(matches);
-    const column = COLUMNS.find(([key]) => key === this.sort);
+    const column = COLUMNS.find(([key]) => key === (this.sort || 'name'));
     const of = NUMBERS[this.sort] || column[2];
     const keys = new Map(robots.map((robot) => [robot, of(robot, now, this.model)]));
+    const calm = new Map(robots.map((robot) => [robot, Number(this.sort !== '' || !isAlarm(this.model.stateOf(robot, now)))]));
     robots.sort((one, other) => {
+      if (calm.get(one) !== calm.get(other)) return calm.get(one) - calm.get(other);
       const a = keys.get(one), b = keys.get(other);
       const order = typeof a === 'number' ? a - b : compare(a, b);
       return this.direction * (order || 0);

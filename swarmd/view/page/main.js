@@ -91,7 +91,7 @@ function show(id, text) { if (element(id).textContent !== text) element(id).text
 function counts() {
   const size = model.robots.size;
   show('counts', `${size} ${size === 1 ? 'robot' : 'robots'}: ${running()}`);
-  element('counts').title = element('counts').textContent;
+  element('counts').title = `${size} ${size === 1 ? 'robot' : 'robots'}: ${running(Infinity)}`;
   element('legend').dataset.runs = running(); // seen in Map only, which has no first line
   chips.draw();
   show('clock', clock());
@@ -102,12 +102,12 @@ function counts() {
 }
 
 // The patterns that run, each with its number of robots, the most frequent first.
-function running() {
+function running(most = MAX_PATTERNS) {
   const numbers = new Map();
   const [heard] = map.heard();
   for (const { row } of heard) if (row.pattern) numbers.set(row.pattern, (numbers.get(row.pattern) || 0) + 1);
   const some = [...numbers].sort(([, one], [, other]) => other - one).map(([name, number]) => `${name.replaceAll('_', ' ')} ${number}`);
-  const rest = some.splice(MAX_PATTERNS).length;
+  const rest = some.splice(most).length;
   return some.length ? some.join(', ') + (rest ? `, ${rest} more` : '') : heard.length ? 'none runs' : 'none is heard'; // a silent robot may still run
 }
 
@@ -169,7 +169,21 @@ model.addEventListener('hello', () => {
 });
 model.addEventListener('selection', choose);
 model.addEventListener('past', () => { if (model.past !== null) panels.open('commands', false); });
-setInterval(() => { counts(); choices(); }, 500);
+// The map shows what the head counts, also while no frame comes.
+let countedAt = 0, silent = 0;
+function count() {
+  counts();
+  choices();
+  const [, { length }] = map.heard();
+  if (length !== silent) map.wake();
+  silent = length;
+}
+// A page that was held up has messages that wait: it reads them before it calls robots silent.
+setInterval(() => {
+  const now = performance.now();
+  setTimeout(count, now - countedAt > 1500 ? 200 : 0);
+  countedAt = now;
+}, 500);
 
 element('fit').addEventListener('click', () => map.fit());
 const press = (id, set) => element(id).addEventListener('click', () => {

@@ -25,6 +25,7 @@ const BODY = 8; // pixels of a robot's radius from which on it has a bar and whe
 const DARK = '#20262d', LIGHT = '#ffffff'; // of wheels, and of bars and the edges of signs
 const SIGN = 5; // pixels from the middle of a sign to its edge, at least
 
+const SILENT_CHIP = '#cf1b3c'; // darker than on the map: white words on it have a contrast of 5.3
 const MAX_NAMES = 12; // of silent robots beside their number
 
 const short = (robots) => robots.slice(0, MAX_NAMES).map((one) => one.name).join(', ') + (robots.length > MAX_NAMES ? ' ...' : '');
@@ -94,7 +95,7 @@ export class SwarmMap {
   // The entries of the states, alarms first, with the names of silent robots.
   states() {
     const [heard, silent, left] = this.heard(), found = new Colouring('state').legend(heard, '');
-    if (silent.length) found.unshift({ colour: colourOf('silent'), text: 'silent', sign: signOf('silent'), robots: silent, names: short(silent) });
+    if (silent.length) found.unshift({ colour: SILENT_CHIP, text: 'silent', sign: signOf('silent'), robots: silent, names: short(silent) });
     const lost = heard.filter((one) => one.row.lost);
     if (lost.length) found.push({ colour: LOST, text: 'base lost', line: 'ring', robots: lost });
     if (left.length) found.push({ colour: colourOf('left'), text: 'left', sign: signOf('left'), robots: left });

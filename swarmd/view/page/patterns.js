@@ -93,8 +93,14 @@ export class PatternForm {
       groups.set(group, shown.filter((one) => groupOf(one) === group).sort((one, other) => isGrey(one) - isGrey(other)));
     }
     const isGrouped = all.some((one) => one.group);
-    this.list.replaceChildren(...[...groups].flatMap(([group, some]) => (
-      some.length ? [...(isGrouped || group === RECENT ? [made('h3', group)] : []), ...some.map((one) => this.rowOf(one, known))] : [])));
+    this.list.replaceChildren(...[...groups].filter(([, some]) => some.length).map(([group, some]) => {
+      const box = made('div', ''), head = isGrouped || group === RECENT ? [made('h3', group)] : [];
+      box.role = 'group';
+      box.ariaLabel = group;
+      for (const one of head) one.ariaHidden = true; // the name of the group tells it
+      box.append(...head, ...some.map((one) => this.rowOf(one, known)));
+      return box;
+    }));
     if (!shown.length) this.list.append(this.nothing(typed, all));
     this.drawFields(known);
   }
