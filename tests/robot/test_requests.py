@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from swarmd.api import Outputs, Twist
+from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.core.events import DriverInput, DuplicateInput, LatchesInput, NetworkInput, RosterInput
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
@@ -405,6 +405,25 @@ def test_a_robot_has_stopped_once_odometry_shows_that_its_base_rests(
     assert (reply.code, reply.is_moving) == (final, False)
     assert reply.refusal is (None if final is Code.APPLIED else Refusal.NOT_STOPPED)
     assert harness.twist.is_zero
+
+
+@pytest.mark.parametrize("moves", [Twist(0.2), Twist(0.0, 0.5), Twist(0.0, 0.0, 0.2)])
+def test_a_base_that_was_moved_in_any_direction_has_time_to_respond(moves: Twist) -> None:
+    """At rest is what was measured after the last command to move (docs/safety.md, `answer`)."""
+
+    class Moving(MovementPattern[Params]):
+        def drive(self, inputs: Inputs) -> Twist:
+            return moves
+
+    harness = RobotHarness("rosbot_xl", patterns={"moving": Moving})
+    harness.advance(1.0)
+    harness.ask("run", pattern="moving")
+    harness.advance(1.0)
+    assert harness.twist == moves
+    request = harness.request("stop")
+    assert harness.answer(request).is_moving  # by odometry it rests: the base is late
+    harness.advance(0.3)
+    assert not harness.answer(request).is_moving
 
 
 def test_a_robot_that_stands_says_at_once_that_it_has_stopped() -> None:
