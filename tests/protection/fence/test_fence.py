@@ -274,6 +274,38 @@ def test_the_way_since_the_last_pose_counts_in_the_frame_of_the_fence(
     assert Fence(SQUARE, BURGER).limit(Twist(0.2, 0.5), context, Twist()) == limited
 
 
+@pytest.mark.parametrize(
+    ("anchor", "odometry", "age", "error"),
+    [
+        ((0.05, 0.0, 0.0, 0.0), (0.0, 0.0), 0.0, 0.05),  # the told error
+        ((0.0, 0.1, 0.0, 0.0), (1.0, 0.0), 0.0, 0.1),  # the told error of the yaw, 1 m away
+        ((0.0, 0.0, 2.0, 0.0), (0.0, 0.0), 0.0, 0.1),  # 5 % of 2 m of way
+        ((0.0, 0.0, 2.0, 1.0), (0.0, 0.0), 0.0, 0.2),  # and of 1 rad of turn, along that way
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.2), 0.0, 0.01),  # it may brake at once: 0.05 s at 0.2 m/s
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.2), 0.1, 0.03),  # and since odometry: 0.15 s
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0), 0.35, 0.044),  # 0.2 s too old, at 0.22 m/s
+        ((0.01, 0.1, 1.0, 0.0), (0.5, 0.1), 0.0, 0.01 + 0.05 + 0.05 + 0.005),  # all add up
+    ],
+)
+def test_the_error_of_a_pose_has_each_part_of_the_page(
+    anchor: tuple[float, float, float, float],
+    odometry: tuple[float, float],
+    age: float,
+    error: float,
+) -> None:
+    """docs/configuration.md and assumption 7 and 13 of docs/safety.md: odometry counts for 0.15 s.
+
+    `anchor`: told errors in m and rad, m of way, rad of turn; `odometry`: m from there, and m/s.
+    """
+    moved, speed = odometry
+    told = Anchor(Pose(0.5, 0.0, 0.3), Pose(), *anchor)
+    reading = Odometry(0.0, Pose(moved, 0.0, 0.0), Twist(speed))
+    context = DecisionContext(0.0, 0.0, reading, age, anchor=told)
+    view = Fence(SQUARE, BURGER).view(context)
+    assert view is not None
+    assert view.error == pytest.approx(error)
+
+
 @pytest.mark.parametrize(("slack", "is_permitted"), [(0.003, True), (-0.003, False)])
 def test_a_stop_begins_50_ms_and_a_tick_after_the_decision(
     slack: float, is_permitted: bool
