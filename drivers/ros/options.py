@@ -36,6 +36,9 @@ MAX_BEARING, MAX_OFFSET = 360.0, 10.0
 MAX_VOLTS = 1000.0
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
+# ROS 2 also has no part that begins with a digit, and no two underscores in a row
+# (https://design.ros2.org/articles/topic_and_service_names.html).
+_ROS2_NAME = re.compile(r"(?!.*__)/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _MASTER = re.compile(r"http://[^/:]+:\d+/?")
 _ROBOT = "{robot}"
 
@@ -285,10 +288,11 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
     """The texts for options whose value is no ROS name, and for two options with one topic."""
     first_options: dict[str, str] = {}  # by topic
     types = _types(options)
+    pattern = _ROS2_NAME if isinstance(options, RosOptions) else _NAME
     for option, name in _names(options).items():
         if name is None:
             continue
-        if _NAME.fullmatch(name) is None:
+        if pattern.fullmatch(name) is None:
             yield (
                 f"{option} is {name!r}; expected a ROS name such as tb3_01 or front/scan"
                 " (letters, digits, _ and /, a letter first)"

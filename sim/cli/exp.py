@@ -174,8 +174,7 @@ def run(
             "--shard": shard,
             "--out": folder,
             "--no-traces": no_traces,
-            # The metrics of the catalog are measured without the option.
-            "--metrics": ",".join(metric.origin or metric.name for metric in custom) or None,
+            "--metrics": ",".join(metric.origin or metric.name for metric in chosen or ()) or None,
             "--timeout": None if timeout is None else f"{timeout:g}",
         },
     )

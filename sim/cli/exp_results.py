@@ -108,7 +108,9 @@ def check(
         _print_findings(findings)
     if missing_runs:
         warn(f"not complete: {missing_runs}")
-    warn(f"{sum(f.is_met for f in findings)} of {counted(len(findings), 'requirement')} met")
+    number_met = sum(finding.is_met for finding in findings)
+    so_far = " so far" if missing_runs else ""
+    warn(f"{number_met} of {counted(len(findings), 'requirement')} met{so_far}")
     ctx.exit(0 if is_passed else MISSED)
 
 

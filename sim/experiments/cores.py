@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 MAX_PROCESSES = 256
+_LEAST_SHARE = 0.05  # so that what does not return ends at any load, after 20 times its limit
 LARGE_RUN = 100
 """From this number of robots on, several cores share a run if other runs leave cores free."""
 
@@ -24,6 +25,15 @@ def usable_cores(root: Path = Path("/")) -> int:
     has_mask = hasattr(os, "sched_getaffinity")  # not on macOS
     cores = len(os.sched_getaffinity(0)) if has_mask else os.cpu_count() or 1
     return max(1, min(cores, *limits, MAX_PROCESSES))
+
+
+def core_share() -> float:
+    """The share of a core that one process gets at the present load, 1 on a machine that is free.
+
+    At least _LEAST_SHARE. Whoever gives up after some seconds counts them by this share: a machine
+    that is overloaded must not look like a program that is slow.
+    """
+    return min(1.0, max(usable_cores() / max(os.getloadavg()[0], 1.0), _LEAST_SHARE))
 
 
 def cores_of_a_run(cores: int, runs: int, robots: int) -> int:

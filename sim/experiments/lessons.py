@@ -22,6 +22,7 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import read, shown
 from swarmd.sim.experiments.compare import Side, sides_of
+from swarmd.sim.experiments.cores import core_share
 from swarmd.sim.experiments.plan import Plan
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_jobs
 from swarmd.sim.experiments.requirements import (
@@ -101,7 +102,7 @@ def mark_pattern(
     """Run the lesson's experiment with the pattern in a pupil's folder, and check its targets.
 
     `plan`: of `plan_of_lesson`, in which the pupil's pattern replaces the pattern _STAND_IN.
-    `processes`: runs at a time. `timeout`: wall time in s of all runs together. The first run that
+    `processes`: runs at a time. `timeout`: s of all runs, as `_bounded` counts. The first run that
     fails ends the experiment, and the reason is `why` of the result.
     """
     run_by_id = {run.id: run for run in plan.runs}
@@ -138,13 +139,19 @@ def mark_pattern(
 
 
 def _bounded(jobs: Sequence[Job], processes: int, timeout: float) -> Iterator[JobResult]:
-    """The results that arrive within `timeout` s; the caller may close the iterator early."""
-    deadline = time.monotonic() + timeout
+    """The results that arrive within `timeout` s; the caller may close the iterator early.
+
+    At a load above the cores of the machine the seconds count less (`core_share`).
+    """
+    spent, last = 0.0, time.monotonic()
     with closing(run_jobs(jobs, processes, min(STEP_TIMEOUT, timeout / 2.0))) as results:
         for result in results:
             if isinstance(result, JobResult):
                 yield result
-            if time.monotonic() > deadline:
+            now = time.monotonic()
+            spent += (now - last) * core_share()
+            last = now
+            if spent > timeout:
                 return
 
 

@@ -34,6 +34,7 @@ from swarmd.core.processes import (
     limit_growth,
 )
 from swarmd.pattern_host.sandbox import confine
+from swarmd.sim.experiments.cores import core_share
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure, metric_of
 from swarmd.sim.metrics.own import MetricError
@@ -190,7 +191,8 @@ def run_jobs(
 
     Between results, yield the simulated share (0..1) of each run in progress, by run. `cores`: the
     number of processes that share the robots of one run. A run without progress for `timeout` s
-    fails, and its processes are killed. Close the iterator if it is not exhausted
+    fails, and its processes are killed; at a load above the cores of the machine these seconds
+    count less (`core_share`). Close the iterator if it is not exhausted
     (`contextlib.closing`), since this ends the workers.
     """
     waiting = deque(replace(job, cores=cores, timeout=timeout) for job in jobs)
@@ -209,7 +211,7 @@ def run_jobs(
             readable_pipes = wait(list(workers), _POLL_PERIOD)
             now = time.monotonic()
             # Limited: while this process and its workers were suspended, no worker was silent.
-            silence = min(now - last_poll, 2.0 * _POLL_PERIOD)
+            silence = min(now - last_poll, 2.0 * _POLL_PERIOD) * core_share()
             last_poll = now
             for pipe, worker in list(workers.items()):
                 worker.trim_log()

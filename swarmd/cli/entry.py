@@ -12,9 +12,19 @@ def _exit_interrupted() -> None:
     sys.exit(INTERRUPTED)
 
 
+def _keep_docstrings() -> None:
+    """Start this program again if PYTHONOPTIMIZE drops docstrings, of which all help is made."""
+    import os
+
+    if sys.flags.optimize > 1 and os.environ.get("PYTHONOPTIMIZE", "1") != "1":
+        os.environ["PYTHONOPTIMIZE"] = "1"
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+
+
 def swarmctl() -> None:
     """Run swarmctl and exit with its code."""
     try:
+        _keep_docstrings()
         import gc
 
         gc.set_threshold(20_000)  # 30 collections during the imports would free next to nothing
@@ -28,6 +38,7 @@ def swarmctl() -> None:
 def swarmd() -> None:
     """Run swarmd and exit with its code."""
     try:
+        _keep_docstrings()
         from swarmd.core.processes import without_openssl
 
         with without_openssl():

@@ -72,9 +72,9 @@ def line_width() -> int | None:
 
 
 def terminal_width() -> int:
-    """$COLUMNS, or the columns of the terminal; 80 without one. shutil's takes 4 ms to import."""
+    """$COLUMNS, or the columns of the terminal; 80 without these. shutil's takes 4 ms to import."""
     with contextlib.suppress(OSError, ValueError):
-        return int(os.environ.get("COLUMNS") or os.get_terminal_size().columns)
+        return int(os.environ.get("COLUMNS") or os.get_terminal_size().columns) or 80
     return 80
 
 

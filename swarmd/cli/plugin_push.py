@@ -115,13 +115,18 @@ def push(
         generation = pusher.next_generation()
         if canaries:
             remaining = tuple(robot for robot in robots if robot not in canaries)
-            warn(f"canary: {', '.join(canaries)}")
+            others = ", ".join(remaining)
+            warn(f"canary: {', '.join(canaries)}; waits up to {canary_time:.0f} s until it is held")
             outcome = pusher.push(generation, targets=canaries, robots=canaries)
             if len(outcome.applied) < len(canaries):
                 _warn_of_faults(outcome)
                 raise _canary_failure(f"canary: {outcome.line}", remaining)
-            result = _await_canary(asked, source, canaries, remaining, canary_time)
-            warn(f"canary: {result}; now {', '.join(remaining)}")
+            try:
+                result = _await_canary(asked, source, canaries, remaining, canary_time)
+            except (KeyboardInterrupt, SystemExit):
+                warn(f"{', '.join(canaries)} has the new code; nothing was sent to {others}")
+                raise
+            warn(f"canary {', '.join(canaries)} with the new code: {result}; now {others}")
             # The manifest of the canaries has other targets. A greater generation replaces it.
             generation += 1
         asked.report(pusher.push(generation, targets=push_targets, robots=robots))

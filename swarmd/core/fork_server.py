@@ -13,6 +13,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib import import_module
@@ -28,6 +29,8 @@ SERVER_PATH = tuple(sys.path)
 """In a fork: the import path of the server, without the folder of the program that started it."""
 
 
+_MAX_TEMP = 70
+"""Bytes: a Unix socket's path has at most 107, and multiprocessing adds two names of up to 18."""
 _SERVER_IS_GONE = 255  # no main() of swarmd ends with this code
 
 
@@ -88,11 +91,22 @@ def start_server(modules: Iterable[str]) -> None:
     multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, *modules])
     resource_tracker.ensure_running()  # before SIGINT is blocked: its start unblocks SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    use_short_folder()
     try:
         with _environment(_ENVIRON):
             forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)  # delivers a SIGINT that was blocked
+
+
+def use_short_folder() -> None:
+    """Let the server's socket be in /tmp if the path of the usual temporary folder is too long."""
+    if len(os.fsencode(tempfile.gettempdir())) > _MAX_TEMP:
+        usual, tempfile.tempdir = tempfile.tempdir, "/tmp"
+        try:
+            get_temp_dir()  # made here, and kept for this process
+        finally:
+            tempfile.tempdir = usual
 
 
 def remove_folder() -> None:

@@ -43,6 +43,7 @@ from swarmd.core.events import (
     TickInput,
     tag_of,
 )
+from swarmd.core.files import write_fault
 from swarmd.core.messages import Code, RecordingSummary, Refusal, Reply, Status
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Scan
@@ -381,6 +382,7 @@ class RecordingService:
         self._on_event = on_event
         loop = asyncio.get_running_loop()
         self.recorder = Recorder(loop, on_event)
+        self._is_closed = False
 
     @property
     def summary(self) -> RecordingSummary | None:
@@ -394,13 +396,25 @@ class RecordingService:
         )
 
     def on_record(self, request: verbs.RecordRequest, answer: SendReply) -> None:
-        """Start or stop the recording."""
+        """Start or stop the recording; the reply to a start follows once its folder was tried."""
+        if request.action == "start":  # the disk may be slow, and must not delay the daemon
+            tried = asyncio.get_running_loop().run_in_executor(None, write_fault, self._folder)
+            tried.add_done_callback(
+                lambda done: self._is_closed or self._carry_out(request, done.result(), answer)
+            )
+        else:
+            self._carry_out(request, "", answer)
+
+    def _carry_out(self, request: verbs.RecordRequest, fault: str, answer: SendReply) -> None:
+        """Start or stop the recording; `fault`: why no file can be written to its folder."""
         recorder, is_on = self.recorder, self.recorder.is_on
         code, refusal = Code.APPLIED, None
         if request.action == "start" and is_on:
             text = "records already"
         elif request.action == "start":
             try:
+                if fault:
+                    raise OSError(f"{self._folder}: {fault}")
                 self._start()
                 text = f"records to {self._folder}"
             except (OSError, PluginError) as error:
@@ -439,6 +453,7 @@ class RecordingService:
 
     def close(self) -> None:
         """Finish the recording."""
+        self._is_closed = True
         self.recorder.close()
 
     def _list(self) -> verbs.RecordingsReply:

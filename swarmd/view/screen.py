@@ -58,9 +58,9 @@ class Screen:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Columns and rows."""
+        """Columns and rows; 80 and 24 where the terminal does not know them."""
         size = os.get_terminal_size(self._output.fileno())
-        return max(size.columns, 1), max(size.lines, 1)
+        return size.columns or 80, size.lines or 24
 
     def resume(self) -> None:
         """Take the terminal."""

@@ -7,13 +7,21 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from importlib.util import find_spec
-from multiprocessing import forkserver
+from multiprocessing import current_process, forkserver
+from multiprocessing.connection import arbitrary_address
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 
 import pytest
 
-from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
+from swarmd.core.fork_server import (
+    ForkedProcess,
+    fork_main,
+    start_server,
+    use_short_folder,
+)
 from swarmd.sim.live.fleet import DAEMON_MODULES
 from swarmd.testing.driver_contract import is_running
 from tests.support.processes import MODULES, wait_until
@@ -51,6 +59,25 @@ folder = Path(__file__).parent
 while not (folder / "go").exists():
     pass
 """
+
+
+def test_a_long_tmpdir_is_left_for_a_socket(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The path of a Unix socket has at most 107 bytes (unix(7))."""
+    long = tmp_path / ("a" * 60) / ("b" * 50)
+    long.mkdir(parents=True)
+    monkeypatch.setattr(current_process(), "_config", {})
+    monkeypatch.setattr(tempfile, "tempdir", str(long))
+    use_short_folder()
+    assert tempfile.gettempdir() == str(long)
+    folder = get_temp_dir()
+    assert len(os.fsencode(arbitrary_address("AF_UNIX"))) <= 107
+    monkeypatch.setattr(current_process(), "_config", {})
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    use_short_folder()
+    assert Path(get_temp_dir()).parent == tmp_path
+    assert Path(folder).parent == Path("/tmp")
 
 
 def test_the_modules_of_the_servers_exist() -> None:

@@ -22,9 +22,9 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.events import MessageInput, OdometryInput, ScanInput
-from swarmd.core.messages import LimitingObstacle
+from swarmd.core.messages import Code, LimitingObstacle, Refusal, Reply
 from swarmd.core.values import Odometry, Pose, Scan, Twist
-from swarmd.core.verbs import Nothing, RecordingsReply
+from swarmd.core.verbs import Nothing, RecordingsReply, RecordRequest
 from swarmd.daemon.recorder import Recorder, RecordingService
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages, process
@@ -244,6 +244,26 @@ def test_a_folder_that_cannot_be_written_is_an_event_and_stands_in_the_list(
     listed = asyncio.run(run())
     assert events == ["recording ends: no file: Not a directory"]
     assert (listed.files, listed.fault) == ((), "no file: Not a directory")
+
+
+def test_a_start_is_not_applied_where_no_file_can_be_made(tmp_path: Path) -> None:
+    """As on a disk without room or inodes."""
+    (tmp_path / "file").write_text("")
+
+    async def run() -> list[Reply]:
+        replies: list[Reply] = []
+        section = RecordingSection(folder=str(tmp_path / "file" / "folder"))
+        service = RecordingService("a", section, head, lambda _: None)
+        request = RecordRequest(id="r", operator="o", targets=None, action="start")
+        service.on_record(request, replies.append)
+        await until(lambda: replies)
+        assert not service.recorder.is_on
+        service.close()
+        return replies
+
+    (reply,) = asyncio.run(run())
+    assert (reply.code, reply.refusal) == (Code.FAILED, Refusal.INVALID_REQUEST)
+    assert str(tmp_path / "file" / "folder") in reply.text
 
 
 def head() -> RecordingHead:

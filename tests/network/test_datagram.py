@@ -12,6 +12,7 @@ from swarmd.network import datagram
 from swarmd.network.datagram import (
     ANY_SWARM,
     MAX_DATAGRAM,
+    Ack,
     Beacon,
     BodyReport,
     Kind,
@@ -76,9 +77,20 @@ def test_a_body_is_told_in_millimetres_and_never_slower_or_smaller_than_it_is() 
 
 
 def test_stop_with_three_fields_is_read() -> None:
-    assert unpack(TAG, body(Kind.STOP, "id", "estop", "anna")) == Stop(
-        id="id", verb="estop", operator="anna"
-    )
+    """A stop without further fields is for every robot, and as new as it arrives."""
+    stop = unpack(TAG, body(Kind.STOP, "id", "estop", "anna"))
+    assert isinstance(stop, Stop)
+    assert (stop.id, stop.verb, stop.operator) == ("id", "estop", "anna")
+    assert (stop.targets, stop.scope, stop.reason) == (None, "swarm", "")
+    assert (stop.age, stop.hops, stop.repeated) == (0, 0, 0)
+    assert (stop.origin, stop.counter, stop.clock, stop.issued) == (b"", 0, "", 0.0)
+
+
+def test_an_ack_with_five_fields_is_of_the_robot_itself_whose_base_rests() -> None:
+    ack = unpack(TAG, body(Kind.ACK, "id", "tb3-01", b"abcdef", 4, "applied"))
+    assert isinstance(ack, Ack)
+    assert (ack.refusal, ack.text, ack.via, ack.proof) == (None, "", "", b"")
+    assert ack.is_moving is False
 
 
 def test_other_swarms_profiles_and_unknown_kinds_are_skipped() -> None:

@@ -194,3 +194,20 @@ def test_a_stop_that_the_robot_would_refuse_is_not_handed_on() -> None:
         sent for tick in range(100) for sent in relay.advance(10.0 + tick * 0.05, is_over)
     ] == []
     assert set(asked) == {("s", 8.0)}
+
+
+def test_a_late_ack_of_a_robot_that_moved_does_not_replace_that_of_its_rest() -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(targets=None), OPERATOR, 0.0)
+    for is_moving in (True, False, True):
+        relay.on_ack(ack("r2", is_moving=is_moving), PEER)
+    repeated = [one for one, _ in relay.on_stop(stop(targets=None), OPERATOR, 9.0)]
+    assert [isinstance(one, Ack) and one.is_moving for one in repeated] == [False]
+
+
+@pytest.mark.parametrize(("hops", "sent"), [(3, {4}), (4, set())])
+def test_a_stop_travels_at_most_four_hops_from_robot_to_robot(hops: int, sent: set[int]) -> None:
+    """`MAX_HOPS` of network/datagram.py."""
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(hops=hops), PEER, 0.0)
+    assert {one.hops for one in copies(relay, 5.0)} == sent

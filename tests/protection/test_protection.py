@@ -107,6 +107,26 @@ def test_non_finite_request_is_zero(protection: Protection, requested: Twist) ->
     assert decision.reason is Reason.NO_REQUESTED_COMMAND
 
 
+def test_a_scan_within_the_same_instant_is_decided_anew() -> None:
+    """A decision is repeated for the same inputs alone."""
+    protection, context = Protection(with_mode(WAFFLE, "barrier")), DecisionContext(0.0, 0.0)
+    protection.observe(scan_of(np.full(360, np.inf)), context)
+    assert protection.decide(REQUESTED, context, True, None).safe == REQUESTED
+    protection.observe(ahead(0.2, 40), context)
+    assert protection.decide(REQUESTED, context, True, None).safe.linear < REQUESTED.linear
+
+
+def test_after_a_hold_a_command_of_the_same_instant_is_in_force_again() -> None:
+    """The monitors compare the base with the command that it gets, not with the zero before."""
+    protection, context = Protection(with_mode(WAFFLE, "barrier")), DecisionContext(0.0, 0.0)
+    protection.observe(scan_of(np.full(360, np.inf)), context)
+    protection.decide(REQUESTED, context, True, None)
+    protection.decide(REQUESTED, context, True, Reason.STALE_SCAN)
+    assert protection.mode_command == ZERO
+    assert protection.decide(REQUESTED, context, True, None).safe == REQUESTED
+    assert protection.mode_command == REQUESTED
+
+
 def test_limits_apply_to_every_component(protection: Protection) -> None:
     protection.observe(scan_of(np.full(360, np.inf)), DecisionContext(0.0))
     decision = decide(protection, Twist(9.0, -9.0, 9.0))

@@ -405,6 +405,20 @@ def test_a_robot_that_was_reset_while_it_was_idle_joins_no_earlier_goal() -> Non
     assert harness.status.state is State.IDLE
 
 
+@pytest.mark.parametrize("is_reset", [True, False])
+def test_a_robot_that_was_reset_while_it_ran_joins_no_earlier_goal(is_reset: bool) -> None:
+    """Rule `old_goal` of docs/safety.md."""
+    harness = ready()
+    harness.ask("run", pattern="forward", seconds=6.0)
+    harness.advance(5.0)
+    if is_reset:
+        assert harness.applied("reset").text.startswith("running")
+    harness.find(goal(6, **JOINED), 3.0)
+    harness.advance(2.0)
+    assert (harness.status.state is State.RUNNING) is not is_reset
+    assert told(harness).state is (GoalState.OFFERED if is_reset else GoalState.RUNNING)
+
+
 def test_a_trial_delays_a_join_until_its_end() -> None:
     harness = ready()
     harness.is_hung = True

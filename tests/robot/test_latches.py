@@ -100,3 +100,20 @@ def test_the_latch_for_all_further_ones_has_the_age_of_the_newest() -> None:
         latches.add(f"e{number}", replace(SWARM, age=0.0), now=float(number))
     latches.add(f"e{MAX_HELD}", replace(SWARM, age=0.0), now=99.0)  # a copy
     assert latches.aged(100.0)[OVERFLOW].age == 100.0 - (MAX_HELD + 2)
+
+
+def test_an_emergency_stop_of_single_robots_does_not_spread() -> None:
+    """Only a latch of scope `swarm` spreads to robots that join (network/datagram.py, `Stop`)."""
+    own = Latch(issuer="alice", scope="robots")
+    latches = Latches()
+    assert latches.adopt({"a": own, "b": SWARM}, 0.0) == ("b",)
+    assert set(latches.held) == {"b"}
+
+
+def test_the_latch_for_all_further_ones_stands_for_any_of_a_peer() -> None:
+    latches = Latches()
+    for number in range(MAX_HELD + 1):
+        latches.add(f"e{number}", SWARM, 0.0)
+    assert latches.adopt({"of a peer": SWARM}, 0.0) == ()
+    latches.clear([OVERFLOW])
+    assert latches.adopt({"of a peer": SWARM}, 0.0) == ("of a peer",)

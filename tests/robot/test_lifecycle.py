@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.api import Twist
+from swarmd.api import Inputs, Outputs, Twist
 from swarmd.core.events import TICK_INPUT
-from swarmd.core.host_messages import KillHost, Load, Loaded
+from swarmd.core.host_messages import KillHost, Load, Loaded, Stepped
 from swarmd.core.messages import Code, Reason, Refusal, State
 from tests.support.robot_harness import RobotHarness
-from tests.support.stub_patterns import PATTERNS, standing_state, started
+from tests.support.stub_patterns import PATTERNS, Forward, standing_state, started
 
 BACK = {"speed": -0.1}
 
@@ -135,3 +135,46 @@ def test_a_stall_leaves_an_idle_robot_idle_and_is_an_event() -> None:
     harness.ask("run", pattern="forward")
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
+
+
+def test_what_an_earlier_load_or_run_says_late_starts_nothing_and_moves_nothing() -> None:
+    """Rule `late`: no late report of the pattern host starts motion (docs/safety.md)."""
+    harness = started()
+    earlier = harness.status.generation
+    harness.is_hung = True
+    harness.ask("stop")
+    harness.send(harness.request("run", pattern="forward", params=BACK))
+    loading = harness.sent[-1]
+    assert isinstance(loading, Load)
+    assert loading.generation != earlier
+    harness.host_says(Loaded(earlier, 10.0, frozenset(), {}))
+    harness.advance(0.2)
+    assert (harness.status.state, harness.twist) == (State.STOPPED, Twist())
+    harness.host_says(Loaded(loading.generation, 10.0, frozenset(), {}))
+    harness.host_says(Stepped(earlier, Outputs(Twist(0.2)), 1))
+    harness.advance(0.1)
+    assert (harness.status.state, harness.twist) == (State.RUNNING, Twist())
+    harness.host_says(Stepped(loading.generation, Outputs(Twist(-0.1)), 1))
+    harness.advance(0.05)
+    assert harness.twist == Twist(-0.1)
+
+
+def test_a_restart_after_a_failure_gives_a_run_no_more_time() -> None:
+    class FailsOnce(Forward):
+        steps = 0
+
+        def drive(self, inputs: Inputs) -> Twist:
+            FailsOnce.steps += 1
+            if FailsOnce.steps == 5:
+                raise ZeroDivisionError("on purpose")
+            return super().drive(inputs)
+
+    harness = RobotHarness(patterns={"own": FailsOnce})
+    harness.advance(1.0)
+    harness.ask("run", pattern="own", seconds=10.0)
+    harness.advance(9.5)
+    assert harness.twist == Twist(0.2)
+    assert harness.status.state is State.RUNNING
+    harness.advance(1.0)
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
+    assert FailsOnce.steps > 5

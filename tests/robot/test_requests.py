@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from swarmd.api import Outputs, Twist
+from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.core.events import DriverInput, DuplicateInput, LatchesInput, NetworkInput, RosterInput
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
@@ -107,6 +107,23 @@ def test_a_stop_that_was_covered_by_a_later_one_makes_no_run_newer() -> None:
     assert harness.status.state is State.RUNNING
     assert late_stop(harness, 0.7, id="s1").code is Code.APPLIED  # issued after the run
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
+def test_a_stop_from_before_the_reset_of_a_stopped_robot_changes_nothing() -> None:
+    """The table of `robot/requests.py`: it was issued before a reset, and did not arrive till now.
+
+    A stop that was issued after the reset stops the robot, which must stay idle for no run.
+    """
+    harness = started()
+    harness.applied("stop", operator="bob")
+    harness.advance(3.0)
+    harness.applied("reset")
+    harness.advance(1.0)
+    epoch = harness.epoch
+    assert late_stop(harness, 2.0, id="unheard").code is Code.APPLIED
+    assert (harness.status.state, harness.epoch) == (State.IDLE, epoch)
+    assert late_stop(harness, 0.5, id="later").code is Code.APPLIED
+    assert harness.status.state is State.STOPPED
 
 
 def test_a_stop_from_before_the_reset_of_an_idle_robot_changes_nothing() -> None:
@@ -384,6 +401,7 @@ def test_answer_to_a_stop_without_odometry() -> None:
         (Twist(0.01, 0.03), Code.APPLIED),  # noise
         (Twist(0.2), Code.FAILED),
         (Twist(0.0, -0.4), Code.FAILED),
+        (Twist(0.0, 0.0, -0.2), Code.FAILED),
         (None, Code.FAILED),  # odometry has ended: it may move
     ],
 )
@@ -405,6 +423,25 @@ def test_a_robot_has_stopped_once_odometry_shows_that_its_base_rests(
     assert (reply.code, reply.is_moving) == (final, False)
     assert reply.refusal is (None if final is Code.APPLIED else Refusal.NOT_STOPPED)
     assert harness.twist.is_zero
+
+
+@pytest.mark.parametrize("moves", [Twist(0.2), Twist(0.0, 0.5), Twist(0.0, 0.0, 0.2)])
+def test_a_base_that_was_moved_in_any_direction_has_time_to_respond(moves: Twist) -> None:
+    """At rest is what was measured after the last command to move (docs/safety.md, `answer`)."""
+
+    class Moving(MovementPattern[Params]):
+        def drive(self, inputs: Inputs) -> Twist:
+            return moves
+
+    harness = RobotHarness("rosbot_xl", patterns={"moving": Moving})
+    harness.advance(1.0)
+    harness.ask("run", pattern="moving")
+    harness.advance(1.0)
+    assert harness.twist == moves
+    request = harness.request("stop")
+    assert harness.answer(request).is_moving  # by odometry it rests: the base is late
+    harness.advance(0.3)
+    assert not harness.answer(request).is_moving
 
 
 def test_a_robot_that_stands_says_at_once_that_it_has_stopped() -> None:
@@ -839,7 +876,28 @@ def test_orders_of_one_machine_are_compared_by_its_clock() -> None:
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 
+def test_an_emergency_stop_of_one_machine_is_compared_by_its_clock() -> None:
+    """The robot is reset since; the request of the run seems younger than it is."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    harness.applied("estop", id="e1", clock="a", issued=70.0)
+    harness.applied("reset", ids=("e1",))
+    harness.advance(1.0)
+    run: dict[str, Any] = {"pattern": "forward", "age": 0.1, "clock": "a"}
+    assert harness.refused("run", issued=69.9, **run).refusal is Refusal.OVERTAKEN
+    harness.applied("run", issued=70.1, **run)
+
+
 STAND = Goal(generation=1, issuer="bob", id="g1")
+
+
+def test_a_goal_to_stand_of_an_operator_counts_as_a_stop() -> None:
+    """The robot knows a stop by a standing goal (docs/safety.md)."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    harness.applied("goal", goal=STAND, operator="bob", age=2.0)
+    assert harness.refused("run", pattern="forward", age=3.0).refusal is Refusal.OVERTAKEN
+    harness.applied("run", pattern="forward", age=1.0)
 
 
 def test_a_goal_to_stand_from_a_peer_counts_as_a_stop() -> None:

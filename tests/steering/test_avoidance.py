@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from swarmd.core.avoided import WayState
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Array, Limits, Platform, Pose, Twist
-from swarmd.protection.decision import Clearance, Permit
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, Twist
+from swarmd.protection.decision import Clearance, DecisionContext, Permit
 from swarmd.settings.settings import load_platform
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
 from tests.support.kernel_forms import both_forms, compares_forms, long_run
+from tests.support.protection import Commander
 from tests.support.tracks import numbers_of
 
 if TYPE_CHECKING:
@@ -49,6 +50,12 @@ UNIT = st.floats(-1.0, 1.0)
 
 def made(limits: Limits = BASE) -> Avoidance:
     return Avoidance(Clearance(0.5, 0.18, 0.09), limits)
+
+
+def clear_scan() -> Scan:
+    spec = AVOIDING.scan
+    ranges = np.full(len(spec.bearings), np.inf)
+    return Scan(1, 0.0, ranges, spec.bearings, spec.range_min, spec.range_max)
 
 
 def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Track:
@@ -276,3 +283,37 @@ def test_a_robot_that_does_not_run_keeps_no_tracks() -> None:
     assert sim.commander.steering.tracks(context)
     sim.commander.decide(AHEAD, context, False, None, Permit(may_recover=True))
     assert sim.commander.steering.tracks(context) is None
+
+
+class Blocked:
+    """A tracker of two robots that stand in the way of a Burger."""
+
+    found = Surroundings((track(0.42, 0.0), track(0.42, 0.4)), NO_WALLS)
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *_: self.found
+
+
+@pytest.mark.parametrize("ends_with", [Reason.STALE_SCAN, None])
+def test_a_hold_ends_how_long_a_robot_was_held_up(ends_with: Reason | None) -> None:
+    """A robot turns farther to the right the longer it is delayed (docs/evidence/avoidance.md).
+
+    A hold ends the delay: the robot then chooses as one that meets the two for the first time.
+    """
+    commander = Commander(AVOIDING)
+    commander.steering._tracker = Blocked()
+    permit, now = Permit(may_recover=True), 10.0
+    commander.observe(clear_scan(), DecisionContext(now, 0.0))
+
+    def chosen(hold: Reason | None = None) -> float:
+        nonlocal now
+        now += 0.05
+        context = DecisionContext(now, 0.0, Odometry(now, Pose(), ZERO), 0.0)
+        return commander.decide(AHEAD, context, True, hold, permit).safe.angular
+
+    first = chosen()
+    later = [chosen() for _ in range(100)][-1]
+    assert later < first < 0.0
+    if ends_with is not None:
+        chosen(ends_with)
+    assert (chosen() == pytest.approx(first)) is (ends_with is not None)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -25,6 +27,7 @@ from swarmd.core.messages import (
 )
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.members import HEADER, WIDE, health, row, wide_cells
+from swarmd.view.screen import Screen
 from tests.support.goals import goal_status, make_goal, member_with, view_of
 from tests.support.statuses import ESTOPPED, make_member
 
@@ -68,7 +71,7 @@ def test_shows_the_report_of_the_pattern() -> None:
     assert line(make_member(report=report))["REPORT"] == "phase disperse, opinion 2, distance 1.4"
 
 
-@pytest.mark.parametrize(("columns", "width"), [("120", 120), ("", 80), ("wide", 80)])
+@pytest.mark.parametrize(("columns", "width"), [("120", 120), ("", 80), ("wide", 80), ("0", 80)])
 def test_the_width_is_that_of_the_terminal(
     monkeypatch: pytest.MonkeyPatch, columns: str, width: int
 ) -> None:
@@ -76,6 +79,14 @@ def test_the_width_is_that_of_the_terminal(
     with Path("/dev/null").open() as nothing:
         monkeypatch.setattr("os.get_terminal_size", partial(os.get_terminal_size, nothing.fileno()))
         assert terminal_width() == width
+
+
+def test_a_terminal_without_a_size_counts_as_80_by_24(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    monkeypatch.setattr("os.get_terminal_size", lambda *_: os.terminal_size((0, 0)))
+    assert terminal_width() == 80
+    screen = SimpleNamespace(_output=sys.__stdout__)
+    assert Screen.size.fget(screen) == (80, 24)  # type: ignore[attr-defined]
 
 
 def test_the_last_column_is_cut_to_the_width(capsys: pytest.CaptureFixture[str]) -> None:

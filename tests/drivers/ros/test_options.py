@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 
 import pytest
 
@@ -35,6 +36,29 @@ def read_ros1(options: Mapping[str, Value]) -> Ros1Options:
 
 
 both = pytest.mark.parametrize("read_any", [read, read_ros1], ids=["rmw_zenoh", "ros1"])
+
+
+@pytest.mark.parametrize(
+    ("name", "in_ros1", "in_ros2"),
+    [
+        ("front/scan_2", True, True),
+        ("front/2d_scan", True, False),
+        ("front__scan", True, False),
+        ("2d_scan", False, False),
+        ("front//scan", False, False),
+        ("front-scan", False, False),
+    ],
+)
+@pytest.mark.parametrize("option", ["scan", "namespace"])
+def test_names_that_no_node_of_the_version_can_have_are_refused(
+    name: str, in_ros1: bool, in_ros2: bool, option: str
+) -> None:
+    """ROS 2: https://design.ros2.org/articles/topic_and_service_names.html."""
+    for read_any, is_taken in ((read_ros1, in_ros1), (read, in_ros2)):
+        with (
+            nullcontext() if is_taken else pytest.raises(ConfigError, match=f"{option} is '{name}'")
+        ):
+            read_any({option: name})
 
 
 def test_the_default_endpoint_is_not_the_port_of_the_field_profile() -> None:

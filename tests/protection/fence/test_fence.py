@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
-from swarmd.protection.decision import Anchor, DecisionContext
+from swarmd.protection.decision import Anchor, DecisionContext, ModeDecision
 from swarmd.protection.fence.fence import Fence, fence_fault
 from swarmd.protection.fence.fence_pose import CONFIRM_TIME, CONFIRMATIONS, FencePose
 from swarmd.protection.fence.fence_settings import FenceSettings, polygon_fault
@@ -274,6 +274,54 @@ def test_the_way_since_the_last_pose_counts_in_the_frame_of_the_fence(
     assert Fence(SQUARE, BURGER).limit(Twist(0.2, 0.5), context, Twist()) == limited
 
 
+@pytest.mark.parametrize(
+    ("anchor", "odometry", "age", "error"),
+    [
+        ((0.05, 0.0, 0.0, 0.0), (0.0, 0.0), 0.0, 0.05),  # the told error
+        ((0.0, 0.1, 0.0, 0.0), (1.0, 0.0), 0.0, 0.1),  # the told error of the yaw, 1 m away
+        ((0.0, 0.0, 2.0, 0.0), (0.0, 0.0), 0.0, 0.1),  # 5 % of 2 m of way
+        ((0.0, 0.0, 2.0, 1.0), (0.0, 0.0), 0.0, 0.2),  # and of 1 rad of turn, along that way
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.2), 0.0, 0.01),  # it may brake at once: 0.05 s at 0.2 m/s
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.2), 0.1, 0.03),  # and since odometry: 0.15 s
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0), 0.35, 0.044),  # 0.2 s too old, at 0.22 m/s
+        ((0.01, 0.1, 1.0, 0.0), (0.5, 0.1), 0.0, 0.01 + 0.05 + 0.05 + 0.005),  # all add up
+    ],
+)
+def test_the_error_of_a_pose_has_each_part_of_the_page(
+    anchor: tuple[float, float, float, float],
+    odometry: tuple[float, float],
+    age: float,
+    error: float,
+) -> None:
+    """docs/configuration.md and assumption 7 and 13 of docs/safety.md: odometry counts for 0.15 s.
+
+    `anchor`: told errors in m and rad, m of way, rad of turn; `odometry`: m from there, and m/s.
+    """
+    moved, speed = odometry
+    told = Anchor(Pose(0.5, 0.0, 0.3), Pose(), *anchor)
+    reading = Odometry(0.0, Pose(moved, 0.0, 0.0), Twist(speed))
+    context = DecisionContext(0.0, 0.0, reading, age, anchor=told)
+    view = Fence(SQUARE, BURGER).view(context)
+    assert view is not None
+    assert view.error == pytest.approx(error)
+
+
+@pytest.mark.parametrize(("slack", "is_permitted"), [(0.003, True), (-0.003, False)])
+def test_a_stop_begins_50_ms_and_a_tick_after_the_decision(
+    slack: float, is_permitted: bool
+) -> None:
+    """Assumption 1 of docs/safety.md: the base responds within 50 ms, then brakes at 1.0 m/s2."""
+    radius = math.hypot(0.102, 0.089)  # config/platforms/burger.yaml
+    stop = 0.22 * 0.05 + 0.22 * TICK + 0.22**2 / (2.0 * 1.0)
+    x = 2.0 - radius - SQUARE.margin - stop - slack
+    anchor = Anchor(Pose(x, 0.0, 0.0), Pose(), 0.0, 0.0, 0.0, 0.0)
+    odometry = Odometry(0.0, Pose(), Twist(0.22))
+    context = DecisionContext(0.0, 0.0, odometry, 0.0, anchor=anchor)
+    limited = Fence(SQUARE, BURGER).limit(Twist(0.22), context, Twist(0.22))
+    assert (limited == Twist(0.22)) is is_permitted
+    assert limited.linear < 0.22 or is_permitted
+
+
 @settings(max_examples=examples(200), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_kernel_limits_as_arrays_of_numpy_do(seed: int) -> None:
@@ -327,6 +375,38 @@ def test_the_fence_acts_in_every_mode(mode: str) -> None:
     far = context_at(0.0, 0.0, 0.0)
     assert fenced.decide(asked, far, True, None).safe == asked
     assert not fenced.decide(asked, far, True, None).is_bounded
+
+
+class Swerving:
+    """A mode that asks for ahead and a turn, whatever it is asked."""
+
+    def decide(self, *_: object) -> ModeDecision:
+        return ModeDecision(Twist(0.2, 0.5), True, ())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.real, name)
+
+    def __init__(self, real: Any) -> None:
+        self.real = real
+
+
+def test_what_a_mode_asks_in_place_of_the_request_is_bounded_by_one_share() -> None:
+    """The fence acts in every protection mode (docs/configuration.md).
+
+    Only a share of all speeds keeps what the mode permits: with the turn alone, which the fence
+    permits, a corner may meet what the mode drives around.
+    """
+    decisions = []
+    for x in (0.0, 1.79, 1.83):  # free, room for a part of the speed, no room ahead
+        protection = Protection(in_mode(BURGER, "off"), [SQUARE])
+        protection._mode = Swerving(protection._mode)
+        decisions.append(protection.decide(Twist(0.0, 0.1), context_at(x, 0.0, 0.0), True, None))
+    free, near, at = (decision.safe for decision in decisions)
+    assert free == Twist(0.2, 0.5)
+    assert 0.0 < near.linear < 0.2
+    assert near.angular == pytest.approx(near.linear * 0.5 / 0.2)
+    assert at == Twist()
+    assert [decision.is_bounded for decision in decisions] == [False, True, True]
 
 
 class Told:

@@ -217,6 +217,7 @@ def test_a_sweep_that_is_ended_keeps_finished_runs_and_leaves_no_worker(
 ) -> None:
     folder, begin, end = tmp_path / "x", "", "2 of 4 runs kept; to go on: swarmctl exp run "
     words = ("exp", "run", duo, "--seeds", 2, "--sweep", f"{END}=none,hang", "--out", folder)
+    words = (*words, "--metrics", "path_length")
     for number, code in signals:
         process = started(*words, "-j", 1, cwd=tmp_path)
         wait_until(lambda: finished(folder) == 2, "two runs are done")
@@ -232,7 +233,7 @@ def test_a_sweep_that_is_ended_keeps_finished_runs_and_leaves_no_worker(
         shown = json.loads(swarmctl("exp", "show", folder, "-o", "json").stdout)
         assert (shown["finished"], len(rows(folder))) == (2, 2)
         begin = "2 of 4 runs\n"
-    assert f"--jobs 1 --out {folder}\n" in told
+    assert f"--jobs 1 --out {folder} --metrics path_length\n" in told
     assert json.loads((folder / "summary.json").read_text())["finished"] == 2
     assert not list((folder / "traces").glob(".*"))
     assert not (folder / "failures.json").exists()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from swarmd.sim.experiments import cores, lessons
 from swarmd.sim.experiments.cores import cores_of_a_run, usable_cores
 
 V1 = {"cpu.cfs_quota_us": "250000", "cpu.cfs_period_us": "100000"}
@@ -66,3 +69,34 @@ def test_a_large_run_takes_the_cores_that_no_other_run_uses(
     cores: int, runs: int, robots: int, share: int
 ) -> None:
     assert cores_of_a_run(cores, runs, robots) == share
+
+
+@pytest.mark.parametrize(
+    ("load", "share"), [(0.0, 1.0), (2.0, 1.0), (8.0, 0.25), (60.0, 0.05), (1000.0, 0.05)]
+)
+def test_seconds_count_by_the_share_of_a_core(
+    monkeypatch: pytest.MonkeyPatch, load: float, share: float
+) -> None:
+    """At load 60 on two cores a second counts as a twentieth (docs/experiments.md)."""
+    monkeypatch.setattr(cores, "usable_cores", lambda: 2)
+    monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0))
+    assert cores.core_share() == pytest.approx(share, abs=0.02)
+
+
+@pytest.mark.parametrize(("share", "seconds"), [(1.0, 10), (0.25, 40)])
+def test_a_pupil_has_more_time_on_an_overloaded_machine(
+    monkeypatch: pytest.MonkeyPatch, share: float, seconds: int
+) -> None:
+    now = 0.0
+
+    def endless(*_: object) -> Iterator[dict[str, float]]:
+        nonlocal now
+        while True:
+            now += 1.0
+            yield {}
+
+    monkeypatch.setattr(lessons, "run_jobs", lambda *_: endless())
+    monkeypatch.setattr(lessons, "core_share", lambda: share)
+    monkeypatch.setattr(lessons, "time", SimpleNamespace(monotonic=lambda: now))
+    assert [*lessons._bounded([], 1, 10.0)] == []
+    assert now == seconds + 1
