@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 from swarmd.acceptance.evidence import Evidence
@@ -29,7 +30,9 @@ def calibration(evidence: Evidence) -> Verdict:
     report = usable_report(status.report, status.decision)
     if report is None:
         return not_shown("protection limited the drives: repeat it on a larger floor")
-    return passed("all drives are done", **{name: str(text) for name, text in report.items()})
+    loads = {one.subject: one.text for one in evidence.findings}
+    values = {name: str(text) for name, text in report.items()}
+    return passed("all drives are done", **values, **loads)
 
 
 def brakes(calibrated: str, *names: str) -> Judge:
@@ -111,14 +114,25 @@ def _figures(
     cause: str,
     bound: str,
 ) -> Judge:
-    """A judge of the figures `names` of the step `calibrated`; a figure may be absent."""
+    """A judge of the figures `names` of the step `calibrated`; a figure may be absent.
+
+    A value, deviation or assumed value that is no finite number counts as not measured.
+    """
 
     def judge(evidence: Evidence) -> Verdict:
         values = evidence.earlier[calibrated].values
         figures = {name: Figure.parse(str(values[name])) for name in names if name in values}
-        measured = {name: one for name, one in figures.items() if one.is_measured}
+        measured = {
+            name: one
+            for name, one in figures.items()
+            if one.is_measured and all(map(math.isfinite, (one.value, one.spread, one.assumed)))
+        }
         if not measured:
-            return not_shown("; ".join(one.why for one in figures.values()))
+            whys = (
+                one.why or f"{name} has no number, or none to compare with"
+                for name, one in figures.items()
+            )
+            return not_shown("; ".join(whys) or f"{calibrated} has no such figure")
         texts = {
             name: f"{name} {one.value:.3g} +- {one.spread:.2g}" for name, one in measured.items()
         }
@@ -128,7 +142,10 @@ def _figures(
         if wrong:
             return failed(cause, ", ".join(wrong), bound)
         if unsure:
-            why = "it scatters too much: repeat the calibration with walls nearer"
+            why = (
+                f"it scatters too much ({values.get('load', 'load not known')}): end what takes the"
+                f" robot's time, put walls nearer, and repeat by --only {calibrated}"
+            )
             return not_shown(f"{', '.join(unsure)}: {why}")
         return passed("as the file says", ", ".join(texts.values()), bound)
 

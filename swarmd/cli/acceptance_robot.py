@@ -20,6 +20,7 @@ from swarmd.acceptance.samples import read_samples
 from swarmd.acceptance.step import End, Step, Work
 from swarmd.acceptance.stops import LEASE
 from swarmd.acceptance.verdict import Verdict, not_shown
+from swarmd.calibration.figures import PATTERN
 from swarmd.calibration.report import figures_of
 from swarmd.cli.calibrate import platform_text
 from swarmd.cli.doctor import LISTEN_TIME, findings_of_robot
@@ -206,6 +207,8 @@ class TestedRobot:
         findings: Sequence[Finding] = ()
         if step.work is Work.DOCTOR:
             findings = self._doctor()
+        elif step.motion is not None and step.motion.pattern == PATTERN:
+            findings = [one for one in self._doctor() if one.subject == "load"]
         elif step.work is Work.CHECK:
             findings = self._check()
         elif step.work is Work.RESET:

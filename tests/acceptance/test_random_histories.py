@@ -45,7 +45,25 @@ PERIOD = 0.1  # s between two sights
 LEASE = 2.0  # s, as the runs of the test have
 LONGEST = 1500.0  # s of a history
 LATEST_REST = 4.0  # s after a history has ended: the lease, and the brakes of a base that coasts
-WORDS = ("y", "y", "y", "Y", "yes", "", "n", "no", "x", "yy", "7", "26", "31", "0", "999", "q")
+WORDS = (
+    "y",
+    "y",
+    "y",
+    "Y",
+    "y ",
+    "yes",
+    "",
+    "n",
+    "no",
+    "x",
+    "yy",
+    "7",
+    "26",
+    "31",
+    "0",
+    "999",
+    "q",
+)
 FAULTS = ("", "late", "coasts", "ignores zero", "fast odometry", "deaf", "runaway")
 
 
