@@ -90,12 +90,14 @@ class Bench:
         scan_fault: ScanFault = lambda scan: scan,
         command_fault: CommandFault = lambda commands: commands,
         odometry_scale: float = 1.0,
+        odometry_burst: float = 0.0,
         has_watchdog: bool = True,
         reading: float | None = None,
     ) -> None:
         self.platform = platform
         self.scan_fault, self.command_fault = scan_fault, command_fault
         self.has_watchdog, self.odometry_scale, self.reading = has_watchdog, odometry_scale, reading
+        self.odometry_burst = odometry_burst  # s between two deliveries; 0: at once
         scenario = scenario_of(
             {
                 "duration": 3000.0,
@@ -154,7 +156,9 @@ class Bench:
                 return self.last_odometry  # repeats, of which the robot takes none
             self.last_odometry = readings
             if self.shell is not None:
-                self.inputs += [(OdometryInput(one), self.now) for one in readings]
+                burst, at = self.odometry_burst, self.now
+                at = burst * math.ceil(at / burst) if burst else at
+                self.inputs += [(OdometryInput(one), at) for one in readings]
             return readings
 
         def set_commands(commands: Array) -> None:

@@ -57,6 +57,11 @@ def turned(scan: Scan) -> Scan:
     return replace(scan, ranges=np.roll(scan.ranges, 90))
 
 
+def of_two(scan: Scan) -> Scan:
+    """Each second scan is that of another lidar."""
+    return turned(scan) if scan.seq % 2 else scan
+
+
 def late_stamp(scan: Scan) -> Scan:
     return replace(scan, stamp=scan.stamp - 3.0)
 
@@ -119,6 +124,8 @@ ROWS = {
     "stamps 3 s new": Row("A8", "newer", {"scan_fault": early_stamp}),
     "scans at half rate": Row("A7", "rarely", make=half_rate),
     "8 % of scans lost": Row("A7", "lost", make=losses),
+    "two lidars on one topic": Row("A7", "two sensors", {"scan_fault": of_two}),
+    "odometry in bursts": Row("A10", "bursts", {"odometry_burst": 0.5}),
     "own mast in the scan": Row("A9", "inside", {"scan_fault": with_mast}),
     "odometry scale 10 % off": Row("C6", "scale", {"odometry_scale": 1.1}, also=("C5",)),
     "watchdog off": Row("B7", "drove on", {"has_watchdog": False}, also=("B8",)),

@@ -278,6 +278,7 @@ def test_the_results_of_another_robot_are_not_continued(tmp_path: Path, name: st
         ({"robot": "tb3-02"}, "robot"),
         ({"swarm": "t"}, "swarm"),
         ({"platform": load_platform("waffle_pi")}, "platform"),
+        ({"platform": replace(load_platform("burger"), body={})}, "platform"),
         ({"driver": "ros1"}, "driver"),
         ({"base": "other options"}, "base"),
     ],
