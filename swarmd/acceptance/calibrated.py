@@ -5,17 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.step import Judge
 from swarmd.acceptance.stops import way_of
 from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
 from swarmd.calibration.figures import DONE, NOT_FREE, Figure
 from swarmd.calibration.report import usable_report
+from swarmd.core.messages import Reason
+from swarmd.core.values import Array
 from swarmd.protection.assumption_monitor import SOUND
 
 SCALE_ERROR = 0.05  # share: docs/safety.md, assumptions 7 and 13
 _DEVIATIONS = 2.0
 _ROUNDING = 1e-3  # m: figures have six digits
+_TILT = 5.0  # deg
+_MANY_RAYS = 90
+_HEADING = math.radians(10.0)  # rad between two headings
+_FAR_QUANTILE = 0.9  # of the headings; what is seen in a corner of a room varies
+_NEAR_SHARE, _LEAST_NEAR = 0.85, 5  # of the distance of other rays, and rays that see no farther
 _LEAST_SHARE = 0.5  # of the commanded way that a base must drive at a low speed
 
 
@@ -100,6 +109,64 @@ def low_speed(speed: float, seconds: float) -> Judge:
         return passed(f"it drives at {speed:g} m/s", figure, bound)
 
     return judge
+
+
+def level(evidence: Evidence) -> Verdict:
+    """Whether the lidar is level: a tilted one sees the floor, at a distance that turns with it.
+
+    In a whole turn on the spot each ray of a level lidar sees the same distances.
+    """
+    platform, heights, far = evidence.platform, evidence.platform.heights, _far_ranges(evidence)
+    status = evidence.status
+    if far is None and status is not None and status.reason is Reason.INVALID_SCAN:
+        return failed(f"{status.detail}; or the lidar is tilted, and sees the floor there")
+    if heights is None or far is None:
+        return not_shown(
+            "it needs a lidar of 90 rays, heights.scan_plane and a whole turn: use a spirit level"
+        )
+    usual = float(np.median(far))
+    is_near = far < _NEAR_SHARE * usual
+    if np.count_nonzero(is_near) >= _LEAST_NEAR:
+        at = float(far.min())
+        tilt = math.degrees(math.atan2(heights.scan_plane, at))
+        towards = math.degrees(platform.scan.bearings[int(far.argmin())])
+        reason = (
+            f"its lidar sees no farther at {towards:.0f} deg, wherever it turns: it is tilted and"
+            " sees the floor, or a part of the robot is there. What is low on the other side is"
+            " overlooked: level it"
+        )
+        return failed(reason, f"{tilt:.1f} deg, or a part at {at:.2f} m", f"{_TILT:g} deg")
+    hidden = math.degrees(math.atan2(heights.scan_plane, _NEAR_SHARE * usual))
+    if hidden > _TILT:
+        free = heights.scan_plane / math.tan(math.radians(_TILT)) / _NEAR_SHARE
+        return not_shown(
+            f"a tilt of up to {hidden:.0f} deg does not show between walls so near: repeat it where"
+            f" {free:.1f} m are free on one side, or use a spirit level"
+        )
+    return passed("no floor is seen", f"tilt below {hidden:.1f} deg", f"{_TILT:g} deg")
+
+
+def _far_ranges(evidence: Evidence) -> Array | None:
+    """(n,) m: what each ray sees at most, but for a tenth of the headings; None without a turn.
+
+    Masked rays, and rays without a return, count as range_max.
+    """
+    spec, odometry = evidence.platform.scan, evidence.samples.odometry
+    count = len(spec.bearings)
+    scans = [pair for pair in evidence.samples.scans if len(pair[1].ranges) == count]
+    if not scans or not odometry or count < _MANY_RAYS:
+        return None
+    yaws = np.unwrap([one.pose.yaw for _, one in odometry])
+    at = np.interp([at for at, _ in scans], [at for at, _ in odometry], yaws)
+    bins = np.rint(at / _HEADING)
+    headings = np.unique(bins)
+    if len(headings) < math.tau / _HEADING:
+        return None
+    ranges = np.array([np.where(one.ranges > 0.0, one.ranges, math.inf) for _, one in scans])
+    ranges = np.minimum(np.nan_to_num(ranges, nan=spec.range_max), spec.range_max)
+    ranges[:, spec.masked(spec.bearings)] = spec.range_max
+    seen = np.array([np.median(ranges[bins == one], axis=0) for one in headings])
+    return np.asarray(np.quantile(seen, _FAR_QUANTILE, axis=0))
 
 
 def _sure(is_within: bool) -> Result:

@@ -92,11 +92,13 @@ class Bench:
         odometry_scale: float = 1.0,
         odometry_burst: float = 0.0,
         has_watchdog: bool = True,
+        has_button: bool = True,
         reading: float | None = None,
     ) -> None:
         self.platform = platform
         self.scan_fault, self.command_fault = scan_fault, command_fault
         self.has_watchdog, self.odometry_scale, self.reading = has_watchdog, odometry_scale, reading
+        self.has_button, self.is_pressed = has_button, False
         self.odometry_burst = odometry_burst  # s between two deliveries; 0: at once
         scenario = scenario_of(
             {
@@ -164,6 +166,8 @@ class Bench:
         def set_commands(commands: Array) -> None:
             is_lost = self.now < self.lost_until
             given = np.zeros_like(commands) if is_lost and self.has_watchdog else commands
+            if self.is_pressed and self.has_button:
+                given = np.zeros_like(commands)
             if is_lost and not self.has_watchdog:
                 return
             obey(self.command_fault(given.copy()))
@@ -363,7 +367,7 @@ class Bench:
             self.back_since = now
         is_back = now - self.back_since > SEEN_AFTER
         if self.has_told and is_back and self.dialogue.phase is Phase.RESTING:
-            self.has_told = False
+            self.has_told = self.is_pressed = False
             self.take(Key())
 
     def act(self, step: Step) -> None:
@@ -380,5 +384,7 @@ class Bench:
                 assert self.shell is not None
                 self.lost_until = now + ABSENT
                 self.shell.step(DriverInput(False, "no base"), now)
+            case "B9":
+                self.is_pressed = True
             case _:
                 self.hand = _HANDS[step.id]
