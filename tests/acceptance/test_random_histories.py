@@ -58,8 +58,8 @@ WORDS = (
     "x",
     "yy",
     "7",
-    "26",
     "31",
+    "45",
     "0",
     "999",
     "q",
@@ -181,7 +181,7 @@ class History:
         phase = self.dialogue.phase
         if phase == "asked" and draw < 0.06:
             word = self.random.choice(WORDS)
-            if word.strip().lower() in ("y", "yes"):
+            if word.strip().lower() == "y":
                 self.consent = self.dialogue.step.id
             self.take(Line(word))
         elif phase != "asked" and draw < 0.006:
