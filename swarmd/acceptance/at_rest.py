@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from swarmd.acceptance.evidence import Evidence, Samples
 from swarmd.acceptance.step import Judge
 from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
 from swarmd.core.events import ReadingsInput
+from swarmd.core.finding import Finding
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array
 from swarmd.protection.footprint import Footprint
@@ -29,6 +31,8 @@ _STALE_SHARE = 0.1  # of the time in which the newest odometry may be older
 _DRIFT, _TURN_DRIFT = 0.01, math.radians(2.0)  # m, rad, in a minute at rest
 _CLOCK_ERROR = 0.5  # s between two clocks that should agree
 _DAY = 86400.0  # s: two clocks farther apart have another zero, which is no fault
+_LOAD = "load"
+_SAME_CHARGE = 1e-5  # share
 _HAND = 0.8  # m within which a hand is held
 _NEARER = 0.15  # m by which a hand is nearer than what was there before
 _THICKNESS = 0.1  # m of a hand: an arm is farther
@@ -54,6 +58,15 @@ def findings_on(*subjects: str) -> Judge:
         return passed(names, f"{len(known)} ok", "0 findings")
 
     return judge
+
+
+def lasting(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
+    """The findings `after`, with a high load only if the load was high `before`, too.
+
+    The load of a minute rises with each start of a program, such as of this test.
+    """
+    well = {one.subject: one for one in before if one.subject == _LOAD and one.is_well}
+    return [one if one.is_well else well.get(one.subject, one) for one in after]
 
 
 def all_findings(evidence: Evidence) -> Verdict:
@@ -235,6 +248,26 @@ def battery(evidence: Evidence) -> Verdict:
         reason = "the charge is no share: correct battery_volts or battery_percentage"
         return failed(reason, f"{charge:g}", "0 to 1")
     return passed("the charge is reported", f"{charge:.0%}")
+
+
+def own_battery(evidence: Evidence) -> Verdict:
+    """Whether the charge is this robot's: no other robot reports the same one."""
+    values = [one.readings.get("battery", math.nan) for _, one in _readings(evidence.samples)]
+    own = [value for value in values if not math.isnan(value)]
+    if not own or not evidence.charges:
+        what = "this one reports none" if not own else f"compare {own[-1]:.0%} with its display"
+        return not_shown(f"two robots with a battery must be heard: {what}")
+    same = [name for name, charge in evidence.charges.items() if _is_among(charge, own)]
+    text = f"{own[-1]:.1%}"
+    if not same:
+        return passed(f"no other charge of {len(evidence.charges)} is equal", text)
+    if _is_among(100.0 * own[-1], np.rint(100.0 * np.array(own)).tolist()):
+        return not_shown(f"{text} is that of {same[0]} too: repeat it once their charges differ")
+    return failed(f"it reports the battery of {same[0]}: correct the topic of its battery", text)
+
+
+def _is_among(value: float, values: list[float]) -> bool:
+    return min(abs(value - one) for one in values) < _SAME_CHARGE
 
 
 def _readings(samples: Samples) -> list[tuple[float, ReadingsInput]]:

@@ -405,7 +405,9 @@ class Dialogue:
                 if not self._awaits_person:
                     return self._break_off(not_shown("a key stopped the robot"), now)
                 self._awaits_person = False
-        is_over = self._broken is not None or now - self._since >= motion.rest
+        # A base that is late may not have begun to move when the stop comes.
+        least = SETTLE if self._broken is not None else max(SETTLE, motion.rest)
+        is_over = now - self._since >= least
         if self._is_at_rest(now) and is_over and not self._awaits_person:
             return self._judge(now, self._broken)
         patience = GIVE_UP if self._broken is not None else GIVE_UP + motion.absence

@@ -47,6 +47,7 @@ NOT_SHOWN_YET: Mapping[str, tuple[str, ...]] = {
 """What no robot has shown yet, by the step that would show it: docs/robots/new_robot.md."""
 
 _TEST_SPEED = 0.1  # m/s of the drives of part B
+_LOAD_TIME = 20.0  # s between two readings of the load
 _PERSON_TIME = 30.0  # s of a run that a person ends
 _LOW_SPEED, _LOW_TIME = 0.02, 5.0  # m/s, s; near obstacles robots creep at 0.015 m/s
 _TURN, _TURNS = 0.5, 2.0  # rad/s, and turns that are commanded for a whole one
@@ -106,7 +107,8 @@ def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
             "computer",
             "A busy or under-powered computer delays commands.",
             at_rest.findings_on("load", "memory", "state", "recordings", "power"),
-            **doctor,
+            work=Work.DOCTOR,
+            seconds=_LOAD_TIME,
         ),
         Step(
             "A4",
@@ -163,6 +165,13 @@ def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
             **same,
         ),
         *(_hand(*row, lidar) for row in _HANDS),
+        Step(
+            "A16",
+            "own battery",
+            "A topic without the robot's name may be that of another robot.",
+            at_rest.own_battery,
+            **same,
+        ),
     )
 
 

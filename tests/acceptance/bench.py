@@ -7,7 +7,7 @@ wheels are a free floor: their motion is that of odometry.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -94,10 +94,12 @@ class Bench:
         has_watchdog: bool = True,
         has_button: bool = True,
         reading: float | None = None,
+        charges: Mapping[str, float] | None = None,
     ) -> None:
         self.platform = platform
         self.scan_fault, self.command_fault = scan_fault, command_fault
         self.has_watchdog, self.odometry_scale, self.reading = has_watchdog, odometry_scale, reading
+        self.charges = charges or {}
         self.has_button, self.is_pressed = has_button, False
         self.odometry_burst = odometry_burst  # s between two deliveries; 0: at once
         scenario = scenario_of(
@@ -297,7 +299,7 @@ class Bench:
             self.request(ResetRequest, ids=tuple(latches))
         status = None if self.shell is None else self.shell.robot.status(self.now)
         samples = self.kept.get(step.of or step.id, Samples())
-        return Evidence(self.platform, samples, status, earlier=self.verdicts)
+        return Evidence(self.platform, samples, status, earlier=self.verdicts, charges=self.charges)
 
     def begin(self, step: Step) -> None:
         self.inputs = [(DriverInput(True, "simulated"), self.now)]

@@ -62,6 +62,21 @@ def test_multicast_that_is_filtered_is_named_with_its_remedy() -> None:
     assert LINK(evidence(findings=(doctor._heard_here(("multicast",), "field"),))).result == "pass"
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "result"),
+    [(1.0, 1.0, "pass"), (9.0, 1.0, "pass"), (1.0, 9.0, "pass"), (9.0, 9.0, "fail")],
+)
+def test_a_load_fails_if_it_lasts(before: float, after: float, result: str) -> None:
+    looks = [
+        [warning("load", f"load {load}", "top", is_due=load > 6.0), Finding("memory", True, "x")]
+        for load in (before, after)
+    ]
+    found = at_rest.findings_on("load", "memory")(evidence(findings=at_rest.lasting(*looks)))
+    assert found.result == result
+    full = [warning("memory", "full", "end programs")]
+    assert at_rest.lasting([Finding("memory", True, "x")], full) == full
+
+
 def test_two_daemons_of_one_name_are_named() -> None:
     duplicate = status("r", reason=Reason.DUPLICATE_ID, detail="r at 10.0.0.7")
     found = at_rest.findings_on("version")(evidence(status=duplicate))
@@ -259,6 +274,27 @@ def test_the_battery(readings: list[dict[str, float]], result: str) -> None:
     assert at_rest.battery(evidence(*inputs)).result == result
     without = replace(evidence(*inputs), platform=FILE)
     assert at_rest.battery(without).result is Result.NOT_SHOWN
+
+
+@pytest.mark.parametrize(
+    ("own", "others", "result"),
+    [
+        ([0.62113, 0.62345], {"tb3-02": 0.62345, "tb3-03": 0.9}, "fail"),
+        ([0.62113, 0.62345], {"tb3-02": 0.62347}, "pass"),
+        ([0.62113], {}, "not shown"),
+        ([], {"tb3-02": 0.5}, "not shown"),
+        ([math.nan], {"tb3-02": 0.5}, "not shown"),
+        ([1.0], {"tb3-02": 1.0}, "not shown"),  # both are full
+        ([0.62], {"tb3-02": 0.62}, "not shown"),  # whole percents
+    ],
+)
+def test_the_battery_of_another_robot(
+    own: list[float], others: dict[str, float], result: str
+) -> None:
+    inputs = [(ReadingsInput({"battery": one}), 0.0) for one in own]
+    found = at_rest.own_battery(evidence(*inputs, charges=others))
+    assert found.result == result
+    assert result != "fail" or "tb3-02" in found.reason
 
 
 def hand_at(degree: int) -> Evidence:

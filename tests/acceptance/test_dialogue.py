@@ -174,6 +174,16 @@ def test_a_key_stops_and_the_stop_is_repeated_until_it_rests(input: Input) -> No
     assert kept.verdict.result is Result.NOT_SHOWN
 
 
+def test_a_key_right_after_the_yes_is_watched_for_a_second() -> None:
+    """Found by a random history: a late base began to move when the step was judged already."""
+    talk = Talk(DRIVE)
+    talk.rest(3.0)
+    talk.take(Line("y"))
+    assert talk.take(Key(), 0.1) == (Stop(),)
+    assert Judge(DRIVE) not in talk.rest(0.8 * SETTLE)
+    assert Judge(DRIVE) in talk.rest(0.5)
+
+
 def test_a_drive_ends_by_itself() -> None:
     talk = Talk(DRIVE).under_way()
     assert not talk.move(0.1, 3.5, x=0.05)

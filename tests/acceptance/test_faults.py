@@ -161,6 +161,9 @@ ROWS = {
     "lidar tilted backwards": Row(
         "C9", "tilted", {"scan_fault": tilted(180.0), "arena": HALL}, is_alone=True
     ),
+    "battery of another robot": Row(
+        "A16", "battery of tb3-02", {"reading": 0.80123, "charges": {"tb3-02": 0.80123}}
+    ),
     "no battery message": Row("A11", "battery", {"reading": None}),
 }
 """The faults of issue 69 that a base and a lidar can have by themselves."""
@@ -206,7 +209,7 @@ def test_each_fault_is_found_by_its_step_with_its_cause(fault: str) -> None:
 
 @pytest.mark.parametrize("part", ["A", "B", "C"])
 def test_a_sound_robot_passes_all(part: str) -> None:
-    bench = part_of(part, reading=0.8)
+    bench = part_of(part, reading=0.8, charges={"tb3-02": 0.7})
     results = {name: one for name, one in bench.verdicts.items() if name[0] == part}
     assert len(results) >= 7
     left = {name: one for name, one in results.items() if one.result is not Result.PASS}

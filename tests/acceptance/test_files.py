@@ -47,6 +47,7 @@ from swarmd.robot.latches import LatchRecord
 from swarmd.robot.setup import RobotIdentity, RobotSetup
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import load_daemon_settings
+from tests.support.chromium import FOUND, browser
 from tests.support.recorded_stories import Story, repeat
 
 STEPS = steps_of(load_platform("burger"))
@@ -176,7 +177,7 @@ def test_a_step_replaces_its_earlier_verdict_and_keeps_the_order() -> None:
 def test_the_headline_names_the_failures() -> None:
     record = whole_record()
     assert "FAIL (A2, A5" in record.headline
-    assert record.counts[Result.PASS] == 15
+    assert record.counts[Result.PASS] == 16
     one = with_step(RECORD_BEFORE, record.steps[0], ORDER)
     assert "no failure" in one.headline
     assert "not all" in one.headline
@@ -210,6 +211,26 @@ def test_the_report_begins_with_the_verdict_and_escapes() -> None:
     assert "<b>bad" not in text
     assert "&lt;b&gt;bad" in text
     assert all(f"{step.id} {step.name}" in text for step in STEPS)
+
+
+@pytest.mark.integration
+@pytest.mark.skipif(FOUND is None, reason="no Chromium")
+def test_a_telephone_shows_reasons_in_its_whole_width(tmp_path: Path) -> None:
+    """At 360 px the column of reasons had had room for three letters a line."""
+    path = tmp_path / "report.html"
+    path.write_text(page(whole_record(), {}))
+    with browser(tmp_path / "browser", 360, 740) as shown:
+        shown.call("Page.enable")
+        shown.call("Page.navigate", url=path.as_uri())
+        shown.until(
+            "document.readyState === 'complete' && !!document.querySelector('td')", "loaded"
+        )
+        widths = shown.evaluate(
+            "[...document.querySelectorAll('td:last-child')].map(e => e.clientWidth)"
+        )
+        assert len(widths) > 40
+        assert min(widths) > 250
+        assert shown.evaluate("document.documentElement.scrollWidth") <= 360
 
 
 def test_the_report_says_of_which_parts_no_step_was_asked() -> None:
