@@ -45,25 +45,8 @@ PERIOD = 0.1  # s between two sights
 LEASE = 2.0  # s, as the runs of the test have
 LONGEST = 1500.0  # s of a history
 LATEST_REST = 4.0  # s after a history has ended: the lease, and the brakes of a base that coasts
-WORDS = (
-    "y",
-    "y",
-    "y",
-    "Y",
-    "y ",
-    "yes",
-    "",
-    "n",
-    "no",
-    "x",
-    "yy",
-    "7",
-    "31",
-    "45",
-    "0",
-    "999",
-    "q",
-)
+WORDS = ("y", "y", "y", "Y", "y ", "yes", "", "n", "no", "x", "yy", "#", "#", "#", "0", "999", "q")
+"""`#`: the number of a step that is drawn."""
 FAULTS = ("", "late", "coasts", "ignores zero", "fast odometry", "deaf", "runaway")
 
 
@@ -180,7 +163,8 @@ class History:
         draw = self.random.random()
         phase = self.dialogue.phase
         if phase == "asked" and draw < 0.06:
-            word = self.random.choice(WORDS)
+            number = str(self.random.randrange(len(self.steps)) + 1)
+            word = self.random.choice(WORDS).replace("#", number)
             if word.strip().lower() == "y":
                 self.consent = self.dialogue.step.id
             self.take(Line(word))
