@@ -21,6 +21,7 @@ SCALE_ERROR = 0.05  # share: docs/safety.md, assumptions 7 and 13
 _DEVIATIONS = 2.0
 _ROUNDING = 1e-3  # m: figures have six digits
 _TILT = 5.0  # deg
+_AGE_SHARE = 0.2  # of the period of scans: half a scan that is half a period old gives 0.25
 _MANY_RAYS = 90
 _HEADING = math.radians(10.0)  # rad between two headings
 _FAR_QUANTILE = 0.9  # of the headings; what is seen in a corner of a room varies
@@ -95,6 +96,26 @@ def scan_delay(calibrated: str) -> Judge:
         return _figures(calibrated, ("scan_delay",), result, cause, f"{bound:.3f} s")(evidence)
 
     return judge
+
+
+def ages(evidence: Evidence) -> Verdict:
+    """Whether the rays of a scan are as old as its stamp says, by the turns of a calibration."""
+    status, bound = evidence.status, _AGE_SHARE / evidence.platform.scan.rate
+    summary = None if status is None else status.scan_delay
+    figures = {one.method: one for one in summary.figures} if summary is not None else {}
+    delays = [one.delay for one in figures.values() if one.delay is not None]
+    if len(delays) < 2:
+        lacking = "; ".join(one.text for one in figures.values() if one.delay is None)
+        return not_shown(f"stamps and turns do not both give a delay: {lacking or 'no figures'}")
+    apart = max(delays) - min(delays)
+    figure = ", ".join(f"{one.delay:.3f} s by {name}" for name, one in figures.items())
+    if apart > bound:
+        reason = (
+            "rays are not as old as their stamp says: two lidars are joined into one scan of parts"
+            " that differ in age, or the stamp is not that of the oldest ray"
+        )
+        return failed(reason, figure, f"{bound:.3f} s apart")
+    return passed("rays are as old as their stamp says", figure, f"{bound:.3f} s apart")
 
 
 def low_speed(speed: float, seconds: float) -> Judge:

@@ -419,6 +419,13 @@ def _part_c(platform: Platform) -> tuple[Step, ...]:
             ),
             needs=("B1",),
         ),
+        Step(
+            "C10",
+            "age of rays",
+            "Protection moves each ray by the way since its measurement.",
+            calibrated.ages,
+            **figures,
+        ),
     )
 
 

@@ -81,6 +81,20 @@ def tilted(towards: float) -> Callable[[Scan], Scan]:
     return seen
 
 
+def joined() -> dict[str, Any]:
+    """Two lidars as one scan: the rays behind are those of the scan before."""
+    before: Array | None = None
+
+    def seen(scan: Scan) -> Scan:
+        nonlocal before
+        last = scan.ranges if before is None else before
+        before = scan.ranges.copy()
+        behind = np.cos(scan.bearings) < 0.0
+        return replace(scan, ranges=np.where(behind, last, scan.ranges))
+
+    return {"scan_fault": seen}
+
+
 def late_stamp(scan: Scan) -> Scan:
     return replace(scan, stamp=scan.stamp - 3.0)
 
@@ -164,6 +178,7 @@ ROWS = {
     "battery of another robot": Row(
         "A16", "battery of tb3-02", {"reading": 0.80123, "charges": {"tb3-02": 0.80123}}
     ),
+    "two lidars joined, one late": Row("C10", "joined", make=joined),
     "no battery message": Row("A11", "battery", {"reading": None}),
 }
 """The faults of issue 69 that a base and a lidar can have by themselves."""
