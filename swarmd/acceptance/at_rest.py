@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from swarmd.acceptance.evidence import Evidence, Samples
 from swarmd.acceptance.step import Judge
 from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
 from swarmd.core.events import ReadingsInput
+from swarmd.core.finding import Finding
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array
 from swarmd.protection.footprint import Footprint
@@ -20,11 +22,17 @@ LOOK_TIME = 2.0
 """Seconds of a step with a hand, before the hand comes."""
 _LEAST_SCANS = 10
 _SLOW_SHARE = 0.9  # of the declared rate
+_OFTEN_SHARE = 1.5  # of the declared rate; a lidar of 5 Hz turns by at most 7 Hz
+_LEAST_APART = 0.05  # m (median of the rays) by which the scans of two sensors differ, and
+_APART_SHARE = 3.0  # so many times more than two scans of one of them
 _LOST_SHARE = 0.02  # of the scans; 5 % of lost datagrams are usual on a poor WiFi
 _LATEST_ODOMETRY, _STALE_ODOMETRY = 0.15, 0.5  # s: docs/safety.md, assumption 7
+_STALE_SHARE = 0.1  # of the time in which the newest odometry may be older
 _DRIFT, _TURN_DRIFT = 0.01, math.radians(2.0)  # m, rad, in a minute at rest
 _CLOCK_ERROR = 0.5  # s between two clocks that should agree
 _DAY = 86400.0  # s: two clocks farther apart have another zero, which is no fault
+_LOAD = "load"
+_SAME_CHARGE = 1e-5  # share
 _HAND = 0.8  # m within which a hand is held
 _NEARER = 0.15  # m by which a hand is nearer than what was there before
 _THICKNESS = 0.1  # m of a hand: an arm is farther
@@ -52,6 +60,15 @@ def findings_on(*subjects: str) -> Judge:
     return judge
 
 
+def lasting(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
+    """The findings `after`, with a high load only if the load was high `before`, too.
+
+    The load of a minute rises with each start of a program, such as of this test.
+    """
+    well = {one.subject: one for one in before if one.subject == _LOAD and one.is_well}
+    return [one if one.is_well else well.get(one.subject, one) for one in after]
+
+
 def all_findings(evidence: Evidence) -> Verdict:
     """The verdict of `swarmd --check`, as `findings_on` gives it."""
     return findings_on(*{finding.subject for finding in evidence.findings})(evidence)
@@ -75,8 +92,21 @@ def scan_rate(evidence: Evidence) -> Verdict:
     if len(scans) < _LEAST_SCANS:
         return failed(f"scans are missing: {_driver_text(evidence)}", f"{len(scans)} scans")
     gaps = np.diff([at for at, _ in scans])
-    period = float(np.median(gaps))
+    period, mean = float(np.median(gaps)), float(gaps.mean())
+    came = f"{len(scans)} scans in {float(gaps.sum()):.1f} s"
+    if _are_of_two([_distances(scan.ranges) for _, scan in scans]):
+        reason = "two sensors send scans in turn on one topic: give swarmd the topic of one of them"
+        return failed(reason, came, f"{spec.rate:g} Hz")
+    if period <= 0.5 * mean or mean <= 0.0:
+        reason = (
+            "scans come in bursts, or twice: look at the bridge and its buffers, and at the power"
+            " saving of the WiFi"
+        )
+        return failed(reason, came, f"{spec.rate:g} Hz")
     rate = 1.0 / period
+    if mean * _OFTEN_SHARE * spec.rate < 1.0:
+        reason = "scans come too often: two nodes publish them; or correct scan.rate"
+        return failed(reason, came, f"{_OFTEN_SHARE * spec.rate:g} Hz")
     lost = int(np.maximum(np.rint(gaps / period) - 1.0, 0.0).sum())
     share = lost / (len(scans) + lost)
     longest = float(gaps.max())
@@ -103,9 +133,14 @@ def stamps(evidence: Evidence) -> Verdict:
     if len(scans) < _LEAST_SCANS or len(odometry) < _LEAST_SCANS:
         return not_shown("too few scans or odometry")
     for name, pairs in (("scans", scans), ("odometry", odometry)):
-        if min(np.diff([stamp for _, stamp in pairs])) < 0.0:
+        steps = np.diff([stamp for _, stamp in pairs])
+        if not np.isfinite(steps).all():
+            return failed(f"the stamps of {name} are no numbers: look at the clock of its node")
+        if steps.min() < 0.0:
             return failed(f"the stamps of {name} went back: a clock was set, or two nodes publish")
-    scan_lag, odometry_lag = _median_lag(scans), _median_lag(odometry)
+        if steps.max() <= 0.0:
+            return failed(f"the stamps of {name} stand still: look at the clock of its node")
+    scan_lag, odometry_lag = _least_lag(scans), _least_lag(odometry)
     apart = scan_lag - odometry_lag
     if _CLOCK_ERROR < abs(apart) < _DAY:
         which = "older" if apart > 0.0 else "newer"
@@ -132,8 +167,10 @@ def lidar(evidence: Evidence) -> Verdict:
     content = ScanContent(platform.scan, gaps=Footprint(platform.footprint).gaps)
     for _, scan in evidence.samples.scans:
         content.take(scan)
-    if content.last is None:
-        return not_shown("no scan came")
+    if content.count < _LEAST_SCANS or content.last is None:
+        return not_shown("too few scans")
+    if not len(content.last.ranges):
+        return failed("the scans have no rays: look at the lidar and its topic")
     return failed(content.fault) if content.fault else passed(content.text)
 
 
@@ -169,8 +206,22 @@ def odometry_at_rest(evidence: Evidence) -> Verdict:
     readings = evidence.samples.odometry
     if len(readings) < _LEAST_SCANS:
         return failed(f"odometry is missing: {_driver_text(evidence)}", f"{len(readings)} readings")
-    gaps = np.diff([reading.stamp for _, reading in readings])
+    stamps = np.unique([reading.stamp for _, reading in readings])  # a repeated reading is not new
+    gaps = np.diff(stamps)
+    if not gaps.sum() > 0.0:
+        figure = f"{len(readings)} readings"
+        return failed("the base repeats one reading: look at its odometry", figure)
     period, longest = float(np.median(gaps)), float(gaps.max())
+    pauses = np.diff([at for at, _ in readings])
+    stale = float(np.maximum(pauses - _LATEST_ODOMETRY, 0.0).sum() / max(pauses.sum(), 1e-9))
+    if stale > _STALE_SHARE and period <= _LATEST_ODOMETRY:
+        reason = (
+            "odometry comes in bursts: look at the bridge and its buffers, and at the power saving"
+            " of the WiFi"
+        )
+        return failed(
+            reason, f"{stale:.0%} of the time late", f"{_STALE_SHARE:.0%}", longest=pauses.max()
+        )
     if period > _LATEST_ODOMETRY or longest > _STALE_ODOMETRY:
         figure = f"{period:.2f} s, at most {longest:.2f} s"
         bound = f"{_LATEST_ODOMETRY} s, at most {_STALE_ODOMETRY} s"
@@ -199,6 +250,26 @@ def battery(evidence: Evidence) -> Verdict:
     return passed("the charge is reported", f"{charge:.0%}")
 
 
+def own_battery(evidence: Evidence) -> Verdict:
+    """Whether the charge is this robot's: no other robot reports the same one."""
+    values = [one.readings.get("battery", math.nan) for _, one in _readings(evidence.samples)]
+    own = [value for value in values if not math.isnan(value)]
+    if not own or not evidence.charges:
+        what = "this one reports none" if not own else f"compare {own[-1]:.0%} with its display"
+        return not_shown(f"two robots with a battery must be heard: {what}")
+    same = [name for name, charge in evidence.charges.items() if _is_among(charge, own)]
+    text = f"{own[-1]:.1%}"
+    if not same:
+        return passed(f"no other charge of {len(evidence.charges)} is equal", text)
+    if _is_among(100.0 * own[-1], np.rint(100.0 * np.array(own)).tolist()):
+        return not_shown(f"{text} is that of {same[0]} too: repeat it once their charges differ")
+    return failed(f"it reports the battery of {same[0]}: correct the topic of its battery", text)
+
+
+def _is_among(value: float, values: list[float]) -> bool:
+    return min(abs(value - one) for one in values) < _SAME_CHARGE
+
+
 def _readings(samples: Samples) -> list[tuple[float, ReadingsInput]]:
     return list(samples.of(ReadingsInput))
 
@@ -209,8 +280,28 @@ def _driver_text(evidence: Evidence) -> str:
     return states[-1].text if states else "the recording has no word of the driver"
 
 
-def _median_lag(pairs: list[tuple[float, float]]) -> float:
-    return float(np.median([at - stamp for at, stamp in pairs]))
+def _least_lag(pairs: list[tuple[float, float]]) -> float:
+    """s from the stamp to the arrival of the fastest: bursts do not count."""
+    return min(at - stamp for at, stamp in pairs)
+
+
+def _are_of_two(scans: list[Array]) -> bool:
+    """True if each scan differs from the next one, and is like the one after that.
+
+    `scans`: distances (n,) in m of a robot at rest.
+    """
+    after, next_but_one = (
+        float(np.median([_apart(*pair) for pair in zip(scans, scans[step:], strict=False)]))
+        for step in (1, 2)
+    )
+    return after > _LEAST_APART + _APART_SHARE * next_but_one
+
+
+def _apart(scan: Array, other: Array) -> float:
+    """The median difference of the rays of two scans in m; infinite if their numbers differ."""
+    if len(scan) != len(other):
+        return math.inf
+    return float(np.median(np.abs(scan - other))) if len(scan) else 0.0
 
 
 def _is_near(bearing: float, other: float) -> bool:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.step import Judge
@@ -10,11 +13,19 @@ from swarmd.acceptance.stops import way_of
 from swarmd.acceptance.verdict import Result, Verdict, failed, not_shown, passed
 from swarmd.calibration.figures import DONE, NOT_FREE, Figure
 from swarmd.calibration.report import usable_report
+from swarmd.core.messages import Reason
+from swarmd.core.values import Array
 from swarmd.protection.assumption_monitor import SOUND
 
 SCALE_ERROR = 0.05  # share: docs/safety.md, assumptions 7 and 13
 _DEVIATIONS = 2.0
 _ROUNDING = 1e-3  # m: figures have six digits
+_TILT = 5.0  # deg
+_AGE_SHARE = 0.2  # of the period of scans: half a scan that is half a period old gives 0.25
+_MANY_RAYS = 90
+_HEADING = math.radians(10.0)  # rad between two headings
+_FAR_QUANTILE = 0.9  # of the headings; what is seen in a corner of a room varies
+_NEAR_SHARE, _LEAST_NEAR = 0.85, 5  # of the distance of other rays, and rays that see no farther
 _LEAST_SHARE = 0.5  # of the commanded way that a base must drive at a low speed
 
 
@@ -29,7 +40,9 @@ def calibration(evidence: Evidence) -> Verdict:
     report = usable_report(status.report, status.decision)
     if report is None:
         return not_shown("protection limited the drives: repeat it on a larger floor")
-    return passed("all drives are done", **{name: str(text) for name, text in report.items()})
+    loads = {one.subject: one.text for one in evidence.findings}
+    values = {name: str(text) for name, text in report.items()}
+    return passed("all drives are done", **values, **loads)
 
 
 def brakes(calibrated: str, *names: str) -> Judge:
@@ -85,6 +98,26 @@ def scan_delay(calibrated: str) -> Judge:
     return judge
 
 
+def ages(evidence: Evidence) -> Verdict:
+    """Whether the rays of a scan are as old as its stamp says, by the turns of a calibration."""
+    status, bound = evidence.status, _AGE_SHARE / evidence.platform.scan.rate
+    summary = None if status is None else status.scan_delay
+    figures = {one.method: one for one in summary.figures} if summary is not None else {}
+    delays = [one.delay for one in figures.values() if one.delay is not None]
+    if len(delays) < 2:
+        lacking = "; ".join(one.text for one in figures.values() if one.delay is None)
+        return not_shown(f"stamps and turns do not both give a delay: {lacking or 'no figures'}")
+    apart = max(delays) - min(delays)
+    figure = ", ".join(f"{one.delay:.3f} s by {name}" for name, one in figures.items())
+    if apart > bound:
+        reason = (
+            "rays are not as old as their stamp says: two lidars are joined into one scan of parts"
+            " that differ in age, or the stamp is not that of the oldest ray"
+        )
+        return failed(reason, figure, f"{bound:.3f} s apart")
+    return passed("rays are as old as their stamp says", figure, f"{bound:.3f} s apart")
+
+
 def low_speed(speed: float, seconds: float) -> Judge:
     """A judge of a drive at a low speed in m/s, for `seconds`: a base may have a dead zone."""
 
@@ -99,6 +132,64 @@ def low_speed(speed: float, seconds: float) -> Judge:
     return judge
 
 
+def level(evidence: Evidence) -> Verdict:
+    """Whether the lidar is level: a tilted one sees the floor, at a distance that turns with it.
+
+    In a whole turn on the spot each ray of a level lidar sees the same distances.
+    """
+    platform, heights, far = evidence.platform, evidence.platform.heights, _far_ranges(evidence)
+    status = evidence.status
+    if far is None and status is not None and status.reason is Reason.INVALID_SCAN:
+        return failed(f"{status.detail}; or the lidar is tilted, and sees the floor there")
+    if heights is None or far is None:
+        return not_shown(
+            "it needs a lidar of 90 rays, heights.scan_plane and a whole turn: use a spirit level"
+        )
+    usual = float(np.median(far))
+    is_near = far < _NEAR_SHARE * usual
+    if np.count_nonzero(is_near) >= _LEAST_NEAR:
+        at = float(far.min())
+        tilt = math.degrees(math.atan2(heights.scan_plane, at))
+        towards = math.degrees(platform.scan.bearings[int(far.argmin())])
+        reason = (
+            f"its lidar sees no farther at {towards:.0f} deg, wherever it turns: it is tilted and"
+            " sees the floor, or a part of the robot is there. What is low on the other side is"
+            " overlooked: level it"
+        )
+        return failed(reason, f"{tilt:.1f} deg, or a part at {at:.2f} m", f"{_TILT:g} deg")
+    hidden = math.degrees(math.atan2(heights.scan_plane, _NEAR_SHARE * usual))
+    if hidden > _TILT:
+        free = heights.scan_plane / math.tan(math.radians(_TILT)) / _NEAR_SHARE
+        return not_shown(
+            f"a tilt of up to {hidden:.0f} deg does not show between walls so near: repeat it where"
+            f" {free:.1f} m are free on one side, or use a spirit level"
+        )
+    return passed("no floor is seen", f"tilt below {hidden:.1f} deg", f"{_TILT:g} deg")
+
+
+def _far_ranges(evidence: Evidence) -> Array | None:
+    """(n,) m: what each ray sees at most, but for a tenth of the headings; None without a turn.
+
+    Masked rays, and rays without a return, count as range_max.
+    """
+    spec, odometry = evidence.platform.scan, evidence.samples.odometry
+    count = len(spec.bearings)
+    scans = [pair for pair in evidence.samples.scans if len(pair[1].ranges) == count]
+    if not scans or not odometry or count < _MANY_RAYS:
+        return None
+    yaws = np.unwrap([one.pose.yaw for _, one in odometry])
+    at = np.interp([at for at, _ in scans], [at for at, _ in odometry], yaws)
+    bins = np.rint(at / _HEADING)
+    headings = np.unique(bins)
+    if len(headings) < math.tau / _HEADING:
+        return None
+    ranges = np.array([np.where(one.ranges > 0.0, one.ranges, math.inf) for _, one in scans])
+    ranges = np.minimum(np.nan_to_num(ranges, nan=spec.range_max), spec.range_max)
+    ranges[:, spec.masked(spec.bearings)] = spec.range_max
+    seen = np.array([np.median(ranges[bins == one], axis=0) for one in headings])
+    return np.asarray(np.quantile(seen, _FAR_QUANTILE, axis=0))
+
+
 def _sure(is_within: bool) -> Result:
     """A pass, unless the scatter of the figure reaches beyond its bound."""
     return Result.PASS if is_within else Result.NOT_SHOWN
@@ -111,14 +202,25 @@ def _figures(
     cause: str,
     bound: str,
 ) -> Judge:
-    """A judge of the figures `names` of the step `calibrated`; a figure may be absent."""
+    """A judge of the figures `names` of the step `calibrated`; a figure may be absent.
+
+    A value, deviation or assumed value that is no finite number counts as not measured.
+    """
 
     def judge(evidence: Evidence) -> Verdict:
         values = evidence.earlier[calibrated].values
         figures = {name: Figure.parse(str(values[name])) for name in names if name in values}
-        measured = {name: one for name, one in figures.items() if one.is_measured}
+        measured = {
+            name: one
+            for name, one in figures.items()
+            if one.is_measured and all(map(math.isfinite, (one.value, one.spread, one.assumed)))
+        }
         if not measured:
-            return not_shown("; ".join(one.why for one in figures.values()))
+            whys = (
+                one.why or f"{name} has no number, or none to compare with"
+                for name, one in figures.items()
+            )
+            return not_shown("; ".join(whys) or f"{calibrated} has no such figure")
         texts = {
             name: f"{name} {one.value:.3g} +- {one.spread:.2g}" for name, one in measured.items()
         }
@@ -128,7 +230,10 @@ def _figures(
         if wrong:
             return failed(cause, ", ".join(wrong), bound)
         if unsure:
-            why = "it scatters too much: repeat the calibration with walls nearer"
+            why = (
+                f"it scatters too much ({values.get('load', 'load not known')}): end what takes the"
+                f" robot's time, put walls nearer, and repeat by --only {calibrated}"
+            )
             return not_shown(f"{', '.join(unsure)}: {why}")
         return passed("as the file says", ", ".join(texts.values()), bound)
 

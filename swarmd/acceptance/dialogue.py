@@ -4,7 +4,7 @@ The shell calls `take(input, now)` for each line, key and sight of the robot, an
 with a `Tick`, and carries out the returned actions.
 
 1. A step with a motion, or with something to prepare, begins only after a yes to its own question.
-   Only `y` and `yes` are a yes.
+   Only `y` is a yes.
 2. A step with a motion begins only if the robot was heard within SILENCE, rests, runs no pattern
    and is not emergency-stopped. A yes within SOON of the question was typed before the question
    could be read, and does not count.
@@ -16,7 +16,9 @@ with a `Tick`, and carries out the returned actions.
 5. An emergency stop that the test has not sent ends the test.
 6. A step counts as not shown if a step that it needs has not passed.
 7. Each verdict is kept at once. A test that goes on begins with the first step that has neither
-   passed nor failed; a step that was under way is asked again.
+   passed nor failed; a step that was under way is asked again. A step that was answered by no is
+   asked again only if another step needs it.
+8. After a step, the steps that read its recording are judged again.
 
                   yes              event, key, fault          rests          verdict
     ASKED ------------> MOVING ----------------------> RESTING -----> JUDGED -------> ASKED ...
@@ -52,9 +54,11 @@ SETTLE = 1.0
 STILL, STILL_TURN = 0.005, 0.02  # m, rad
 _LATE = 2.0  # s after a question: an emergency stop that was reset may be told until then
 
-YES = frozenset({"y", "yes"})
+YES = frozenset({"y"})
 NO = frozenset({"", "n", "no"})
 QUIT = frozenset({"q", "quit"})
+DECLINED = "the answer was no"
+"""The reason of a step that was answered by no."""
 
 
 class Phase(StrEnum):
@@ -261,10 +265,11 @@ class Dialogue:
         for index in range(first, len(self.steps)):
             step = self.steps[index]
             known = self.verdicts.get(step.id)
-            if known is not None and known.result is not Result.NOT_SHOWN:
+            if known is not None and not self._is_open(step, known):
                 continue
             if lacking := [name for name in step.needs if not self._has_passed(name)]:
-                actions += self._keep(step, not_shown(f"it needs {', '.join(lacking)} to pass"))
+                why = f"it needs {', '.join(lacking)} to pass: see --only {lacking[0]}"
+                actions += self._keep(step, not_shown(why))
                 continue
             self._index = index
             if not step.is_asked:
@@ -273,6 +278,12 @@ class Dialogue:
             self._enter(Phase.ASKED, now)
             return [*actions, Ask(step)]
         return [*actions, *self._finish("all steps of this call were asked", is_whole=True)]
+
+    def _is_open(self, step: Step, verdict: Verdict) -> bool:
+        """True if a step with this verdict is to be asked again."""
+        if verdict.result is not Result.NOT_SHOWN:
+            return False
+        return verdict.reason != DECLINED or any(step.id in one.needs for one in self.steps)
 
     def _has_passed(self, name: str) -> bool:
         verdict = self.verdicts.get(name)
@@ -293,7 +304,7 @@ class Dialogue:
             self.verdicts.pop(self.step.id, None)
             return self._ask_next(self._index, now)
         if word in NO:
-            verdict = not_shown("the answer was no")
+            verdict = not_shown(DECLINED)
             return [*self._keep(step, verdict), *self._ask_next(self._index + 1, now)]
         if word not in YES:
             return [Tell("y, n, q to end, or the number of a step")]
@@ -394,7 +405,9 @@ class Dialogue:
                 if not self._awaits_person:
                     return self._break_off(not_shown("a key stopped the robot"), now)
                 self._awaits_person = False
-        is_over = self._broken is not None or now - self._since >= motion.rest
+        # A base that is late may not have begun to move when the stop comes.
+        least = SETTLE if self._broken is not None else max(SETTLE, motion.rest)
+        is_over = now - self._since >= least
         if self._is_at_rest(now) and is_over and not self._awaits_person:
             return self._judge(now, self._broken)
         patience = GIVE_UP if self._broken is not None else GIVE_UP + motion.absence
@@ -439,6 +452,9 @@ class Dialogue:
 
     def _keep(self, step: Step, verdict: Verdict) -> list[Action]:
         self.verdicts[step.id] = verdict
+        for one in self.steps:
+            if one.reads(step.id):
+                self.verdicts.pop(one.id, None)
         return [Keep(step, verdict)]
 
     def _finish(self, text: str, *, is_whole: bool = False) -> list[Action]:

@@ -94,6 +94,7 @@ class Evidence:
     """What the judge of a step gets.
 
     `status`: after the step; None if the robot did not answer. `earlier`: verdicts by step.
+    `charges`: the batteries of other robots then, from 0 to 1 by name.
     """
 
     platform: Platform
@@ -101,3 +102,4 @@ class Evidence:
     status: Status | None = None
     findings: Sequence[Finding] = ()
     earlier: Mapping[str, Verdict] = field(default_factory=dict)
+    charges: Mapping[str, float] = field(default_factory=dict)

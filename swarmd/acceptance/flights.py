@@ -50,7 +50,10 @@ def hovers(evidence: Evidence) -> Verdict:
         return failed(reason, bound=f"{wanted:.2f} m for {_LEAST_HOVER:g} s")
     begin, end = float(aloft[0]) + _SWAY_TIME, float(aloft[-1]) - _SWAY_TIME
     error = float(np.abs(_between(rows, begin, end)[:, 1] - wanted).max())
-    seconds, *moved = np.ptp(_between(track_of(evidence.samples), begin, end)[[0, -1]], axis=0)
+    track = _between(track_of(evidence.samples), begin, end)
+    if len(track) < 2 or not track[-1, 0] > track[0, 0]:
+        return failed("no odometry came while it hovered: look at its state estimate")
+    seconds, *moved = np.ptp(track[[0, -1]], axis=0)
     drift = float(np.hypot(*moved) / seconds)
     figure = f"{error:.2f} m off its height, {drift:.3f} m/s"
     bound = f"{_HEIGHT_ERROR} m, {HOVER_DRIFT} m/s"
@@ -66,8 +69,13 @@ def scale(evidence: Evidence) -> Verdict:
     """The way by the state estimate over the way by the range to the wall ahead."""
     cruise = _cruise(evidence.samples)
     ahead = int(np.abs(evidence.platform.scan.bearings).argmin())
-    seen = np.array([(at, one.ranges[ahead]) for at, one in evidence.samples.scans])
-    if not len(cruise) or not np.isfinite(_between(seen, *cruise[[0, -1], 0])).all():
+    scans = evidence.samples.scans
+    seen = np.array([(at, one.ranges[ahead]) for at, one in scans if len(one.ranges) > ahead])
+    if (
+        not len(cruise)
+        or not len(seen)
+        or not np.isfinite(_between(seen, *cruise[[0, -1], 0])).all()
+    ):
         return not_shown("the range ahead did not show the wall all the time: begin nearer")
     far, near = np.interp(cruise[[0, -1], 0], *seen.T)
     way = float(np.hypot(*(cruise[-1, 1:] - cruise[0, 1:])))

@@ -21,6 +21,9 @@ _STYLE = (
     "table{border-collapse:collapse;width:100%}td,th{padding:.3em .5em;text-align:left;"
     "border-top:1px solid #ddd;vertical-align:top}small{color:#555}"
     "th{width:10%}th:first-child,th:last-child{width:35%}td:nth-child(2){white-space:nowrap}"
+    # A telephone of 360 px: the cells of a step below each other.
+    "@media(max-width:45em){th{display:none}tr,td{display:block}td{border:0;padding:.1em .3em}"
+    "tr{border-top:1px solid #ddd;padding:.4em 0}}"
 )
 _NONE = "<tr><td colspan=5>no step of this part was asked yet</tr>"
 

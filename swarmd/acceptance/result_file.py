@@ -21,11 +21,14 @@ from swarmd.acceptance.steps import NOT_SHOWN_YET
 from swarmd.acceptance.verdict import Result, Verdict
 from swarmd.core.errors import ConfigError
 from swarmd.core.files import whole_file
+from swarmd.recording.head import RecordingHead, digest_of
 
 RECORD = "acceptance.json"
 SCHEMA = "acceptance.schema.json"
 REPORT = "report.html"
 RECORDINGS = "recordings"
+MAX_AGE = 86400.0
+"""s after which a pass lets the robot move no longer: wheels, floor and load have changed."""
 MAX_RECORD = 2_000_000
 """Bytes of an `acceptance.json`, which may come from a stranger."""
 
@@ -35,6 +38,7 @@ class StepResult(Struct, frozen=True, kw_only=True):
 
     - `moves`: the announced bounds; empty: nothing moves.
     - `shows`: what no robot has shown yet, and this step would show on a robot that has it.
+    - `at`: when it was judged, in s since 1970. `subject`: what was tested, see `subject_of`.
     """
 
     id: str
@@ -45,6 +49,8 @@ class StepResult(Struct, frozen=True, kw_only=True):
     moves: str = ""
     shows: tuple[str, ...] = ()
     recordings: tuple[str, ...] = ()  # names of files
+    at: float = 0.0
+    subject: dict[str, str] = {}
 
 
 class AcceptanceRecord(Struct, frozen=True, kw_only=True):
@@ -52,6 +58,7 @@ class AcceptanceRecord(Struct, frozen=True, kw_only=True):
 
     - `began`: the day, in UTC. `versions`: of the programs, by name.
     - `is_whole`: every step was asked. `private`: words that are masked in the file.
+    - `subject`: what is tested since the test last went on, see `subject_of`.
     """
 
     robot: str
@@ -62,6 +69,7 @@ class AcceptanceRecord(Struct, frozen=True, kw_only=True):
     is_whole: bool = False
     steps: tuple[StepResult, ...] = ()
     private: tuple[str, ...] = ()
+    subject: dict[str, str] = {}
     kind: str = "Acceptance"
     apiVersion: str = "swarm/v1"
 
@@ -69,6 +77,20 @@ class AcceptanceRecord(Struct, frozen=True, kw_only=True):
     def verdicts(self) -> dict[str, Verdict]:
         """The verdicts by step."""
         return {step.id: step.verdict for step in self.steps}
+
+    def verdicts_on(self, steps: Sequence[Step], now: float) -> dict[str, Verdict]:
+        """The verdicts by step, without those that let the robot move and do not count any more.
+
+        A verdict lets the robot move if a step with a motion needs it. It counts for MAX_AGE, and
+        for the subject of this record alone. `now`: s since 1970.
+        """
+        gates = {id for step in steps if step.motion is not None for id in step.needs}
+        return {
+            one.id: one.verdict
+            for one in self.steps
+            if one.id not in gates
+            or (one.subject == self.subject and 0.0 <= now - one.at <= MAX_AGE)
+        }
 
     @property
     def counts(self) -> dict[Result, int]:
@@ -87,8 +109,46 @@ class AcceptanceRecord(Struct, frozen=True, kw_only=True):
         return f"{verdict}: {numbers}{open_part}"
 
 
-def result_of(step: Step, verdict: Verdict, recordings: Sequence[str]) -> StepResult:
-    """The record of a step; `recordings`: the names of its files."""
+def subject_of(head: RecordingHead) -> dict[str, str]:
+    """What a test of the robot with this head is about: all that a verdict may depend on."""
+    platform, setup = head.identity.platform, head.identity.setup
+    return {
+        "robot": head.identity.robot,
+        "swarm": head.swarm,
+        "platform": digest_of(platform),
+        "driver": setup.driver,
+        "base": setup.base,
+    }
+
+
+def record_for(folder: Path, new: AcceptanceRecord) -> AcceptanceRecord:
+    """The record with which a test of the subject of `new` goes on in a folder.
+
+    `new` itself without a record there; ConfigError if the folder has that of another robot.
+    """
+    if not (folder / RECORD).exists():
+        return new
+    found = read_record(folder)
+    before = {"robot": found.robot, **found.subject}
+    for name in ("robot", "swarm"):
+        if (known := before.get(name)) not in (None, wanted := new.subject[name]):
+            raise ConfigError(
+                f"{folder}: it has the results of {name} {known}, and {name} {wanted} is tested;"
+                " give another --folder"
+            )
+    return msgspec.structs.replace(
+        found, subject=new.subject, platform=new.platform, driver=new.driver
+    )
+
+
+def result_of(
+    step: Step,
+    verdict: Verdict,
+    recordings: Sequence[str],
+    at: float = 0.0,
+    subject: Mapping[str, str] | None = None,
+) -> StepResult:
+    """The record of a step, judged at `at` s since 1970; `recordings`: the names of its files."""
     return StepResult(
         id=step.id,
         name=step.name,
@@ -98,6 +158,8 @@ def result_of(step: Step, verdict: Verdict, recordings: Sequence[str]) -> StepRe
         moves="" if step.motion is None else step.motion.text,
         shows=NOT_SHOWN_YET.get(step.id, ()),
         recordings=tuple(recordings),
+        at=at,
+        subject=dict(subject or {}),
     )
 
 

@@ -109,6 +109,10 @@ class Step:
         """True if the step waits for an answer; else it begins by itself, and nothing moves."""
         return self.motion is not None or bool(self.prepare)
 
+    def reads(self, id: str) -> bool:
+        """True if the step judges what the step `id` has measured, and asks nothing."""
+        return not self.is_asked and (self.of == id or id in self.needs)
+
     @property
     def duration(self) -> float:
         """About how many s the step takes, with its preparation and its answer."""

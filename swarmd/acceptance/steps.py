@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -46,7 +47,10 @@ NOT_SHOWN_YET: Mapping[str, tuple[str, ...]] = {
 """What no robot has shown yet, by the step that would show it: docs/robots/new_robot.md."""
 
 _TEST_SPEED = 0.1  # m/s of the drives of part B
+_LOAD_TIME = 20.0  # s between two readings of the load
+_PERSON_TIME = 30.0  # s of a run that a person ends
 _LOW_SPEED, _LOW_TIME = 0.02, 5.0  # m/s, s; near obstacles robots creep at 0.015 m/s
+_TURN, _TURNS = 0.5, 2.0  # rad/s, and turns that are commanded for a whole one
 _DOOR_SLACK = 0.2  # m beyond the narrowest door
 _HAND_TIME = 10.0  # s
 _LONGEST_CALIBRATION = 600.0  # s
@@ -103,7 +107,8 @@ def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
             "computer",
             "A busy or under-powered computer delays commands.",
             at_rest.findings_on("load", "memory", "state", "recordings", "power"),
-            **doctor,
+            work=Work.DOCTOR,
+            seconds=_LOAD_TIME,
         ),
         Step(
             "A4",
@@ -160,6 +165,13 @@ def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
             **same,
         ),
         *(_hand(*row, lidar) for row in _HANDS),
+        Step(
+            "A16",
+            "own battery",
+            "A topic without the robot's name may be that of another robot.",
+            at_rest.own_battery,
+            **same,
+        ),
     )
 
 
@@ -257,13 +269,23 @@ def _part_b() -> tuple[Step, ...]:
             " zenoh-bridge-ros2dds swarmd.",
             end=End.PERSON,
         ),
+        _lifted(
+            "B9",
+            "its own button",
+            "The last stop that works must not pass through swarmd.",
+            stops.own_stop(_PERSON_TIME),
+            prepare="While the wheels turn, press the stop button of the base itself (or its"
+            " switch of the motors), and release it once you are asked for Enter. Answer n if it"
+            " has none.",
+            end=End.PERSON,
+        ),
     )
 
 
 def _lifted(id: str, name: str, why: str, judge: Judge, *, end: End, prepare: str = "") -> Step:
     """A drive on lifted wheels that `end` ends; all after `B1` need it."""
     is_by_person = end is End.PERSON
-    seconds = 30.0 if is_by_person else 8.0
+    seconds = _PERSON_TIME if is_by_person else 8.0
     return Step(
         id,
         name,
@@ -290,6 +312,7 @@ def _lifted(id: str, name: str, why: str, judge: Judge, *, end: End, prepare: st
 
 def _part_c(platform: Platform) -> tuple[Step, ...]:
     speeds, floor = top_speeds(platform), needed_floor(platform)
+    turn = min(_TURN, platform.limits.angular)
     figures: dict[str, Any] = {"work": Work.NOTHING, "needs": ("C2",)}
     return (
         Step(
@@ -377,6 +400,31 @@ def _part_c(platform: Platform) -> tuple[Step, ...]:
             prepare="The measured platform file will be written beside the results; the robot does"
             " not use it until its configuration names it.",
             needs=("C2",),
+        ),
+        Step(
+            "C9",
+            "level",
+            "A tilted lidar sees the floor on one side, and overlooks robots on the other.",
+            calibrated.level,
+            prepare="Put the robot where the floor is free for 3 m on one side. It turns on the"
+            " spot.",
+            question="Is it free around?",
+            motion=Motion(
+                "drive",
+                {"speed": 0.0, "turn": turn, "recovery": False},
+                _TURNS * math.tau / turn,
+                speed=0.0,
+                turn=turn,
+                reach=reach_of(0.0, 0.0),
+            ),
+            needs=("B1",),
+        ),
+        Step(
+            "C10",
+            "age of rays",
+            "Protection moves each ray by the way since its measurement.",
+            calibrated.ages,
+            **figures,
         ),
     )
 

@@ -30,6 +30,8 @@ _DRIFT_TIME = 0.2  # s before and after, over which a drift is told from a fligh
 _HOVER_TIME = 2.0  # s of hovering that are looked at; land_after is longer
 _AT_REST = 0.001  # m: a base that moves no farther rests
 _LEAST_CRUISE = 0.02  # m/s
+_STOOD = 0.01  # m that a base which its button has stopped may move
+_WHOLE_RUN = 0.8  # share of the time of a run that was not ended early
 _GOES_ON = 0.5  # share of the cruise at the end of the recording: the base does not brake
 _PAUSE = 0.75 * LEASE  # s between two words of the operator: the lease is renewed four times
 _LEAST_GAP = 0.7  # s without odometry, after which the daemon or its link had ended
@@ -94,6 +96,37 @@ def across_gap(what: str) -> Judge:
         if seconds > bound:
             return failed(f"the base drove on: {what}", figure, f"{bound:.1f} s", **values)
         return passed("the base stopped by itself", figure, f"{bound:.1f} s", **values)
+
+    return judge
+
+
+def own_stop(seconds: float) -> Judge:
+    """A judge of the base's own stop button, pressed in a run of `seconds`, released after it."""
+
+    def judge(evidence: Evidence) -> Verdict:
+        commanded = [one.at for one in evidence.samples.decisions if not one.safe.is_zero]
+        track = track_of(evidence.samples)
+        if not commanded or len(track) < 2:
+            return not_shown("nothing was commanded, or no odometry came")
+        begin, end, last = commanded[0], commanded[-1], float(track[-1, 0])
+
+        def way(since: float, until: float) -> float:
+            return float(np.ptp(np.interp((since, until), track[:, 0], _ways(track))))
+
+        if way(begin, last) < _LEAST_CRUISE:
+            return not_shown("it did not drive: release its stop button, and repeat the step")
+        # The run has ended early where the driver tells the daemon of the button.
+        drove = 0.0 if end - begin < _WHOLE_RUN * seconds else way(end - 1.0, end)
+        if drove > _STOOD:
+            reason = (
+                "it drove to the end of its run: the button was not pressed, was released before,"
+                " or does not stop the base"
+            )
+            return failed(reason, f"{drove:.2f} m in the last second", f"{_STOOD} m")
+        later = way(end + END_TIME, max(last, end + END_TIME))
+        if later > _STOOD:
+            return failed("it moved after its run had ended", f"{later:.2f} m", f"{_STOOD} m")
+        return passed("its button stops it, and its release starts nothing")
 
     return judge
 

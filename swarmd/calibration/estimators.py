@@ -20,10 +20,12 @@ from swarmd.core.values import Array
 CRUISE = 0.5
 """Seconds of a drive before its stop whose speed must be steady."""
 
+_LEAST_SPREAD = 0.1  # share of the top speed by which speeds of stops must differ
 _STEADY = 0.08  # share by which the speeds of the two halves of a cruise may differ
 _MAX_DELAY = 1.2  # s, of a scan
 _DELAY_STEP = 0.005  # s
 _RATE_STEP = 0.02  # s to each side, over which a turn rate is measured
+_LEAST_TURN = 1e-6  # rad (standard deviation), of turns that scans show
 _LEAST_TURN_RATE = 0.1  # rad/s (root mean square), below which a turn gives no delay
 
 
@@ -57,8 +59,10 @@ def stop_of(times: Array, distances: Array, stop_time: float) -> Braking | None:
     if len(cruise) < 3:
         return None
     first, last = cruise[0], cruise[-1]
+    if not times[last] > times[first]:
+        return None
     speed = float((distances[last] - distances[first]) / (times[last] - times[first]))
-    if speed <= 0.0:
+    if not speed > 0.0:
         return None
     # The stopping distance begins at `stop_time`, which lies after the last sample of the cruise.
     distance = float(distances[-1] - distances[last]) - speed * (stop_time - float(times[last]))
@@ -69,8 +73,8 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     """The deceleration in m/s2 or rad/s2 and the delay in s, from stops at two or more speeds.
 
     A line is fitted to `Braking.seconds` (distance over speed) as a function of speed, see the head
-    of the file. With fewer than four stops neither figure has a value. If the slope is within three
-    standard deviations of 0, the deceleration has no value.
+    of the file. With fewer than four stops, or stops from one speed, neither figure has a value. If
+    the slope is within three standard deviations of 0, the deceleration has no value.
     """
     if len(stops) < 4:
         no_figure = Figure(why="fewer than four stops")
@@ -78,6 +82,11 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
 
     # 1. The line by least squares: intercept = delay, slope = 1 / (2 deceleration).
     speeds, seconds = np.array(stops).T
+    if not np.ptp(speeds) > _LEAST_SPREAD * speeds.max():
+        no_figure = Figure(
+            why="all stops are from one speed: the base does not follow its commands"
+        )
+        return no_figure, no_figure
     centred = speeds - speeds.mean()
     slope = float(centred @ seconds / (centred @ centred))
     delay = float(seconds.mean() - slope * speeds.mean())
@@ -112,15 +121,17 @@ def scale_of(distances: Sequence[tuple[float, float]], why: str) -> Figure:
 
     `distances`: of each drive, the distance by odometry and the distance by scans, in m. The value
     is the slope of least squares, in which a short drive has little weight: a place by a scan has
-    an error of some mm at any distance. Without drives a figure with the reason `why`.
+    an error of some mm at any distance. Without a drive that scans show a figure with the reason
+    `why`.
     """
-    if not distances:
+    seen = [pair for pair in distances if pair[1] > 0.0]
+    if not seen:
         return Figure(why=why)
-    by_odometry, by_scans = np.array(distances).T
+    by_odometry, by_scans = np.array(seen).T
     weights = by_scans**2 / float(by_scans @ by_scans)
     ratios = by_odometry / by_scans
     value = float(weights @ ratios)
-    return Figure(value, float(np.sqrt(weights @ (ratios - value) ** 2)), len(distances))
+    return Figure(value, float(np.sqrt(weights @ (ratios - value) ** 2)), len(seen))
 
 
 def turn_delay(
@@ -141,9 +152,10 @@ def turn_delay(
         odometry_headings: (n,) rad, not wrapped, at `times`.
     """
     # With each candidate delay the time of measurement must lie within the odometry.
-    usable = arrivals - _MAX_DELAY >= times[0]
+    usable = arrivals - _MAX_DELAY >= times.min(initial=math.inf)
     arrivals, scan_headings = arrivals[usable], scan_headings[usable]
-    if len(arrivals) < 8:
+    are_numbers = bool(np.isfinite(scan_headings).all() and np.isfinite(odometry_headings).all())
+    if len(arrivals) < 8 or not are_numbers:
         no_figure = Figure(why="fewer than eight scans of the turns could be matched")
         return no_figure, no_figure
 
@@ -173,6 +185,9 @@ def turn_delay(
     error = math.sqrt(float(errors[best]) / (count - 3))
     scans_per_odometry = fits[best][0]
     heading_deviation = float(np.std(scan_headings))
+    if not heading_deviation > _LEAST_TURN:
+        no_figure = Figure(why="scans show no turn: the lidar repeats a scan, or turns not with it")
+        return no_figure, no_figure
     return (
         # The deviation of a single scan, since a delay must hold for each scan.
         Figure(delay, error / turn_rate, count),

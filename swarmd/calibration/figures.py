@@ -28,10 +28,15 @@ class Figure(NamedTuple):
         return not self.why
 
     def over(self, scale: Self) -> Self:
-        """The figure divided by a scale; the relative deviations are added in quadrature."""
+        """The figure divided by a scale; the relative deviations are added in quadrature.
+
+        Not measured with a scale of 0.
+        """
+        if not scale.value:
+            return self._replace(why="odometry shows no way")
         value = self.value / scale.value
-        shares = self.spread / self.value, scale.spread / scale.value
-        return self._replace(value=value, spread=value * math.hypot(*shares))
+        spread = math.hypot(self.spread, value * scale.spread) / abs(scale.value)
+        return self._replace(value=value, spread=spread)
 
     @property
     def text(self) -> str:

@@ -110,7 +110,7 @@ def _test(
 ) -> AcceptanceRecord:
     """Carry the test out, and write the file; the record of all steps so far."""
     from swarmd.acceptance.dialogue import Dialogue
-    from swarmd.acceptance.result_file import read_record, write_record
+    from swarmd.acceptance.result_file import record_for, write_record
     from swarmd.acceptance.steps import steps_of
     from swarmd.cli.acceptance_robot import TestedRobot
 
@@ -121,11 +121,12 @@ def _test(
         _say(f"{robot}: a short recording tells its platform ...")
         tested.open()
         steps = steps_of(tested.head.identity.platform)
-        has_begun = (folder / "acceptance.json").exists()
-        record = read_record(folder) if has_begun else _new_record(tested, folder)
+        record = record_for(folder, _new_record(tested))
+        _keep_platform(record.platform, folder / "platform-before.yaml")
         write_record(folder, record)
         wanted = _wanted(steps, only)
-        known = {id: one for id, one in record.verdicts.items() if id != only}
+        known = record.verdicts_on(steps, time.time())
+        known.pop(only or "", None)
         dialogue = Dialogue(wanted, known)
         talk = _Talk(dialogue, tested, folder, record, [step.id for step in steps])
         talk.run()
@@ -136,23 +137,35 @@ def _test(
 
 
 def _wanted(steps: Sequence[Step], only: str | None) -> list[Step]:
-    """The steps of a part, or the step of this id; UsageError if there is none."""
-    wanted = [one for one in steps if only is None or only in (one.id, one.id[0])]
+    """The steps of a part, or the step of this id and those that read what it measures.
+
+    UsageError if there is none.
+    """
+    wanted = [
+        one
+        for one in steps
+        if only is None or only in (one.id, one.id[0]) or (len(only) > 1 and one.reads(only))
+    ]
     if not wanted:
         raise click.UsageError(f"--only {only}: no such part or step; parts are A, B, C and D")
     return wanted
 
 
-def _new_record(tested: TestedRobot, folder: Path) -> AcceptanceRecord:
-    """A record without steps; the platform file in use is written beside it."""
-    from swarmd.acceptance.result_file import AcceptanceRecord
+def _keep_platform(name: str, path: Path) -> None:
+    """Write the platform file with which a test begins; nothing if it is there, or not known."""
     from swarmd.settings.platforms import platform_names, platform_sources
     from swarmd.settings.yamlfile import text_of
 
+    if name in platform_names() and not path.exists():
+        _, content = platform_sources(name)[0]
+        path.write_text(text_of(content))
+
+
+def _new_record(tested: TestedRobot) -> AcceptanceRecord:
+    """A record without steps."""
+    from swarmd.acceptance.result_file import AcceptanceRecord, subject_of
+
     setup, platform = tested.head.identity.setup, tested.head.identity.platform
-    if platform.name in platform_names():
-        _, content = platform_sources(platform.name)[0]
-        (folder / "platform-before.yaml").write_text(text_of(content))
     status = tested.status()
     versions = {
         "swarmd": setup.version,
@@ -168,6 +181,7 @@ def _new_record(tested: TestedRobot, folder: Path) -> AcceptanceRecord:
         began=datetime.datetime.now(datetime.UTC).date().isoformat(),
         versions=versions,
         private=(*_own_names(), *(() if status is None else (status.host,))),
+        subject=subject_of(tested.head),
     )
 
 
@@ -275,7 +289,8 @@ class _Talk:
 
         verdict = self._dialogue.verdicts[step.id]
         names = [path.name for path in self._robot.files(step.id)]
-        self.record = with_step(self.record, result_of(step, verdict, names), self._order)
+        result = result_of(step, verdict, names, time.time(), self.record.subject)
+        self.record = with_step(self.record, result, self._order)
         write_record(self._folder, self.record)
         rewrite("")
         bound = f" (bound {verdict.bound})" if verdict.bound else ""

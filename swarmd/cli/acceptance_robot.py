@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from swarmd.acceptance.at_rest import lasting
 from swarmd.acceptance.dialogue import Input, Judged, Refused, Sight
 from swarmd.acceptance.evidence import Evidence, Samples
 from swarmd.acceptance.result_file import RECORD, RECORDINGS
@@ -20,6 +21,7 @@ from swarmd.acceptance.samples import read_samples
 from swarmd.acceptance.step import End, Step, Work
 from swarmd.acceptance.stops import LEASE
 from swarmd.acceptance.verdict import Verdict, not_shown
+from swarmd.calibration.figures import PATTERN
 from swarmd.calibration.report import figures_of
 from swarmd.cli.calibrate import platform_text
 from swarmd.cli.doctor import LISTEN_TIME, findings_of_robot
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _REASON = "acceptance test"
+_BATTERY = "battery"  # the reading
 _PROBE = "probe"
 _PROBE_TIME = 1.5  # s of the recording that tells the robot's platform
 _LAST_TIME = 2.0  # s of the recording after a daemon or a link has come back
@@ -77,6 +80,7 @@ class TestedRobot:
         self._worker = ThreadPoolExecutor(1, "acceptance")
         self._work: deque[Future[None]] = deque()
         self._stopping: threading.Thread | None = None
+        self._before: Sequence[Finding] = ()  # the findings at the begin of the step
         self._known: frozenset[str] = frozenset()  # recordings before the step
 
     def __enter__(self) -> TestedRobot:
@@ -160,9 +164,13 @@ class TestedRobot:
 
     def status(self) -> Status | None:
         """The present status; None if the robot does not answer."""
+        return self._statuses().get(self.robot)
+
+    def _statuses(self) -> dict[str, Status]:
+        """The present status of each robot that answers."""
         with self._session() as session:
-            member = session.operator.members().members.get(self.robot)
-            return None if member is None else member.status
+            members = session.operator.members().members
+        return {name: one.status for name, one in members.items() if one.status is not None}
 
     # The thread of requests
 
@@ -180,6 +188,8 @@ class TestedRobot:
     def _begin(self, step: Step, began: float) -> None:
         if step.work is Work.RECORD:
             self._start_recording()
+        elif step.work is Work.DOCTOR:
+            self._before = self._doctor()
         if (motion := step.motion) is None:
             return
         self._end_lease()
@@ -205,19 +215,25 @@ class TestedRobot:
             self._fetched(step.id)
         findings: Sequence[Finding] = ()
         if step.work is Work.DOCTOR:
-            findings = self._doctor()
+            findings = lasting(self._before, self._doctor())
+        elif step.motion is not None and step.motion.pattern == PATTERN:
+            findings = [one for one in self._doctor() if one.subject == "load"]
         elif step.work is Work.CHECK:
             findings = self._check()
         elif step.work is Work.RESET:
             self._swarm.reset((self.robot,), reason=_REASON)
         elif step.work is Work.WRITE:
             findings = [self._write_platform(verdicts)]
+        statuses = self._statuses()
+        own = statuses.pop(self.robot, None)
+        charges = {name: one.readings.get(_BATTERY) for name, one in statuses.items()}
         evidence = Evidence(
             self.head.identity.platform,
             self.samples(step.of or step.id),
-            self.status(),
+            own,
             findings,
             verdicts,
+            {name: one for name, one in charges.items() if isinstance(one, float)},
         )
         self.inputs.put(Judged(step.judge(evidence)))
 

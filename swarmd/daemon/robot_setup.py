@@ -10,7 +10,7 @@ from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import GoalRecord
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.libm import digest_of_libm
-from swarmd.recording.head import RecordingHead
+from swarmd.recording.head import RecordingHead, digest_of
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotSetup
@@ -28,6 +28,7 @@ def make_robot(
     """
     setup = RobotSetup(
         driver=settings.file.driver,
+        base=digest_of(settings.driver_options),
         host=socket.gethostname(),
         profile=settings.network.profile,
         is_secured=settings.identity is not None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -61,6 +62,15 @@ def head_of(about: Mapping[str, str], where: str) -> RecordingHead:
             f"{where}: it does not tell its robot's settings ({error!r}); expected a recording of"
             " this version of swarmd"
         ) from error
+
+
+def digest_of(value: object) -> str:
+    """A digest in hex of a value that a head may have; equal values have one digest.
+
+    Equal in each process: mappings and sets are put into an order first.
+    """
+    payload = msgspec.msgpack.encode(value, enc_hook=_encoded, order="deterministic")
+    return hashlib.sha256(payload).hexdigest()[:16]
 
 
 def _encoded(value: Any) -> Any:

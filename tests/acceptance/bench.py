@@ -7,7 +7,7 @@ wheels are a free floor: their motion is that of odometry.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -90,12 +90,18 @@ class Bench:
         scan_fault: ScanFault = lambda scan: scan,
         command_fault: CommandFault = lambda commands: commands,
         odometry_scale: float = 1.0,
+        odometry_burst: float = 0.0,
         has_watchdog: bool = True,
+        has_button: bool = True,
         reading: float | None = None,
+        charges: Mapping[str, float] | None = None,
     ) -> None:
         self.platform = platform
         self.scan_fault, self.command_fault = scan_fault, command_fault
         self.has_watchdog, self.odometry_scale, self.reading = has_watchdog, odometry_scale, reading
+        self.charges = charges or {}
+        self.has_button, self.is_pressed = has_button, False
+        self.odometry_burst = odometry_burst  # s between two deliveries; 0: at once
         scenario = scenario_of(
             {
                 "duration": 3000.0,
@@ -154,12 +160,16 @@ class Bench:
                 return self.last_odometry  # repeats, of which the robot takes none
             self.last_odometry = readings
             if self.shell is not None:
-                self.inputs += [(OdometryInput(one), self.now) for one in readings]
+                burst, at = self.odometry_burst, self.now
+                at = burst * math.ceil(at / burst) if burst else at
+                self.inputs += [(OdometryInput(one), at) for one in readings]
             return readings
 
         def set_commands(commands: Array) -> None:
             is_lost = self.now < self.lost_until
             given = np.zeros_like(commands) if is_lost and self.has_watchdog else commands
+            if self.is_pressed and self.has_button:
+                given = np.zeros_like(commands)
             if is_lost and not self.has_watchdog:
                 return
             obey(self.command_fault(given.copy()))
@@ -289,7 +299,7 @@ class Bench:
             self.request(ResetRequest, ids=tuple(latches))
         status = None if self.shell is None else self.shell.robot.status(self.now)
         samples = self.kept.get(step.of or step.id, Samples())
-        return Evidence(self.platform, samples, status, earlier=self.verdicts)
+        return Evidence(self.platform, samples, status, earlier=self.verdicts, charges=self.charges)
 
     def begin(self, step: Step) -> None:
         self.inputs = [(DriverInput(True, "simulated"), self.now)]
@@ -359,7 +369,7 @@ class Bench:
             self.back_since = now
         is_back = now - self.back_since > SEEN_AFTER
         if self.has_told and is_back and self.dialogue.phase is Phase.RESTING:
-            self.has_told = False
+            self.has_told = self.is_pressed = False
             self.take(Key())
 
     def act(self, step: Step) -> None:
@@ -376,5 +386,7 @@ class Bench:
                 assert self.shell is not None
                 self.lost_until = now + ABSENT
                 self.shell.step(DriverInput(False, "no base"), now)
+            case "B9":
+                self.is_pressed = True
             case _:
                 self.hand = _HANDS[step.id]

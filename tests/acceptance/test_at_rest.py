@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_struct
 
 from swarmd.acceptance import at_rest
 from swarmd.acceptance.evidence import Evidence, Samples
@@ -58,6 +60,21 @@ def test_multicast_that_is_filtered_is_named_with_its_remedy() -> None:
     assert found.result is Result.FAIL
     assert "multicast is filtered" in found.reason
     assert LINK(evidence(findings=(doctor._heard_here(("multicast",), "field"),))).result == "pass"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "result"),
+    [(1.0, 1.0, "pass"), (9.0, 1.0, "pass"), (1.0, 9.0, "pass"), (9.0, 9.0, "fail")],
+)
+def test_a_load_fails_if_it_lasts(before: float, after: float, result: str) -> None:
+    looks = [
+        [warning("load", f"load {load}", "top", is_due=load > 6.0), Finding("memory", True, "x")]
+        for load in (before, after)
+    ]
+    found = at_rest.findings_on("load", "memory")(evidence(findings=at_rest.lasting(*looks)))
+    assert found.result == result
+    full = [warning("memory", "full", "end programs")]
+    assert at_rest.lasting([Finding("memory", True, "x")], full) == full
 
 
 def test_two_daemons_of_one_name_are_named() -> None:
@@ -175,6 +192,67 @@ def test_a_pause_of_scans_and_of_odometry_fails() -> None:
         assert judge(evidence(*inputs)).result is Result.FAIL
 
 
+def second_lidar(at: float, seq: int) -> ScanInput:
+    """A scan of a lidar at another place on the robot."""
+    one = scan(at, stamp=at - 0.2)
+    return ScanInput(replace_struct(one, seq=seq, ranges=one.ranges[::-1] * 0.8 + 0.1))
+
+
+@pytest.mark.parametrize("apart", [0.05, 0.1, 0.01])
+@pytest.mark.parametrize("rays", [360, 180])
+def test_two_lidars_on_one_topic_are_named(apart: float, rays: int) -> None:
+    """Whatever their phase is, and with equal or other numbers of rays."""
+    inputs = at_rest_for(30.0)
+    for one, at in list(inputs):
+        if isinstance(one, ScanInput):
+            other = second_lidar(at + apart, 0).scan
+            half = replace_struct(other, ranges=other.ranges[:rays], bearings=other.bearings[:rays])
+            inputs.append((ScanInput(half), at + apart))
+    inputs.sort(key=lambda pair: pair[1])
+    found = at_rest.scan_rate(evidence(*inputs))
+    assert found.result is Result.FAIL
+    assert "two sensors" in found.reason
+
+
+def test_one_lidar_by_two_nodes_comes_too_often() -> None:
+    inputs = at_rest_for(30.0)
+    again = [(one, at + 0.1) for one, at in inputs if isinstance(one, ScanInput)]
+    found = at_rest.scan_rate(evidence(*sorted([*inputs, *again], key=lambda pair: pair[1])))
+    assert (found.result, "two nodes" in found.reason) == (Result.FAIL, True)
+
+
+def in_bursts(inputs: list[tuple[Input, float]], kind: type, period: float) -> list[Any]:
+    """The inputs, of which those of a kind come each `period` s."""
+    late = [
+        (one, period * math.ceil(at / period - 1e-9)) if isinstance(one, kind) else (one, at)
+        for one, at in inputs
+    ]
+    return sorted(late, key=lambda pair: pair[1])
+
+
+@pytest.mark.parametrize("period", [0.45, 1.0])
+def test_odometry_in_bursts_is_named_and_no_clock_is_blamed(period: float) -> None:
+    """Each reading arrives, with its own stamp: the newest is up to `period` s old."""
+    found = evidence(*in_bursts(at_rest_for(30.0), OdometryInput, period))
+    verdict = at_rest.odometry_at_rest(found)
+    assert (verdict.result, "bursts" in verdict.reason) == (Result.FAIL, True)
+    assert "clock" not in at_rest.stamps(found).reason.replace("one clock", "")
+
+
+def test_scans_in_bursts_are_named() -> None:
+    found = at_rest.scan_rate(evidence(*in_bursts(at_rest_for(60.0), ScanInput, 1.0)))
+    assert (found.result, "bursts" in found.reason) == (Result.FAIL, True)
+
+
+@pytest.mark.parametrize("count", [2, 400])
+def test_a_base_that_repeats_its_reading_fails(count: int) -> None:
+    """Found by a division by zero: the period of its stamps is 0."""
+    readings = [(odometry(0.05 * n, stamp=0.05 * (n // count)), 0.05 * n) for n in range(200)]
+    found = at_rest.odometry_at_rest(evidence(*readings))
+    assert found.result is (Result.FAIL if count == 400 else Result.PASS)
+    assert ("repeats" in found.reason) is (count == 400)
+
+
 def test_odometry_that_drifts_at_rest_fails() -> None:
     drifts = [(odometry(0.05 * n, x=0.0005 * n), 0.05 * n) for n in range(100)]
     found = at_rest.odometry_at_rest(evidence(*drifts))
@@ -196,6 +274,27 @@ def test_the_battery(readings: list[dict[str, float]], result: str) -> None:
     assert at_rest.battery(evidence(*inputs)).result == result
     without = replace(evidence(*inputs), platform=FILE)
     assert at_rest.battery(without).result is Result.NOT_SHOWN
+
+
+@pytest.mark.parametrize(
+    ("own", "others", "result"),
+    [
+        ([0.62113, 0.62345], {"tb3-02": 0.62345, "tb3-03": 0.9}, "fail"),
+        ([0.62113, 0.62345], {"tb3-02": 0.62347}, "pass"),
+        ([0.62113], {}, "not shown"),
+        ([], {"tb3-02": 0.5}, "not shown"),
+        ([math.nan], {"tb3-02": 0.5}, "not shown"),
+        ([1.0], {"tb3-02": 1.0}, "not shown"),  # both are full
+        ([0.62], {"tb3-02": 0.62}, "not shown"),  # whole percents
+    ],
+)
+def test_the_battery_of_another_robot(
+    own: list[float], others: dict[str, float], result: str
+) -> None:
+    inputs = [(ReadingsInput({"battery": one}), 0.0) for one in own]
+    found = at_rest.own_battery(evidence(*inputs, charges=others))
+    assert found.result == result
+    assert result != "fail" or "tb3-02" in found.reason
 
 
 def hand_at(degree: int) -> Evidence:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from msgspec.structs import replace
 
@@ -9,6 +11,7 @@ from swarmd.acceptance import calibrated
 from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.verdict import Verdict, passed
 from swarmd.calibration.figures import DONE, REFUSED, Figure
+from swarmd.core.finding import Finding
 from swarmd.core.messages import DecisionSummary
 from swarmd.settings.platforms import load_platform
 from tests.support.statuses import status
@@ -97,6 +100,42 @@ def test_a_calibration_counts_if_it_ended_and_nothing_limited_it(
     assert report.get("why", "") in found.reason
     is_slowed = result == "pass" and share < 1.0
     assert ("slows" in str(found.values.get("speed_linear"))) is is_slowed
+
+
+def test_a_figure_that_scatters_names_what_repeats_it_and_the_load() -> None:
+    load = Finding("load", False, "load 9.0 on 2 cores", "find it")
+    report = {"state": DONE, "braking_linear": Figure(1.0, 0.2, 8, 1.0).text}
+    ended = replace(status("r"), report=report)
+    c2 = calibrated.calibration(Evidence(BURGER, status=ended, findings=(load,)))
+    judge = calibrated.brakes("C2", "braking_linear")
+    found = judge(Evidence(BURGER, earlier={"C2": c2}))
+    assert found.result == "not shown"
+    assert "--only C2" in found.reason
+    assert "load 9.0 on 2 cores" in found.reason
+
+
+@pytest.mark.parametrize(
+    "figure",
+    [
+        Figure(math.nan, 0.01, 8, 1.0),
+        Figure(1.0, math.nan, 8, 1.0),
+        Figure(1.0, math.inf, 8, 1.0),
+        Figure(math.inf, 0.0, 8, 1.0),
+        Figure(0.0, 0.0, 0, 1.0),
+        Figure(1.0, 0.0, 8, math.nan),
+    ],
+)
+def test_a_figure_that_is_no_number_is_no_pass(figure: Figure) -> None:
+    for judge, name in (
+        (calibrated.brakes("C2", "braking_linear"), "braking_linear"),
+        (calibrated.margin("C2"), "margin"),
+        (calibrated.scales("C2", "odometry_linear", cause="c"), "odometry_linear"),
+        (calibrated.scan_delay("C2"), "scan_delay"),
+    ):
+        if math.isfinite(figure.value) and math.isfinite(figure.spread):
+            figure = figure._replace(value=9.0 if name in ("margin", "scan_delay") else 0.0)
+        found = judged(judge, **{name: figure})
+        assert found.result != "pass", (name, found)
 
 
 def test_without_an_answer_a_calibration_is_not_shown() -> None:

@@ -6,6 +6,7 @@ import json
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,8 +22,10 @@ from swarmd.acceptance.result_file import (
     SCHEMA,
     AcceptanceRecord,
     read_record,
+    record_for,
     result_of,
     schema,
+    subject_of,
     with_step,
     write_file,
     write_record,
@@ -34,9 +37,17 @@ from swarmd.acceptance.verdict import Result, failed, not_shown, passed
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import DriverInput
 from swarmd.core.finding import Finding
+from swarmd.core.goal import GoalRecord
 from swarmd.core.messages import State
+from swarmd.core.values import Platform
+from swarmd.daemon.robot_setup import make_robot
+from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.reader import read_file
+from swarmd.robot.latches import LatchRecord
+from swarmd.robot.setup import RobotIdentity, RobotSetup
 from swarmd.settings.platforms import load_platform
+from swarmd.settings.settings import load_daemon_settings
+from tests.support.chromium import FOUND, browser
 from tests.support.recorded_stories import Story, repeat
 
 STEPS = steps_of(load_platform("burger"))
@@ -166,7 +177,7 @@ def test_a_step_replaces_its_earlier_verdict_and_keeps_the_order() -> None:
 def test_the_headline_names_the_failures() -> None:
     record = whole_record()
     assert "FAIL (A2, A5" in record.headline
-    assert record.counts[Result.PASS] == 15
+    assert record.counts[Result.PASS] == 16
     one = with_step(RECORD_BEFORE, record.steps[0], ORDER)
     assert "no failure" in one.headline
     assert "not all" in one.headline
@@ -202,6 +213,26 @@ def test_the_report_begins_with_the_verdict_and_escapes() -> None:
     assert all(f"{step.id} {step.name}" in text for step in STEPS)
 
 
+@pytest.mark.integration
+@pytest.mark.skipif(FOUND is None, reason="no Chromium")
+def test_a_telephone_shows_reasons_in_its_whole_width(tmp_path: Path) -> None:
+    """At 360 px the column of reasons had had room for three letters a line."""
+    path = tmp_path / "report.html"
+    path.write_text(page(whole_record(), {}))
+    with browser(tmp_path / "browser", 360, 740) as shown:
+        shown.call("Page.enable")
+        shown.call("Page.navigate", url=path.as_uri())
+        shown.until(
+            "document.readyState === 'complete' && !!document.querySelector('td')", "loaded"
+        )
+        widths = shown.evaluate(
+            "[...document.querySelectorAll('td:last-child')].map(e => e.clientWidth)"
+        )
+        assert len(widths) > 40
+        assert min(widths) > 250
+        assert shown.evaluate("document.documentElement.scrollWidth") <= 360
+
+
 def test_the_report_says_of_which_parts_no_step_was_asked() -> None:
     whole = whole_record()
     record = msgspec.structs.replace(
@@ -209,6 +240,106 @@ def test_the_report_says_of_which_parts_no_step_was_asked() -> None:
     )
     assert page(record, {}).count("no step of this part was asked yet") == 2  # C and D
     assert "was asked yet" not in page(whole, {})
+
+
+TESTED = {"robot": "tb3-01", "swarm": "s", "platform": "p", "driver": "ros2dds", "base": "b"}
+DAY = 86400.0
+JUDGED_AT = 1_700_000_000.0
+
+
+def all_passed(at: float = JUDGED_AT) -> AcceptanceRecord:
+    """All steps have passed, at `at` s since 1970."""
+    record = msgspec.structs.replace(RECORD_BEFORE, subject=TESTED)
+    for step in STEPS:
+        record = with_step(record, result_of(step, passed("ok"), (), at, TESTED), ORDER)
+    return record
+
+
+@pytest.mark.parametrize("name", ["", *TESTED])
+def test_a_pass_lets_only_the_same_robot_move(name: str) -> None:
+    subject = {**TESTED, **({name: "another"} if name else {})}
+    later = msgspec.structs.replace(all_passed(), subject=subject)
+    dropped = all_passed().verdicts.keys() - later.verdicts_on(STEPS, JUDGED_AT + 60.0).keys()
+    assert dropped == ({"B1", "C2"} if name else set())
+
+
+@pytest.mark.parametrize(
+    ("age", "counts"), [(0.0, True), (DAY - 1.0, True), (DAY + 1.0, False), (-1.0, False)]
+)
+def test_a_pass_lets_the_robot_move_for_a_day(age: float, counts: bool) -> None:
+    assert ("B1" in all_passed().verdicts_on(STEPS, JUDGED_AT + age)) is counts
+
+
+def test_a_pass_without_a_subject_lets_nothing_move() -> None:
+    """As an earlier version wrote it."""
+    old = msgspec.structs.replace(whole_record(), subject=TESTED)
+    assert "B1" not in old.verdicts_on(STEPS, 60.0)
+
+
+@pytest.mark.parametrize("name", ["", "robot", "swarm"])
+def test_the_results_of_another_robot_are_not_continued(tmp_path: Path, name: str) -> None:
+    new = msgspec.structs.replace(all_passed(), steps=(), subject={**TESTED, "platform": "q"})
+    assert record_for(tmp_path, new) == new
+    before = {**TESTED, **({name: "another"} if name else {})}
+    write_record(
+        tmp_path, msgspec.structs.replace(all_passed(), subject=before, robot=before["robot"])
+    )
+    if name:
+        with pytest.raises(ConfigError, match="another"):
+            record_for(tmp_path, new)
+    else:
+        found = record_for(tmp_path, new)
+        assert (len(found.steps), found.subject["platform"]) == (len(STEPS), "q")
+
+
+@pytest.mark.parametrize(
+    ("fields", "name"),
+    [
+        ({}, ""),
+        ({"robot": "tb3-02"}, "robot"),
+        ({"swarm": "t"}, "swarm"),
+        ({"platform": load_platform("waffle_pi")}, "platform"),
+        ({"platform": replace(load_platform("burger"), body={})}, "platform"),
+        ({"driver": "ros1"}, "driver"),
+        ({"base": "other options"}, "base"),
+    ],
+)
+def test_a_head_tells_what_is_tested(fields: dict[str, Any], name: str) -> None:
+    assert differing(subject_of(head()), subject_of(head(**fields))) == ([name] if name else [])
+
+
+def test_the_options_of_a_driver_tell_its_base() -> None:
+    """A Crazyflie by its address; equal options in another order are equal."""
+    one, other = {"uri": "radio://0/80/2M/E7E7E7E701"}, {"uri": "radio://0/80/2M/E7E7E7E702"}
+    found = [daemon_base({**options, "rate": 100}) for options in (one, other)]
+    assert found[0] != found[1]
+    assert found[0] == daemon_base({"rate": 100, **one})
+
+
+def daemon_base(options: dict[str, Any]) -> str:
+    """What the daemon of a Crazyflie with these options tells of its base."""
+    overrides = {"id": "r", "platform": "crazyflie", "driver": "crazyflie", "insecure": True}
+    settings = load_daemon_settings(None, {**overrides, "driver_options": options})
+    robot = make_robot(settings, "00", 1, latches=LatchRecord(), goals=GoalRecord())
+    return robot.identity.setup.base
+
+
+def differing(one: dict[str, str], other: dict[str, str]) -> list[str]:
+    return [name for name in one if one[name] != other[name]]
+
+
+def head(
+    robot: str = "tb3-01",
+    swarm: str = "s",
+    platform: Platform = load_platform("burger"),  # noqa: B008  # a value
+    driver: str = "ros2dds",
+    base: str = "options",
+) -> RecordingHead:
+    """As a recording of a robot has it, once it was written and read."""
+    setup = RobotSetup(driver=driver, base=base)
+    identity = RobotIdentity(robot=robot, platform=platform, setup=setup, seed=1, instance="i")
+    made = RecordingHead(swarm=swarm, clock="c", machine="m", identity=identity)
+    return head_of(made.texts(), "")
 
 
 @pytest.mark.parametrize("content", [b"", b"no zip", b"PK\x05\x06" + bytes(18)])

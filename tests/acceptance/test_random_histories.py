@@ -45,7 +45,8 @@ PERIOD = 0.1  # s between two sights
 LEASE = 2.0  # s, as the runs of the test have
 LONGEST = 1500.0  # s of a history
 LATEST_REST = 4.0  # s after a history has ended: the lease, and the brakes of a base that coasts
-WORDS = ("y", "y", "y", "Y", "yes", "", "n", "no", "x", "yy", "7", "26", "31", "0", "999", "q")
+WORDS = ("y", "y", "y", "Y", "y ", "yes", "", "n", "no", "x", "yy", "#", "#", "#", "0", "999", "q")
+"""`#`: the number of a step that is drawn."""
 FAULTS = ("", "late", "coasts", "ignores zero", "fast odometry", "deaf", "runaway")
 
 
@@ -162,8 +163,9 @@ class History:
         draw = self.random.random()
         phase = self.dialogue.phase
         if phase == "asked" and draw < 0.06:
-            word = self.random.choice(WORDS)
-            if word.strip().lower() in ("y", "yes"):
+            number = str(self.random.randrange(len(self.steps)) + 1)
+            word = self.random.choice(WORDS).replace("#", number)
+            if word.strip().lower() == "y":
                 self.consent = self.dialogue.step.id
             self.take(Line(word))
         elif phase != "asked" and draw < 0.006:

@@ -49,7 +49,7 @@ def needs_a_base_that_obeys(step: Step) -> bool:
 
 def test_nothing_drives_on_the_floor_before_the_base_has_obeyed_a_stop() -> None:
     moving = [step for step in STEPS.values() if step.motion is not None and step.id != "B1"]
-    assert len(moving) == 20
+    assert len(moving) == 22
     assert all(needs_a_base_that_obeys(step) for step in moving)
     first = STEPS["B1"].motion
     assert first is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace as fields_replace
 
 import pytest
@@ -138,3 +139,35 @@ def test_the_latch_must_outlive_a_restart(robot: Status | None, result: str) -> 
 )
 def test_a_reset_clears_state_and_latch(robot: Status | None, result: str) -> None:
     assert stops.is_reset(Evidence(BURGER, status=robot)).result == result
+
+
+def pressed(at: float, *, released: float = 40.0, told: float = 40.0, on: float = 0.0) -> Verdict:
+    """A run of 30 s at 0.1 m/s; the base stands while its button is pressed.
+
+    `told`: when the daemon ends the run since its driver tells it. `on`: m/s after a late release.
+    """
+    x, inputs, decisions = 0.0, [], []
+    for tick in range(900):
+        now = 0.05 * tick
+        is_commanded = 2.0 < now <= min(32.0, told)
+        if is_commanded and not at <= now < released:
+            x += 0.05 * 0.1
+        x += 0.05 * on if now >= released else 0.0
+        inputs.append((OdometryInput(Odometry(now, Pose(x), Twist())), now))
+        decisions.append(TimedDecision(now, Twist(0.1 * is_commanded), math.nan, 1.0))
+    return stops.own_stop(30.0)(Evidence(BURGER, Samples(inputs, decisions)))
+
+
+@pytest.mark.parametrize(
+    ("button", "result"),
+    [
+        ({"at": 10.0}, "pass"),
+        ({"at": 10.0, "told": 12.0}, "pass"),
+        ({"at": 100.0}, "fail"),  # not pressed
+        ({"at": 10.0, "released": 20.0}, "fail"),  # it drives on
+        ({"at": 10.0, "released": 40.0, "on": 0.1}, "fail"),  # it moves by itself
+        ({"at": 0.0}, "not shown"),  # it was pressed all the time
+    ],
+)
+def test_the_own_button_of_a_base(button: dict[str, float], result: str) -> None:
+    assert pressed(**button).result == result

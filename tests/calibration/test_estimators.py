@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from swarmd.calibration.estimators import (
     Braking,
     is_steady,
+    mean_of,
     scale_of,
     stop_of,
     stopping,
@@ -114,3 +117,75 @@ def test_a_figure_over_a_scale_has_the_deviation_of_both() -> None:
     assert found.value == pytest.approx(4.0)
     assert found.spread == pytest.approx(4.0 * 0.05)
     assert (found.samples, found.assumed) == (8, 1.5)
+
+
+ODD_TIMES = {
+    "none": [],
+    "one": [1.0],
+    "equal": [1.0] * 40,
+    "each twice": [0.1 * (n // 2) for n in range(40)],
+    "backward": [2.0 - 0.05 * n for n in range(40)],
+    "one back": [0.05 * n if n != 20 else 0.0 for n in range(40)],
+    "nan": [math.nan] * 40,
+    "one nan": [0.05 * n if n != 20 else math.nan for n in range(40)],
+}
+ODD_WAYS = {
+    "standing": lambda count: np.zeros(count),
+    "ahead": lambda count: 0.1 * np.arange(count),
+    "nan": lambda count: np.full(count, math.nan),
+    "inf": lambda count: np.full(count, math.inf),
+}
+
+
+@pytest.mark.parametrize("times", ODD_TIMES)
+@pytest.mark.parametrize("ways", ODD_WAYS)
+@pytest.mark.filterwarnings("ignore:invalid value")  # inf less inf
+def test_a_stop_of_odd_samples_is_none_or_a_number(times: str, ways: str) -> None:
+    rows = np.array(ODD_TIMES[times])
+    way = ODD_WAYS[ways](len(rows))
+    assert is_steady(rows, way) in (True, False)
+    for at in (0.0, 1.0, 1.5, math.nan):
+        stop = stop_of(rows, way, at)
+        assert stop is None or (math.isfinite(stop.speed) and math.isfinite(stop.seconds))
+    if times in ("none", "one", "equal", "nan") or ways != "ahead":
+        assert stop_of(rows, way, 1.0) is None
+
+
+@pytest.mark.parametrize("speeds", [[0.2] * 8, [0.2, 0.2001] * 4, [0.0] * 8, [0.1 + 0.2, 0.3] * 4])
+def test_stops_from_one_speed_give_no_brake_and_say_so(speeds: list[float]) -> None:
+    for figure in stopping([Braking(speed, 0.1 + 0.01 * n) for n, speed in enumerate(speeds)]):
+        assert not figure.is_measured
+        assert "one speed" in figure.why
+
+
+def test_distances_of_zero_give_no_scale() -> None:
+    assert not scale_of([(0.1, 0.0), (0.0, 0.0)], "none").is_measured
+    assert scale_of([(0.1, 0.0), (0.21, 0.2)], "none").value == pytest.approx(1.05)
+    assert not mean_of([], "none").is_measured
+
+
+@pytest.mark.parametrize(("value", "scale"), [(0.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+def test_a_figure_over_a_scale_of_zero_is_not_measured(value: float, scale: float) -> None:
+    over = Figure(value, 0.1, 8, 1.0).over(Figure(scale, 0.1, 8))
+    assert over.is_measured is (scale != 0.0)
+    assert over.assumed == 1.0
+
+
+@pytest.mark.parametrize("name", ["standing", "nan", "one nan", "one time", "none", "no odometry"])
+def test_turns_that_one_side_does_not_show_give_no_delay(name: str) -> None:
+    times = np.arange(0.0, 12.0, 0.05)
+    headings = np.sin(2.0 * times)
+    arrivals = np.arange(2.0, 11.0, 0.2)
+    seen = np.zeros(len(arrivals)) if name == "standing" else np.sin(2.0 * (arrivals - 0.1))
+    if name == "nan":
+        seen = np.full(len(arrivals), math.nan)
+    elif name == "one nan":
+        headings[100] = math.nan
+    elif name == "one time":
+        times = np.full(len(times), 1.0)
+    elif name == "none":
+        arrivals, seen = arrivals[:0], seen[:0]
+    elif name == "no odometry":
+        times, headings = times[:0], headings[:0]
+    for figure in turn_delay(arrivals, seen, times, headings):
+        assert not figure.is_measured, figure
