@@ -122,6 +122,8 @@ SPECIAL: dict[str, Callable[[Path], object]] = {
     "missing": lambda path: None,
 }
 
+FILES: dict[str, bytes | Callable[[Path], object]] = {**CONTENTS, **SPECIAL}
+
 DOORS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "result of an acceptance test": ("a.zip", read_record),
     "folder of an acceptance test": (RECORD, lambda path: read_record(path.parent)),
@@ -160,7 +162,7 @@ def ending(read: Callable[[Path], Any], path: Path) -> str:
 @pytest.mark.parametrize("door", DOORS)
 def test_a_hostile_file_ends_in_one_line(door: str, tmp_path: Path) -> None:
     name, read = DOORS[door]
-    for number, (kind, make) in enumerate((*CONTENTS.items(), *SPECIAL.items())):
+    for number, (kind, make) in enumerate(FILES.items()):
         path = tmp_path / str(number) / name
         path.parent.mkdir()
         if isinstance(make, bytes):
