@@ -21,7 +21,8 @@ _WIDE_SECTOR = 30.0  # deg without a return that a note names
 _FAR_SENSOR, _MANY_RAYS = 1.0, 8
 _DEGREES = 360
 _LEAST_OWN = 2  # degrees with returns inside the outline; a single ray may be noise
-# So many rays, and this share of all rays, with one value are no measurement: noise is missing.
+# So many rays with one value are no measurement, for lack of noise, if they are this share of all
+# rays, or if the value is the greatest one.
 _LEAST_EQUAL, _EQUAL_SHARE = 8, 0.2
 
 
@@ -192,9 +193,11 @@ class ScanContent:
     def _is_equal(self, ranges: Array) -> NDArray[np.bool_]:
         """(n,) True for the rays with the most frequent distance, if it is no measurement."""
         values, counts = np.unique(self._distances_of(ranges), return_counts=True)
-        least = max(_LEAST_EQUAL, _EQUAL_SHARE * len(ranges))
-        is_code = counts.max(initial=0) >= least
-        return ranges == values[counts.argmax()] if is_code else np.zeros(len(ranges), np.bool_)
+        if counts.max(initial=0) < _LEAST_EQUAL:
+            return np.zeros(len(ranges), np.bool_)
+        value, count = values[counts.argmax()], counts.max()
+        is_greatest = np.float32(value) in (self._stated_max, np.float32(self.spec.range_max))
+        return (ranges == value) & (is_greatest or count >= _EQUAL_SHARE * len(ranges))
 
     def _equal_meaning(self, ranges: Array) -> str:
         """What a distance that many rays have in common may mean."""

@@ -125,6 +125,16 @@ def test_each_code_of_a_ray_without_a_distance_is_named_first_and_no_guard_is_gi
         assert removed not in made.fault
 
 
+def test_few_rays_of_the_greatest_distance_are_named() -> None:
+    """Of 88 rays 10 have the range_max of the message, and no other distance is as frequent."""
+    ranges = np.array([*np.linspace(0.5, 1.9, 78), *[2.0] * 10])
+    made = ScanContent(SPEC)
+    made.take(Scan(0, 0.0, ranges, np.linspace(-3.0, 3.0, 88), 0.12, 3.5), 2.0)
+    assert made.encoding.startswith("2 11 % (the message's own range_max")
+    made.take(Scan(0, 0.0, ranges, np.linspace(-3.0, 3.0, 88), 0.12, 3.5), 100.0)
+    assert made.encoding == ""
+
+
 def test_measured_distances_are_no_code() -> None:
     assert content([1.0, 2.0, 3.0, 1.1, 1.2, 1.3, 0.5, 0.4]).encoding == ""
     assert ScanContent(SPEC).encoding == ""
