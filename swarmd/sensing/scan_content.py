@@ -197,7 +197,8 @@ class ScanContent:
             return np.zeros(len(ranges), np.bool_)
         value, count = values[counts.argmax()], counts.max()
         is_greatest = np.float32(value) in (self._stated_max, np.float32(self.spec.range_max))
-        return (ranges == value) & (is_greatest or count >= _EQUAL_SHARE * len(ranges))
+        is_code: NDArray[np.bool_] = ranges == value
+        return is_code & (is_greatest or count >= _EQUAL_SHARE * len(ranges))
 
     def _equal_meaning(self, ranges: Array) -> str:
         """What a distance that many rays have in common may mean."""
