@@ -402,3 +402,15 @@ def test_an_error_of_the_program_itself_keeps_its_traceback() -> None:
 
     with pytest.raises(RuntimeError, match="on purpose"):
         run_cli(broken, [], "swarmd", lambda _: 2)
+
+
+@pytest.mark.integration
+def test_help_is_there_where_python_drops_docstrings() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from swarmd.cli.entry import swarmctl; swarmctl()", "stop", "-h"],
+        env={**os.environ, "PYTHONOPTIMIZE": "2"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0
+    assert "Stop " in done.stdout.partition("Options:")[0]
