@@ -254,6 +254,13 @@ def run_cli(
         if not fault:
             raise
         return _fail(fault, 2, words)
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and str(error) != "can't start new thread":
+            raise
+        fault = "no memory or thread is left for this process; a daemon needs 2 GB of addresses"
+        return _fail(
+            f"{fault} (ulimit -v, LimitAS=) and 40 threads (ulimit -u, TasksMax=)", 1, words
+        )
     except OSError as error:  # an error of the system, such as a full disk
         import logging
 

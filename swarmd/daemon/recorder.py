@@ -399,14 +399,14 @@ class RecordingService:
         """Start or stop the recording; the reply to a start follows once its folder was tried."""
         if request.action == "start":  # the disk may be slow, and must not delay the daemon
             tried = asyncio.get_running_loop().run_in_executor(None, write_fault, self._folder)
-            tried.add_done_callback(
-                lambda done: self._is_closed or self._carry_out(request, done.result(), answer)
-            )
+            tried.add_done_callback(lambda done: self._carry_out(request, done.result(), answer))
         else:
             self._carry_out(request, "", answer)
 
     def _carry_out(self, request: verbs.RecordRequest, fault: str, answer: SendReply) -> None:
         """Start or stop the recording; `fault`: why no file can be written to its folder."""
+        if self._is_closed:
+            return
         recorder, is_on = self.recorder, self.recorder.is_on
         code, refusal = Code.APPLIED, None
         if request.action == "start" and is_on:

@@ -380,3 +380,37 @@ def test_a_verb_that_sigterm_ends_says_so(capsys: pytest.CaptureFixture[str]) ->
 
     assert run_cli(waits, [], "swarmctl", exit_code_of) == 143
     assert capsys.readouterr() == ("", "error: ended by SIGTERM\n")
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("can't start new thread")])
+def test_a_process_without_memory_for_itself_ends_in_one_line(
+    capsys: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    @click.command()
+    def limited() -> None:
+        raise error
+
+    assert run_cli(limited, [], "swarmd", lambda _: 2) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "ulimit -v" in line
+
+
+def test_an_error_of_the_program_itself_keeps_its_traceback() -> None:
+    @click.command()
+    def broken() -> None:
+        raise RuntimeError("on purpose")
+
+    with pytest.raises(RuntimeError, match="on purpose"):
+        run_cli(broken, [], "swarmd", lambda _: 2)
+
+
+@pytest.mark.integration
+def test_help_is_there_where_python_drops_docstrings() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from swarmd.cli.entry import swarmctl; swarmctl()", "stop", "-h"],
+        env={**os.environ, "PYTHONOPTIMIZE": "2"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0
+    assert "Stop " in done.stdout.partition("Options:")[0]

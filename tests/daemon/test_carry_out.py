@@ -18,6 +18,7 @@ from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.store import LatchFile
 from swarmd.network.datagram import Stop
+from swarmd.robot.latches import LatchRecord
 from swarmd.settings.settings import load_daemon_settings
 from tests.daemon.test_daemon import ESTOP, RecordingDriver
 
@@ -44,11 +45,18 @@ class Watched(Daemon):
         super().step(input, **options)
 
 
-async def test_zero_goes_first_then_the_latch_to_the_disk_then_the_ack(tmp_path: Path) -> None:
+async def test_zero_goes_first_then_the_latch_to_the_disk_then_the_ack(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Row 6 of the life of a stop (ARCHITECTURE.md)."""
     daemon = Watched(tmp_path)
     stored, store = list[list[Twist]](), daemon._latches.store
-    daemon._latches.store = lambda latches: stored.append(daemon.driver.sent[:]) or store(latches)  # type: ignore[method-assign, func-returns-value]
+
+    def note(record: LatchRecord) -> bool:
+        stored.append(daemon.driver.sent[:])
+        return store(record)
+
+    monkeypatch.setattr(daemon._latches, "store", note)
     acked: list[tuple[Code, bool]] = []
 
     def on_ack(reply: Reply) -> None:

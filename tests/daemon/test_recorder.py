@@ -254,8 +254,8 @@ def test_a_start_is_not_applied_where_no_file_can_be_made(tmp_path: Path) -> Non
         replies: list[Reply] = []
         section = RecordingSection(folder=str(tmp_path / "file" / "folder"))
         service = RecordingService("a", section, head, lambda _: None)
-        request = RecordRequest(id="r", operator="o", targets=None, action="start")
-        service.on_record(request, replies.append)
+        request = RecordRequest(id="r", operator="o", targets={"a": None}, action="start")
+        service.on_record(request, lambda reply, **_: replies.append(reply))
         await until(lambda: replies)
         assert not service.recorder.is_on
         service.close()

@@ -317,3 +317,15 @@ def test_a_hold_ends_how_long_a_robot_was_held_up(ends_with: Reason | None) -> N
     if ends_with is not None:
         chosen(ends_with)
     assert (chosen() == pytest.approx(first)) is (ends_with is not None)
+
+
+@long_run
+def test_a_run_that_loses_its_permit_in_a_recovery_recovers_no_more() -> None:
+    """`is_recovering`: the judged command came from recovery (core/messages.py)."""
+    sim = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.6))])
+    ride = sim.run(AHEAD, 2.0, Permit(may_recover=True))
+    assert ride.decisions[-1][1].is_recovering
+    context = sim.sensors.context(sim.time)
+    decision = sim.commander.decide(AHEAD, context, True, None, Permit(may_recover=False))
+    assert not decision.is_recovering
+    assert decision.safe.angular == 0.0

@@ -216,8 +216,8 @@ def test_a_sweep_that_is_ended_keeps_finished_runs_and_leaves_no_worker(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl, signals: list[tuple[signal.Signals, int]]
 ) -> None:
     folder, begin, end = tmp_path / "x", "", "2 of 4 runs kept; to go on: swarmctl exp run "
-    words = ("exp", "run", duo, "--seeds", 2, "--sweep", f"{END}=none,hang", "--out", folder)
-    words = (*words, "--metrics", "path_length")
+    words = ("exp", "run", duo, "--seeds", 2, "--sweep", f"{END}=none,hang", "--out", folder,
+             "--metrics", "path_length")  # fmt: skip
     for number, code in signals:
         process = started(*words, "-j", 1, cwd=tmp_path)
         wait_until(lambda: finished(folder) == 2, "two runs are done")

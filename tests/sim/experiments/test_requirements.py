@@ -141,3 +141,16 @@ def test_the_exit_code_and_the_answer_tell_whether_all_are_met(
     assert len(document["requirements"]) == 2 * len(words)  # of each variant
     assert all(one["met"] for one in document["requirements"]) is (code == 0)
     assert CliRunner().invoke(exp, ["check", str(folder), *words]).exit_code == code
+
+
+def test_the_requirements_of_an_experiment_that_lacks_runs_are_met_so_far(
+    tmp_path: Path, duo: Path
+) -> None:
+    plan = plan_of(str(duo), (0, 1), {}, {})
+    with open_store(tmp_path / "x", manifest_of(plan, traces=False, command=[]), ("gap",)) as store:
+        store.add(plan.runs[0], {"gap": 0.1}, 0.1)
+    done = CliRunner().invoke(exp, ["check", str(tmp_path / "x"), "runs >= 1"])
+    assert done.exit_code == 1
+    *_, missing, met = done.output.splitlines()
+    assert "1 of 2 runs" in missing
+    assert met == "1 of 1 requirement met so far"
