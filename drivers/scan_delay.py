@@ -29,7 +29,8 @@ def scan_delay_finding(
         text += (
             f"; more than {spec.latency + spec.max_scan_delay:.3f} s holds the robot (late_scan)"
         )
-        return Finding("scan delay", False, f"{text}: correct the platform's scan.latency")
+        text += ": look at the load and the network; if the sensor itself is that late, correct the"
+        return Finding("scan delay", False, f"{text} platform's scan.latency")
     if late + figure.spread > TOLERANCE:
         text += "; protection uses what is measured"
     return Finding("scan delay", True, text)

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, cast
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, PluginError, UnknownPatternError, unknown
-from swarmd.core.files import cache_folder, read_regular, write_whole
+from swarmd.core.files import cache_folder, open_regular, read_regular, write_whole
 from swarmd.core.keys import check_id, is_id
 
 if TYPE_CHECKING:
@@ -354,7 +354,7 @@ def is_mission(path: Path) -> bool:
     """
     if not path.is_file():
         return False
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return _HEAD.search(file.read(MAX_MISSION_SIZE)) is not None
 
 

@@ -307,7 +307,7 @@ def _scans() -> Iterator[Row]:
     yield (
         check("scan", scans(steady)),
         "a frozen driver repeats its last scan; or a simulated lidar has no noise",
-        "restart the sensor's node; `scan.noisy: false` for a simulated lidar without noise",
+        "restart the sensor's node; let a simulated lidar add noise",
     )
     yield (
         received(

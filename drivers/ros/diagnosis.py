@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from swarmd.core.finding import Finding
 from swarmd.core.messages import Reason
-from swarmd.core.values import Scan, ScanSpec
+from swarmd.core.values import ScanSpec
 from swarmd.drivers.ros.command_type import wanted_type
 from swarmd.drivers.ros.endpoints import Endpoint, is_listener, nodes_of
 from swarmd.drivers.ros.foreign_commands import ForeignCommands
@@ -42,6 +42,8 @@ MAX_RATE, MIN_GAPS = 1.5, 7
 """More than MAX_RATE times the declared rate of scans means two publishers; over MIN_GAPS gaps."""
 
 _MAX_LISTED = 4
+# The clock of the stamps to real time; arrivals of a second scatter by less.
+_LEAST_CLOCK_RATIO, _MAX_CLOCK_RATIO = 0.8, 1.25
 _COMMAND_OPTIONS = {"Twist": "cmd_vel_type: twist", "TwistStamped": "cmd_vel_type: twist_stamped"}
 
 
@@ -506,13 +508,17 @@ def contradiction(stats: TopicStats) -> str:
     return f"{stats.topic}: {stats.doubt}" if stats.doubt else ""
 
 
-def incomplete(stats: TopicStats, scan: Scan, spec: ScanSpec) -> str:
-    """Why this scan leaves too much unseen; empty if it does not."""
-    if ScanConditioner(spec).take(scan, None, 0.0) is not Reason.INVALID_SCAN:
+def incomplete(stats: TopicStats, content: ScanContent) -> str:
+    """Why the last scan leaves too much unseen; empty if it does not."""
+    scan = content.last
+    if scan is None:
+        return ""
+    if ScanConditioner(content.spec).take(scan, None, 0.0) is not Reason.INVALID_SCAN:
         return ""
     return (
-        f"{stats.topic}: {len(scan.ranges)} rays that leave too wide a sector unseen; look at the"
-        " sensor, or correct the platform's scan"
+        f"{stats.topic}: {content.encoding}; {len(scan.ranges)} rays that leave too wide a"
+        " sector unseen; look at the sensor, and at what its driver sends: inf means no return"
+        " (REP 117)"
     )
 
 
@@ -521,10 +527,29 @@ def too_slow(stats: TopicStats, content: ScanContent) -> str:
     rate, spec = stats.rate(), content.spec
     if not 0.0 < rate * spec.slowest_period < 1.0:
         return ""
-    return (
+    text = (
         f"{stats.topic} comes at {rate:.1f} Hz; the platform's {content.section}.rate is"
-        f" {spec.rate:g}, so the robot would stop for old scans now and then: correct one of them"
+        f" {spec.rate:g}, so the robot would stop for old scans now and then"
     )
+    by_stamp, by_clock = stats.elapsed()
+    if 0.0 < by_stamp < _LEAST_CLOCK_RATIO * by_clock:
+        return f"{text}: {_clock_text(stats)}; let the simulator, or that clock, run in real time"
+    # A lower rate would let the robot drive on with older scans.
+    return (
+        f"{text}: look at the sensor's mode, its power and the network; its data sheet has the rate"
+    )
+
+
+def _clock_text(stats: TopicStats) -> str:
+    """How fast the clock of a topic's stamps runs; empty before the second message."""
+    by_stamp, by_clock = stats.elapsed()
+    if by_clock <= 0.0:
+        return ""
+    ratio = by_stamp / by_clock
+    late = (
+        f", so that the robot reacts {ratio:.1f} times as late" if ratio > _MAX_CLOCK_RATIO else ""
+    )
+    return f"its stamps run at {ratio:.2f} of real time{late}"
 
 
 def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
@@ -640,6 +665,9 @@ class DriverCheck:
     def _findings(self) -> Iterator[Finding]:
         """The findings of a check whose hub answers."""
         yield Finding("connection", True, f"{self.graph.middleware.hub} at {self.endpoint}")
+        for option, content in self.subscriptions.contents.items():
+            if content.last is not None:
+                yield self._values(option, content)
         for stats in self.subscriptions.topics.values():
             yield from self._of_topic(stats)
         ring = self.subscriptions.contents.get("ranges")
@@ -667,6 +695,14 @@ class DriverCheck:
             yield self._topic(stats)
         for entry_option in stats.further:
             yield replace(self._topic(stats, is_entry=True), subject=entry_option)
+
+    def _values(self, option: str, content: ScanContent) -> Finding:
+        """What the rays without a distance are, and how fast the clock of the stamps runs."""
+        topics = self.subscriptions.topics.values()
+        stats = next(one for one in topics if one.option == option)
+        encoding = content.encoding or "each ray has a distance"
+        text = "; ".join(part for part in (encoding, _clock_text(stats)) if part)
+        return Finding(f"{content.section} values", True, text)
 
     def _commands(self) -> Finding:
         """The finding of the topic of commands, with the first fault that applies.
@@ -728,13 +764,11 @@ class DriverCheck:
             return fault
         content = self.subscriptions.contents[stats.option]
         fast = too_fast(stats, self.spec)
-        fault = f"{fast}; correct it, or look for a second publisher" if fast else ""
+        fault = f"{fast}; look for a second publisher" if fast else ""
         fault = fault or too_slow(stats, content)
         if not fault and stats.name == "scan" and content.fault:
             fault = f"{stats.topic}: {content.fault}"
-        scan = content.last
-        fault = fault or (incomplete(stats, scan, content.spec) if scan else "")
-        return fault or contradiction(stats)
+        return fault or incomplete(stats, content) or contradiction(stats)
 
     def _subscriber(self) -> str:
         kind = self.graph.command_type(self.cmd_vel, self.command_types)

@@ -264,7 +264,7 @@ class Subscriptions:
             message, self._scan_seq, self._spec, self._yaw, is_upside_down=self._is_upside_down
         )
         content = self.contents["scan"]
-        content.take(scan)
+        content.take(scan, message.range_max)
         unmeasured = "" if content.has_measured else content.fault
         doubt = unmeasured or from_ros.header_fault(message)
         stats.doubt = (stats.doubt or doubt) if doubt else ""

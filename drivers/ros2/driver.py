@@ -634,9 +634,9 @@ class RosDriver:
 
     def _incompleteness(self) -> str:
         """What scans lack, if the last two calls both found a fault; empty otherwise."""
-        scan, was_incomplete = self._subscriptions.scan, self._was_incomplete
+        was_incomplete = self._was_incomplete
         stats = next(iter(self._subscriptions.topics.values()))
-        fault = "" if scan is None else diagnosis.incomplete(stats, scan, self._platform.scan)
+        fault = diagnosis.incomplete(stats, self._subscriptions.contents[stats.option])
         self._was_incomplete = bool(fault)
         return fault if was_incomplete else ""
 

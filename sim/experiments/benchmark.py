@@ -12,7 +12,7 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from io import TextIOWrapper
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +23,7 @@ from msgspec import Meta, Struct
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.files import open_regular, user_path
+from swarmd.core.files import read_regular, user_path
 from swarmd.core.numbers import finite_number, read_number
 from swarmd.plugins import find_pattern
 from swarmd.settings.layered import Layered
@@ -403,7 +403,7 @@ def read_results(
     task_names = tuple(tasks)
     values: dict[tuple[str, str], dict[int, float]] = {}
     try:
-        with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
+        with TextIOWrapper(BytesIO(read_regular(path)), "utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
             missing_columns = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing_columns:

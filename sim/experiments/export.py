@@ -11,6 +11,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.files import whole_file
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.store import cell
 from swarmd.sim.trace import Trace
 
 Form: TypeAlias = Literal["csv", "parquet"]
@@ -40,9 +41,15 @@ def _long(trace: Trace, run: Run) -> Any:
 
 def _save(table: Any, form: Form, path: Path) -> None:
     if form == "csv":
-        table.to_csv(path, index=False)
+        is_text = table.dtypes.map(lambda kind: kind.kind not in "biuf")
+        safe = {name: table[name].map(_cell) for name in table.columns[is_text]}
+        table.assign(**safe).rename(columns=_cell).to_csv(path, index=False)
     else:
         table.to_parquet(path, index=False)
+
+
+def _cell(value: Any) -> Any:
+    return cell(value) if isinstance(value, str) else value
 
 
 def _written(path: Path, write: Callable[[Path], None]) -> Path:

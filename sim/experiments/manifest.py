@@ -187,7 +187,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise ConfigError(f"{text}; name one that `swarmctl exp run SCENARIO` has made") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (msgspec.MsgspecError, ConfigError, RecursionError) as error:
+    except (ValueError, ConfigError, RecursionError) as error:
         text = f"{path}: damaged: {' '.join(str(error).split())[:200]}"
         raise ConfigError(f"{text}; restore it, or run the experiment again") from error
     text = f"{path}: format {version}, and this swarmd reads {FORMAT}"
@@ -234,7 +234,9 @@ def _report_units(plan: Plan) -> dict[str, str]:
     units: dict[str, set[str]] = {}
     for folder, name in running:
         with suppress(SwarmError):  # a folder that is no longer there
-            origin = pattern_names(None if folder is None else user_path(folder))[name]
+            origin = pattern_names(None if folder is None else user_path(folder)).get(name)
+            if origin is None:  # the scenario's check names it
+                continue
             kind = PatternLoader({name: (origin.value, origin.is_file)})(name)
             for key, unit in kind.report_units.items():
                 units.setdefault(key, set()).add(unit)

@@ -28,6 +28,7 @@ from swarmd.sim.experiments.simulate import OnProgress, run_experiment
 from swarmd.sim.experiments.trust import check_code
 from swarmd.sim.metrics.catalog import metric_of, names_file
 from swarmd.sim.metrics.own import digest_of_file
+from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
 
 
@@ -145,6 +146,8 @@ def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
     files = [metric.origin for metric in old.metrics if names_file(metric.origin)]
     code |= {origin: digest_of_file(origin) for origin in files}
     check_code(folder, old.plugins, code, is_trusted=is_trusted)
+    for variant in old.plan.variants:  # such as of a pattern that is not installed here
+        scenario_of(variant.effective)
     metrics = [metric_of(metric.origin, code.get(metric.origin, "")) for metric in old.metrics]
     return manifest_of(
         old.plan, traces=old.traces, command=old.command, metrics=metrics, shown=old.shown

@@ -34,6 +34,7 @@ from swarmd.sim.experiments.manifest import Manifest, read_manifest, write_json,
 from swarmd.sim.experiments.plan import Plan, Run, shown
 
 TABLE = "runs.csv"
+_FORMULA_STARTS = tuple("=+-@\t\r\n")
 TRACES = "traces"
 FAILURES = "failures.json"
 SUMMARY = "summary.json"
@@ -59,12 +60,27 @@ class Row:
         variant = self.run.variant
         values = ("" if value is None else repr(float(value)) for value in self.metrics.values())
         swept = map(shown, variant.values.values())
-        return (self.run.id, variant.name, *swept, str(self.run.seed), *values, f"{self.wall:.3f}")
+        texts = map(cell, (self.run.id, variant.name, *swept))
+        return (*texts, str(self.run.seed), *values, f"{self.wall:.3f}")
 
 
 def header(plan: Plan, metrics: Iterable[str]) -> tuple[str, ...]:
     """The columns of an experiment's table."""
-    return ("run", "variant", *plan.sweep, "seed", *metrics, "wall")
+    return tuple(map(cell, ("run", "variant", *plan.sweep, "seed", *metrics, "wall")))
+
+
+def cell(text: str) -> str:
+    """The text for a cell of CSV: a `'` before what a spreadsheet would run as a formula.
+
+    `cell("=1+1") == "'=1+1"` and `cell("-0.5") == "-0.5"`, which is a number.
+    """
+    if text[:1] not in _FORMULA_STARTS:
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}"
+    return text
 
 
 def lines(rows: Iterable[Sequence[str]]) -> str:
@@ -93,7 +109,10 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
         columns = tuple(next(reader, ()))
         # The metrics stand between `seed` and `wall`, the last column.
         first_metric = len(header(plan, ())) - 1
-        metrics = columns[first_metric:-1]
+        named = {
+            cell(metric): metric for metric in (text[1:] for text in columns if text[:1] == "'")
+        }
+        metrics = tuple(named.get(text, text) for text in columns[first_metric:-1])
         if columns != header(plan, metrics) or len(set(columns)) < len(columns):
             raise ValueError(f"the columns are not those of its manifest: {','.join(columns)}")
         for cells in reader:

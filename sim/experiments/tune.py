@@ -662,7 +662,7 @@ class _Tuner:
             data = json.loads(contents)
             recorded_manifest = msgspec.convert(data["manifest"], Manifest)
             recorded_arguments, races = dict(data["asked"]), list(data["races"])
-        except (ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ConfigError(f"{path}: damaged; remove the folder, and tune again") from error
         manifest = msgspec.convert(head["manifest"], Manifest)
         # The first difference of software, else of arguments.

@@ -31,7 +31,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError, named, unknown
-from swarmd.core.files import read_regular
+from swarmd.core.files import read_regular, real_path
 from swarmd.core.values import Array
 from swarmd.pattern_host.loader import import_file
 from swarmd.plugins import entry_points_of
@@ -67,7 +67,7 @@ def digest_of_file(text: str) -> str:
     """The SHA-256 of the file of `FILE.py:FUNCTION`; ConfigError if it cannot be read."""
     file = text.rpartition(":")[0]
     try:
-        return hashlib.sha256(read_regular(Path(file).resolve())).hexdigest()
+        return hashlib.sha256(read_regular(file)).hexdigest()
     except OSError as error:
         raise ConfigError(f"metric {text!r}: {file} cannot be read: {error.strerror}") from error
 
@@ -79,7 +79,7 @@ def metric_of_file(text: str, digest: str = "") -> Metric:
     must have; empty: any.
     """
     file, _, name = text.rpartition(":")
-    path = Path(file).resolve()
+    path = real_path(Path(file))
     file_digest = digest_of_file(text)
     if digest not in ("", file_digest):
         raise ConfigError(f"metric {text!r}: {file} was changed meanwhile; run it again")

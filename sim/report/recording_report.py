@@ -323,9 +323,10 @@ def _clocks(about: Mapping[str, str]) -> str:
     """The estimates of `record merge`; empty for one robot."""
     if "clocks" not in about:
         return ""
-    rows = [
-        (clock_row["robot"], *clock_cells(clock_row)) for clock_row in json.loads(about["clocks"])
-    ]
+    try:
+        rows = [(one["robot"], *clock_cells(one)) for one in json.loads(about["clocks"])]
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return "<p><b>The clocks of the recording cannot be read.</b></p>"
     head = ("ROBOT", "OFFSET", "DRIFT", "ERROR AT MOST", "VIA")
     return table(head, [tuple(map(escape, row)) for row in rows], "clocks")
 

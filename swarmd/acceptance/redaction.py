@@ -15,6 +15,7 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from swarmd.core.events import HostInput, SensorInput, TickInput
+from swarmd.core.files import read_regular
 from swarmd.recording.inputs import MEMORY, InputReader
 from swarmd.recording.messages import TEXT, is_known
 from swarmd.recording.reader import read_file
@@ -66,7 +67,7 @@ def masked_recording(path: Path, mask: Mask) -> bytes:
     like a short name. The robot's memory is left out. ConfigError if the file is no recording.
     """
     if not mask.is_on:
-        return path.read_bytes()
+        return read_regular(path)
     recording = read_file(path)
     about = {key: mask.text(value) for key, value in recording.about.items()}
     if (head := recording.about.get(_HEAD)) is not None:

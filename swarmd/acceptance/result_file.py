@@ -20,7 +20,7 @@ from swarmd.acceptance.step import Step
 from swarmd.acceptance.steps import NOT_SHOWN_YET
 from swarmd.acceptance.verdict import Result, Verdict
 from swarmd.core.errors import ConfigError
-from swarmd.core.files import whole_file
+from swarmd.core.files import read_member, read_regular, whole_file
 from swarmd.recording.head import RecordingHead, digest_of
 
 RECORD = "acceptance.json"
@@ -182,13 +182,13 @@ def read_record(path: Path) -> AcceptanceRecord:
     """The record in a folder or in a file; ConfigError if there is none of this version."""
     try:
         if path.is_dir():
-            data = (path / RECORD).read_bytes()
+            data = read_regular(path / RECORD, MAX_RECORD)
         else:
-            with zipfile.ZipFile(path) as file, file.open(RECORD) as member:
-                data = member.read(MAX_RECORD)
+            data = read_member(path, RECORD, MAX_RECORD)
         return msgspec.json.decode(data, type=AcceptanceRecord)
-    except (OSError, KeyError, zipfile.BadZipFile, msgspec.MsgspecError) as error:
-        raise ConfigError(f"{path}: no result of an acceptance test: {error}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        fault = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{path}: no result of an acceptance test: {fault}") from error
 
 
 def schema() -> Mapping[str, Any]:
@@ -207,7 +207,7 @@ def write_file(folder: Path, path: Path, report: str, mask: Mask) -> None:
         RECORD: msgspec.json.format(msgspec.json.encode(shown), indent=1),
         SCHEMA: msgspec.json.format(msgspec.json.encode(schema()), indent=1),
         REPORT: report.encode(),
-        **{one.name: one.read_bytes() for one in sorted(folder.glob("*.yaml"))},
+        **{one.name: read_regular(one) for one in sorted(folder.glob("*.yaml"))},
     }
     with whole_file(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as file:
         for name, data in texts.items():

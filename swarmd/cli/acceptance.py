@@ -398,7 +398,7 @@ def _platform_name(options: CommonOptions, robot: str) -> str:
 
     with options.operator() as operator:
         view = Session(operator, options.timeout, warn).look()
-    check_known(robot, view.members)
+    check_known(robot, view.members, view.roster)
     status = view.members[robot].status
     if status is None:
         raise Failure(f"{robot} does not answer; see `swarmctl members`", FAILED)

@@ -85,7 +85,7 @@ def calibrate(
     _check_file(write)
     with options.operator() as operator:
         view = known_members(options, operator)
-        check_known(robot, view.members)
+        check_known(robot, view.members, view.roster)
         member = view.members[robot]
         is_alive = member.presence is Presence.ALIVE
         status = _resting_status(robot, member.status if is_alive else None)

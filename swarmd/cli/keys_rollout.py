@@ -67,7 +67,8 @@ def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
 
     A robot that takes a new roster stands. A robot that is out of reach still trusts the name,
     until the robot gets the new roster from another robot or by `keys push`. The name cannot be
-    added again before its last certificate ends.
+    added again before its last certificate ends. A revoked robot answers nothing: get its
+    recordings, log and audit log first (`record fetch`, `logs`, `audit`).
     """
     authority = open_authority(options.swarm)
     roster = authority.roster

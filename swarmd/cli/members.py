@@ -76,7 +76,7 @@ def forget(options: CommonOptions, name: str) -> None:
 
     with options.operator() as operator:
         view = known_members(options, operator, is_request_next=True)
-        check_known(name, view.members)
+        check_known(name, view.members, view.roster)
         report(options, remove(session_of(options, operator), view, name))
 
 
@@ -111,7 +111,7 @@ def describe(options: CommonOptions, robot: str) -> None:
     """Print the whole status of ROBOT, and why it does not move."""
     with options.operator() as operator:
         view = known_members(options, operator)
-        check_known(robot, view.members)
+        check_known(robot, view.members, view.roster)
         member = view.members[robot]
         if options.is_json:
             print_json("Member", {"member": to_builtins(member), "why": why(member)})

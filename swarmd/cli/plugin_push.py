@@ -248,7 +248,7 @@ def read_source(file: Path) -> Source:
     check_id(name, f"{file}: the pattern's name")
     try:
         ast.parse(code)
-    except (SyntaxError, ValueError) as error:
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # nested too deeply
         line = getattr(error, "lineno", None)
         raise PluginError(f"{file}:{line or 1}: {getattr(error, 'msg', error)}") from error
     return Source(name, "file", "", "", code)

@@ -8,6 +8,7 @@ import click
 
 from swarmd.cli.options import CommonOptions, recordings_argument
 from swarmd.cli.output import print_json, print_table, warn
+from swarmd.core.files import real_path
 from swarmd.plugins import need
 from swarmd.texts.values import clock_cells, counted
 
@@ -100,5 +101,5 @@ def parts_of(files: tuple[Path, ...]) -> list[Path]:
         inside = sorted([*one.rglob("*.mcap"), *one.rglob("*.mcap.partial")])
         if one.is_dir() and not inside:
             raise click.UsageError(f"{one}: no recording (.mcap) in this folder")
-        parts |= dict.fromkeys(path.resolve() for path in (inside if one.is_dir() else [one]))
+        parts |= dict.fromkeys(real_path(path) for path in (inside if one.is_dir() else [one]))
     return list(parts)

@@ -22,14 +22,16 @@ from swarmd.texts.awaited import read_awaited
     multiple=True,
     required=True,
     metavar="CONDITION",
-    help="state=STATE, pattern=PATTERN, presence=PRESENCE, goal, or count=NUMBER; repeated: all.",
+    help="state=STATE, pattern=PATTERN, presence=PRESENCE, goal, count=NUMBER, or count=alive;"
+    " repeated: all.",
 )
 @common_options
 def wait(options: CommonOptions, targets: Targets, wanted: tuple[str, ...]) -> None:
     """Wait until TARGETS, or all robots, meet each condition; at most --timeout, or 30 s.
 
     goal: each robot does what its goal wants. count=5: at least five robots are alive and meet all
-    other conditions. Robots of the roster and named robots are waited for even if they are not
+    other conditions. count=alive: all robots that are alive meet them, without those that are off
+    or out of reach. Robots of the roster and named robots are waited for even if they are not
     heard yet. The exit code is 5 if the time ends before all conditions are met.
     """
     conditions = read_awaited(wanted)

@@ -48,8 +48,8 @@ class Targets:
         """The targets without wildcards; each is a target even if no robot has that name."""
         return tuple(name for name in self.names if is_id(name) and not self._is_excluded(name))
 
-    def select(self, known: Collection[str]) -> tuple[str, ...]:
-        """The targets among the robot names in `known`.
+    def select(self, known: Collection[str], roster: Collection[str] = ()) -> tuple[str, ...]:
+        """The targets among the robot names in `known`; `roster`: of the swarm, see `check_known`.
 
         RequestError if a name or glob, also of `exclude`, matches no robot. RequestError if there
         are labels, since names do not show labels.
@@ -58,7 +58,7 @@ class Targets:
             raise RequestError("this verb takes names, not labels; see `swarmctl members`", USAGE)
         for glob in (*self.names, *self.exclude):
             if not any(fnmatchcase(name, glob) for name in known):
-                check_known(glob, known)
+                check_known(glob, known, roster)
         return self.matching(known)
 
     def matching(self, known: Iterable[str]) -> tuple[str, ...]:
@@ -97,11 +97,22 @@ def _expanded(words: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for word in words for name in expand_globs(word)))
 
 
-def check_known(name: str, known: Collection[str]) -> None:
-    """RequestError, with the nearest name, unless the robot is known."""
-    if name not in known:
-        text = f"{unknown('robot', name, known)}; see `swarmctl members`"
-        raise RequestError(text, NO_TARGET)
+def check_known(name: str, known: Collection[str], roster: Collection[str] = ()) -> None:
+    """RequestError unless the robot is known, with the nearest name.
+
+    With a `roster` the name may be that of a revoked robot, which another name would hide.
+    """
+    if name in known:
+        return
+    text = f"{unknown('robot', name, known)}; see `swarmctl members`"
+    if name in roster:
+        text = f"{name} is on the roster, but is not heard; see `swarmctl members`"
+    elif roster and is_id(name):
+        text = (
+            f"{name} is not on the roster: it was revoked, or never added (`swarmctl keys list`);"
+            " what a revoked robot has recorded and logged is on its own disk alone"
+        )
+    raise RequestError(text, NO_TARGET)
 
 
 def labels_of(view: MembersView) -> dict[str, tuple[str, ...]]:
@@ -156,7 +167,7 @@ def robots_of(
 ) -> tuple[str, ...]:
     """The targets among `known`, by default all members and the roster; RequestError as `named`."""
     known = view.members.keys() | view.roster if known is None else known
-    return named(view, targets).select(known)
+    return named(view, targets).select(known, view.roster)
 
 
 def targets_of(view: MembersView, targets: Targets) -> tuple[str, ...]:

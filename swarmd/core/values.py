@@ -356,9 +356,28 @@ class ScanSpec:
         rounding = 1e-9  # rad: a ray at the edge of a sector lies in the sector
         is_masked = np.zeros(len(bearings), np.bool_)
         for first, last in self.mask:
-            width = (last - first) % (2.0 * math.pi)
-            is_masked |= (bearings - first + rounding) % (2.0 * math.pi) <= width + 2.0 * rounding
+            width = last - first
+            if width < math.tau - rounding:  # else a full turn, such as from -180 to 180 deg
+                width %= math.tau
+            is_masked |= (bearings - first + rounding) % math.tau <= width + 2.0 * rounding
         return is_masked
+
+    def mask_fault(self) -> str:
+        """Why `mask` leaves too few rays; empty without a fault.
+
+        The sectors without rays must be no wider than `max_gap` bridges, and half of the rays must
+        be left.
+        """
+        rays = self.bearings
+        left = rays[~self.masked(rays)]
+        widest = math.degrees(max(self.max_gap, _widest_between(rays)))
+        gap = math.degrees(_widest_between(left))
+        if gap <= widest + 1e-6 and 2 * len(left) >= len(rays):
+            return ""
+        return (
+            f"leaves {len(left)} of {len(rays)} rays, and {gap:.1f} deg without a ray; expected at"
+            f" least half of the rays, and at most {widest:.1f} deg"
+        )
 
     @property
     def stale_after(self) -> float:
@@ -379,6 +398,12 @@ class ScanSpec:
     def slowest_period(self) -> float:
         """The time in s between scans above which the sensor misses its nominal `rate`."""
         return min(2.0 / self.rate, self.stale_after)
+
+
+def _widest_between(bearings: Array) -> float:
+    """The widest angle in rad between neighbouring rays; a full turn for fewer than two."""
+    rising = np.sort(bearings % math.tau)
+    return float(np.diff(rising, append=rising[:1] + math.tau).max(initial=0.0)) or math.tau
 
 
 class Heights(Struct, frozen=True, forbid_unknown_fields=True):

@@ -149,7 +149,7 @@ def decode_spec(data: bytes) -> PolicySpec:
     """The declaration in JSON; ConfigError names what is wrong with it."""
     try:
         return msgspec.json.decode(data, type=PolicySpec)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"declaration of a policy: {error}") from error
 
 

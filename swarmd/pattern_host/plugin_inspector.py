@@ -426,7 +426,7 @@ def _lines_of_default(kind: type[Pattern[Any]], text: str, path: Path) -> list[i
         return []
     return [
         node.lineno
-        for owner in ast.walk(ast.parse(path.read_bytes()))
+        for owner in ast.walk(ast.parse(read_regular(path)))
         if isinstance(owner, ast.ClassDef) and owner.name == name
         for node in owner.body
         if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == field

@@ -73,7 +73,7 @@ def read_exchanges(path: Path) -> list[Exchange]:
     exchanges = []
     with suppress(OSError):
         for line in read_regular(path).splitlines():
-            with suppress(msgspec.MsgspecError):
+            with suppress(ValueError, RecursionError):
                 exchanges.append(msgspec.json.decode(line, type=Exchange))
     return exchanges
 

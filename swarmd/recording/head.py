@@ -57,7 +57,7 @@ def head_of(about: Mapping[str, str], where: str) -> RecordingHead:
     try:
         payload = base64.b64decode(about["head"])
         return msgspec.msgpack.decode(payload, type=RecordingHead, dec_hook=_decoded)
-    except (ValueError, RecursionError, msgspec.MsgspecError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(
             f"{where}: it does not tell its robot's settings ({error!r}); expected a recording of"
             " this version of swarmd"

@@ -182,7 +182,7 @@ def load_identity(folder: Path) -> Identity:
         ]
     except OSError as error:
         raise ConfigError(f"identity {folder}: {error.strerror}: {error.filename}") from error
-    except (msgspec.MsgspecError, CodecError) as error:
+    except (ValueError, RecursionError, CodecError) as error:
         raise ConfigError(f"identity {folder}: {error}; install its bundle again") from error
     if open_to_others:
         path = open_to_others[0]

@@ -9,6 +9,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.files import read_regular
 
 
 def public_bytes(key: ec.EllipticCurvePublicKey) -> bytes:
@@ -26,7 +27,7 @@ def load_private_key(path: Path) -> ec.EllipticCurvePrivateKey:
 def load_key(path: Path, passphrase: bytes | None) -> ec.EllipticCurvePrivateKey:
     """The private key in a PEM file. ConfigError in one line."""
     try:
-        key = serialization.load_pem_private_key(path.read_bytes(), passphrase)
+        key = serialization.load_pem_private_key(read_regular(path), passphrase)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
     except (TypeError, ValueError, UnsupportedAlgorithm) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ _WIDE_SECTOR = 30.0  # deg without a return that a note names
 _FAR_SENSOR, _MANY_RAYS = 1.0, 8
 _DEGREES = 360
 _LEAST_OWN = 2  # degrees with returns inside the outline; a single ray may be noise
+# So many rays with one value are no measurement, for lack of noise, if they are this share of all
+# rays, or if the value is the greatest one.
+_LEAST_EQUAL, _EQUAL_SHARE = 8, 0.2
 
 
 class ScanContent:
@@ -45,18 +49,25 @@ class ScanContent:
         """
         self.spec, self.section = spec, section
         self._gaps = gaps
-        self._own_degrees = np.ones(_DEGREES, np.bool_)  # see `_degrees_inside`, in each scan
+        self._own_degrees = np.ones(_DEGREES, np.bool_)  # see `_take_inside`, in each scan
+        self._coded_degrees = np.ones(_DEGREES, np.bool_)  # without such a range in any scan
+        self._stated_max = np.float32(np.nan)
         self._recent: deque[bytes] = deque(maxlen=COMPARED_SCANS)
         self._repeats = 0
         self.last: Scan | None = None
         self.count = 0
         self.has_measured = False
 
-    def take(self, scan: Scan) -> None:
-        """Take in a scan as the driver reads it."""
+    def take(self, scan: Scan, stated_max: float = np.nan) -> None:
+        """Take in a scan as the driver reads it.
+
+        `stated_max`: the greatest range in m by the message itself, which some drivers send for no
+        return.
+        """
         self.last, self.count = scan, self.count + 1
+        self._stated_max = np.float32(stated_max)
         self.has_measured |= bool(scan.ranges.any()) or not self._expects_return(scan)
-        self._own_degrees &= self._degrees_inside(scan)
+        self._take_inside(scan)
         ranges = scan.ranges.tobytes()
         if ranges in self._recent:
             self._repeats += 1
@@ -84,6 +95,37 @@ class ScanContent:
         return ", ".join(parts)
 
     @property
+    def encoding(self) -> str:
+        """The values of the last scan that are no measured distance, their shares and meanings.
+
+        Such as `-inf 55 % (too close, by REP 117)`. Empty if each ray has a distance.
+        """
+        if self.last is None:
+            return ""
+        ranges = self.last.ranges
+        is_finite, zero = np.isfinite(ranges), self.spec.zero
+        groups = (
+            (ranges == -np.inf, "too close, by REP 117"),
+            (ranges == np.inf, "no return"),
+            (np.isnan(ranges), "unknown"),
+            (ranges == 0.0, f"{zero.replace('_', ' ')}, by the platform's {self.section}.zero"),
+            (is_finite & (ranges < 0.0), "unknown: no distance"),
+            (
+                is_finite & (ranges > self.spec.range_max),
+                f"no return: over the platform's {self.section}.range_max",
+            ),
+            (self._is_equal(ranges), self._equal_meaning(ranges)),
+        )
+        parts = []
+        for is_member, meaning in groups:
+            values = ranges[is_member]
+            if len(values):
+                least, most = values.min(), values.max()
+                name = f"{most:g}" if least == most or np.isnan(most) else f"{least:g} to {most:g}"
+                parts.append(f"{name} {100.0 * len(values) / len(ranges):.0f} % ({meaning})")
+        return ", ".join(parts)
+
+    @property
     def fault(self) -> str:
         """Why the scans cannot be right, and the next step; empty without a fault.
 
@@ -91,8 +133,14 @@ class ScanContent:
         fault only of a sensor that has returns in every ordinary room), rays end inside the outline
         of the robot in each scan, or the last scans repeat earlier scans. With noise an exact
         repeat of several returns is implausible, so repeats mean that the sensor's driver sends the
-        same scan again and again.
+        same scan again and again. No next step takes a guard away: none declares a sensor free of
+        noise, and a mask is proposed only for measured distances, in sectors that a platform may
+        mask. The text begins with `encoding`.
         """
+        text = self._fault()
+        return "; ".join(filter(None, (self.encoding, text))) if text else ""
+
+    def _fault(self) -> str:
         scan, spec = self.last, self.spec
         if scan is None or not len(scan.ranges):
             return ""
@@ -106,27 +154,60 @@ class ScanContent:
             return (
                 f"none of {len(scan.ranges)} rays has a return within {spec.range_max:g} m; hold"
                 " something in front of the sensor and check again: if there is still no return,"
-                f" look at the sensor, or correct the platform's {self.section}.range_max"
+                " look at the sensor and at what its driver sends: m, and inf for no return"
+                " (REP 117)"
             )
-        own = self._own_degrees
-        if np.count_nonzero(own) >= _LEAST_OWN:
-            widened = own | np.roll(own, 1) | np.roll(own, -1)
-            return (
-                f"rays at {_sectors(own)} deg end inside the robot's outline in each"
-                " scan; free the sensor, or if these are parts of the robot, set the platform's"
-                f" {self.section}.mask to {_sectors(widened)}"
-            )
-        is_frozen = spec.is_noisy and self._repeats >= MAX_REPEATS
-        if is_frozen and returns >= MIN_DISTINCT_RETURNS:
+        if np.count_nonzero(self._own_degrees) >= _LEAST_OWN:
+            return self._fault_inside(scan)
+        if spec.is_noisy and self._repeats >= MAX_REPEATS and returns >= MIN_DISTINCT_RETURNS:
             return (
                 f"{self.text}, which holds the robot (frozen_scan); start the sensor's driver"
-                f" again, or set the platform's {self.section}.noisy to false for a sensor"
-                " without noise, such as a simulated one"
+                " again; let it send inf for no return (REP 117), and a simulated sensor add noise"
             )
         return ""
 
-    def _degrees_inside(self, scan: Scan) -> NDArray[np.bool_]:
-        """(360,) True for each degree with a ray that is not masked and ends inside the outline.
+    def _fault_inside(self, scan: Scan) -> str:
+        """The text for rays that end inside the outline in each scan."""
+        own, spec = self._own_degrees, self.spec
+        begin = f"rays at {_runs(own)} deg"
+        equal = _degrees_of(scan.bearings[self._is_equal(scan.ranges)])
+        if (own & self._coded_degrees).any() or own[equal].any():
+            return (
+                f"{begin} are too close to measure in each scan, which holds the robot; if nothing"
+                " is that near, the driver means no return: let it send inf (REP 117); if the same"
+                " bearings stay too close while you turn the robot by hand, its own parts are"
+                " there: free the sensor"
+            )
+        widened = own | np.roll(own, 1) | np.roll(own, -1)
+        given = np.radians(_runs(widened))
+        mask = (*spec.mask, *((float(first), float(last)) for first, last in given))
+        text = f"{begin} end inside the robot's outline in each scan; free the sensor"
+        if replace(spec, mask=mask).mask_fault():
+            return f"{text}: too much for a mask, which would blind the robot"
+        shown = [[round(float(edge), 1) for edge in np.degrees(pair)] for pair in spec.mask]
+        return (
+            f"{text}, or if these are parts of the robot, set the platform's"
+            f" {self.section}.mask to {[*shown, *_runs(widened)]}"
+        )
+
+    def _is_equal(self, ranges: Array) -> NDArray[np.bool_]:
+        """(n,) True for the rays with the most frequent distance, if it is no measurement."""
+        values, counts = np.unique(self._distances_of(ranges), return_counts=True)
+        if counts.max(initial=0) < _LEAST_EQUAL:
+            return np.zeros(len(ranges), np.bool_)
+        value, count = values[counts.argmax()], counts.max()
+        is_greatest = np.float32(value) in (self._stated_max, np.float32(self.spec.range_max))
+        is_code: NDArray[np.bool_] = ranges == value
+        return is_code & (is_greatest or count >= _EQUAL_SHARE * len(ranges))
+
+    def _equal_meaning(self, ranges: Array) -> str:
+        """What a distance that many rays have in common may mean."""
+        is_stated = np.float32(ranges[self._is_equal(ranges)]) == self._stated_max
+        source = "the message's own range_max" if is_stated.any() else "one value"
+        return f"{source}: no return, or walls as far away all round"
+
+    def _take_inside(self, scan: Scan) -> None:
+        """Keep the degrees with a ray that is not masked and ends inside the outline, in each scan.
 
         A return that is too close to measure counts as one at the sensor. A sensor without returns
         in an ordinary room gives none: it may stand at the rim of the robot.
@@ -136,12 +217,15 @@ class ScanContent:
         if self._gaps is not None and self._expects_return(scan) and is_return.any():
             bearings = scan.bearings[is_return]
             directions = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
-            ranges = scan.ranges[is_return]
-            ranges = np.where(ranges < self.spec.range_min, 0.0, ranges)
+            raw = scan.ranges[is_return]
+            ranges = np.where(raw < self.spec.range_min, 0.0, raw)
             places = self.spec.offset + ranges[:, None] * directions
-            inside = bearings[self._gaps(places) == 0.0]
-            degrees[np.floor(np.degrees(inside) + 1e-6).astype(np.intp) % _DEGREES] = True
-        return degrees
+            is_inside = self._gaps(places) == 0.0
+            inside, raw = _degrees_of(bearings[is_inside]), raw[is_inside]
+            degrees[inside] = True
+            is_measured = (raw > 0.0) & (raw < np.inf)
+            self._coded_degrees[inside[is_measured]] = False
+        self._own_degrees &= degrees
 
     def _is_too_close(self, scan: Scan) -> NDArray[np.bool_]:
         """(n,) True for each ray whose object is too close to measure."""
@@ -166,7 +250,9 @@ class ScanContent:
 
     def _distances(self, scan: Scan) -> Array:
         """(k,) m of the returns that have a distance."""
-        ranges: Array = scan.ranges
+        return self._distances_of(scan.ranges)
+
+    def _distances_of(self, ranges: Array) -> Array:
         return ranges[(ranges > 0.0) & (ranges <= self.spec.range_max)]
 
     def _returns(self, scan: Scan) -> int:
@@ -179,10 +265,15 @@ class ScanContent:
         return is_measured | self._is_too_close(scan)
 
 
-def _sectors(degrees: NDArray[np.bool_]) -> str:
+def _degrees_of(bearings: Array) -> NDArray[np.intp]:
+    """(n,) whole degrees, 0 to 359."""
+    return np.floor(np.degrees(bearings) + 1e-6).astype(np.intp) % _DEGREES
+
+
+def _runs(degrees: NDArray[np.bool_]) -> list[list[int]]:
     """The runs of degrees, each from its begin to its end, such as `[[55, 61], [112, 118]]`."""
     begins = np.flatnonzero(degrees & ~np.roll(degrees, 1))
     ends = np.flatnonzero(degrees & ~np.roll(degrees, -1)) + 1
     ends = np.roll(ends, -int(np.count_nonzero(ends[:1] <= begins[:1])))
     runs = [[first, last] for first, last in zip(begins.tolist(), ends.tolist(), strict=True)]
-    return str(runs or [[0, _DEGREES]])
+    return runs or [[0, _DEGREES]]

@@ -259,27 +259,9 @@ def _check_scan(scan: ScanSection, keys: Keys) -> Iterator[Fault]:
         text = f"is lost, but {keys[-1]}.zero is too_close; expected reported, or another zero"
         yield fault_at((*keys, "near"), text)
     if scan.mask and (scan.rays is None) != (scan.bearings_deg is None):
-        yield from _check_mask(_spec(scan), keys)
-
-
-def _check_mask(spec: ScanSpec, keys: Keys) -> Iterator[Fault]:
-    """Check that the sectors without rays that the mask leaves are no wider than is bridged."""
-    rays = spec.bearings
-    left = rays[~spec.masked(rays)]
-    widest = math.degrees(max(spec.max_gap, _widest_between(rays)))
-    gap = math.degrees(_widest_between(left))
-    if gap > widest + 1e-6 or 2 * len(left) < len(rays):
-        text = (
-            f"leaves {len(left)} of {len(rays)} rays, and {gap:.1f} deg without a ray; expected at"
-            f" least half of the rays, and at most {widest:.1f} deg, by {keys[-1]}.max_gap_deg"
-        )
-        yield fault_at((*keys, "mask"), text)
-
-
-def _widest_between(bearings: Array) -> float:
-    """The widest angle in rad between neighbouring rays; a full turn for fewer than two."""
-    rising = np.sort(bearings % (2.0 * math.pi))
-    return float(np.diff(rising, append=rising[:1] + 2.0 * math.pi).max(initial=0.0)) or math.tau
+        fault = _spec(scan).mask_fault()
+        if fault:
+            yield fault_at((*keys, "mask"), f"{fault}, by {keys[-1]}.max_gap_deg")
 
 
 def _check_protection(protection: ProtectionSection, keys: Keys) -> Iterator[Fault]:

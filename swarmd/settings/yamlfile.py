@@ -18,7 +18,7 @@ from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.files import as_text, read_regular
+from swarmd.core.files import as_text, read_regular, real_path
 from swarmd.core.numbers import FLOAT, INTEGER, read_number
 
 Data = dict[str, Any]
@@ -56,10 +56,10 @@ def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tup
     """
     seen: list[Path] = []
     while True:
-        if path.resolve() in seen:
+        if real_path(path) in seen:
             files = " -> ".join(shown(file) for file in (*seen, path))
             raise ConfigError(f"{shown(path)}: extends itself: {files}; take one of them out")
-        seen.append(path.resolve())
+        seen.append(real_path(path))
         data = read(path)
         yield path, data
         base = data.get("extends")
@@ -122,7 +122,7 @@ def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
 
 def shown(path: Path) -> str:
     """The path as errors show it: relative if it is below the working directory, else absolute."""
-    real, here = path.resolve(), Path.cwd()
+    real, here = real_path(path), Path.cwd()
     return str(real.relative_to(here)) if real.is_relative_to(here) else str(real)
 
 

@@ -13,6 +13,8 @@ from swarmd.texts.goal import differences
 from swarmd.texts.values import counted
 from swarmd.texts.why import absence
 
+ALIVE = 0
+"""The `count` of `count=alive`."""
 KINDS = ("state", "pattern", "presence", "goal", "count")
 _VALUES = {
     "state": tuple(state.value for state in State),
@@ -28,7 +30,8 @@ class Awaited:
     pattern: str | None = None
     presence: str | None = None
     goal: bool = False
-    count: int | None = None  # robots that must meet the conditions; None: all
+    count: int | None = None
+    """Robots that must meet the conditions. None: all; ALIVE: all that are alive, at least one."""
 
 
 def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
@@ -53,15 +56,17 @@ def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
             raise ConfigError(f"{option} {word}: {unknown(kind, value, _VALUES[kind])}")
         if kind == "pattern" and not is_id(value):
             raise ConfigError(f"{option} {word}: {value!r} is no pattern name")
-        if kind == "count" and not (value.isdecimal() and int(value) > 0):
-            raise ConfigError(f"{option} {word}: expected a number of robots, such as count=5")
+        if kind == "count" and value != "alive" and not (value.isdecimal() and int(value) > 0):
+            text = "expected a number of robots, such as count=5, or count=alive"
+            raise ConfigError(f"{option} {word}: {text}")
         values[kind] = value
+    count = values.get("count")
     return Awaited(
         state=values.get("state"),
         pattern=values.get("pattern"),
         presence=values.get("presence"),
         goal="goal" in values,
-        count=int(values["count"]) if "count" in values else None,
+        count=None if count is None else ALIVE if count == "alive" else int(count),
     )
 
 
@@ -84,9 +89,10 @@ def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str
     if awaited.count is None:
         return lacking if names else {"": "there is no robot"}
     count = len(names) - len(lacking)
-    if count >= awaited.count:
+    wanted = awaited.count or max(len({*view.alive} & {*names}), 1)
+    if count >= wanted:
         return {}
-    return {"": f"{count} of {counted(awaited.count, 'robot')}", **lacking}
+    return {"": f"{count} of {counted(wanted, 'robot')}", **lacking}
 
 
 def _unmet_by(view: MembersView, name: str, member: SeenMember | None, awaited: Awaited) -> str:

@@ -125,7 +125,7 @@ class Track:
     def status(self, now: float) -> Status | None:
         """The last status until a time."""
         message = self.topics["status"].at(now)
-        with suppress(msgspec.MsgspecError):
+        with suppress(ValueError, RecursionError):
             return None if message is None else msgspec.json.decode(message.json, type=Status)
         return None
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import click
 import pytest
+from msgspec.structs import replace
 
 from swarmd.cli.targets import read_targets
-from swarmd.client.targets import Targets, named, robots_of, stop_targets, unlabelled
+from swarmd.client.targets import Targets, check_known, named, robots_of, stop_targets, unlabelled
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Presence
 from swarmd.network.operator.exit_codes import NO_TARGET
@@ -166,3 +167,19 @@ def test_only_targets_without_names_are_the_whole_swarm(
 ) -> None:
     found = read_targets("estop", names, False, exclude, is_required=False)
     assert found.is_whole_swarm is is_whole_swarm
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [("r9", "revoked"), ("r5", "not heard"), ("q*", "no robot")],
+)
+def test_a_name_beside_the_roster_is_no_misspelt_one(name: str, word: str) -> None:
+    """Of the roster r5 is off; r9 was revoked; no other name is proposed in their place."""
+    secured = replace(view(), roster=frozenset({*LABELS, "r5"}))
+    with pytest.raises(RequestError, match=word) as fault:
+        check_known(name, secured.members, secured.roster)
+    assert ("did you mean" in str(fault.value)) is False
+    if name not in secured.roster:
+        with pytest.raises(RequestError, match=word):
+            robots_of(secured, Targets((name,)))
+    assert robots_of(secured, Targets(("r5",))) == ("r5",)

@@ -216,7 +216,7 @@ def test_check_tells_what_scans_show_and_fails_for_a_frozen_sensor() -> None:
     assert "scans differ" in differing.text
     frozen = checked(0.0)
     assert not frozen.is_well
-    assert "scan.noisy" in frozen.text
+    assert "frozen_scan" in frozen.text
 
 
 class RingedBody(Body):

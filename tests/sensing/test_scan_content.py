@@ -41,9 +41,17 @@ def test_tells_returns_the_nearest_and_whether_scans_differ() -> None:
     assert ScanContent(SPEC).text == ""
 
 
-@pytest.mark.parametrize(("near", "zero"), [(0.09, "lds"), (-math.inf, "lds"), (0.0, "too_close")])
-def test_rays_that_end_inside_the_outline_propose_a_mask(near: float, zero: str) -> None:
-    """A Burger whose lidar sees a post 0.09 m to its left, and another one behind, across 180."""
+@pytest.mark.parametrize(
+    ("near", "zero", "has_mask"),
+    [(0.09, "lds", True), (-math.inf, "lds", False), (0.0, "too_close", False)],
+)
+def test_rays_that_end_inside_the_outline_propose_a_mask_if_they_are_measured(
+    near: float, zero: str, has_mask: bool
+) -> None:
+    """A Burger whose lidar sees a post 0.09 m to its left, and another one behind, across 180.
+
+    A value that means too close may be a driver's "no return", in sectors that are free.
+    """
     burger = load_platform("burger")
     spec = replace(SPEC, zero=zero)
     bearings = np.radians(np.arange(360.0))
@@ -60,10 +68,79 @@ def test_rays_that_end_inside_the_outline_propose_a_mask(near: float, zero: str)
         ranges[120 + seq] = near  # a hand, not in each scan
         for content in (made, masked):
             content.take(Scan(seq, 0.2 * seq, ranges, bearings, 0.0, 3.5))
-    assert "rays at [[88, 93], [358, 2]] deg end inside" in made.fault
-    assert made.fault.endswith("scan.mask to [[87, 94], [357, 3]]")
+    assert "rays at [[88, 93], [358, 2]] deg" in made.fault
+    assert made.fault.endswith("scan.mask to [[87, 94], [357, 3]]") is has_mask
+    assert ("mask" in made.fault) is has_mask
+    assert ("REP 117" in made.fault) is not has_mask
     assert masked.fault == ""
     assert ScanContent(spec).fault == ""
+
+
+def test_a_mask_keeps_its_other_sectors_and_leaves_the_robot_its_sight() -> None:
+    """A post 0.09 m away: a few degrees wide, so wide as no mask may be, and all round."""
+    gaps = Footprint(load_platform("burger").footprint).gaps
+    spec = replace(SPEC, mask=((math.radians(200), math.radians(205)),))
+    for width, part in ((3, "to [[200.0, 205.0], [9, 14]]"), (20, ""), (360, "")):
+        made, rng = ScanContent(spec, gaps=gaps), np.random.default_rng(1)
+        for seq in range(ENOUGH_SCANS):
+            ranges = rng.uniform(0.5, 2.0, 360)
+            ranges[10 : 10 + width] = rng.uniform(0.07, 0.09, len(ranges[10 : 10 + width]))
+            made.take(Scan(seq, 0.2 * seq, ranges, np.radians(np.arange(360.0)), 0.0, 3.5))
+        assert "inside the robot's outline" in made.fault
+        assert ("scan.mask" in made.fault) is bool(part)
+        assert part in made.fault
+
+
+MEASURED = [1.0, 1.25, 1.5, 1.75] * 8
+
+
+@pytest.mark.parametrize(
+    ("code", "told"),
+    [
+        (-math.inf, "-inf 60 % (too close, by REP 117)"),
+        (math.inf, "inf 60 % (no return)"),
+        (math.nan, "nan 60 % (unknown)"),
+        (0.0, "0 60 % (lds, by the platform's scan.zero)"),
+        (-1.0, "-1 60 % (unknown"),
+        (2.0, "2 60 % (the message's own range_max"),
+        (3.5, "3.5 60 % (one value"),
+        (0.001, "0.001 60 % (one value"),
+        (3.6, "3.6 60 % (no return: over"),
+        (65.535, "65.535 60 % (no return: over"),
+        (1e30, "1e+30 60 % (no return: over"),
+    ],
+)
+def test_each_code_of_a_ray_without_a_distance_is_named_first_and_no_guard_is_given_away(
+    code: float, told: str
+) -> None:
+    """Of 80 rays 48 have a code, and the scan repeats, which is a fault of its own."""
+    ranges = np.array([*MEASURED, *[code] * 48])
+    bearings = np.linspace(-math.pi, math.pi, 80, endpoint=False)
+    made = ScanContent(SPEC, gaps=Footprint(load_platform("burger").footprint).gaps)
+    for seq in range(ENOUGH_SCANS):
+        made.take(Scan(seq, 0.2 * seq, ranges, bearings, 0.12, 3.5), 2.0)
+    assert made.encoding.startswith(told)
+    assert made.fault.startswith(told)
+    for removed in ("noisy", "mask", "max_gap", "scan.rate", "correct"):
+        assert removed not in made.fault
+
+
+def test_few_rays_of_the_greatest_distance_are_named() -> None:
+    """Of 88 rays 10 have the range_max of the message, and no other distance is as frequent."""
+    ranges = np.array([*np.linspace(0.5, 1.9, 78), *[2.0] * 10])
+    made = ScanContent(SPEC)
+    made.take(Scan(0, 0.0, ranges, np.linspace(-3.0, 3.0, 88), 0.12, 3.5), 2.0)
+    assert made.encoding.startswith("2 11 % (the message's own range_max")
+    made.take(Scan(0, 0.0, ranges, np.linspace(-3.0, 3.0, 88), 0.12, 3.5), 100.0)
+    assert made.encoding == ""
+
+
+def test_measured_distances_are_no_code() -> None:
+    assert content([1.0, 2.0, 3.0, 1.1, 1.2, 1.3, 0.5, 0.4]).encoding == ""
+    assert ScanContent(SPEC).encoding == ""
+    millimetres = content([1000.0 + k for k in range(RAYS)])
+    assert millimetres.encoding.startswith("1000 to 1007 100 %")
+    assert "scan.range_max" not in millimetres.fault.partition(";")[2]
 
 
 @pytest.mark.parametrize(

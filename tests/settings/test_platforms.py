@@ -151,6 +151,10 @@ STAR = [[math.cos(a), math.sin(a)] for a in (0.0, 2.513, 5.027, 7.540, 10.053)]
         ("scan.mask", [[80, 100]], ["scan.mask leaves 3 of 4 rays", "180.0 deg", "90.0 deg"]),
         ("scan.mask", [[0, 90], [180, 181]], ["scan.mask leaves 1 of 4 rays"]),
         ("scan.mask", [[0, 359.5]], ["scan.mask leaves 0 of 4 rays", "360.0 deg"]),
+        *(
+            ("scan.mask", [circle], ["scan.mask leaves 0 of 4 rays", "360.0 deg"])
+            for circle in ([0, 360], [-180, 180], [-360, 360], [-0.5, 359.6])
+        ),
         ("scan.mask", [[1]], ["scan.mask"]),
         ("scan.mask", [[math.nan, 1.0]], ["scan.mask"]),
         ("scan.range_min", 4.0, ["scan.range_min is 4", "scan.range_max (3.5)"]),

@@ -65,6 +65,18 @@ def test_a_robot_that_nobody_has_seen_is_waited_for() -> None:
     assert unmet(view_of(), (), Awaited(state="running"))
 
 
+def test_robots_that_are_not_alive_do_not_hold_the_others_back() -> None:
+    """r3 has failed, and r4 of the roster was never heard."""
+    names = (*ALL, "r4")
+    awaited = read_awaited(["state=idle", "count=alive"])
+    assert unmet(view_of(RUNNING, IDLE, FAILED), names, awaited).keys() == {"", "r1", "r3", "r4"}
+    rested = view_of(make_member("r1", state=State.IDLE, pattern=None), IDLE, FAILED)
+    assert unmet(rested, names, awaited) == {}
+    assert meeting(rested, names, awaited) == ("r1", "r2")
+    assert unmet(view_of(), names, awaited)[""] == "0 of 1 robot"
+    assert unmet(view_of(FAILED), ("r3",), awaited), "no robot is alive"
+
+
 def test_a_count_is_met_by_some() -> None:
     view = view_of(RUNNING, IDLE, FAILED)
     assert unmet(view, ALL, Awaited(count=2)) == {}

@@ -110,6 +110,39 @@ def test_scans_that_no_sensor_measures_are_a_fault(
 
 
 @both
+@pytest.mark.parametrize(
+    ("ratio", "part", "is_well"),
+    [
+        (0.4, "0.40 of real time", False),  # a slow simulator: scans come at 2 Hz
+        (1.0, "1.00 of real time", True),
+        (3.0, "3.00 of real time, so that the robot reacts 3.0 times", True),
+    ],
+)
+def test_the_clock_of_the_stamps_has_its_ratio_and_no_rate_is_to_be_corrected(
+    middleware: Middleware, ratio: float, part: str, is_well: bool
+) -> None:
+    scans = [(0.2 * i / ratio, 50.0 + 0.2 * i) for i in range(6)]
+    lines = found(middleware, received(scans))
+    assert part in lines["scan values"].text
+    assert list(lines).index("scan values") < list(lines).index("scan")
+    assert lines["scan"].is_well is is_well
+    assert is_well or part in lines["scan"].text
+    assert "correct" not in lines["scan"].text
+
+
+@both
+@pytest.mark.parametrize("code", [-1.0, np.nan])
+def test_unknown_rays_are_named_and_no_setting_hides_them(
+    middleware: Middleware, code: float
+) -> None:
+    ranges = np.where(np.arange(360) < 100, code, 1.0 + 0.001 * np.arange(360))
+    text = found(middleware, received(ranges=ranges, noise=0.0))["scan"].text
+    assert f"{code:g} 28 % (unknown" in text
+    assert "correct" not in text
+    assert "noisy" not in text
+
+
+@both
 def test_a_lidar_and_a_ring_have_a_line_each(middleware: Middleware) -> None:
     """A ring that is too slow for its own section, and a lidar that is frozen, are told apart."""
     options = TopicOptions(ranges={"a": 0.0, "b": 90.0})
@@ -123,7 +156,7 @@ def test_a_lidar_and_a_ring_have_a_line_each(middleware: Middleware) -> None:
         ring = Scan(seq, stamp, near, np.array([0.0, 1.6]), 0.05, 1.0)
         subscriptions.contents["ranges"].take(ring)
     lines = found(middleware, subscriptions)
-    assert "scan.noisy" in lines["scan"].text
+    assert "frozen_scan" in lines["scan"].text
     assert not lines["ranges.a"].is_well
     assert "the platform's ranges.rate is 20" in lines["ranges.a"].text
     assert lines["ranges"].is_well

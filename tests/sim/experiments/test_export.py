@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.experiments.export import export
+from swarmd.sim.experiments.export import _save, export
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import COLUMNS
@@ -58,6 +58,15 @@ def test_tables_are_read_again(results: Results, form: str, tmp_path: Path) -> N
     table = read(files[2])
     assert set(table["variant"]) == {"speed=0.2"}
     np.testing.assert_array_equal(table["x"], results.traces[1].pose[..., 0].ravel())
+
+
+def test_a_formula_is_text_in_csv(tmp_path: Path) -> None:
+    import pandas
+
+    table = pandas.DataFrame({"=name": ["=1+1", "-1", None], "x": [-1.0, 0.5, 2.0]})
+    _save(table, "csv", tmp_path / "a.csv")
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert lines == ["'=name,x", "'=1+1,-1.0", "-1,0.5", ",2.0"]
 
 
 def test_a_missing_trace_leaves_no_table_of_it(results: Results, tmp_path: Path) -> None:

@@ -43,6 +43,15 @@ def stamps(folder: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
 
 
+def test_a_pattern_that_is_not_installed_is_named(results: Results, tmp_path: Path) -> None:
+    path = results.folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["variants"][0]["effective"]["groups"]["all"]["pattern"] = "of_another_computer"
+    path.write_text(json.dumps(manifest))
+    with pytest.raises(ConfigError, match="'of_another_computer'"):
+        again(results, tmp_path)
+
+
 def test_each_other_bit_is_reported_even_without_the_scenario(
     results: Results, tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,12 @@ import pytest
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import Manifest, manifest_of
-from swarmd.sim.experiments.plan import Plan, Variant
+from swarmd.sim.experiments.plan import Plan, Variant, make_plan
 from swarmd.sim.experiments.simulate import plan_of
 from swarmd.sim.experiments.store import (
     TABLE,
     Row,
+    cell,
     header,
     lines,
     open_store,
@@ -208,6 +210,41 @@ def test_rows_are_read_bit_by_bit_in_the_order_of_the_plan(tmp_path: Path) -> No
     assert metrics == METRICS
     assert list(found.values()) == [first, third]
     assert str(found[third.run.id].metrics["time"]) == "-0.0"
+
+
+@pytest.mark.parametrize(
+    ("text", "safe"),
+    [
+        ("=1+1", "'=1+1"),
+        ("+cmd|'x'!A1", "'+cmd|'x'!A1"),
+        ("-1+1", "'-1+1"),
+        ("@SUM(A1)", "'@SUM(A1)"),
+        ("\t=1", "'\t=1"),
+        ("\r=1", "'\r=1"),
+        ("-0.5", "-0.5"),
+        ("+1e-3", "+1e-3"),
+        ("law=1.5", "law=1.5"),
+        ("", ""),
+    ],
+)
+def test_a_cell_is_no_formula(text: str, safe: str) -> None:
+    assert cell(text) == safe
+    assert cell(safe) == safe
+
+
+def test_a_table_with_formulas_has_them_as_text_and_is_read_again(tmp_path: Path) -> None:
+    sweep = {"x.law": ["=1+1", "-1+1", -1.5]}
+    plan = make_plan("duo", [4], {}, sweep, lambda overrides: overrides)
+    metrics = ("gap", "=own.py:gap")
+    rows = [Row(run, dict.fromkeys(metrics, 1.0), 0.125) for run in plan.runs]
+    table = tmp_path / TABLE
+    table.write_text(lines([header(plan, metrics), *(row.cells for row in rows)]))
+    head, *others = csv.reader(table.read_text().splitlines())
+    assert head[5] == "'=own.py:gap"
+    assert [cells[2] for cells in others] == ["'=1+1", "'-1+1", "-1.5"]
+    found_metrics, found = read_table(tmp_path, plan)
+    assert found_metrics == metrics
+    assert list(found.values()) == rows
 
 
 def test_a_row_names_run_variant_values_and_seed(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from swarmd.recording.process import Converter
 from swarmd.settings.file_limits import FileLimits
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.metrics.catalog import measure
-from swarmd.sim.report.recording_report import stops_of, trace_of
+from swarmd.sim.report.recording_report import _clocks, stops_of, trace_of
 from swarmd.view.timeline import read_timeline
 from tests.support.statuses import status
 
@@ -135,3 +135,8 @@ def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path) -> None:
     done = CliRunner().invoke(exp, ["report", str(tmp_path / "a.mcap")])
     assert "not a recording" in str(done.exception)
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize("clocks", ["[" * 20_000, "{}x", "[1]", '[{"robot": "a"}]', "7"])
+def test_damaged_clocks_of_a_stranger_are_a_sentence(clocks: str) -> None:
+    assert "cannot be read" in _clocks({"clocks": clocks})
