@@ -39,8 +39,8 @@ DECIDES = {
     "swarmd/core": """angles arrival_delay avoided bounds clock closing codec events goal hazard
         host_messages low_battery messages numbers record threads token_bucket values verbs""",
     "swarmd/driver_api": "",
-    "swarmd/daemon": """connection daemon datagram_guard driver driver_commands driver_exchange
-        foreign_opinions goal_service neighbors network requests robot_setup tick_timer""",
+    "swarmd/daemon": """connection daemon datagram_guard driver driver_commands
+        goal_service neighbors network requests robot_setup tick_timer""",
     "swarmd/network/stops": "",
     "swarmd/network/spread": "",
     "swarmd/network/members": "",

@@ -18,7 +18,6 @@ from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.drivers.ros.opinion_options import PUBLISHED, OpinionOptions
 from swarmd.drivers.ros.service_options import ServiceOptions
 from swarmd.drivers.ros.topic_detections import DetectionOptions
 from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
@@ -167,13 +166,11 @@ class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=
     - `publish_state`: publish the robot's state on `swarmd/pose`, `swarmd/markers` and
       `diagnostics`.
     - `services`: the services by which ROS runs and stops this robot.
-    - `opinions`: the opinions of voting patterns that are published and heard.
     """
 
     endpoint: str = DEFAULT_ENDPOINT
     publish_state: bool = False
     services: ServiceOptions | None = None
-    opinions: OpinionOptions | None = None
 
 
 class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -253,7 +250,7 @@ def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
 
 def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
     """The options that a zero sender needs; it must start even if a `.msg` file is missing."""
-    others = {*ENTRY_KINDS, "message_path", "services", "opinions"}
+    others = {*ENTRY_KINDS, "message_path", "services"}
     return {name: value for name, value in options.items() if name not in others}
 
 
@@ -266,8 +263,6 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         )
     if isinstance(options, RosOptions) and options.services is not None:
         yield from options.services.faults()
-    if isinstance(options, RosOptions) and options.opinions is not None:
-        yield from options.opinions.faults()
     for sensor, place in options.ranges.items():
         degrees, distance = _place(place)
         if not (abs(degrees) <= MAX_BEARING and 0.0 <= distance <= MAX_OFFSET):
@@ -322,7 +317,6 @@ def _sharing_fault(first: str, second: str, types: Mapping[str, str]) -> str:
 
 def _names(options: TopicOptions) -> dict[str, str | None]:
     """The ROS names that the options hold, by option; None for an option without a name."""
-    opinions = options.opinions if isinstance(options, RosOptions) else None
     return {
         "namespace": options.namespace.strip("/") or None,
         # Without the option `ranges` a robot has a lidar, whose topic has a default name.
@@ -336,8 +330,6 @@ def _names(options: TopicOptions) -> dict[str, str | None]:
         **{option: topic for option, topic, _ in _entries(options)},
         **{f"other_commands[{n}]": name for n, name in enumerate(options.other_commands)},
         **{f"other_actions[{n}]": name for n, name in enumerate(options.other_actions)},
-        "opinions.publish": PUBLISHED if opinions is not None and opinions.publish else None,
-        "opinions.broadcast": None if opinions is None else opinions.broadcast_topic,
     }
 
 

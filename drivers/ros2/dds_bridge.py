@@ -37,7 +37,7 @@ def make_driver(
     spec = ZeroSenderSpec(
         f"{__name__}:make_zero_sender", {"robot": robot, "given": of_commands(options)}
     )
-    return RosDriver(NAME, Ros2Dds(), platform, read, spec, robot)
+    return RosDriver(NAME, Ros2Dds(), platform, read, spec)
 
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:

@@ -37,7 +37,6 @@ from swarmd.drivers.ros2.admin_space import AdminSpaces, route_faults
 from swarmd.drivers.ros2.command_credit import CommandCredit
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.drivers.ros2.node_tokens import NodeTokens
-from swarmd.drivers.ros2.opinions import OpinionTopics
 from swarmd.drivers.ros2.services import CommandServices
 from swarmd.drivers.ros2.session import (
     KEPT,
@@ -86,9 +85,8 @@ class RosDriver:
         platform: Platform,
         options: RosOptions,
         zero_sender: ZeroSenderSpec,
-        robot: str,
     ) -> None:
-        """Connect nothing yet. `name`: of the driver. `robot`: the id of the robot.
+        """Connect nothing yet. `name`: of the driver.
 
         `zero_sender`: the watchdog's own connection to the base, which sends zeros alone.
         """
@@ -103,8 +101,6 @@ class RosDriver:
         self._state = StateTopics(scheme, platform, options)
         self._services = CommandServices(scheme, options, lambda: not self._gate.is_open)
         self.command_source = self._services if self._services.is_on else None
-        self._opinions = OpinionTopics(scheme, options, robot)
-        self.opinion_link = self._opinions if self._opinions.is_on else None
         self._reset()
 
     async def run(self, sink: Sink) -> None:
@@ -165,7 +161,7 @@ class RosDriver:
                 ):
                     break
             services = self._services.findings(self._bridges.nodes.endpoints)
-            own_findings = *self._state.findings(), *services, *self._opinions.findings()
+            own_findings = *self._state.findings(), *services
             return (*self._report().findings(), *own_findings)
         finally:
             task.cancel()
@@ -247,7 +243,6 @@ class RosDriver:
             if not is_check:
                 self._state.open(session)
                 self._services.open(session, loop)
-                self._opinions.open(session)
             opened_at = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
@@ -255,12 +250,10 @@ class RosDriver:
                 self._watch(sink, session, loop.time(), opened_at)
                 self._state.publish()
                 self._services.advance(sink.dropped)
-                self._opinions.advance(sink.dropped)
         finally:  # in any case a last zero to a base that was driven, and no open session
             inbox.close()
             self._state.close()
             self._services.close()
-            self._opinions.close()
             try:
                 if self._gate.end():
                     self._put(ZERO, frame="")
@@ -530,7 +523,7 @@ class RosDriver:
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
-        self._tokens.declare(self._session, subscribed, command, (self._state, self._opinions))
+        self._tokens.declare(self._session, subscribed, command, (self._state,))
 
     def _close_gate(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):

@@ -48,7 +48,7 @@ def make_driver(
     spec = ZeroSenderSpec(
         f"{__name__}:make_zero_sender", {"robot": robot, "given": of_commands(options)}
     )
-    return RosDriver(NAME, _scheme(read), platform, read, spec, robot)
+    return RosDriver(NAME, _scheme(read), platform, read, spec)
 
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:

@@ -36,7 +36,7 @@ from swarmd.core.values import Neighbor, Value
 from swarmd.core.verbs import EstopRequest, Request, StopRequest
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
-from swarmd.daemon.driver_exchange import DriverExchange
+from swarmd.daemon.driver_commands import DriverCommands
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
@@ -52,6 +52,7 @@ from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
 from swarmd.daemon.viewer_feed import ViewerFeed
+from swarmd.driver_api.command_source import command_source
 from swarmd.driver_api.driver import (
     Driver,
     check_protected,
@@ -270,16 +271,12 @@ class Daemon:
             self._loop,
         )
         self.sink = DriverSink(self.step, self._neighborhood)
-        self._exchange = DriverExchange(
-            driver,
-            self._robot,
-            self._requests,
-            identity=lambda: self._rosters.identity,
-            robots=lambda: {settings.id, *self._network.roster, *self._network.members},
-            step=self.step,
-            on_event=self.on_event,
-            drops=self._drops,
-        )
+        self._commands: DriverCommands | None = None
+        if (source := command_source(driver)) is not None:
+            self._commands = DriverCommands(
+                self._robot, self._requests, lambda: self._rosters.identity
+            )
+            source.serve(self._commands.take)
         self._viewer_feed = ViewerFeed(self._robot, self._network, state_display(driver))
         self._timer = TickTimer(self._loop, self._on_tick)
         drop_counts = (
@@ -583,7 +580,8 @@ class Daemon:
         is_active = boottime() < self._active_until  # stops of the last second may be on their way
         self._timer.rest(self._may_rest and self._robot.is_at_rest and not is_active)
         self._gather(not self._recording.recorder.is_on)
-        self._exchange.on_tick()
+        if self._commands is not None:
+            self._commands.note_epoch(boottime())
         self._network.advance(may_wait=not (is_active or is_due(NETWORK_PERIOD)))
         if self._recording.recorder.is_on:
             self._network.ask_clocks()  # to merge this recording with recordings of peers
@@ -681,7 +679,6 @@ class Daemon:
             self._drops.add(f"msg/{channel}:unsendable")
             return
         self._viewer_feed.publish_message(channel, value)
-        self._exchange.on_sent(channel, value)
         if self._carrier is None:
             self._network.publish_message(channel, payload)
         else:  # the base has a radio for the messages of patterns

@@ -180,14 +180,6 @@ class Robot(Ticker):
         run = self._run
         return tuple(load.generation for load in (run.running, run.loading) if load is not None)
 
-    def channel_named(self, name: str) -> str | None:
-        """The full name of a channel of the running pattern or of its part; None without one."""
-        running = self._run.running
-        if running is None:
-            return None
-        channels = (c for c in sorted(running.channels) if c.rpartition("/")[2] == name)
-        return next(map(running.full_name, channels), None)
-
     @property
     def latches(self) -> Mapping[str, Latch]:
         """The emergency stops that hold the robot, by id, without their ages."""

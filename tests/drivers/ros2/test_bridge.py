@@ -14,7 +14,6 @@ import zenoh
 from swarmd.core.messages import Code, Reply
 from swarmd.core.values import ZERO, Twist, Value
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
-from swarmd.driver_api.opinion_link import HeardOpinion, opinion_link
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.driver import RosDriver
@@ -267,32 +266,3 @@ async def test_services_are_called_over_dds_and_not_late(
     commands.clear()
     await settle()
     caller.close()
-
-
-@story(DdsRobot, opinions={"publish": True, "unknown": True, "robots": ["tb4_07"]})
-async def test_opinions_pass_the_bridge_in_both_directions(
-    harness: DriverHarness, robot: DdsRobot
-) -> None:
-    link, heard = opinion_link(harness.driver), list[HeardOpinion]()
-    assert link is not None
-    link.hear(heard.append)
-    voters = [f"/{name}/opinion" for name in ("tb4_07", "tb4_08")]
-    other = DdsNode(
-        robot.domain, "other", dict.fromkeys(voters, dds.Int32), {"/swarmd/opinion": dds.Int32}
-    )
-    taken: list[int] = []
-
-    def is_exchanged() -> bool:
-        link.publish(2)
-        for topic in voters:
-            other.publish(topic, dds.Int32(data=1))
-        taken.extend(message.data for message in other.take("/swarmd/opinion"))
-        return bool(taken) and len({one.name for one in heard}) == 2
-
-    await harness.until(is_exchanged, publishing=True)
-    assert set(taken) == {2}
-    assert {(one.name, one.opinion, one.is_declared) for one in heard} == {
-        ("tb4_07", 1, True),
-        ("tb4_08", 1, False),
-    }
-    other.close()

@@ -19,7 +19,6 @@ import zenoh
 from swarmd.core.messages import Code, Reply
 from swarmd.core.values import Twist
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
-from swarmd.driver_api.opinion_link import HeardOpinion, opinion_link
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.harness import drive
 from tests.drivers.ros2.robots import ZenohRobot, open_session
@@ -38,7 +37,6 @@ RAYS = 360
 DOMAIN = 5
 OPTIONS: dict[str, Any] = {
     "services": {"operator": "ros", "runs": {"go": {"pattern": "drive"}}},
-    "opinions": {"publish": True, "robots": ["tb4_07"]},
 }
 
 
@@ -109,38 +107,19 @@ async def test_scans_come_and_commands_arrive(harness: DriverHarness, robot: Pyz
 
 
 @story(PyzerosRobot, **OPTIONS)
-async def test_a_client_calls_a_service_and_opinions_pass_both_ways(
-    harness: DriverHarness, robot: PyzerosRobot
-) -> None:
-    commands, heard, published = list[DriverCommand](), list[HeardOpinion](), list[int]()
-    source, link = command_source(harness.driver), opinion_link(harness.driver)
+async def test_a_client_calls_a_service(harness: DriverHarness, robot: PyzerosRobot) -> None:
+    commands = list[DriverCommand]()
+    source = command_source(harness.driver)
     assert source is not None
-    assert link is not None
 
     def take(command: DriverCommand, answer: Answer) -> None:
         commands.append(command)
         answer(Reply(id="i", robot="r", code=Code.APPLIED, text="done"))
 
     source.serve(take)
-    link.hear(heard.append)
     client = pyzeros.Client(SERVICES.Trigger, "swarmd/stop", session=robot.node)
     await client.wait_for_service()
     call = asyncio.create_task(client.call_async(SERVICES.Trigger.Request()))
     await harness.until(call.done, publishing=True)
     answer = call.result()
     assert (answer.success, answer.message, commands[0].verb) == (True, "done", "stop")
-
-    def on_opinion(sample: zenoh.Sample) -> None:
-        published.append(MESSAGES.Int32.deserialize(sample.payload.to_bytes()).data)
-
-    voter = pyzeros.Pub(MESSAGES.Int32, "tb4_07/opinion", session=robot.node)
-    ear = pyzeros.sub.RawSub(MESSAGES.Int32, "swarmd/opinion", on_opinion, session=robot.node)
-
-    def are_exchanged() -> bool:
-        voter.publish(MESSAGES.Int32(data=1))
-        link.publish(2)
-        return bool(heard and published)
-
-    await harness.until(are_exchanged, publishing=True)
-    assert (heard[0], published[0]) == (HeardOpinion("tb4_07", 1, None, True), 2)
-    ear.close()
