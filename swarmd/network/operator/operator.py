@@ -342,10 +342,11 @@ class Operator(Closing):
     ) -> Outcome:
         """Send a request to the robots in `targets`; repeat it to each robot without a reply.
 
-        `issued`: when the user typed, clicked or called it, in s on the clock since boot; None:
-        when the last look began. A robot that was stopped since then refuses to start a run, and
-        so does a robot that gets it more than `verbs.MAX_AGE` s later, beside the time for which
-        this operator worked and `ahead` (s until the time at which the run is to start).
+        `issued`: when the user typed, clicked or called it, in s on the clock since boot. A robot
+        that was stopped since then refuses to start a run. So does a robot that gets the request
+        more than `verbs.MAX_AGE` s later, beside the time for which this operator worked and
+        `ahead` (s until the time at which the run is to start). None: a stop since the last look
+        began refuses the run, and its age counts from this call.
 
         `kind` and `fields`: the request; all repeats have one id. `targets`: for each robot the
         epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
@@ -364,15 +365,19 @@ class Operator(Closing):
             for name, epoch in targets.items()
             if last_view.is_in_reach(name) or present_view.is_in_reach(name)
         }
+        now = boottime()
         if issued is None:
-            issued = boottime() if self._discovery is None else self._discovery.started
+            issued = now if self._discovery is None else self._discovery.started
+            planned = now - issued
+        else:
+            planned = self.loops.worked(issued) + ahead
         request = self._new(
             kind,
             targets=asked,
             clock=clock_id(),
             issued=issued,
             issued_at=last_view.issue_times(asked, issued),
-            planned=self.loops.worked(issued) + ahead,
+            planned=planned,
             **fields,
         )
         if starts_motion(request) and (stood := self.loops.stood(issued)):
