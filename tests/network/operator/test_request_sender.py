@@ -74,7 +74,8 @@ def test_a_request_declares_the_time_for_which_its_operator_worked(
         took = boottime() - typed - 60.0
         operator.request(RunRequest, look.epochs(["a"]), issued=typed, ahead=20.0, pattern="x")
         operator.request(RunRequest, look.epochs(["a"]), pattern="x")
-    first, second, third = [one for one in swarm["a"].different_requests if one.verb == "run"]
+    sent = swarm["a"].different_requests
+    first, second, third = [one for one in sent if isinstance(one, RunRequest)]
     assert 3.0 <= first.planned <= 3.0 + took
     assert 20.0 <= second.planned - first.planned <= 20.0 + took
     assert third.planned <= third.age  # from a call, which states no time, its age counts anew
