@@ -16,6 +16,7 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.send import known_members, session_of, show
 from swarmd.client.goals import resume_on
 from swarmd.client.runs import send_goal
+from swarmd.core.clock import boottime
 from swarmd.core.verbs import LabelRequest, ParamRequest
 from swarmd.network.operator.exit_codes import APPLIED, NO_TARGET, PARTIAL
 from swarmd.network.operator.operator_goals import next_goal, signed_goals
@@ -69,6 +70,7 @@ def apply(options: CommonOptions, file: Path, yes: bool) -> None:
         _print(options, plan)
         if plan.moves and not yes:
             need_consent("apply lets robots move and", "they may move", "Apply? Robots will move.")
+            options = replace(options, began=boottime())  # the yes is the user's last word
         outcomes = _carry_out(options, operator, view, plan)
         if options.is_json:
             replies = {

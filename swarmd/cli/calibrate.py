@@ -20,6 +20,7 @@ from swarmd.cli.options import FILE, CommonOptions, Failure, common_options
 from swarmd.cli.output import print_json, print_table, rewrite, warn
 from swarmd.cli.send import known_members
 from swarmd.client.targets import check_known
+from swarmd.core.clock import boottime
 from swarmd.core.messages import Presence, Reason, State, Status
 from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.operator.exit_codes import FAILED, REFUSED, TIMEOUT
@@ -97,7 +98,8 @@ def calibrate(
             warn(f"running: {names}; robots that move in sight make figures less exact")
         _confirm(robot, status.platform, side_m, yes)
         params = {"floor": side_m, "repeats": repeats}
-        report, status = _measure(operator, robot, params, options.began)
+        issued = options.began if yes else boottime()  # of the user's last word
+        report, status = _measure(operator, robot, params, issued)
         _end_findings(operator, robot, status, report)
         _show(options, robot, status, report, write)
 
@@ -183,8 +185,8 @@ def _measure(
 ) -> tuple[Mapping[str, object], Status]:
     """Run the calibration pattern; returns its report with the figures, and the last status.
 
-    `issued`: when the user typed the command, in s on the clock since boot: a robot that was
-    stopped since then refuses.
+    `issued`: when the user typed the command or said yes, in s on the clock since boot: a robot
+    that was stopped since then refuses.
     Failure if the robot refuses, is lost or does not finish. The robot is stopped if it may still
     run the pattern when this function ends, for instance after Ctrl-C.
     """

@@ -23,6 +23,7 @@ from swarmd.client.ask_robots import in_reach
 from swarmd.client.runs import goal_targets
 from swarmd.client.session import gap
 from swarmd.client.targets import Targets, targets_of
+from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.files import read_regular
 from swarmd.core.keys import check_id, is_id
@@ -441,6 +442,7 @@ def _await_canary(
         if time.monotonic() >= deadline:
             return f"not held yet after {limit:.0f} s, and without a fault"
         time.sleep(LOOK_PERIOD)
+        operator.loops.turn(boottime(), LOOK_PERIOD)
 
 
 def _canary_fault(report: PushedPatternReport | None, *, has_answered: bool) -> str:

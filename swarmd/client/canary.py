@@ -85,10 +85,12 @@ def watch_canary(
     """
     from swarmd.client.ask_robots import next_status, statuses_of  # most runs have no canary
 
+    loops = session.operator.loops
     watch_end = boottime() + seconds
     last_heard = dict.fromkeys(names, boottime())
     first_status: dict[str, Status] = {}
     faults: dict[str, str] = {}
+    loops.begin(boottime())
     with statuses_of(session.operator) as status_queue:
         while not faults and not session.is_cancelled():
             time_left = watch_end - boottime()
@@ -96,6 +98,7 @@ def watch_canary(
                 break
             # 1. Judge the next status.
             status = next_status(status_queue, min(time_left, MAX_STATUS_WAIT))
+            loops.turn(boottime(), MAX_STATUS_WAIT)
             if status is not None and status.robot in last_heard:
                 robot = status.robot
                 last_heard[robot] = boottime()

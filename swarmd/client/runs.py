@@ -15,7 +15,7 @@ from swarmd.core.clock import TICK, boottime
 from swarmd.core.errors import ConfigError, RequestError, SwarmError, unknown
 from swarmd.core.keys import is_id
 from swarmd.core.record import LABEL
-from swarmd.core.verbs import MAX_AHEAD, GoalRequest, RunRequest
+from swarmd.core.verbs import MAX_AHEAD, MAX_PLANNED, GoalRequest, RunRequest
 from swarmd.network.operator.exit_codes import FAILED, PARTIAL
 from swarmd.network.operator.operator_goals import next_generation, next_goal, signed_again
 from swarmd.network.operator.request_sender import REQUEST_WAIT
@@ -82,6 +82,8 @@ class Run(Struct, frozen=True, kw_only=True):
             )
         if self.at is not None and not 0.0 < self.at <= MAX_AHEAD:
             raise ConfigError(f"{option('at')}: expected at most {MAX_AHEAD:.0f} s from now on")
+        if self.canary_time is not None and self.canary_time > MAX_PLANNED:
+            raise ConfigError(f"{option('canary_time')}: expected at most {MAX_PLANNED:.0f} s")
         if self.canary is None and self.canary_time is not None:
             raise ConfigError(f"{option('canary_time')}: expected {option('canary')}, too")
         if sum(value is not None for value in (self.at, self.canary, self.lease)) > 1:
@@ -251,6 +253,7 @@ def _send_start(targeted: TargetedView, goal: Goal, start: _Start) -> Outcome:
             least_timeout=REQUEST_WAIT + start.delay,  # robots reply when they start
             is_ended=is_cancelled_before_start,
             at=start.by_robot,
+            ahead=start.delay,
         )
     except (KeyboardInterrupt, SystemExit):
         stop_on_interrupt(session, epochs)  # else the robots would start without their operator

@@ -106,7 +106,7 @@ class Refusal(StrEnum):
     FAULTED = "faulted"
     BUSY = "busy"  # an earlier request is still under way
     OVERTAKEN = "overtaken"  # a stop, a fault, a greater goal or another change came first
-    TOO_LATE = "too_late"  # the time at which the run was to start is over, or the age is unknown
+    TOO_LATE = "too_late"  # the start is too old or of unknown age, or its start time is over
     NO_GOAL = "no_goal"  # the robot has no goal to resume
     INVALID_GOAL = "invalid_goal"  # for other robots, of another run, or not signed by its issuer
     NOT_RUNNING = "not_running"

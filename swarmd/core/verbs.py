@@ -42,6 +42,11 @@ MAX_LATE = 0.5
 MAX_AHEAD = 60.0
 """A run is to start at most so many seconds ahead."""
 
+MAX_AGE = 5.0
+"""Seconds, beside `planned`, for which a start counts after it was issued."""
+MAX_PLANNED = 3600.0
+"""Seconds of `planned` that count at most."""
+
 MAX_FINDINGS = 1000
 """Findings of assumption monitors in one request: three of each robot at most."""
 
@@ -61,6 +66,9 @@ class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
 
     - `age`: s since the request was issued. Of a request that may start a run an upper bound: the
       age includes the longest round trip of the operator's last query of the robots.
+    - `planned`: s of the age for which the operator's side worked (start-up, looks, canaries,
+      earlier requests) or waits for a start time. A robot refuses a start that is older than
+      MAX_AGE and this time.
     - `clock`, `issued`: the clock of the operator's machine (`core/clock.clock_id`), and the time
       in s on this clock at which the request was issued. Empty: not known.
     - `issued_at`: by robot, the earliest time in s on the robot's own clock at which the request
@@ -71,6 +79,7 @@ class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
     id: Name
     operator: Annotated[str, Meta(min_length=1, max_length=128)]
     age: Seconds = 0.0
+    planned: Seconds = 0.0
     clock: Word = ""
     issued: Seconds = 0.0
     issued_at: dict[Name, Seconds] = {}
@@ -241,6 +250,12 @@ Request = (
     | LabelRequest
 )
 AnyRequest = Request | ForgetRequest | RecordRequest | RosterRequest | PushRequest
+
+
+def starts_motion(request: AnyRequest) -> bool:
+    """True for a start: a request that may start a run."""
+    always = isinstance(request, RunRequest | ResumeRequest)
+    return always or (isinstance(request, ReloadRequest | PushRequest) and request.is_rerun)
 
 
 class RequestHeader(Struct, frozen=True, kw_only=True):

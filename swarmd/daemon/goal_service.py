@@ -41,9 +41,10 @@ class GoalService:
     def read(self) -> GoalRecord:
         """The goals that an earlier instance stored, without goals that do not count."""
         record = self._file.read()
-        if record.stood is not None and record.clock != clock_id():
-            # The machine was restarted since: all its earlier times lie before now.
-            record = replace(record, stood=boottime())
+        now, stood = boottime(), record.stood
+        if stood is not None and (record.clock != clock_id() or stood > now):
+            # The machine was restarted or set back since: all its earlier times lie before now.
+            record = replace(record, stood=now)
         foreign = self._foreign(record)
         if not foreign:
             return record

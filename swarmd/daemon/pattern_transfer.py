@@ -298,6 +298,7 @@ class PatternIntake:
                 is_rerun=True,
                 keeps_running=False,
                 age=request.age,
+                planned=request.planned,
                 issued_at=request.issued_at,
                 clock=request.clock,
                 issued=request.issued,

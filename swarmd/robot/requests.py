@@ -1,8 +1,15 @@
 """Carries out the requests of operators on one robot, or refuses them. Pure.
 
-No late request starts motion: run, reset, reload and param quote the epoch (count of the robot's
-changes) that the operator saw, and the robot refuses any other epoch. The robot obeys stop and
-estop in every state and at every epoch.
+No late request starts motion:
+
+1. Run, reset, reload and param quote the epoch (count of the robot's changes) that the operator
+   saw, and the robot refuses any other epoch.
+2. The robot refuses a start (run, resume, reload with a new run) that was issued before a stop that
+   it knows (`issue_time.py`).
+3. The robot refuses a start that is older than verbs.MAX_AGE and the time that the request declares
+   (`planned`).
+
+The robot obeys stop and estop in every state and at every epoch.
 
 A reload replaces the code of a pattern. A trial runs the new code first, in a process of its own,
 for this robot and with the parameters in force. Nothing else changes until the trial has passed. A
@@ -23,7 +30,9 @@ before an obeyed stop or a reset       trial or reset may have been requested af
 =====================================  ==========================================================
 
 The age of a stop does not include its time on the network. A stop may therefore seem to be issued
-later than it was, never earlier: in doubt the robot stops.
+later than it was, never earlier: in doubt the robot stops. So a stop of which no copy came before
+the run may end a run that was requested later, by the time of both on their ways. A copy of a stop
+that the robot has carried out ends no later run.
 """
 
 from __future__ import annotations
@@ -46,6 +55,8 @@ from swarmd.robot.state import Lifecycle
 if TYPE_CHECKING:
     from swarmd.protection.protection import Protection
     from swarmd.robot.effects import Effects
+
+Start = verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest
 
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
@@ -71,7 +82,7 @@ class _StopTime(NamedTuple):
         if self.is_copy:
             # At equal times, too: the first copy has ended all runs that were requested before it.
             return not wish.issued.is_before(self.issued)
-        return self.issued.is_before(wish.issued)  # at equal times the robot stops, in doubt
+        return self.issued.is_surely_before(wish.issued)  # at equal times the robot stops
 
 
 class RequestHandler:
@@ -195,7 +206,8 @@ class RequestHandler:
         """Load the pattern, or refuse; the reply follows once the pattern is loaded."""
         lifecycle = self._lifecycle
         wish = self._wish_of(request, effects.now)
-        why = self._refusal_to_start(wish) or self._refusal_to_run(request, effects.now)
+        now = effects.now
+        why = self._refusal_to_start(request, wish, now) or self._refusal_to_run(request, now)
         if why is not None:
             lifecycle.refuse(effects, request, *why)
         else:
@@ -215,7 +227,7 @@ class RequestHandler:
     def on_resume(self, request: verbs.ResumeRequest, effects: Effects) -> None:
         """Run the robot's own goal."""
         wish = self._wish_of(request, effects.now)
-        if why := self._refusal_to_start(wish):
+        if why := self._refusal_to_start(request, wish, effects.now):
             self._lifecycle.refuse(effects, request, *why)
         else:
             self._goals.resume(request, wish, effects)
@@ -281,21 +293,33 @@ class RequestHandler:
             moves += f", {twist.lateral:z.2f} m/s to the left"
         return f"{sent}; measured {moves}, {age:.1f} s ago"
 
-    def _refusal_to_start(self, wish: Wish) -> tuple[Refusal, str] | None:
+    def _refusal_to_start(
+        self, request: Start, wish: Wish, now: float
+    ) -> tuple[Refusal, str] | None:
         """Why no run of this wish can start in the present state; None if a run can start."""
         machine = self._lifecycle.state_machine
         if machine.state in (State.ESTOPPED, State.FAULTED):
             is_estopped = machine.state is State.ESTOPPED
             refusal = Refusal.ESTOPPED if is_estopped else Refusal.FAULTED
             return refusal, f"{machine.state} ({machine.reason}) {machine.detail}; reset it first"
-        if by := self._lifecycle.stops.later_than(wish.issued):
-            return Refusal.OVERTAKEN, _stopped_text(by)
+        if too_old := self._refusal_of_wish(request, wish, now):
+            return too_old
         text = under_way(self._lifecycle)
         return (Refusal.BUSY, text) if text else None
 
-    def _wish_of(
-        self, request: verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest, now: float
-    ) -> Wish:
+    def _refusal_of_wish(
+        self, request: Start, wish: Wish, now: float
+    ) -> tuple[Refusal, str] | None:
+        """Why a start is refused for the time at which it was issued; None if it is accepted."""
+        if by := self._lifecycle.stops.later_than(wish.issued):
+            return Refusal.OVERTAKEN, f"stopped since this was asked for, by {by}"
+        age, planned = now - wish.at, min(request.planned, verbs.MAX_PLANNED)
+        if age <= verbs.MAX_AGE + planned:
+            return None
+        most = f"{verbs.MAX_AGE:g} s" + (f" and {planned:.1f} s of work" if planned else "")
+        return Refusal.TOO_LATE, f"issued {age:.1f} s ago; at most {most} count: repeat it"
+
+    def _wish_of(self, request: Start, now: float) -> Wish:
         """When and by whom the request was issued.
 
         The operator may have queried this robot after a stop that came later than the request. So
@@ -414,8 +438,8 @@ class RequestHandler:
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
             return
         wish = self._wish_of(request, effects.now)
-        if request.is_rerun and (by := lifecycle.stops.later_than(wish.issued)):
-            lifecycle.refuse(effects, request, Refusal.OVERTAKEN, _stopped_text(by))
+        if request.is_rerun and (why := self._refusal_of_wish(request, wish, effects.now)):
+            lifecycle.refuse(effects, request, *why)
             return
         lifecycle.raise_revision(f"{request.operator} (reload {pattern})")
         running = lifecycle.pattern_run.running
@@ -523,11 +547,6 @@ class RequestHandler:
 
 def _cause_of_reset(request: verbs.ResetRequest) -> str:
     return f"{request.operator} (reset)"
-
-
-def _stopped_text(by: str) -> str:
-    """The refusal of a start that was issued before a stop of `by`."""
-    return f"stopped since this was asked for, by {by}"
 
 
 def _new_code_text(request: verbs.ReloadRequest) -> str:

@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.clock import TICK
 from swarmd.core.events import DriverInput
 from swarmd.core.messages import Code, Refusal, Reply, State
-from swarmd.core.verbs import AuditEntry, Request
+from swarmd.core.verbs import AuditEntry, Request, StopRequest
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver_commands import MAX_COMMAND_AGE, DriverCommands
 from swarmd.daemon.requests import RequestServer
@@ -127,6 +127,18 @@ def test_a_run_that_was_issued_before_a_change_is_refused() -> None:
     assert rig.harness.status.state is State.STOPPED
     rig.advance(0.6)
     assert rig.reply("run", age=1.0).code is Code.APPLIED
+
+
+def test_a_stop_ends_a_run_that_was_called_before_it() -> None:
+    """docs/safety.md: a run by a ROS service counts from the age that is known of it."""
+    rig = Rig(idle())
+    rig.advance(5.0)
+    assert rig.reply("run", age=2.0).code is Code.APPLIED
+    rig.advance(0.1)
+    earlier = StopRequest(id="s1", operator="bob", age=2.5)
+    assert rig.harness.answer(earlier).refusal is Refusal.OVERTAKEN
+    assert rig.harness.answer(StopRequest(id="s2", operator="bob", age=1.5)).code is Code.APPLIED
+    assert rig.harness.status.state is State.STOPPED
 
 
 def test_a_change_since_the_last_tick_counts_too() -> None:

@@ -86,6 +86,22 @@ def test_the_time_of_the_last_stop_outlives_the_daemon_and_is_bounded_after_a_re
     assert read.stood <= boottime()
 
 
+def test_the_time_of_the_last_stop_lies_not_ahead_on_a_computer_that_was_set_back(
+    tmp_path: Path,
+) -> None:
+    """Else the robot would refuse all runs until then."""
+
+    async def run() -> None:
+        service = GoalService(tmp_path, lambda: None, lambda text: None)
+        service.store(replace(RECORD, stood=boottime() + 600.0))
+        await service.close()
+
+    asyncio.run(run())
+    read = GoalService(tmp_path, lambda: None, lambda text: None).read()
+    assert read.stood is not None
+    assert read.stood <= boottime()
+
+
 def test_the_last_record_is_on_disk_when_the_service_closes(tmp_path: Path) -> None:
     async def run() -> None:
         service = GoalService(tmp_path, lambda: None, lambda text: None)

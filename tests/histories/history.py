@@ -141,6 +141,26 @@ class History:
     def _begin(self, by: str, verb: str, make: Callable[[VirtualOperator], Command]) -> None:
         self.operators[by].begin(verb, make(self.operators[by]))
 
+    def sleep(self, by: str, seconds: float, is_noticed: bool = True) -> None:
+        """The processes of an operator stand still."""
+        self.operators[by].sleep(seconds, is_noticed=is_noticed)
+
+    def die(self, by: str) -> None:
+        """The processes of an operator end, also those that renew a lease."""
+        self.operators[by].die()
+
+    def set_back(self, by: str, seconds: float) -> None:
+        """An operator's virtual machine is set back to its snapshot; it keeps the clock id."""
+        self.operators[by].die()
+        self.operators[by].shift -= seconds
+
+    def clone(self, by: str, shift: float) -> None:
+        """The operator's computer is a clone of the other one's, `shift` s ahead of it."""
+        [other] = [one for name, one in self.operators.items() if name != by]
+        self.operators[by].die()
+        self.operators[by].clock = other.clock
+        self.operators[by].shift = other.shift + shift
+
     # Robots
 
     def kill(self, robot: str) -> None:
@@ -473,6 +493,40 @@ def _run_before_stop(chance: random.Random, robots: tuple[str, ...]) -> Steps:
     )
 
 
+def _late_run(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """A start whose operator stands still, and perhaps the other operator's stop meanwhile."""
+    one, other = _both(chance)
+    start = chance.choice((_run, _run, _command("resume")))(chance, robots)
+    seconds = chance.choice((0.8, 3.0, 6.0, 12.0, 40.0))
+    sleep = step(0.0, "sleep", by=one, seconds=seconds, is_noticed=chance.random() < 0.3)
+    end = chance.choice((_command("stop"), _heal, _heal))(chance, robots)
+    by = {"by": other} if end.name == "stop" else {}
+    return (
+        replace(start, args=start.args | {"by": one}),
+        _after(chance, 0.0, 1.5, sleep),
+        _after(chance, 0.1, 3.0, replace(end, args=end.args | by)),
+    )
+
+
+def _other_clock(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """Orders of two machines with one clock id."""
+    one = _by(chance)
+    shift = chance.choice((5.0, 30.0, 600.0)) * chance.choice((-1.0, 1.0))
+    change = chance.choice(
+        (step(0.0, "clone", by=one, shift=shift), step(0.0, "set_back", by=one, seconds=abs(shift)))
+    )
+    orders = [chance.choice((_run, _command("stop")))(chance, robots) for _ in range(3)]
+    pair = [replace(order, args=order.args | {"by": _by(chance)}) for order in orders]
+    return tuple(_after(chance, 0.05, 3.0, each) for each in (pair[0], change, *pair[1:]))
+
+
+def _dead_script(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """A program that renews a lease dies."""
+    by = _by(chance)
+    run = step(0.0, "run", by=by, lease=2.0, here=8.0)
+    return run, _after(chance, 0.05, 5.0, step(0.0, "die", by=by))
+
+
 def _freeze(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
     """For less and more than a stall, a lease and the life of a relayed stop's first intervals."""
     seconds = chance.choice((0.2, 1.0, 2.9, 3.1, 8.0))
@@ -525,6 +579,9 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_cut_lease, 0.4),
     (_push_with_split, 0.4),
     (_run_before_stop, 2.0),
+    (_late_run, 1.2),
+    (_other_clock, 1.2),
+    (_dead_script, 0.4),
 )
 
 

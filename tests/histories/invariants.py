@@ -8,6 +8,9 @@ leave open:
   and loads nothing. It moves again only by a request that an operator sent after the robot had
   obeyed that stop, or by a goal with `on_join: run` that was set later than the stop. A robot
   refuses no stop that was issued later than its run began.
+- `late_start`: the age counts from the moment at which the order was typed, without the time for
+  which its operator's program worked (a program that stands still does not work) and the time
+  until a start that was ordered for later. Judged in histories by the true times.
 - `answer`: `applied` to a run or resume: the pattern runs. To a reset: the robot is not estopped,
   and the named latches are gone. To a goal: the robot holds it or a greater one. To labels: it has
   them.
@@ -74,6 +77,7 @@ if TYPE_CHECKING:  # the sequences of one robot need no network
     from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
 
 AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
+MAX_START_AGE = 5.0  # s
 LATE = 25.0  # s for which an operator repeats a stop
 HEAL_TIME = 10.0  # s
 STANDING_WAY = 0.25  # m
@@ -206,6 +210,7 @@ class Invariants:
             issued = self._issued[request.id]
             cause = daemon.cause
             is_ended = known.was_running and isinstance(request, StopRequest)
+            is_ended &= not self._is_of_two_machines(cause, request)
             is_ended &= not self._is_logged(daemon, Reason.LOOP_STALLED)
             late = 0.0 if cause is None else self._wanted(cause) - issued
             if is_ended and late > AGE_SHIFT + self._unseen_by(daemon, request.id):
@@ -304,6 +309,13 @@ class Invariants:
                     "stopped",
                     f"{name} runs by `{cause.request.verb}` of before the stop that it obeyed",
                 )
+            late = 0.0 if asked is None else cause.at - asked
+            late -= self._swarm.worked.get(cause.request.id, 0.0)
+            if late > MAX_START_AGE + AGE_SHIFT + self._unseen_by(daemon, cause.request.id):
+                raise BrokenRuleError(
+                    "late_start",
+                    f"{name} runs by `{cause.request.verb}` of {late:.1f} s ago, beside its work",
+                )
             known.stopped = known.reset = -1.0  # an operator wants it to run again
             return
         goal = daemon.robot.goals.own
@@ -353,6 +365,14 @@ class Invariants:
                 f"{daemon.name} refuses the stop {request.id}, which is {late:.1f} s later than"
                 " its run, and goes on",
             )
+
+    def _is_of_two_machines(self, cause: Cause | None, stop: StopRequest | EstopRequest) -> bool:
+        """True if run and stop have one clock id and are of different clocks: in doubt it stops."""
+        run = None if cause is None else cause.request
+        if run is None or not stop.clock or run.clock != stop.clock:
+            return False
+        shifts = [one.issued - self._issued[one.id] for one in (run, stop)]
+        return abs(shifts[0] - shifts[1]) > ROUNDING
 
     def _wanted(self, cause: Cause) -> float:
         """When an operator asked for a run: of a robot that joins, when the goal was set."""
@@ -542,6 +562,12 @@ _ROWS = (
         "late",
         "Nothing late starts motion: no copy of a request, no older request, no late report of the"
         " pattern host.",
+    ),
+    Rule(
+        "late_start",
+        "No run starts by a request that is older than 5 s, beside the time for which its sender"
+        " worked and the wait for its start time.",
+        (Invariants._check_begin,),
     ),
     Rule(
         "zero",

@@ -27,6 +27,7 @@ from swarmd.core.verbs import (
     ResetRequest,
     ResumeRequest,
     RunRequest,
+    starts_motion,
 )
 from swarmd.network.datagram import (
     Ack,
@@ -39,6 +40,7 @@ from swarmd.network.datagram import (
     Stop,
 )
 from swarmd.network.operator.discovery import Discovery
+from swarmd.network.operator.loop_watch import LoopWatch
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_goals import next_goal
 from swarmd.network.operator.outcome import Acks, Outcome, joined
@@ -52,6 +54,8 @@ from swarmd.texts.goal import content_of, present_goals, set_apart
 from tests.histories.swarm import Node, VirtualSwarm
 
 POLL = 0.1  # s
+WAKE_TIME = 0.02  # s after a standstill in which threads take what waits in sockets
+FIRST_SHIFT = 1e5  # s: no clock is set back to before its boot
 LEASE_PARTS = 3.0
 PROGRAM_TIME = 5.0  # s for which a Zenoh program repeats a stop
 _reply = Decoder(Reply, MAX_CONTROL)
@@ -70,7 +74,11 @@ class Done:
 
 
 class VirtualOperator(Node):
-    """An operator with a laptop; each command is a process of its own."""
+    """An operator with a laptop; each command is a process of its own.
+
+    Its clock has the id `clock` and is `shift` s ahead of the true time. Clones of one image have
+    one id and different shifts; a computer that is set back to a snapshot keeps its id.
+    """
 
     def __init__(self, swarm: VirtualSwarm, name: str, number: int) -> None:
         self.name = name
@@ -81,6 +89,12 @@ class VirtualOperator(Node):
         self._random = random.Random(name)
         self._echo = 0
         self.wall = 0.0  # s beside the true time
+        self.clock, self.shift = name, FIRST_SHIFT
+        self._life = 0  # counts the deaths of its processes
+        self._wakes_at = 0.0
+        self._sleeps: list[tuple[float, float]] = []
+        self._notices = True
+        self._watch = LoopWatch(lambda: 0.0)  # of the command that goes on now
         self._origin, self._counter = self._random.randbytes(4), 0
         self._discoveries: list[Discovery] = []
         self._pending: list[PendingStop] = []
@@ -89,10 +103,21 @@ class VirtualOperator(Node):
 
     def begin(self, verb: str, command: Command) -> None:
         """Type a command."""
-        began = self.swarm.now
+        began, life = self.swarm.now, self._life
+        watch = LoopWatch(lambda: 0.0)
+        watch.begin(began)
         self.under_way += 1
 
         def go_on() -> None:
+            if life != self._life:
+                command.close()
+                self.under_way -= 1
+                return
+            if self.swarm.now < self._wakes_at:
+                self.swarm.at(self._wakes_at + WAKE_TIME, go_on)
+                return
+            watch.turn(self.swarm.now, POLL)
+            self._watch = watch
             try:
                 next(command)
             except StopIteration as end:
@@ -103,11 +128,34 @@ class VirtualOperator(Node):
 
         go_on()
 
+    def sleep(self, seconds: float, *, is_noticed: bool) -> None:
+        """The computer is suspended, or its processes are stopped; its clock goes on.
+
+        `is_noticed` False: of programs that state their age and do not watch their loops.
+        """
+        end = self.swarm.now + seconds
+        if end > self._wakes_at:
+            self._sleeps.append((max(self._wakes_at, self.swarm.now), end))
+            self._wakes_at, self._notices = end, is_noticed
+
+    def _asleep_since(self, begin: float) -> float:
+        """The s of sleep since then."""
+        return sum(max(0.0, end - max(since, begin)) for since, end in self._sleeps)
+
+    def die(self) -> None:
+        """All processes of the operator end at once."""
+        self._life += 1
+        self._discoveries.clear()
+        self._pending.clear()
+
     @property
     def author(self) -> Author:
         return Author(Role.OPERATOR, self.name)
 
     def receive(self, body: Datagram, sender: Node) -> None:
+        if self.swarm.now < self._wakes_at:
+            self.swarm.at(self._wakes_at, partial(self.receive, body, sender))
+            return
         now, source = self.swarm.now, sender.address
         if isinstance(body, Ack):
             for pending in self._pending:
@@ -144,10 +192,11 @@ class VirtualOperator(Node):
         run = {"goal": goal, "at": at, **_run_fields(goal)}
         if not has_goal:
             run["goal"] = None
-        least = 5.0 + (ahead or 0.0)
-        outcome = yield from self._request(RunRequest, view, names, typed, least=least, **run)
+        outcome = yield from self._request(
+            RunRequest, view, names, typed, ahead=ahead or 0.0, **run
+        )
         if goal.lease is not None:
-            self._keep(goal, names, 1, self.swarm.now + here)
+            self._keep(goal, names, 1, self.swarm.now + here, self._life)
         return outcome
 
     def stop(self, verb: Literal["stop", "estop"], targets: tuple[str, ...] = ()) -> Command:
@@ -159,8 +208,8 @@ class VirtualOperator(Node):
             verb=verb,
             operator=self.name,
             scope="robots" if targets else "swarm",
-            clock=self.name,
-            issued=now,
+            clock=self.clock,
+            issued=now + self.shift,
         )
         renew = None
         if self.swarm.is_secured:
@@ -318,11 +367,14 @@ class VirtualOperator(Node):
         names: Iterable[str],
         typed: float,
         *,
-        least: float = 5.0,
+        ahead: float = 0.0,
         **fields: Any,
     ) -> Generator[None, None, Outcome]:
-        """`typed`: when the command began, to which its request is dated."""
-        swarm, targets = self.swarm, view.epochs(names)
+        """`typed`: when the command began, to which its request is dated. `ahead`: s until a start.
+
+        As `Operator.request`: a start is not sent after a standstill that is noticed.
+        """
+        swarm, targets, watch = self.swarm, view.epochs(names), self._watch
         asked: dict[str, Epoch | None] = {
             name: epoch for name, epoch in targets.items() if view.is_in_reach(name)
         }
@@ -330,15 +382,19 @@ class VirtualOperator(Node):
             id=self._new_id(typed),
             operator=self.name,
             targets=asked,
-            clock=self.name,
-            issued=typed,
+            planned=watch.worked(typed) + ahead,
+            clock=self.clock,
+            issued=typed + self.shift,
             issued_at=view.issue_times(asked, typed),
             **fields,
         )
         acks = Acks(request.id)
-        began, timeout = swarm.now, request_timeout(view, least)
+        began, timeout = swarm.now, request_timeout(view, 5.0 + ahead)
         repeat = RepeatTimer(began, ((1e9, REPEAT_PERIOD),))
+        swarm.worked[request.id] = began - typed - self._asleep_since(typed) + ahead
         while (robots := acks.missing(asked)) and swarm.now - began < timeout:
+            if starts_motion(request) and self._notices and watch.stood(typed):
+                break
             if repeat.is_due(swarm.now):
                 age = swarm.now - typed + view.round_trip
                 self._ask(request.verb, encode(replace(request, age=age)), robots, acks)
@@ -362,15 +418,21 @@ class VirtualOperator(Node):
         for address in (None, *discovery.to_solicit()):
             self._send(Solicit(echo=self._echo, wants_members=wants_members), address)
 
-    def _keep(self, goal: Goal, names: tuple[str, ...], count: int, until: float) -> None:
+    def _keep(
+        self, goal: Goal, names: tuple[str, ...], count: int, until: float, life: int
+    ) -> None:
         """Renew a run lease."""
         assert goal.lease is not None
-        if self.swarm.now > until:
+        if self.swarm.now > until or life != self._life:
+            return
+        if self.swarm.now < self._wakes_at:
+            again = partial(self._keep, goal, names, count, until, life)
+            self.swarm.at(self._wakes_at, again)
             return
         lease = RunLease(id=goal.id, operator=self.name, count=count)
         for name in names:
             self._send(lease, self.swarm.nodes[name].address)
-        again = partial(self._keep, goal, names, count + 1, until)
+        again = partial(self._keep, goal, names, count + 1, until, life)
         self.swarm.at(self.swarm.now + goal.lease / LEASE_PARTS, again)
 
     def _next_goal(self, view: MembersView, typed: float, **fields: Any) -> Goal | None:

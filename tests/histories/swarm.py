@@ -249,6 +249,7 @@ class VirtualSwarm:
         self.wall = 1.8e9  # s; the wall clocks differ by robot and may jump
         self.judge: Judge | None = None
         self.issued: dict[str, float] = {}  # when stops, goals and requests were made, by id
+        self.worked: dict[str, float] = {}  # s of an operator's work, and until a start, by id
         self.robots: dict[str, VirtualDaemon] = {}
         self.nodes: dict[str, Node] = {}
         self._by_address: dict[Address, Node] = {}

@@ -21,9 +21,11 @@ from swarmd.core.values import Twist
 from swarmd.protection.fence import fence_pose
 from swarmd.robot import state
 from swarmd.robot.actions import Actions
+from swarmd.robot.issue_time import IssueTime
+from swarmd.robot.requests import RequestHandler
 from swarmd.robot.robot import Robot
 from tests.histories import swarm
-from tests.histories.history import draw, fault_of, replay, script, shrink, step
+from tests.histories.history import History, Steps, draw, fault_of, replay, script, shrink, step
 from tests.histories.invariants import HISTORIES, BrokenRuleError, Invariants
 
 BLOCK = 50
@@ -184,6 +186,82 @@ def test_a_run_that_outlives_a_long_loss_of_its_base_breaks_a_rule(
     fault = fault_of(2, [step(0.0, "run", by="anna"), loss, step(9.0, "stop", by="bob")])
     assert fault is not None
     assert fault.rule == "lost_base"
+
+
+LATE = (
+    step(0.0, "kill", robot="r2"),
+    step(0.1, "run", by="anna"),
+    step(0.5, "sleep", by="anna", seconds=20.0, is_noticed=False),
+    step(25.0, "heal"),
+)
+CLONED = (
+    step(0.0, "clone", by="bob", shift=600.0),
+    step(0.1, "run", by="bob"),
+    step(3.0, "stop", by="anna"),
+)
+SET_BACK = (
+    step(0.1, "run", by="bob"),
+    step(2.0, "set_back", by="bob", seconds=30.0),
+    step(2.0, "stop", by="bob"),
+)
+RUN_OF_A_CLONE = (
+    step(0.0, "clone", by="bob", shift=30.0),
+    step(0.0, "kill", robot="r2"),
+    step(0.1, "run", by="bob"),
+    step(0.3, "stop", by="anna"),
+)
+
+
+@pytest.mark.parametrize(
+    ("steps", "owner", "method", "rule"),
+    [
+        (LATE, RequestHandler, "_refusal_of_wish", "late_start"),
+        (CLONED, IssueTime, "is_surely_before", "stopped"),
+        (SET_BACK, IssueTime, "is_surely_before", "stopped"),
+        (RUN_OF_A_CLONE, IssueTime, "is_before", "stopped"),
+    ],
+    ids=["late", "cloned", "set back", "run of a clone"],
+)
+def test_a_robot_that_believes_the_clock_of_an_operator_breaks_a_rule(
+    monkeypatch: pytest.MonkeyPatch, steps: Steps, owner: type, method: str, rule: str
+) -> None:
+    assert fault_of(2, steps) is None
+    if owner is IssueTime:
+        monkeypatch.setattr(IssueTime, method, lambda one, other: one.issued < other.issued)
+    else:
+        monkeypatch.setattr(owner, method, lambda *_: None)
+    fault = fault_of(2, steps)
+    assert fault is not None
+    assert fault.rule == rule
+
+
+@pytest.mark.parametrize("end", ["die", "sleep"])
+def test_a_run_ends_with_the_program_that_renews_its_lease(end: str) -> None:
+    seconds = {"seconds": 60.0} if end == "sleep" else {}
+    history = History(2)
+    for one in (
+        step(0.0, "run", by="anna", lease=2.0, here=100.0),
+        step(8.0, end, by="anna", **seconds),
+    ):
+        history.carry_out(one)
+    robots = history.swarm.robots.values()
+    assert all(one.robot.is_running for one in robots)
+    history.swarm.advance(2.5)
+    assert not any(one.robot.is_running for one in robots)
+
+
+def test_no_start_is_sent_after_a_standstill_that_is_noticed() -> None:
+    """A robot would refuse only a start of more than 5 s."""
+    history = History(2)
+    for one in (
+        step(0.0, "kill", robot="r2"),
+        step(0.1, "run", by="anna"),
+        step(0.5, "sleep", by="anna", seconds=2.0),
+        step(12.0, "heal"),
+    ):
+        history.carry_out(one)
+    assert not history.swarm.robots["r1"].robot.is_running
+    assert history.swarm.robots["r1"].robot.status(history.swarm.now).epoch.revision == 0
 
 
 def test_messages_of_a_program_beyond_the_limits_break_a_rule(

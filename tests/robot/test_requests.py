@@ -859,7 +859,10 @@ def test_a_stop_that_a_robot_learns_later_ends_an_earlier_run(others: dict[str, 
 
 
 def test_orders_of_one_machine_are_compared_by_its_clock() -> None:
-    """Whatever the ways took: the stop seems to be later than it was, and the run earlier."""
+    """Whatever the ways took: the stop seems to be later than it was, and the run earlier.
+
+    A stop that came after the run is refused only if the robot's own clock agrees.
+    """
     harness = RobotHarness(patterns=PATTERNS)
     harness.advance(5.0)
     harness.applied("stop", operator="bob", clock="a", issued=70.0)
@@ -870,7 +873,7 @@ def test_orders_of_one_machine_are_compared_by_its_clock() -> None:
     harness.send(harness.request("run", issued=70.1, **run))
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
-    earlier = late_stop(harness, 0.0, clock="a", issued=70.05)
+    earlier = late_stop(harness, 1.1, clock="a", issued=70.05)
     assert earlier.refusal is Refusal.OVERTAKEN
     assert late_stop(harness, 9.0, id="s1", clock="a", issued=70.2).code is Code.APPLIED
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
@@ -886,6 +889,112 @@ def test_an_emergency_stop_of_one_machine_is_compared_by_its_clock() -> None:
     run: dict[str, Any] = {"pattern": "forward", "age": 0.1, "clock": "a"}
     assert harness.refused("run", issued=69.9, **run).refusal is Refusal.OVERTAKEN
     harness.applied("run", issued=70.1, **run)
+
+
+def orders_of(clock: str, *orders: tuple[str, float]) -> RobotHarness:
+    """A robot after orders of machines with one clock id, each 3 s after the one before.
+
+    `orders`: each a verb and the time that its machine states.
+    """
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    for number, (verb, issued) in enumerate(orders):
+        fields: dict[str, Any] = {"pattern": "forward"} if verb == "run" else {}
+        id = f"{verb}{number}"
+        harness.send(harness.request(verb, id=id, age=0.1, clock=clock, issued=issued, **fields))
+        harness.advance(3.0)
+    return harness
+
+
+@pytest.mark.parametrize(
+    "ahead", [1e6, 600.0, 30.0, 3.5], ids=["forged", "set back", "a clone", "a close clone"]
+)
+def test_a_stop_counts_that_follows_a_run_of_a_machine_whose_clock_is_ahead(ahead: float) -> None:
+    """A snapshot and a clone have the clock id of their original, and another time."""
+    harness = orders_of("a", ("run", 100.0 + ahead), ("stop", 103.0))
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
+@pytest.mark.parametrize("ahead", [1e8, 600.0, 30.0, 3.5])
+def test_a_stop_of_a_clock_that_is_ahead_bars_no_later_run(ahead: float) -> None:
+    harness = orders_of("a", ("stop", 100.0 + ahead), ("run", 103.0))
+    assert harness.status.state is State.RUNNING
+    later = orders_of("a", ("stop", 100.0 + ahead), ("stop", 103.0), ("run", 106.0))
+    assert later.status.state is State.RUNNING
+
+
+def test_a_run_of_before_the_stop_of_a_clone_is_refused() -> None:
+    """Its request came later, and its machine states a later time."""
+    harness = orders_of("a", ("stop", 100.0))
+    run: dict[str, Any] = {"pattern": "forward", "clock": "a", "age": 3.5}
+    assert harness.refused("run", issued=130.0, **run).refusal is Refusal.OVERTAKEN
+    late = {**run, "age": 2.5}
+    harness.send(harness.request("run", issued=131.0, **late))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+
+
+def test_an_earlier_stop_of_another_clone_is_not_forgotten() -> None:
+    """A run of before both stops, by the clock of the later one it follows that one."""
+    harness = orders_of("a", ("stop", 500.0), ("stop", 103.0))
+    run: dict[str, Any] = {"pattern": "forward", "clock": "a"}
+    assert harness.refused("run", issued=499.0, age=4.9, **run).refusal is Refusal.OVERTAKEN
+    assert harness.refused("run", issued=505.9, age=6.5, **run).refusal is Refusal.OVERTAKEN
+
+
+STATED = ("age", "issued_at")
+
+
+@pytest.mark.parametrize("stated", STATED)
+@pytest.mark.parametrize(("verb", "fields"), STARTS)
+def test_a_start_of_more_than_five_seconds_is_refused(
+    verb: str, fields: dict[str, Any], stated: str
+) -> None:
+    """docs/safety.md: 5 s beside what the request declares, with the age in the answer."""
+    harness = at_rest(verb)
+    harness.advance(20.0)
+
+    def aged(age: float) -> dict[str, Any]:
+        at = {harness.robot.id: harness.now - age}
+        return {**fields, "issued_at": at} if stated == "issued_at" else {**fields, "age": age}
+
+    late = harness.refused(verb, **aged(5.1))
+    assert late.refusal is Refusal.TOO_LATE
+    assert "5.1 s" in late.text
+    assert harness.refused(verb, planned=4.0, **aged(9.1)).refusal is Refusal.TOO_LATE
+    assert harness.refused(verb, planned=1e6, **aged(3606.0)).refusal is not None
+    harness.send(harness.request(verb, planned=4.0, **aged(8.9)))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    assert harness.status.changed_by.startswith("alice")
+
+
+def test_a_start_that_claims_to_come_from_the_future_hides_no_stop() -> None:
+    """A lie about the time of a run lasts no longer than the way of the request."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    at = {harness.robot.id: harness.now + 1000.0}
+    harness.send(harness.request("run", pattern="forward", issued_at=at))
+    harness.advance(1.0)
+    assert harness.status.state is State.RUNNING
+    assert late_stop(harness, 0.5).code is Code.APPLIED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
+@pytest.mark.parametrize("verb", ["run", "reset", "param", "resume", "label", "reload"])
+def test_an_epoch_that_the_robot_has_not_had_yet_is_refused(verb: str) -> None:
+    """docs/architecture/robot.md: a robot refuses any other epoch than its own."""
+    harness = started()
+    fields: dict[str, dict[str, Any]] = {
+        "run": {"pattern": "forward"},
+        "param": {"params": {"speed": 0.1}},
+        "label": {"labels": ("red",)},
+        "reload": {"pattern": "forward"},
+    }
+    later = msgspec.structs.replace(harness.epoch, revision=harness.epoch.revision + 1)
+    reply = harness.answer(harness.request(verb, later, **fields.get(verb, {})))
+    assert reply.refusal is Refusal.STALE_EPOCH
+    assert harness.status.state is State.RUNNING
 
 
 STAND = Goal(generation=1, issuer="bob", id="g1")
@@ -905,7 +1014,7 @@ def test_a_goal_to_stand_from_a_peer_counts_as_a_stop() -> None:
     harness = RobotHarness(patterns=PATTERNS)
     harness.find(STAND, 10.0, may_join=False)
     assert harness.refused("run", pattern="forward", age=11.0).refusal is Refusal.OVERTAKEN
-    harness.send(harness.request("run", pattern="forward", age=9.0))
+    harness.send(harness.request("run", pattern="forward", age=9.0, planned=5.0))
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
 

@@ -31,7 +31,9 @@ from swarmd.network.operator.outcome import Outcome
 from swarmd.sim.live.starting import statuses_of
 from tests.support.processes import CAP, FORKED, MODULES, unique_swarm, wait_until
 
-STALLED = re.compile("by a stall of|loop_stalled|loading took more than")
+STALLED = re.compile(
+    r"by a stall of|loop_stalled|loading took more than|issued [\d.]+ s ago|stood still"
+)
 """In a refusal, on a machine that is too busy to be in time."""
 SWARMCTL = (sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()")
 _FORKING = threading.Lock()
@@ -94,7 +96,7 @@ def ask_in_time(ask: Callable[[], Finished], *, late: tuple[int, ...] = ()) -> F
     """Ask, and three times again as long as a stall refuses it or the exit code is in `late`."""
     for _ in range(3):
         done = ask()
-        is_late = STALLED.search(done.out) or done.code in late
+        is_late = STALLED.search(done.out + done.err) or done.code in late
         if done.code == APPLIED or not is_late:
             return done
     return ask()

@@ -84,11 +84,13 @@ def read_clocks(operator: Operator, robots: Collection[str]) -> dict[str, ClockO
     operator.listen(ClockReply, readings.on_reply)
     try:
         begun = now = boottime()
+        operator.loops.begin(now)
         until = begun + TIMEOUT + TRIPS * operator.seen().round_trip
         while now < until and (lacking := readings.lacking(robots)):
             operator.send_to_robots(lambda: readings.query(boottime()), lacking)
             time.sleep(PERIOD)
             now = boottime()
+            operator.loops.turn(now, PERIOD)
     finally:
         operator.listen(ClockReply, None)
     return {robot: readings.offsets[robot] for robot in robots if robot in readings.offsets}

@@ -13,6 +13,7 @@ from swarmd.core.messages import PeerView, StatusHeader
 from swarmd.core.verbs import MembersQuery
 from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import Discovery
+from swarmd.network.operator.loop_watch import LoopWatch
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_datagrams import OperatorDatagrams
 from swarmd.network.operator.operator_sessions import OperatorSessions
@@ -32,11 +33,16 @@ class MemberSearch:
     """Looks for members by the datagrams and sessions of an operator."""
 
     def __init__(
-        self, datagrams: OperatorDatagrams, sessions: OperatorSessions, arrivals: Arrivals
+        self,
+        datagrams: OperatorDatagrams,
+        sessions: OperatorSessions,
+        arrivals: Arrivals,
+        loops: LoopWatch,
     ) -> None:
         self._datagrams = datagrams
         self._sessions = sessions
         self._arrivals = arrivals
+        self._loops = loops
 
     def look(
         self, discovery: Discovery, timeout: float | None, cap: float, *, needs_status: bool
@@ -55,6 +61,8 @@ class MemberSearch:
         over_timer = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))  # for `discovery.is_over`
         deadline = None if timeout is None else now + timeout
         ask_status_at = now if needs_status else now + STATUS_DELAY
+        pause = 0.0
+        self._loops.begin(now)
         while True:
             with self._arrivals.lock:
                 now, count = boottime(), self._arrivals.count
@@ -65,6 +73,7 @@ class MemberSearch:
                     ends_incomplete = True
                 else:
                     ends_incomplete = over_timer.is_due(now) and discovery.is_over(now)
+            self._loops.turn(now, pause)
             if is_complete:
                 # The caller sends requests next, and needs links to all robots. Robots that wait to
                 # be dialled together are dialled before the return; this may sleep.
@@ -79,7 +88,8 @@ class MemberSearch:
                 self._ask_members(discovery)
             to_end_check = OVER_PERIOD if deadline is None else deadline - now
             timers_due_in = min(solicit_timer.pause(now), status_timer.pause(now))
-            self._arrivals.wait(count, min(timers_due_in, to_end_check, dial_due_in))
+            pause = min(timers_due_in, to_end_check, dial_due_in)
+            self._arrivals.wait(count, pause)
 
     def _dial_last_robots(self, discovery: Discovery, now: float) -> float:
         """Dial the robots that still wait to be dialled together; returns the time afterwards."""

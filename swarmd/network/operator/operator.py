@@ -26,11 +26,11 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.closing import Closing
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, RequestError
 from swarmd.core.keys import ANY
 from swarmd.core.messages import Epoch
 from swarmd.core.names import named_by_program
-from swarmd.core.verbs import AnyRequest
+from swarmd.core.verbs import AnyRequest, starts_motion
 from swarmd.network.access import may_ask
 from swarmd.network.datagram import (
     ANY_SWARM,
@@ -47,6 +47,8 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Discovery
+from swarmd.network.operator.exit_codes import FAILED
+from swarmd.network.operator.loop_watch import LoopWatch
 from swarmd.network.operator.member_search import MemberSearch
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_datagrams import Carrier, OperatorDatagrams
@@ -59,7 +61,12 @@ from swarmd.network.operator.operator_text import (
 )
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.operator.repeat_timer import RepeatTimer
-from swarmd.network.operator.request_sender import REQUEST_WAIT, RequestSender, request_timeout
+from swarmd.network.operator.request_sender import (
+    REQUEST_WAIT,
+    RequestSender,
+    request_timeout,
+    stood_still,
+)
 from swarmd.network.operator.roster_follower import RosterFollower
 from swarmd.network.operator.stop_request import PendingStop, Renew, Select
 from swarmd.network.operator.stop_sender import StopSender
@@ -124,8 +131,9 @@ class Operator(Closing):
         self._arrivals = Arrivals()
         self._sessions = OperatorSessions(settings, identity, self._arrivals)
         self._datagrams = self._open_datagrams(carrier)
-        self._search = MemberSearch(self._datagrams, self._sessions, self._arrivals)
-        self._requests = RequestSender(self._sessions, self._arrivals)
+        self.loops = LoopWatch()
+        self._search = MemberSearch(self._datagrams, self._sessions, self._arrivals, self.loops)
+        self._requests = RequestSender(self._sessions, self._arrivals, self.loops)
         self._stops = StopSender(self._datagrams, self._rosters, self._arrivals)
         self._datagrams.start()
 
@@ -329,12 +337,16 @@ class Operator(Closing):
         least_timeout: float = REQUEST_WAIT,
         is_ended: Callable[[], bool] = lambda: False,
         issued: float | None = None,
+        ahead: float = 0.0,
         **fields: Any,
     ) -> Outcome:
         """Send a request to the robots in `targets`; repeat it to each robot without a reply.
 
-        `issued`: when the user typed, clicked or called it, in s on the clock since boot; None:
-        when the last look began. A robot that was stopped since then refuses to start a run.
+        `issued`: when the user typed, clicked or called it, in s on the clock since boot. A robot
+        that was stopped since then refuses to start a run. So does a robot that gets the request
+        more than `verbs.MAX_AGE` s later, beside the time for which this operator worked and
+        `ahead` (s until the time at which the run is to start). None: a stop since the last look
+        began refuses the run, and its age counts from this call.
 
         `kind` and `fields`: the request; all repeats have one id. `targets`: for each robot the
         epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
@@ -343,7 +355,8 @@ class Operator(Closing):
         Returns once all robots have replied, once `is_ended` returns True, and after `timeout` s at
         the latest. `timeout` None: a time of at least `least_timeout` s, which grows with the round
         trip and the loss of datagrams. A robot that is unreachable or gone counts as missing at
-        once. Raises ConfigError if the role of the own identity does not permit the request.
+        once. Raises ConfigError if the role of the own identity does not permit the request, and
+        RequestError for a start (`verbs.starts_motion`) if this process stood still since `issued`.
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
@@ -352,16 +365,23 @@ class Operator(Closing):
             for name, epoch in targets.items()
             if last_view.is_in_reach(name) or present_view.is_in_reach(name)
         }
+        now = boottime()
         if issued is None:
-            issued = boottime() if self._discovery is None else self._discovery.started
+            issued = now if self._discovery is None else self._discovery.started
+            planned = now - issued
+        else:
+            planned = self.loops.worked(issued) + ahead
         request = self._new(
             kind,
             targets=asked,
             clock=clock_id(),
             issued=issued,
             issued_at=last_view.issue_times(asked, issued),
+            planned=planned,
             **fields,
         )
+        if starts_motion(request) and (stood := self.loops.stood(issued)):
+            raise RequestError(stood_still(stood, "nothing was sent"), FAILED)
         if timeout is None:
             timeout = request_timeout(last_view, least_timeout)
         outcome, linked = self._requests.send(

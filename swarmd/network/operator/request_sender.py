@@ -11,9 +11,10 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
 from swarmd.core.keys import ANY, CONTROL
 from swarmd.core.messages import Code, Epoch, Refusal, Reply, ReplyHeader
-from swarmd.core.verbs import AnyRequest
+from swarmd.core.verbs import AnyRequest, starts_motion
 from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import Discovery
+from swarmd.network.operator.loop_watch import LoopWatch
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_sessions import OperatorSessions
 from swarmd.network.operator.outcome import Acks, Outcome
@@ -48,9 +49,10 @@ def request_timeout(view: MembersView, least_timeout: float) -> float:
 class RequestSender:
     """Sends by the sessions of an operator."""
 
-    def __init__(self, sessions: OperatorSessions, arrivals: Arrivals) -> None:
+    def __init__(self, sessions: OperatorSessions, arrivals: Arrivals, loops: LoopWatch) -> None:
         self._sessions = sessions
         self._arrivals = arrivals
+        self._loops = loops
 
     def send(
         self,
@@ -69,8 +71,9 @@ class RequestSender:
         missing. `view`: the members by the last look (query of all members). Robots without a Zenoh
         link are dialled as `discovery` finds them. Sending ends after `timeout` s, or once
         `is_ended` returns True. If only robots of another version are missing, which may never
-        reply, sending ends after a short time. Returns the outcome, and the robots in `asked` with
-        a link.
+        reply, sending ends after a short time. A start is not sent again after this process stood
+        still (`loop_watch.py`): the outcome has a warning then. Returns the outcome, and the robots
+        in `asked` with a link.
         """
         of_other_version = set(asked) & set(view.of_other_version())
         other_version_wait = OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip
@@ -80,6 +83,8 @@ class RequestSender:
         links = self._sessions.question_links(request.verb)  # which robots a query would reach
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
         missing = tuple(asked)
+        pause = stood = 0.0
+        self._loops.begin(now)
         while missing and (time_left := started + timeout - now) > 0:
             newly_linked = self._sessions.linked(links, unlinked)
             unlinked -= newly_linked
@@ -89,22 +94,22 @@ class RequestSender:
                 receivers = set(missing) - unlinked
             # One query to all robots replaces many: robots that are no targets ignore the query.
             names = [ANY] if len(receivers) == len(asked) else sorted(receivers)
-            # With the age at its arrival, so that a robot can refuse the request as too old.
+            # With the age at its arrival: a robot refuses a start that is too old.
             age = now - request.issued + view.round_trip
             present_request = replace(request, age=age)
             self._query(present_request, names, time_left, acks)
             if unlinked and discovery is not None:
                 self._sessions.dial(discovery, now, only=unlinked)
             pause = min(time_left, repeat_at - now, LINK_PERIOD if unlinked else REPEAT_PERIOD)
+            pause = max(pause, LEAST_PAUSE)
             with self._arrivals.lock:
-                self._arrivals.lock.wait_for(
-                    lambda: not acks.missing(asked), max(pause, LEAST_PAUSE)
-                )
+                self._arrivals.lock.wait_for(lambda: not acks.missing(asked), pause)
                 missing = acks.missing(asked)
                 now = boottime()
+            stood = self._loops.turn(now, pause) if starts_motion(request) else 0.0
             lacks_only_other_version = of_other_version.issuperset(missing)
             is_in_vain = lacks_only_other_version and now - started >= other_version_wait
-            if is_ended() or is_in_vain:
+            if stood or is_ended() or is_in_vain:
                 break
         links.close()
         with self._arrivals.lock:
@@ -112,6 +117,8 @@ class RequestSender:
             for name in acks.missing(of_other_version):
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
             outcome = acks.outcome(targets, seconds=now - started, reached=len(asked))
+        if stood and outcome.missing:
+            outcome = replace(outcome, warnings=(stood_still(stood, "it was not sent again"),))
         return outcome, set(asked) - unlinked
 
     def _query(
@@ -133,6 +140,7 @@ class RequestSender:
         """
         asked, answers = sorted(set(robots)), dict[str, bytes]()
         until = boottime() + timeout
+        self._loops.begin(boottime())
         while len(answers) < len(asked) and (time_left := until - boottime()) > 0:
             for robot in asked:
                 if robot not in answers:  # `setdefault`: the first answer of a robot counts
@@ -141,8 +149,15 @@ class RequestSender:
                 self._arrivals.lock.wait_for(
                     lambda: len(answers) == len(asked), min(time_left, REPEAT_PERIOD)
                 )
+            self._loops.turn(boottime(), REPEAT_PERIOD)
         with self._arrivals.lock:
             return dict(answers)
+
+
+def stood_still(seconds: float, consequence: str) -> str:
+    """The line for the user after this process stood still."""
+    text = f"this program stood still for {seconds:.1f} s (stopped, or its computer suspended)"
+    return f"{text}: {consequence}; type it anew if you still want it"
 
 
 def _collect(acks: Acks) -> Callable[[str, bytes], object]:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import pytest
 from msgspec.structs import replace
 
 from swarmd.core.clock import boottime, clock_id
+from swarmd.core.errors import RequestError
 from swarmd.core.messages import Code
-from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.exit_codes import PARTIAL
+from swarmd.core.verbs import AnyRequest, ResetRequest, ResumeRequest, RunRequest
+from swarmd.network.operator import request_sender
+from swarmd.network.operator.exit_codes import FAILED, PARTIAL, TIMEOUT
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.request_sender import REPEAT_PERIOD
 from swarmd.network.settings import NetworkSettings
@@ -30,6 +33,7 @@ def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: 
         targets=targets,
         pattern="attraction",
         age=request.age,
+        planned=request.planned,
         clock=clock_id(),
         issued=request.issued,
         issued_at=request.issued_at,
@@ -56,6 +60,63 @@ def test_each_copy_of_a_request_counts_from_when_it_was_issued(
     assert {one.clock for one in requests} == {clock_id()}
     assert all(before.age < after.age for before, after in pairwise(requests))
     assert requests[0].age >= 7.0
+
+
+def test_a_request_declares_the_time_for_which_its_operator_worked(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    """Looks and the time until a start count, and so do 3 s of a program's start; no pause does."""
+    swarm = robots("a")
+    with Operator(settings) as operator:
+        typed = boottime() - 60.0
+        look = operator.members()
+        operator.request(RunRequest, look.epochs(["a"]), issued=typed, pattern="x")
+        took = boottime() - typed - 60.0
+        operator.request(RunRequest, look.epochs(["a"]), issued=typed, ahead=20.0, pattern="x")
+        operator.request(RunRequest, look.epochs(["a"]), pattern="x")
+    sent = swarm["a"].different_requests
+    first, second, third = [one for one in sent if isinstance(one, RunRequest)]
+    assert 3.0 <= first.planned <= 3.0 + took
+    assert 20.0 <= second.planned - first.planned <= 20.0 + took
+    assert third.planned <= third.age  # from a call, which states no time, its age counts anew
+
+
+def test_no_start_is_sent_after_a_standstill(settings: NetworkSettings, robots: Robots) -> None:
+    """docs/safety.md: a gap of more than 1 s in the loop of its program ends a start."""
+    swarm = robots("a")
+    with Operator(settings) as operator:
+        targets = operator.members().epochs(["a"])
+        now = boottime()
+        operator.loops.begin(now - 10.0)
+        operator.loops.turn(now, pause=8.9)
+        with pytest.raises(RequestError) as error:
+            operator.request(RunRequest, targets, issued=now - 10.0, pattern="x")
+        assert error.value.exit_code == FAILED
+        with pytest.raises(RequestError):
+            operator.request(ResumeRequest, targets, issued=now - 10.0)
+        assert swarm["a"].requests == []
+        assert operator.request(ResetRequest, targets, issued=now - 10.0).exit_code == 0
+        assert operator.request(RunRequest, targets, issued=boottime(), pattern="x").exit_code == 0
+
+
+def test_a_start_is_not_repeated_after_a_standstill(
+    settings: NetworkSettings, robots: Robots, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock goes on by 40 s while the sender waits for a reply."""
+    ahead = [0.0]
+
+    def no_answer(request: AnyRequest) -> None:
+        ahead[0] = 40.0
+
+    swarm = robots("a", answer=no_answer)
+    with Operator(settings) as operator:
+        targets = operator.members().epochs(["a"])
+        now = boottime
+        monkeypatch.setattr(request_sender, "boottime", lambda: now() + ahead[0])
+        outcome = operator.request(RunRequest, targets, issued=now(), timeout=300.0, pattern="x")
+    assert len(swarm["a"].requests) == 1
+    assert (outcome.missing, outcome.exit_code) == (("a",), TIMEOUT)
+    assert len(outcome.warnings) == 1
 
 
 def test_a_request_waits_for_links_that_are_not_up_when_it_begins(

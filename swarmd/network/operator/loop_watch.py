@@ -1,0 +1,84 @@
+"""Detects that a process stood still: SIGSTOP, Ctrl-Z, a closed lid, a suspended computer.
+
+A program that commands robots looks again and again while it works: it waits for answers, for a
+canary, or for the next call. If it did not look for more than MAX_GAP beyond its wait, it stood
+still, and its user may have given a later order elsewhere. Then it starts no motion.
+
+Time for which the thread waited for a processor is no gap: on a loaded computer a program is slow
+without standing still. The kernel counts this time, and does not count it for a stopped process. A
+robot bounds the age of each start in any case (`verbs.MAX_AGE`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable
+
+MAX_GAP = 1.0
+"""Seconds without a look, beyond the wait and the time without a processor."""
+MAX_LOOPS = 64  # loops that are remembered
+START_TIME = 3.0
+"""Seconds between an order and the first look that count as work: the start of a program."""
+
+
+def processor_wait() -> float:
+    """Seconds for which this thread has waited for a processor so far; 0 if it is not known."""
+    try:
+        file = os.open("/proc/thread-self/schedstat", os.O_RDONLY)
+    except OSError:
+        return 0.0
+    try:
+        return 1e-9 * int(os.read(file, 100).split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    finally:
+        os.close(file)
+
+
+class LoopWatch:
+    """Watches the loops of one thread; times in s on one clock.
+
+    Call `begin` before a loop, and `turn` in each turn of it.
+    """
+
+    def __init__(self, waited: Callable[[], float] = processor_wait) -> None:
+        """`waited`: s for which the thread has waited for a processor so far."""
+        self._processor_wait = waited
+        self._waited = 0.0
+        self._loops = deque[tuple[float, float]](maxlen=MAX_LOOPS)  # begin and last turn of each
+        self._stops = deque[tuple[float, float]](maxlen=MAX_LOOPS)  # end of a standstill, and s
+
+    def begin(self, now: float) -> None:
+        """A loop begins."""
+        self._waited = self._processor_wait()
+        self._loops.append((now, now))
+
+    def turn(self, now: float, pause: float = 0.0) -> float:
+        """Note a turn of the loop; returns the s for which the process stood still before it, or 0.
+
+        `pause`: s for which the loop wanted to wait at most since its last turn.
+        """
+        begun, last = self._loops[-1]
+        before, self._waited = self._waited, self._processor_wait()
+        gap = now - last - pause - (self._waited - before)
+        if gap <= MAX_GAP:
+            self._loops[-1] = begun, now
+            return 0.0
+        self._stops.append((now, gap))
+        self._loops.append((now, now))
+        return gap
+
+    def note_work(self, begun: float, end: float) -> None:
+        """Note work of the caller in another loop, such as a rehearsal."""
+        self._loops.append((begun, end))
+
+    def stood(self, since: float) -> float:
+        """The longest standstill in s that ended after `since`; 0 without one."""
+        return max((gap for end, gap in self._stops if end > since), default=0.0)
+
+    def worked(self, since: float) -> float:
+        """Seconds since `since` that loops took, and those before the first loop (START_TIME)."""
+        loops = [(max(begun, since), last) for begun, last in self._loops if last >= since]
+        start = min(loops[0][0] - since, START_TIME) if loops else 0.0
+        return start + sum(last - begun for begun, last in loops)
