@@ -395,7 +395,7 @@ class Swarm(Closing):
     ) -> Outcome:
         from swarmd.client.stops import send_stop
 
-        with self._session(timeout) as session:
+        with self._session(timeout, is_stop=True) as session:
             return send_stop(session, verb, targets, reason, until_all=until_all)
 
     def _cancellable(self, cancelled: threading.Event, began: float | None = None) -> Swarm:
@@ -415,17 +415,23 @@ class Swarm(Closing):
         return one
 
     @contextmanager
-    def _session(self, timeout: float | None, *, is_request: bool = False) -> Iterator[Session]:
+    def _session(
+        self, timeout: float | None, *, is_request: bool = False, is_stop: bool = False
+    ) -> Iterator[Session]:
+        """A session for one call; the end of the main thread cancels it, unless it `is_stop`."""
         check_time("timeout", timeout)
         began = boottime() if self._began is None else self._began
-        events = (self._cancelled, *self._parents)
+        events, main_thread = (self._cancelled, *self._parents), threading.main_thread()
         lend = self._pool.lend_for_request if is_request else self._pool.lend
         with lend() as operator:
             yield Session(
                 operator,
                 self._timeout if timeout is None else timeout,
                 self._tell,
-                lambda: any(event.is_set() for event in events),
+                lambda: (
+                    any(event.is_set() for event in events)
+                    or not (is_stop or main_thread.is_alive())
+                ),
                 began,
             )
 

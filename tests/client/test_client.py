@@ -23,6 +23,7 @@ from swarmd.client.connect import Connection
 from swarmd.client.members import Members
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, OperatorPool
+from swarmd.client.run_lease import LeaseKeeper
 from swarmd.client.runs import Run
 from swarmd.client.session import Session
 from swarmd.client.states import RobotState, _put
@@ -30,6 +31,7 @@ from swarmd.client.swarm import Swarm, _targets
 from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.messages import Motion, State
+from swarmd.network.datagram import RunLease
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.settings import NetworkSettings
@@ -152,6 +154,18 @@ def test_no_lease_outlives_the_connection_or_a_later_run_of_its_robots() -> None
     assert sorted(ended) == ["one", "three", "two"]
     pool.keep_lease(["r1"], lease("late"))  # of a run that was under way as the pool closed
     assert ended[-1] == "late"
+
+
+def test_a_lease_is_renewed_only_while_it_is_owned() -> None:
+    owned, sent = iter([True, True, False]), list[int]()
+
+    def send(make: Callable[[], RunLease], robots: object) -> None:
+        sent.append(make().count)
+
+    operator = cast("Operator", SimpleNamespace(name="anna", send_to_robots=send))
+    keeper = LeaseKeeper(operator, "goal", 0.01, ["r1"], is_owned=lambda: next(owned))
+    keeper.run()  # ends by itself
+    assert sent == [1, 2]
 
 
 def test_a_context_by_name_and_a_swarm_file_of_the_environment(
