@@ -15,6 +15,7 @@ from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.clock import boottime
 from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
+from swarmd.core.numbers import python_value
 from swarmd.network.operator.exit_codes import TIMEOUT
 
 if TYPE_CHECKING:
@@ -209,17 +210,20 @@ class Swarm(Closing):
         """
         from swarmd.client.runs import Run, carry_out, goal_targets
 
+        values = {
+            "seconds": seconds,
+            "valid": valid,
+            "at": at,
+            "canary": canary,
+            "canary_time": canary_time,
+            "lease": lease,
+        }
         run = Run(
             pattern=pattern,
             params=plain_params(params or {}),
-            seconds=seconds,
             conditions=check_words(until, "until"),
             on_join=on_join,
-            valid=valid,
-            at=at,
-            canary=canary,
-            canary_time=canary_time,
-            lease=lease,
+            **python_value(values),
         )
         run.check()
         targets = _targets(robots, labels, exclude)

@@ -198,13 +198,26 @@ def test_robots_of_a_call() -> None:
 
 def test_values_that_can_be_sent() -> None:
     numpy = pytest.importorskip("numpy")
-    given = {"a": numpy.float64(0.5), "b": numpy.int32(3), "c": True, "d": "x", "e": None}
+    given = {"a": numpy.float64(0.5), "b": numpy.int32(3), "c": numpy.True_, "d": "x", "e": None}
     sent = plain_params(given)
     assert sent == {"a": 0.5, "b": 3, "c": True, "d": "x", "e": None}
     assert [type(sent[key]) for key in "abc"] == [float, int, bool]
     for wrong in ([1.0], float("inf"), 1j):
         with pytest.raises(ConfigError, match="speed"):
             plain_params({"speed": wrong})
+
+
+def test_times_of_numpy_are_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    numpy = pytest.importorskip("numpy")
+    made: list[Run] = []
+    monkeypatch.setattr(Run, "check", lambda run: made.append(run))
+    with pytest.raises(AttributeError):  # the operator of this test sends nothing
+        Swarm(OperatorPool(Counted())).run(
+            "drive", seconds=numpy.float32(1.5), canary=numpy.int64(2), canary_time=numpy.int8(3)
+        )
+    values = made[0].seconds, made[0].canary, made[0].canary_time
+    assert values == (1.5, 2, 3)
+    assert [type(value) for value in values] == [float, int, int]
 
 
 WRONG: dict[str, Callable[[Swarm], object]] = {

@@ -51,7 +51,8 @@ frozen = socket.create_server(("127.0.0.1", 0))
 atexit.register(lambda: print([one.name for one in threading.enumerate() if one.name == CLOSING]))
 operator = Operator(NetworkSettings(swarm="frozen"))
 operator._sessions._open_sessions({("r1", "one life"): frozen.getsockname()}, 0.0)
-frozen.accept()
+link, _ = frozen.accept()
+link.recv(1)  # the handshake has begun
 """
 
 
