@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable
 from decimal import Decimal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,15 +104,16 @@ def test_what_is_no_part_is_one_line(text: str) -> None:
 
 
 def test_values_of_numpy_are_numbers_and_lists() -> None:
-    sweep = {"groups.tb3.parameters.speed": np.linspace(0.1, 0.2, 2)}
+    sweep: Any = {"groups.tb3.parameters.speed": np.linspace(0.1, 0.2, 2)}
+    one: Any = np.int64(1)
     sets = {"groups.tb3.count": np.int64(3), "duration": np.float32(2.0)}
     plan = plan_of("dispersion", np.arange(2), sets, sweep)
     speeds = [variant.values["groups.tb3.parameters.speed"] for variant in plan.variants]
     assert speeds == [0.1, 0.2]
     assert plan.seeds == (0, 1)
     assert json.loads(json.dumps(plan.variants[0].effective["groups"]))["tb3"]["count"] == 3
-    assert swarmd.env("dispersion", np.int64(1), set=sets).scenario.effective["duration"] == 2.0
-    swarmd.demo(robots=np.int64(3), seed=np.int64(1))  # not started
+    assert swarmd.env("dispersion", one, set=sets).scenario.effective["duration"] == 2.0
+    swarmd.demo(robots=one, seed=one)  # not started
 
 
 @pytest.mark.parametrize(
