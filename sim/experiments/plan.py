@@ -103,6 +103,8 @@ class Plan:
 
 def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
     """The seeds; ConfigError if they are empty, repeated or invalid."""
+    if not isinstance(seeds, Iterable):
+        raise ConfigError(f"seeds is {seeds!r}; expected a whole number, or several")
     listed = tuple(seeds)
     if not listed:
         raise ConfigError("seeds: empty; expected at least one, such as --seeds 20")

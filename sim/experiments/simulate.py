@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.numbers import python_value
 from swarmd.plugins import MISSION
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
@@ -165,7 +166,8 @@ def plan_of(
         reported_notes.update(dict.fromkeys(variant.notes))
         return plain(variant.effective)
 
-    return make_plan(name, checked_seeds, set or {}, sweep or {}, effective)
+    sets, sweeps = python_value(set or {}), python_value(sweep or {})
+    return make_plan(name, checked_seeds, sets, sweeps, effective)
 
 
 def run_experiment(

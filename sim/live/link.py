@@ -26,7 +26,12 @@ from swarmd.core.values import Platform, Twist
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.emulator import Emulator, EmulatorFactory
 from swarmd.network.carriers.robot_link import RobotServer, read_endpoint
-from swarmd.network.carriers.session import open_listening, open_with, tune_sockets
+from swarmd.network.carriers.session import (
+    on_thread,
+    open_listening,
+    open_with,
+    tune_sockets,
+)
 from swarmd.sim.live.state import (
     Action,
     Triple,
@@ -218,13 +223,14 @@ class WorldView(Closing):
         self._session = open_with(options, what=f"the world at {endpoint}")
 
     def watch(self, handler: Callable[[WorldState], None]) -> None:
-        """Call `handler` with each state (10 Hz) on a Zenoh thread."""
+        """Call `handler` with each state (10 Hz) on a daemon thread."""
 
-        def on_sample(sample: zenoh.Sample) -> None:
-            with contextlib.suppress(CodecError):  # of another program
-                handler(decode_state(sample.payload.to_bytes()))
+        def on_samples(samples: list[zenoh.Sample]) -> None:
+            for sample in samples:
+                with contextlib.suppress(CodecError):  # of another program
+                    handler(decode_state(sample.payload.to_bytes()))
 
-        self._session.declare_subscriber(state_key(self._swarm), on_sample)
+        self._session.declare_subscriber(state_key(self._swarm), on_thread(on_samples))
 
     def ask(self, action: Action, timeout: float = 10.0) -> WorldReply:
         """The world's reply to an action; NetworkError if none comes within `timeout` s."""

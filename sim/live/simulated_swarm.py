@@ -127,12 +127,14 @@ def demo(
     without MuJoCo (`pip install 'swarmd[sim]'`).
     """
     from swarmd.core.keys import check_id
+    from swarmd.core.numbers import python_value
     from swarmd.plugins import need
     from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
 
     need("mujoco", extra="sim")
     name = check_id(f"demo-{secrets.token_hex(3)}" if swarm is None else swarm, "swarm")
     tell = logging.getLogger("swarmd.client").info
+    robots, seed, radio_range = python_value([robots, seed, radio_range])
     if not isinstance(robots, int) or not 1 <= robots <= MAX_ROBOTS:
         raise ConfigError(f"robots is {robots!r}; expected 1 to {MAX_ROBOTS}")
 

@@ -7,7 +7,7 @@ from copy import deepcopy
 from typing import Any
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.numbers import read_duration
+from swarmd.core.numbers import python_value, read_duration
 from swarmd.settings.yamlfile import brief, read_value
 
 SOURCE = "--set"
@@ -60,7 +60,7 @@ def nested(
         if keys[0] == "realism" and len(keys) > 1 and isinstance(base.get("realism"), str):
             over.setdefault("realism", {"preset": base["realism"]})
         try:
-            _put(over, base, keys, deepcopy(value))
+            _put(over, base, keys, python_value(value))
         except ConfigError as error:
             raise ConfigError(f"{source}: {key}: {error}") from error
     return over

@@ -8,6 +8,7 @@ from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.numbers import python_value
 
 if TYPE_CHECKING:
     from swarmd.texts.assignments import Value
@@ -36,11 +37,11 @@ def check_words(words: Words, what: str) -> tuple[str, ...]:
 
 
 def plain_params(values: Mapping[str, Any]) -> dict[str, Value]:
-    """Values that can be sent: numpy's numbers as Python's. ConfigError for any other type."""
+    """Values that can be sent: numpy's values as Python's. ConfigError for any other type."""
     if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
         raise ConfigError(f"parameters are {values!r}; expected a dict, such as {{'speed': 0.15}}")
     plain: dict[str, Value] = {}
-    for key, value in values.items():
+    for key, value in python_value(values).items():
         if isinstance(value, bool | str) or value is None:
             plain[key] = value
         elif isinstance(value, Integral) and -(2**63) <= int(value) < 2**63:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 from collections.abc import Callable, Collection, Hashable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -73,7 +74,10 @@ class LookTurns:
 
 
 class OperatorPool:
-    """Lends operators that `make` creates, an idle one or a new one: no stop or request waits."""
+    """Lends operators that `make` creates, an idle one or a new one: no stop or request waits.
+
+    The end of the program closes the pool, and the end of the main thread ends its leases.
+    """
 
     def __init__(self, make: Callable[[], Operator]) -> None:
         self._make = make
@@ -83,20 +87,26 @@ class OperatorPool:
         self.requests = RequestLimit()
         self.looks = LookTurns()
         self._is_closed = False
+        atexit.register(self.close)
 
     def close(self) -> None:
         """End leases and close idle operators, within 0.2 s each; then no operator is lent.
 
         An operator that is in use is closed when it is given back.
         """
+        atexit.unregister(self.close)
         with self._lock:
             self._is_closed = True
             idle, self._idle = self._idle, []
+        self._end_leases()
+        for operator in idle:
+            operator.close()
+
+    def _end_leases(self) -> None:
+        with self._lock:
             leases, self._leases = self._leases, []
         for _, lease in leases:
             lease.close()
-        for operator in idle:
-            operator.close()
 
     @contextmanager
     def lend(self) -> Iterator[Operator]:
@@ -104,6 +114,8 @@ class OperatorPool:
 
         SwarmError after `close` of the pool.
         """
+        if not threading.main_thread().is_alive():
+            self._end_leases()  # for a stop at exit: a new operator may get no thread then
         with self._lock:
             if self._is_closed:
                 raise SwarmError("the connection to the swarm is closed; connect again")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -64,20 +64,31 @@ def _is_older(status: Status, since: Epoch | None) -> bool:
 
 
 class LeaseKeeper(threading.Thread):
-    """Renews the lease (`lease` s) of a goal on the robots `names`, from `start` to `close`."""
+    """Renews the lease (`lease` s) of a goal on the robots `names`, from `start` to `close`.
+
+    Nothing is renewed once `is_owned` is False: by default from the end of the main thread on,
+    since a program that has failed may wait for other threads for ever.
+    """
 
     def __init__(
-        self, operator: Operator, goal_id: str, lease: float, names: Collection[str]
+        self,
+        operator: Operator,
+        goal_id: str,
+        lease: float,
+        names: Collection[str],
+        *,
+        is_owned: Callable[[], bool] | None = None,
     ) -> None:
         super().__init__(name="swarmd-lease", daemon=True)
+        self._is_owned = is_owned or threading.main_thread().is_alive
         self._operator, self._goal_id, self._names = operator, goal_id, names
         self._period = lease / PARTS
         self._ending = threading.Event()
 
     def run(self) -> None:
-        """Renew until `close`."""
+        """Renew until `close`, or until nothing owns the lease."""
         operator, count = self._operator, 0
-        while not self._ending.is_set():
+        while self._is_owned() and not self._ending.is_set():
             count += 1
             operator.send_to_robots(partial(self._lease, count), self._names)
             self._ending.wait(self._period)

@@ -65,7 +65,9 @@ class Session:
     def check_awaited(self) -> None:
         """Raise SwarmError if the caller no longer waits or the connection is closed."""
         if self.is_cancelled():
-            raise SwarmError("not sent: its caller has gone, or the connection was closed")
+            raise SwarmError(
+                "not sent: its caller or the main thread has ended, or the connection was closed"
+            )
 
     def time_left(self, view: MembersView) -> float | None:
         """Seconds of `timeout` that the look has left for a request; None without `timeout`."""

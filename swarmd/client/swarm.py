@@ -15,6 +15,7 @@ from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.clock import boottime
 from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
+from swarmd.core.numbers import python_value
 from swarmd.network.operator.exit_codes import TIMEOUT
 
 if TYPE_CHECKING:
@@ -214,17 +215,20 @@ class Swarm(Closing):
         """
         from swarmd.client.runs import Run, carry_out, goal_targets
 
+        values = {
+            "seconds": seconds,
+            "valid": valid,
+            "at": at,
+            "canary": canary,
+            "canary_time": canary_time,
+            "lease": lease,
+        }
         run = Run(
             pattern=pattern,
             params=plain_params(params or {}),
-            seconds=seconds,
             conditions=check_words(until, "until"),
             on_join=on_join,
-            valid=valid,
-            at=at,
-            canary=canary,
-            canary_time=canary_time,
-            lease=lease,
+            **python_value(values),
         )
         run.check()
         targets = _targets(robots, labels, exclude)
@@ -409,7 +413,7 @@ class Swarm(Closing):
     ) -> Outcome:
         from swarmd.client.stops import send_stop
 
-        with self._session(timeout) as session:
+        with self._session(timeout, is_stop=True) as session:
             return send_stop(session, verb, targets, reason, until_all=until_all)
 
     def _cancellable(
@@ -433,10 +437,13 @@ class Swarm(Closing):
         return one
 
     @contextmanager
-    def _session(self, timeout: float | None, *, is_request: bool = False) -> Iterator[Session]:
+    def _session(
+        self, timeout: float | None, *, is_request: bool = False, is_stop: bool = False
+    ) -> Iterator[Session]:
+        """A session for one call; the end of the main thread cancels it, unless it `is_stop`."""
         check_time("timeout", timeout)
         began = boottime() if self._began is None else self._began
-        events = (self._cancelled, *self._parents)
+        events, main_thread = (self._cancelled, *self._parents), threading.main_thread()
         lend = self._pool.lend_for_request if is_request else self._pool.lend
         with lend() as operator:
             if self._worked:
@@ -445,7 +452,10 @@ class Swarm(Closing):
                 operator,
                 self._timeout if timeout is None else timeout,
                 self._tell,
-                lambda: any(event.is_set() for event in events),
+                lambda: (
+                    any(event.is_set() for event in events)
+                    or not (is_stop or main_thread.is_alive())
+                ),
                 began,
             )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -50,7 +51,8 @@ class SwarmWatch:
     def close(self) -> None:
         """End the watch and its subscriptions."""
         self._ending.set()
-        self._thread.join(2.0 * LOOK_TIME)
+        if not sys.is_finalizing():  # no thread goes on then
+            self._thread.join(2.0 * LOOK_TIME)
         self._operator.unwatch("status")  # a look that dials subscribes to what is watched
 
     @property

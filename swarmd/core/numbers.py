@@ -1,9 +1,14 @@
-"""Reads numbers from text by the core schema of YAML 1.2, for files and options alike."""
+"""Numbers of texts, files, options and callers as Python's numbers.
+
+Texts are read by the core schema of YAML 1.2, for files and options alike.
+"""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
+from typing import Any
 
 INTEGER = re.compile(r"[-+]?[0-9]+\Z|0o[0-7]+\Z|0x[0-9a-fA-F]+\Z")
 FLOAT = re.compile(
@@ -15,6 +20,20 @@ _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, None: 1.0}
 _BASES = {"0o": 8, "0x": 16}
 _MAX_BITS = 14000  # str() refuses more than 4300 digits
 _MAX_EXACT = 2**53  # readers of JSON keep integers exact up to here
+
+
+def python_value(value: Any) -> Any:
+    """The value with numbers and arrays of numpy, and of libraries like it, as Python's.
+
+    Also inside mappings, lists and tuples: `python_value({"speed": np.linspace(0, 1, 2)})` is
+    `{"speed": [0.0, 1.0]}`. numpy is not imported: what has a method `tolist` is converted.
+    """
+    if isinstance(value, Mapping):
+        return {key: python_value(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [python_value(inner) for inner in value]
+    convert = None if isinstance(value, type) else getattr(value, "tolist", None)
+    return value if convert is None else convert()
 
 
 def read_number(text: str) -> int | float | None:

@@ -127,9 +127,11 @@ def shown(path: Path) -> str:
 
 
 def brief(value: object) -> str:
-    """A value as errors show it, at most 60 characters."""
+    """A value as errors show it, at most 60 characters; with its type if no file can hold it."""
     text = repr(value) if isinstance(value, str | int | float | list | dict) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    short = text if len(text) <= 60 else f"{text[:57]}..."
+    is_plain = value is None or isinstance(value, str | int | float | list | tuple | dict)
+    return short if is_plain else f"{short} of type {type(value).__name__}"
 
 
 _Loader: Any = yaml.SafeLoader

@@ -24,6 +24,7 @@ from swarmd.client.hand_over import from_thread
 from swarmd.client.members import Members
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, LookTurns, OperatorPool
+from swarmd.client.run_lease import LeaseKeeper
 from swarmd.client.runs import Run
 from swarmd.client.session import Session
 from swarmd.client.states import RobotState, _put
@@ -31,6 +32,7 @@ from swarmd.client.swarm import Swarm, _targets
 from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.messages import Code, Motion, Reply, State
+from swarmd.network.datagram import RunLease
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.outcome import Outcome
@@ -240,6 +242,18 @@ def test_no_lease_outlives_the_connection_or_a_later_run_of_its_robots() -> None
     assert ended[-1] == "late"
 
 
+def test_a_lease_is_renewed_only_while_it_is_owned() -> None:
+    owned, sent = iter([True, True, False]), list[int]()
+
+    def send(make: Callable[[], RunLease], robots: object) -> None:
+        sent.append(make().count)
+
+    operator = cast("Operator", SimpleNamespace(name="anna", send_to_robots=send))
+    keeper = LeaseKeeper(operator, "goal", 0.01, ["r1"], is_owned=lambda: next(owned))
+    keeper.run()  # ends by itself
+    assert sent == [1, 2]
+
+
 def test_a_context_by_name_and_a_swarm_file_of_the_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -270,13 +284,26 @@ def test_robots_of_a_call() -> None:
 
 def test_values_that_can_be_sent() -> None:
     numpy = pytest.importorskip("numpy")
-    given = {"a": numpy.float64(0.5), "b": numpy.int32(3), "c": True, "d": "x", "e": None}
+    given = {"a": numpy.float64(0.5), "b": numpy.int32(3), "c": numpy.True_, "d": "x", "e": None}
     sent = plain_params(given)
     assert sent == {"a": 0.5, "b": 3, "c": True, "d": "x", "e": None}
     assert [type(sent[key]) for key in "abc"] == [float, int, bool]
     for wrong in ([1.0], float("inf"), 1j):
         with pytest.raises(ConfigError, match="speed"):
             plain_params({"speed": wrong})
+
+
+def test_times_of_numpy_are_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    numpy = pytest.importorskip("numpy")
+    made: list[Run] = []
+    monkeypatch.setattr(Run, "check", lambda run: made.append(run))
+    with pytest.raises(AttributeError):  # the operator of this test sends nothing
+        Swarm(OperatorPool(Counted())).run(
+            "drive", seconds=numpy.float32(1.5), canary=numpy.int64(2), canary_time=numpy.int8(3)
+        )
+    values = made[0].seconds, made[0].canary, made[0].canary_time
+    assert values == (1.5, 2, 3)
+    assert [type(value) for value in values] == [float, int, int]
 
 
 WRONG: dict[str, Callable[[Swarm], object]] = {

@@ -34,6 +34,7 @@ class Viewer:
         self._settings = settings
         self._tag = tag_of(settings.profile, settings.swarm)
         self._sessions: dict[Address, tuple[zenoh.Session, float]] = {}
+        self._left: list[zenoh.Session] = []  # of robots that have left
         self._subscriptions: list[tuple[str, Callable[[zenoh.Sample], object]]] = []
         self._entities: list[object] = []
         self._lock = threading.Lock()
@@ -51,7 +52,7 @@ class Viewer:
 
     def close(self) -> None:
         self.carrier.close()
-        for session, _ in [*self._sessions.values()]:
+        for session in [*self._left, *(session for session, _ in self._sessions.values())]:
             session.close()
 
     def send(self, body: Datagram) -> None:
@@ -117,6 +118,7 @@ class Viewer:
             with self._lock:
                 if body.flags & Flag.LEFT:
                     self._addresses.discard(source)
-                    self._sessions.pop(source, None)
+                    if (left := self._sessions.pop(source, None)) is not None:
+                        self._left.append(left[0])
                 else:
                     self._addresses.add(source)

@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import itertools
 import math
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -152,6 +154,58 @@ def test_a_closed_connection_asks_nothing_and_its_lease_ends(
         swarm.members()
     ended = shared_swarm.await_status("r1", "stopped", lambda one: one.state is State.STOPPED)
     assert ended.reason is Reason.LEASE_ENDED
+
+
+OPENED = """
+import os, signal, sys, threading, swarmd
+swarm = swarmd.connect().open()
+assert swarm.run("drive", "r1", lease=1.0).applied
+"""
+OPENED_IN_A_LOOP = """
+import asyncio, swarmd
+loop = asyncio.new_event_loop()
+swarm = loop.run_until_complete(swarmd.connect().__aenter__())
+assert loop.run_until_complete(swarm.run("drive", "r1", lease=1.0)).applied
+waiting = loop.create_task(swarm.wait("state=faulted", timeout=1e6))
+loop.run_until_complete(asyncio.sleep(0.0))
+"""
+WORKER = "threading.Thread(target=lambda: list(swarm.states()))"
+
+
+@pytest.mark.parametrize(
+    ("script", "code"),
+    [
+        pytest.param(OPENED, 0, id="end_of_file"),
+        pytest.param(f"{OPENED}raise RuntimeError", 1, id="raise"),
+        pytest.param(f"{OPENED}sys.exit(3)", 3, id="exit"),
+        pytest.param(f"{OPENED}signal.raise_signal(signal.SIGINT)", -2, id="ctrl_c"),
+        pytest.param(f"{OPENED}{WORKER}.start()\nraise RuntimeError", 1, id="worker_thread"),
+        pytest.param(f"{OPENED}states = swarm.states()\nnext(states)", 0, id="iterator"),
+        pytest.param(f"{OPENED_IN_A_LOOP}loop.close()", 0, id="closed_loop"),
+    ],
+)
+def test_a_script_that_ends_ends_its_connection(
+    shared_swarm: Swarm, name: str, script: str, code: int
+) -> None:
+    """With its own exit code, and its lease is renewed no longer."""
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=CAP
+    )
+    assert ended.returncode == code, ended.stderr
+    assert "FATAL" not in ended.stderr
+    assert "Exception ignored" not in ended.stderr
+    stopped = shared_swarm.await_status("r1", "stopped", lambda one: one.state is State.STOPPED)
+    assert stopped.reason is Reason.LEASE_ENDED
+
+
+def test_a_stop_is_sent_at_exit(name: str, shared_swarm: Swarm) -> None:
+    script = f"{OPENED}import atexit; atexit.register(swarm.stop)"
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=CAP
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    stopped = shared_swarm.await_status("r1", "stopped", lambda one: one.state is State.STOPPED)
+    assert stopped.reason is Reason.OPERATOR
 
 
 async def test_two_clients_in_one_program(name: str) -> None:

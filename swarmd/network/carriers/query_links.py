@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Iterable
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 from swarmd.core.keys import ANY
@@ -13,10 +14,13 @@ if TYPE_CHECKING:
 
 
 class QueryLinks:
-    """The robots that answer queries on `key`, whose robot is a wildcard."""
+    """The robots that answer queries on `key`, whose robot is a wildcard.
 
-    def __init__(self, key: str) -> None:
-        self._key = key
+    `calls`: held while `close` calls Zenoh.
+    """
+
+    def __init__(self, key: str, calls: AbstractContextManager[object]) -> None:
+        self._key, self._calls = key, calls
         self._queriers: list[tuple[zenoh.Session, dict[str, zenoh.Querier]]] = []
 
     def of(self, robots: Collection[str], sessions: Iterable[zenoh.Session]) -> set[str]:
@@ -33,7 +37,8 @@ class QueryLinks:
         """Undeclare the queriers."""
         from swarmd.network.carriers.session import undeclare
 
-        undeclare(*(querier for _, queriers in self._queriers for querier in queriers.values()))
+        with self._calls:
+            undeclare(*(querier for _, queriers in self._queriers for querier in queriers.values()))
 
     def _is_linked(self, robot: str) -> bool:
         import zenoh

@@ -19,7 +19,7 @@ import zenoh
 from swarmd.core.clock import boottime
 from swarmd.core.keys import ANY, build, is_id, parse
 from swarmd.network.carriers.recipients import Recipients
-from swarmd.network.carriers.session import undeclare
+from swarmd.network.carriers.session import on_thread, undeclare
 from swarmd.network.datagram import KIND_OFFSET, MAX_DATAGRAM, URGENT, Address, OnDatagram
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class RoutedCarrier:
         self.start_thread(queue)
 
     def start_thread(self, on_datagram: OnDatagram) -> None:
-        """Call `on_datagram(payload, source, 0.0)` on Zenoh's thread until `close`.
+        """Call `on_datagram(payload, source, 0.0)` on a daemon thread until `close`.
 
         0.0: Zenoh does not report for how long a datagram waited.
         """
@@ -87,7 +87,7 @@ class RoutedCarrier:
         self._subscribers = tuple(
             self._session.declare_subscriber(
                 build(self._swarm, ANY, plane, name),
-                self._on_sample,
+                on_thread(self._on_samples),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
             for plane, name in ((ALL, "all"), (ONE, self._own))
@@ -117,6 +117,10 @@ class RoutedCarrier:
             )
         except zenoh.ZError:
             self.unsent += 1
+
+    def _on_samples(self, samples: list[zenoh.Sample]) -> None:
+        for sample in samples:
+            self._on_sample(sample)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         key = parse(str(sample.key_expr))

@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
@@ -154,6 +155,8 @@ class Operator(Closing):
 
     def close(self) -> None:
         """Leave the network within CLOSE_TIMEOUT; threads go on closing the slow sessions."""
+        if sys.is_finalizing():  # a generator that was left: no thread runs that could be joined
+            return
         with contextlib.suppress(Exception):
             self._datagrams.carrier.close()
         closing = self._sessions.close()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import sys
 import threading
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING
@@ -28,6 +30,7 @@ GATHER_TIME, MAX_GATHER_TIMES = 0.004, 10
 MAX_SESSIONS, DIAL_PERIOD = 8, 0.01
 # A robot that does not answer is dialled again after REDIAL_WAIT s and REDIAL_TRIPS round trips.
 REDIAL_WAIT, REDIAL_TRIPS = 1.5, 5.0
+_ENDING = 1.0  # s for which the end of the program waits for a call of Zenoh, or for a close
 
 Handler = Callable[[str, bytes], object]
 """Takes the robot and the payload of a reply or sample; may raise CodecError."""
@@ -37,7 +40,12 @@ _Addresses = dict[tuple[str, str], Address]
 
 
 class OperatorSessions:
-    """The sessions to the robots of one swarm; `identity`: of the operator in a secured swarm."""
+    """The sessions to the robots of one swarm; `identity`: of the operator in a secured swarm.
+
+    A session that was not closed is closed when the program ends. Python aborts a program that ends
+    while a daemon thread is inside a call of Zenoh; so the end waits for such a call, and keeps
+    other threads from calling Zenoh again.
+    """
 
     def __init__(
         self, settings: NetworkSettings, identity: Identity | None, arrivals: Arrivals
@@ -54,6 +62,9 @@ class OperatorSessions:
         # The handler of each watched state (name and robot).
         self._watched: dict[tuple[str, str], Handler] = {}
         self._subscribers: dict[tuple[str, str], list[zenoh.Subscriber[None]]] = {}
+        self._endpoints: set[str] = set()  # all that were dialled
+        self._closing: list[threading.Thread] = []
+        self._calls = threading.RLock()  # held during each call of Zenoh
 
     @property
     def needs_links(self) -> bool:
@@ -69,9 +80,16 @@ class OperatorSessions:
         """Open a session that dials no robot."""
         from swarmd.network.carriers.session import open_operator_session
 
-        session = open_operator_session(self._settings, (), self._identity)
-        self._opened.append(session)
+        with self._calls:
+            session = open_operator_session(self._settings, (), self._identity)
+        self._add([session])
         return session
+
+    def _add(self, sessions: list[zenoh.Session]) -> None:
+        """Keep open sessions, until `close` or the end of the program."""
+        self._opened += sessions
+        atexit.unregister(self._end)
+        atexit.register(self._end)
 
     def take_identity(self, identity: Identity) -> None:
         """Dial as this identity from now on.
@@ -85,16 +103,44 @@ class OperatorSessions:
             self.close()
 
     def close(self) -> list[threading.Thread]:
-        """Close all sessions, each on a thread; robots are dialled anew afterwards."""
+        """Close all sessions, each on a thread; robots are dialled anew afterwards.
+
+        Once the main thread has ended, at which Python starts no more threads, they are closed at
+        the return.
+        """
+        if not threading.main_thread().is_alive():
+            from swarmd.network.carriers.session import end_dials
+
+            end_dials(self._endpoints)
+            for session in self._take_opened():
+                _close(session)
         closing = [
-            threading.Thread(target=_close, args=(session,), name=CLOSING, daemon=True)
-            for session in self._opened
+            threading.Thread(target=self._close, args=(session,), name=CLOSING, daemon=True)
+            for session in self._take_opened()
         ]
-        self._opened.clear()
-        self._dialled.clear()
+        self._closing += closing
         for thread in closing:
             thread.start()
         return closing
+
+    def _take_opened(self) -> list[zenoh.Session]:
+        opened, self._opened = self._opened, []
+        self._dialled.clear()
+        return opened
+
+    def _close(self, session: zenoh.Session) -> None:
+        """On a thread: close a session that was taken."""
+        _close(session)
+        self._closing.remove(threading.current_thread())
+        if not self._opened and not self._closing:
+            atexit.unregister(self._end)
+
+    def _end(self) -> None:
+        """At the end of the program: close all sessions; no other thread calls Zenoh again."""
+        self._calls.acquire(timeout=_ENDING)  # and never released
+        self.close()
+        for thread in self._closing.copy():
+            thread.join(_ENDING)
 
     # Links
 
@@ -132,17 +178,20 @@ class OperatorSessions:
         """
         interface = self._settings.interface_name
         endpoints = sorted({endpoint_of(address, interface) for address in to_dial.values()})
-        opened = self._open_to(endpoints)
-        self._opened += opened
-        for session in opened:
-            for name, robot in self._watched:
-                self._subscribe(session, name, robot)
+        self._endpoints.update(endpoints)
+        with self._calls:
+            opened = self._open_to(endpoints)
+            self._add(opened)
+            for session in opened:
+                for name, robot in self._watched:
+                    self._subscribe(session, name, robot)
         self._dialled.update({key: (address, now) for key, address in to_dial.items()})
         self._dial_at = now + DIAL_PERIOD * 2 ** len(self._opened)
 
     def linked(self, links: QueryLinks, robots: Collection[str]) -> set[str]:
         """The robots in `robots` to which a link is up, so that a query reaches them."""
-        return links.of(robots, self._opened)
+        with self._calls:
+            return links.of(robots, self._opened)
 
     def _open_to(self, endpoints: list[str]) -> list[zenoh.Session]:
         """A session to all endpoints; several sessions if Zenoh refuses some of the endpoints."""
@@ -161,7 +210,8 @@ class OperatorSessions:
 
     def question_links(self, name: str) -> QueryLinks:
         """Shows which robots a query `control/<name>` of this operator reaches; to be closed."""
-        return QueryLinks(build(self._settings.swarm, ANY, CONTROL, name, self._asker))
+        key = build(self._settings.swarm, ANY, CONTROL, name, self._asker)
+        return QueryLinks(key, self._calls)
 
     def _to_dial(
         self, discovery: Discovery, now: float, only: Collection[str] | None
@@ -217,7 +267,7 @@ class OperatorSessions:
                 self._arrivals.notify()
 
         for session in self._opened:
-            with contextlib.suppress(zenoh.ZError):
+            with self._calls, contextlib.suppress(zenoh.ZError):
                 session.get(
                     build(self._settings.swarm, robot, plane, name, asker),
                     Callback(on_reply, indirect=False),  # on Zenoh's own thread
@@ -238,33 +288,39 @@ class OperatorSessions:
     def watch(self, name: str, handler: Handler, robot: str) -> None:
         """Hand what robots publish on `state/<name>` to `handler`, in later sessions as well."""
         self._watched[name, robot] = handler
-        for session in self._opened:
-            self._subscribe(session, name, robot)
+        with self._calls:
+            for session in self._opened:
+                self._subscribe(session, name, robot)
 
     def unwatch(self, name: str, robot: str) -> None:
         """End the subscriptions that `watch` has made."""
+        if sys.is_finalizing():  # an iterator that was left; the session is closed
+            return
         from swarmd.network.carriers.session import undeclare
 
         self._watched.pop((name, robot), None)
-        undeclare(*self._subscribers.pop((name, robot), ()))
+        with self._calls:
+            undeclare(*self._subscribers.pop((name, robot), ()))
 
     def _subscribe(self, session: zenoh.Session, name: str, robot: str) -> None:
         import zenoh
 
-        from swarmd.network.carriers.session import MAX_WIRE
+        from swarmd.network.carriers.session import MAX_WIRE, on_thread
 
         handler, swarm = self._watched[name, robot], self._settings.swarm
 
-        def on_sample(sample: zenoh.Sample) -> None:
-            key = parse(str(sample.key_expr))
-            if key is None or (key.swarm, key.plane, key.name) != (swarm, "state", name):
-                return
-            if len(sample.payload) <= MAX_WIRE:
-                with contextlib.suppress(CodecError):
-                    handler(key.robot, sample.payload.to_bytes())
+        def on_samples(samples: list[zenoh.Sample]) -> None:
+            for sample in samples:
+                key = parse(str(sample.key_expr))
+                if key is None or (key.swarm, key.plane, key.name) != (swarm, "state", name):
+                    continue
+                if len(sample.payload) <= MAX_WIRE:
+                    with contextlib.suppress(CodecError):
+                        handler(key.robot, sample.payload.to_bytes())
 
         with contextlib.suppress(zenoh.ZError):
-            subscriber = session.declare_subscriber(build(swarm, robot, "state", name), on_sample)
+            key = build(swarm, robot, "state", name)
+            subscriber = session.declare_subscriber(key, on_thread(on_samples))
             self._subscribers.setdefault((name, robot), []).append(subscriber)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 
@@ -13,7 +15,7 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots
 from tests.support.operator_threads import is_closing
-from tests.support.processes import wait_until
+from tests.support.processes import CAP, wait_until
 
 
 class Stubborn:
@@ -38,6 +40,33 @@ def test_a_close_that_hangs_or_fails_holds_nobody_up(
     assert is_closing()
     go_on.set()
     wait_until(lambda: not is_closing(), "all sessions are closed")
+
+
+FROZEN = """
+import atexit, socket, threading
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.roster_follower import CLOSING
+from swarmd.network.settings import NetworkSettings
+frozen = socket.create_server(("127.0.0.1", 0))
+atexit.register(lambda: print([one.name for one in threading.enumerate() if one.name == CLOSING]))
+operator = Operator(NetworkSettings(swarm="frozen"))
+operator._sessions._open_sessions({("r1", "one life"): frozen.getsockname()}, 0.0)
+link, _ = frozen.accept()
+link.recv(1)  # the handshake has begun
+"""
+
+
+@pytest.mark.parametrize("end", ["", "operator.close()"])
+def test_the_end_of_a_program_waits_for_no_frozen_robot(end: str) -> None:
+    """A frozen robot accepts a link and sends nothing; Zenoh would close the session 9 s later."""
+    ended = subprocess.run(
+        [sys.executable, "-c", FROZEN + end],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=CAP,
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "[]\n", "")
 
 
 def test_an_endpoint_that_zenoh_refuses_ends_no_look(

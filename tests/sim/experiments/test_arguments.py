@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
+from decimal import Decimal
+from typing import Any
 
+import numpy as np
 import pytest
 
+import swarmd
 from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.plan import Shard, parse_seeds, parse_sets, parse_shard, parse_sweeps
+from swarmd.sim.experiments.simulate import plan_of, simulate
 
 
 @pytest.mark.parametrize(
@@ -95,3 +101,29 @@ def test_what_is_no_part_is_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match="--shard") as caught:
         parse_shard(text)
     assert "\n" not in str(caught.value)
+
+
+def test_values_of_numpy_are_numbers_and_lists() -> None:
+    sweep: Any = {"groups.tb3.parameters.speed": np.linspace(0.1, 0.2, 2)}
+    one: Any = np.int64(1)
+    sets = {"groups.tb3.count": np.int64(3), "duration": np.float32(2.0)}
+    plan = plan_of("dispersion", np.arange(2), sets, sweep)
+    speeds = [variant.values["groups.tb3.parameters.speed"] for variant in plan.variants]
+    assert speeds == [0.1, 0.2]
+    assert plan.seeds == (0, 1)
+    assert json.loads(json.dumps(plan.variants[0].effective["groups"]))["tb3"]["count"] == 3
+    assert swarmd.env("dispersion", one, set=sets).scenario.effective["duration"] == 2.0
+    swarmd.demo(robots=one, seed=one)  # not started
+
+
+@pytest.mark.parametrize(
+    ("sets", "seeds", "subject"),
+    [
+        ({"groups.tb3.count": Decimal(3)}, 1, "Decimal"),
+        ({"duration": np.datetime64("2026-01-01")}, 1, "date"),
+        ({}, 1.5, "seeds is 1.5"),
+    ],
+)
+def test_a_wrong_type_is_named(sets: dict[str, object], seeds: int, subject: str) -> None:
+    with pytest.raises(ConfigError, match=subject):
+        simulate("dispersion", seeds=seeds, set=sets)
