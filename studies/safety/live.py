@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.latency import FULL_BUDGET, REFLEX_BUDGET, Stamps, between, read_stamps, row
+from benchmarks.latency import FULL_GOAL, REFLEX_GOAL, Stamps, between, read_stamps, row
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, print_table
 from studies.safety.driven import faults
@@ -229,9 +229,9 @@ def rows(platform: str, result: CourseResult) -> Iterator[Row]:
     yield Row(what, result.ram_speeds(), note=note, unit="m/s")
     stamps, span = result.stamps, result.span
     reflex = between(stamps.put, stamps.safe_back, span)
-    yield row(f"{platform}: reflex, {count} live daemons", REFLEX_BUDGET, reflex)
+    yield row(f"{platform}: reflex, {count} live daemons", REFLEX_GOAL, reflex)
     full = between(stamps.put, stamps.requested_back, span)
-    yield row(f"{platform}: full, {count} live daemons", FULL_BUDGET, full)
+    yield row(f"{platform}: full, {count} live daemons", FULL_GOAL, full)
 
 
 def _speeds(what: str, result: CourseResult, is_by_rammer: bool, note: str) -> Row:

@@ -16,7 +16,7 @@ class RobotSetup(Struct, frozen=True, kw_only=True):
     A recording holds the setup, so that a replay makes the same robot.
 
     - `labels`: those of the swarm file.
-    - `base`: a digest of the driver's options; the address of the base is one where a driver has it.
+    - `base`: a digest of the options of the driver, which hold the address of the base, if any.
     - `tells_pose`: the robot sends its pose in a shared frame to its peers, which compute its range
       and bearing from the pose.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
@@ -129,7 +130,7 @@ ODD_TIMES = {
     "nan": [math.nan] * 40,
     "one nan": [0.05 * n if n != 20 else math.nan for n in range(40)],
 }
-ODD_WAYS = {
+ODD_WAYS: Mapping[str, Callable[[int], Array]] = {
     "standing": lambda count: np.zeros(count),
     "ahead": lambda count: 0.1 * np.arange(count),
     "nan": lambda count: np.full(count, math.nan),
