@@ -204,8 +204,11 @@ def _run(root: int, seed: str, folder: Path) -> None:
 
 if __name__ == "__main__":
     # Neither a child of the worker, whose children tests count, nor of its session.
+    starter = os.getpid()
     if os.fork() == 0:
         os.setsid()
+        while os.getppid() == starter:  # as long as it lives, this process is in the worker's tree
+            time.sleep(0.01)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         for stream in (0, 1, 2):
             os.dup2(os.open(os.devnull, os.O_RDWR), stream)
