@@ -65,6 +65,10 @@ def pytest_configure_node(node: WorkerController) -> None:
         node.workerinput["niceness"] = NICENESS
 
 
+OF_A_SHELL = ("SWARM", "SWARM_CONFIG", "SWARM_CONTEXT", "SWARM_PLUGIN_DIR")
+"""What a user who works with a swarm may have set; tests name their own swarms."""
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Give processes that tests start the usual signals: a shell's background jobs ignore some."""
     if niceness := getattr(config, "workerinput", {}).get("niceness"):
@@ -73,6 +77,8 @@ def pytest_configure(config: pytest.Config) -> None:
         if signal.getsignal(number) is signal.SIG_IGN:
             usual = signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL
             signal.signal(number, usual)
+    for name in OF_A_SHELL:
+        os.environ.pop(name, None)
     worker = getattr(config, "workerinput", {}).get("workerid", "")
     if (seed := os.environ.get("STALLS")) and (worker or not config.getoption("numprocesses", 0)):
         config.stash[STALLS] = Stalls(f"{seed} {worker}")
