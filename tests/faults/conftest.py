@@ -24,7 +24,14 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, Commanded
-from tests.support.processes import CAP, DaemonProcess, free_endpoint, unique_swarm, wait_until
+from tests.support.processes import (
+    CAP,
+    DaemonProcess,
+    attempts,
+    free_endpoint,
+    unique_swarm,
+    wait_until,
+)
 from tests.support.swarmctl import STALLED
 from tests.support.viewer import Viewer
 
@@ -189,7 +196,7 @@ class Bench:
 
     def drive(self, pattern: str = "drive") -> Commanded:
         """It runs and moves: the first command that did. On a starved machine asks again."""
-        for _ in _attempts(f"{pattern} is loaded"):
+        for _ in attempts(f"{pattern} is loaded"):
             asked = boottime()
             reply = self.run(pattern)
             if reply.code is Code.APPLIED:
@@ -204,7 +211,7 @@ class Bench:
         On a starved machine, where it is not reloaded within the two seconds of a hold, this
         tries again.
         """
-        for _ in _attempts(f"{pattern} is restarted in time"):
+        for _ in attempts(f"{pattern} is restarted in time"):
             self.drive(pattern)
             began = fail()
             failed = self.await_event(f"{pattern} failed", began)
@@ -217,7 +224,7 @@ class Bench:
 
     def drive_to_quarantine(self, pattern: str) -> tuple[Commanded, Heard]:
         """The first command that moved, and how it ended. On a starved machine tries again."""
-        for _ in _attempts(f"{pattern} is restarted in time"):
+        for _ in attempts(f"{pattern} is restarted in time"):
             moving = self.drive(pattern)
             end = self.witness.wait("faulted", _or_given_up(_is_faulted), moving.at)
             if not _is_given_up(end.status):
@@ -291,14 +298,6 @@ class Bench:
         assert self.status().epoch.instance == instance
         now, before = boottime(), len(self.body.commands)
         self.body.wait(lambda command: len(self.body.commands) >= before + 5, now)
-
-
-def _attempts(what: str) -> Iterator[None]:
-    """Attempts until `what` holds, for CAP s: how many a busy machine needs is no property."""
-    deadline = time.monotonic() + CAP
-    while True:
-        yield
-        assert time.monotonic() < deadline, f"after {CAP:.0f} s still not: {what}"
 
 
 def _is_given_up(status: Status) -> bool:
