@@ -27,7 +27,7 @@ LONG = (0.3, 1.5)
 SHORT = (0.05, 0.25)
 """s, of a stall of a daemon and its processes. A robot whose daemon stands still for longer must
 hold: a test of that stops its daemon itself."""
-GAP = (0.2, 1.2)
+GAP = (0.5, 4.0)
 """s, between two stalls of a worker's tree."""
 _ALONE = 0.7
 """How often one process stands still; else all of its kind do, or all with the length SHORT."""
