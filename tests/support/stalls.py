@@ -99,11 +99,12 @@ def tree(root: int) -> dict[int, int]:
     waiting = [root]
     while waiting:
         parent = waiting.pop()
-        for path in Path(f"/proc/{parent}/task").glob("*/children"):
-            with contextlib.suppress(OSError):
-                for child in map(int, path.read_text().split()):
-                    found[child] = parent
-                    waiting.append(child)
+        with contextlib.suppress(OSError):  # the process has ended meanwhile
+            for path in Path(f"/proc/{parent}/task").glob("*/children"):
+                with contextlib.suppress(OSError):  # this thread has ended meanwhile
+                    for child in map(int, path.read_text().split()):
+                        found[child] = parent
+                        waiting.append(child)
     return found
 
 
