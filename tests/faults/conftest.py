@@ -36,6 +36,7 @@ from tests.support.swarmctl import STALLED
 from tests.support.viewer import Viewer
 
 ROBOT = "tb3-01"
+ENDED_BY_STALL = {Reason.PATTERN_RESTARTING, Reason.LOOP_STALLED, Reason.STALE_SCAN}
 LOOK_PERIOD = 0.5  # s between two looks for a robot that has restarted
 PLUGINS = Path(__file__).parent / "plugins"
 
@@ -214,7 +215,11 @@ class Bench:
         for _ in attempts(f"{pattern} is restarted in time"):
             self.drive(pattern)
             began = fail()
-            failed = self.await_event(f"{pattern} failed", began)
+            has_failed = self._has_event(f"{pattern} failed", began)
+            failed = self.witness.wait(f"{pattern} failed", _or_given_up(has_failed), began)
+            if not has_failed(failed.status):
+                print(f"stopped before it failed: {failed.status.detail}")
+                continue
             restarted = self._has_event(f"{pattern} restarted", began)
             end = self.witness.wait(f"{pattern} restarted", _or_given_up(restarted), began)
             if not _is_given_up(end.status):
@@ -235,6 +240,9 @@ class Bench:
     def halt(self, verb: Literal["stop", "estop"]) -> Reply:
         """Its ack of stop or estop."""
         outcome = self.operator.send_stop(verb, reason="test")
+        assert not outcome.missing, (
+            f"no ack; it ended with {self.daemon.process.poll()}: {self.daemon.text()[-2000:]}"
+        )
         reply = outcome.replies[ROBOT]
         assert reply.code is Code.APPLIED, reply.text
         return reply
@@ -301,8 +309,8 @@ class Bench:
 
 
 def _is_given_up(status: Status) -> bool:
-    """A hold has lasted: the host was too slow to come back, or to load."""
-    return (status.state, status.reason) == (State.STOPPED, Reason.PATTERN_RESTARTING)
+    """A stall has ended the run: of the host, the daemon, or this process, whose scans it needs."""
+    return status.state is State.STOPPED and status.reason in ENDED_BY_STALL
 
 
 def _or_given_up(holds: Callable[[Status], bool]) -> Callable[[Status], bool]:
