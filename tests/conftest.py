@@ -27,6 +27,7 @@ from tests.support.examples import FULL
 from tests.support.forked_python import ForkedPython, forked_python
 from tests.support.pages import SUMMARY
 from tests.support.scheduling import NICENESS, MixedScheduling, computes, order
+from tests.support.stalls import Stalls
 
 # A machine may be busy: how long an example takes is no property. A property test draws an eighth
 # of its examples in `make test`, the same ones for everybody, and all of them in `make evidence`,
@@ -64,6 +65,10 @@ def pytest_configure_node(node: WorkerController) -> None:
         node.workerinput["niceness"] = NICENESS
 
 
+OF_A_SHELL = ("SWARM", "SWARM_CONFIG", "SWARM_CONTEXT", "SWARM_PLUGIN_DIR")
+"""What a user who works with a swarm may have set; tests name their own swarms."""
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Give processes that tests start the usual signals: a shell's background jobs ignore some."""
     if niceness := getattr(config, "workerinput", {}).get("niceness"):
@@ -72,6 +77,12 @@ def pytest_configure(config: pytest.Config) -> None:
         if signal.getsignal(number) is signal.SIG_IGN:
             usual = signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL
             signal.signal(number, usual)
+    for name in OF_A_SHELL:
+        os.environ.pop(name, None)
+    worker = getattr(config, "workerinput", {}).get("workerid", "")
+    if (seed := os.environ.get("STALLS")) and (worker or not config.getoption("numprocesses", 0)):
+        config.stash[STALLS] = Stalls(f"{seed} {worker}")
+        config.add_cleanup(config.stash[STALLS].stop)
 
 
 def pytest_report_header() -> str:
@@ -137,6 +148,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 # CPU time so far, and what was spent since the last report, by what it was spent on.
 CPU_TIME = pytest.StashKey[float]()
 CPU_SPENT = pytest.StashKey[dict[str, float]]()
+STALLS = pytest.StashKey[Stalls]()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -185,6 +197,8 @@ def pytest_runtest_makereport(
     _spend(item.config, "/".join(PurePath(report.location[0]).parts[:2]))
     report.user_properties.append(("cpu_spent", item.config.stash[CPU_SPENT]))
     item.config.stash[CPU_SPENT] = {}
+    if report.failed and (stalls := item.config.stash.get(STALLS, None)):
+        report.sections.append(("stalls", stalls.said()))
     return report
 
 

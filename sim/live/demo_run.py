@@ -213,6 +213,7 @@ class DemoRun:
         recording_began = time.monotonic()
         start = self._world.ask("start").state
         self._watcher.begin(start)
+        idle = starting.statuses_of(view)
         first_runs, later_events = _split(self._settings.events)
         started = starting.joined(
             starting.start_pattern(self._operator, view, run) for run in first_runs
@@ -235,7 +236,9 @@ class DemoRun:
         stop_outcome = self._timeline.send_stop("stop", self._fleet.robots)
         if stop_outcome.exit_code:
             faults.append(starting.why_not("stop", stop_outcome))
-        return self._summary(trace, began, end.recorded / real_s, started, before, after, faults)
+        return self._summary(
+            trace, began, end.recorded / real_s, started, (idle, before, after), faults
+        )
 
     def _follow(self, statuses: dict[str, Status], since: float) -> None:
         """Carry out events and show the robots until the recording is complete or a signal comes.
@@ -283,17 +286,17 @@ class DemoRun:
         began: float,
         real_time_factor: float,
         started: starting.Started,
-        before: Mapping[str, Status],
-        after: Mapping[str, Status],
+        statuses: tuple[Mapping[str, Status], Mapping[str, Status], Mapping[str, Status]],
         faults: list[str],
     ) -> DemoSummary:
         """The summary of the demo; adds states and reports of robots to the trace file.
 
         `began`: s on the clock since boot, the start of the user's command. `started`: the robots
-        that run the first patterns. `before`, `after`: statuses at the start and at the end.
+        that run the first patterns. `statuses`: before the run, at its start, and at the end.
         `faults`: what ended the run early, and of the stop at the end.
         """
         spec = self._fleet.spec
+        *_, after = statuses
         trace = self._log.merged_into(load_trace(trace_path))
         try:
             trace.save(trace_path)
@@ -302,7 +305,7 @@ class DemoRun:
             faults = [*faults, f"the trace has no states and reports of robots: {why}"]
         platforms = {platform.name: platform for platform in spec.platforms().values()}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
-        problems = faults + self._problems(started, before, after, numbers.contacts)
+        problems = faults + self._problems(started, statuses, numbers.contacts)
         all_moved_at = self._watcher.all_moved_at
         return DemoSummary(
             pattern=self._settings.pattern,
@@ -327,8 +330,7 @@ class DemoRun:
     def _problems(
         self,
         started: starting.Started,
-        before: Mapping[str, Status],
-        after: Mapping[str, Status],
+        statuses: tuple[Mapping[str, Status], Mapping[str, Status], Mapping[str, Status]],
         contacts: int,
     ) -> list[str]:
         """The problems of the run, each as a line: of the start, of robots, and of events.
@@ -337,10 +339,11 @@ class DemoRun:
         robots of events only a fault is a problem.
         """
         events = self._timeline.done
+        *_, after = statuses
         robots_of_events = {robot for event in events for robot in event.robots}
         other_robots = [robot for robot in started.robots if robot not in robots_of_events]
         problems = [f"{name} did not start: {text}" for name, text in started.missing.items()]
-        problems += problems_of(other_robots, before, after, contacts)
+        problems += problems_of(other_robots, *statuses, contacts)
         problems += [f"{e.action} at {e.at:g} s: {e.problem}" for e in events if e.problem]
         problems += [
             f"{name} ended faulted: {after[name].detail}"

@@ -155,19 +155,29 @@ def mean_duty(statuses: Mapping[str, Status]) -> float | None:
 
 
 def problems_of(
-    robots: Iterable[str], before: Mapping[str, Status], after: Mapping[str, Status], contacts: int
+    robots: Iterable[str],
+    idle: Mapping[str, Status],
+    before: Mapping[str, Status],
+    after: Mapping[str, Status],
+    contacts: int,
 ) -> tuple[str, ...]:
     """A line for each robot that did not run to the end, and a line if robots touched each other.
 
-    `before`: the statuses right after the request `run`, by robot. `after`: those at the end.
+    `idle`: the statuses before the request `run`, by robot. `before`: those after the request; a
+    pattern may have failed until then. `after`: those at the end.
     """
-    problems = [line for robot in robots if (line := _problem(robot, before, after))]
+    problems = [line for robot in robots if (line := _problem(robot, idle, before, after))]
     if contacts:
         problems.append(f"robots touched each other {contacts} times")
     return tuple(problems)
 
 
-def _problem(robot: str, before: Mapping[str, Status], after: Mapping[str, Status]) -> str:
+def _problem(
+    robot: str,
+    idle: Mapping[str, Status],
+    before: Mapping[str, Status],
+    after: Mapping[str, Status],
+) -> str:
     start, end = before.get(robot), after.get(robot)
     if start is None or end is None:
         return f"{robot} did not answer at the {'start' if start is None else 'end'}"
@@ -177,7 +187,7 @@ def _problem(robot: str, before: Mapping[str, Status], after: Mapping[str, Statu
     if end.state is not State.RUNNING and not has_finished:
         why = f" ({end.reason})" if end.reason else ""
         return f"{robot} ended {end.state}{why}{': ' + end.detail if end.detail else ''}"
-    if end.health.host_restarts > start.health.host_restarts:
+    if end.health.host_restarts > idle.get(robot, start).health.host_restarts:
         return f"{robot}: its pattern failed and was started again"
     if end.generation != start.generation:
         return f"{robot} was given another request"

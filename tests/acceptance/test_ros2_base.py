@@ -141,9 +141,12 @@ def test_a_daemon_without_a_watchdog_is_found(tmp_path: Path, left: ExitStack) -
         one.end()
     with person(rig.swarm, ROBOT, "--only", "B7", "--folder", str(folder)) as one:
         rig.answer(one)
-        for pid in watchdogs(rig.swarm, ROBOT):  # before it can send its zeros
-            os.kill(pid, signal.SIGKILL)
+        left_over = watchdogs(rig.swarm, ROBOT)
+        for pid in left_over:  # it cannot send its zeros, and the daemon cannot start another
+            os.kill(pid, signal.SIGSTOP)
         rig.kill()
+        for pid in left_over:
+            os.kill(pid, signal.SIGKILL)
         time.sleep(DOWN)
         rig.start()
         one.restore(LONG)

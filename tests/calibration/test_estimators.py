@@ -132,7 +132,7 @@ ODD_TIMES = {
 }
 ODD_WAYS: Mapping[str, Callable[[int], Array]] = {
     "standing": lambda count: np.zeros(count),
-    "ahead": lambda count: 0.1 * np.arange(count),
+    "ahead": lambda count: 0.1 * np.arange(count, dtype=np.float64),
     "nan": lambda count: np.full(count, math.nan),
     "inf": lambda count: np.full(count, math.inf),
 }

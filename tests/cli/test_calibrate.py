@@ -133,10 +133,15 @@ def test_an_interrupt_stops_the_robot(tries: Iterator[AbstractContextManager[str
     assert process.returncode == 130, lines
 
 
+@pytest.mark.evidence
 @pytest.mark.timeout(600)
 def test_a_calibration_finds_weak_brakes_and_writes_them(
     tries: Iterator[AbstractContextManager[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Measures the braking of a body in real time, over 40 s without a stall of the machine.
+
+    In simulated time: tests/calibration/test_lockstep.py; what is written: test_report.py there.
+    """
     told: list[Any] = []  # of the findings: a single calibration is too short for one
     monkeypatch.setattr("swarmd.cli.calibrate._end_findings", lambda *given: told.append(given))
     file = tmp_path / "mine.yaml"

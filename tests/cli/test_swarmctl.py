@@ -41,6 +41,12 @@ SOON = ("--timeout", "200ms")
 HEAVY = {"numpy", "rich", "yaml", "asyncio", "mujoco", "matplotlib", "swarmd.patterns"}
 
 
+@pytest.fixture(autouse=True)
+def no_context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No context of the user who runs the tests is in use, such as `keys init` leaves."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
 def loaded(*args: str) -> set[str]:
     """The modules that a command has loaded by its end."""
     done = subprocess.run(

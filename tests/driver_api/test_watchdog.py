@@ -41,6 +41,14 @@ def test_begins_after_exactly_0_4_s_of_silence() -> None:
     assert sending(fed(9.0), 9.3999999, 9.4) == [False, True]
 
 
+@pytest.mark.parametrize("period", [0.05, 0.39])
+def test_sends_nothing_as_long_as_the_daemon_ticks_however_late(period: float) -> None:
+    timer = WatchdogTimer()
+    for tick in range(round(60.0 / period)):
+        timer.tick(period * tick)
+        assert not any(sending(timer, *(period * (tick + part / 8) for part in range(8))))
+
+
 def test_sends_for_2_s_although_the_daemon_is_back_at_once() -> None:
     timer = fed()
     assert timer.is_sending(0.4)

@@ -8,6 +8,7 @@ import secrets
 import signal
 import socket
 from collections.abc import Iterator
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -196,6 +197,11 @@ def serve(clock: Clock, monkeypatch: pytest.MonkeyPatch, mine: Watchdog, until: 
         return
 
 
+def widest(times: list[float]) -> float:
+    """s of the widest gap between two zeros: ZERO_PERIOD of 0.05 and a step of the clock."""
+    return max(later - at for at, later in pairwise(times))
+
+
 @pytest.mark.parametrize("faults", [0, 3])
 def test_zeros_go_out_20_times_a_second_although_some_cannot_be_sent(
     clock: Clock,
@@ -211,6 +217,7 @@ def test_zeros_go_out_20_times_a_second_although_some_cannot_be_sent(
     assert sender.at[0] == pytest.approx(0.4, abs=0.011)
     assert 45 <= len(sender.at) <= 53
     assert sender.at[-1] > 2.9, "until the daemon is back"
+    assert widest(sender.at) < 0.061
 
 
 @pytest.mark.parametrize("word", [FAREWELL, b""])
@@ -232,6 +239,7 @@ def test_a_farewell_is_2_s_of_zeros_and_the_end_of_file_is_zeros_for_ever(
         assert sender.at[-1] == pytest.approx(2.0, abs=0.06)
     else:
         assert sender.at[-1] > 9.9
+    assert widest(sender.at) < 0.061
 
 
 def test_as_long_as_it_is_not_connected_the_daemon_is_to_say_zero(

@@ -24,12 +24,19 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, Commanded
-from tests.support.processes import CAP, DaemonProcess, free_endpoint, unique_swarm, wait_until
+from tests.support.processes import (
+    CAP,
+    DaemonProcess,
+    attempts,
+    free_endpoint,
+    unique_swarm,
+    wait_until,
+)
 from tests.support.swarmctl import STALLED
 from tests.support.viewer import Viewer
 
 ROBOT = "tb3-01"
-ATTEMPTS = 4
+ENDED_BY_STALL = {Reason.PATTERN_RESTARTING, Reason.LOOP_STALLED, Reason.STALE_SCAN}
 LOOK_PERIOD = 0.5  # s between two looks for a robot that has restarted
 PLUGINS = Path(__file__).parent / "plugins"
 
@@ -190,14 +197,14 @@ class Bench:
 
     def drive(self, pattern: str = "drive") -> Commanded:
         """It runs and moves: the first command that did. On a starved machine asks again."""
-        for _ in range(ATTEMPTS):
+        for _ in attempts(f"{pattern} is loaded"):
             asked = boottime()
             reply = self.run(pattern)
             if reply.code is Code.APPLIED:
                 return self.body.wait_moving(asked)
             print(f"not loaded: {reply.text}")
             assert STALLED.search(reply.text)
-        raise AssertionError(f"{pattern} was not loaded in {ATTEMPTS} attempts")
+        raise AssertionError
 
     def drive_until_restarted(self, pattern: str, fail: Callable[[], float] = boottime) -> Return:
         """It drives, fails and is restarted. `fail` makes it fail and tells when.
@@ -205,30 +212,37 @@ class Bench:
         On a starved machine, where it is not reloaded within the two seconds of a hold, this
         tries again.
         """
-        for _ in range(ATTEMPTS):
+        for _ in attempts(f"{pattern} is restarted in time"):
             self.drive(pattern)
             began = fail()
-            failed = self.await_event(f"{pattern} failed", began)
+            has_failed = self._has_event(f"{pattern} failed", began)
+            failed = self.witness.wait(f"{pattern} failed", _or_given_up(has_failed), began)
+            if not has_failed(failed.status):
+                print(f"stopped before it failed: {failed.status.detail}")
+                continue
             restarted = self._has_event(f"{pattern} restarted", began)
             end = self.witness.wait(f"{pattern} restarted", _or_given_up(restarted), began)
             if not _is_given_up(end.status):
                 return Return(began, failed, end)
             print(f"not restarted in time: {end.status.detail}")
-        raise AssertionError(f"{pattern} was not restarted in time in {ATTEMPTS} attempts")
+        raise AssertionError
 
     def drive_to_quarantine(self, pattern: str) -> tuple[Commanded, Heard]:
         """The first command that moved, and how it ended. On a starved machine tries again."""
-        for _ in range(ATTEMPTS):
+        for _ in attempts(f"{pattern} is restarted in time"):
             moving = self.drive(pattern)
             end = self.witness.wait("faulted", _or_given_up(_is_faulted), moving.at)
             if not _is_given_up(end.status):
                 return moving, end
             print(f"not restarted in time: {end.status.detail}")
-        raise AssertionError(f"{pattern} was not restarted in time in {ATTEMPTS} attempts")
+        raise AssertionError
 
     def halt(self, verb: Literal["stop", "estop"]) -> Reply:
         """Its ack of stop or estop."""
         outcome = self.operator.send_stop(verb, reason="test")
+        assert not outcome.missing, (
+            f"no ack; it ended with {self.daemon.process.poll()}: {self.daemon.text()[-2000:]}"
+        )
         reply = outcome.replies[ROBOT]
         assert reply.code is Code.APPLIED, reply.text
         return reply
@@ -295,8 +309,8 @@ class Bench:
 
 
 def _is_given_up(status: Status) -> bool:
-    """A hold has lasted: the host was too slow to come back, or to load."""
-    return (status.state, status.reason) == (State.STOPPED, Reason.PATTERN_RESTARTING)
+    """A stall has ended the run: of the host, the daemon, or this process, whose scans it needs."""
+    return status.state is State.STOPPED and status.reason in ENDED_BY_STALL
 
 
 def _or_given_up(holds: Callable[[Status], bool]) -> Callable[[Status], bool]:

@@ -20,6 +20,7 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.fake_body import resting_body
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
+from tests.support.swarmctl import heard_statuses
 
 pytestmark = pytest.mark.integration
 
@@ -77,8 +78,7 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
 
 
 def storage(operator: Operator) -> str:
-    status = operator.members().members["r1"].status
-    return "?" if status is None else status.health.storage
+    return heard_statuses(operator, ["r1"])["r1"].health.storage
 
 
 @needs_root
@@ -88,8 +88,7 @@ def test_a_state_folder_that_cannot_be_written_is_told_at_each_start(rig: Rig, f
         daemon = rig.on_disk(fault)
         operator = rig.operator()
         assert "cannot be written" in daemon.text()
-        status = operator.members().members["r1"].status
-        assert status is not None
+        status = heard_statuses(operator, ["r1"])["r1"]
         assert str(rig.state) in status.health.storage
         assert any("cannot be written" in event.text for event in status.events)
         (reply,) = operator.send_stop("estop").replies.values()
@@ -117,9 +116,7 @@ def test_a_latch_is_written_and_the_audit_log_goes_on_once_there_is_room(rig: Ri
 
     wait_until(lambda: "stop" in entries(), "the stop is in the audit log")
     assert daemon.text().count("audit.jsonl cannot be written") == 1
-    status = operator.members().members["r1"].status
-    assert status is not None
-    assert status.state is State.ESTOPPED
+    assert heard_statuses(operator, ["r1"])["r1"].state is State.ESTOPPED
 
 
 @needs_root

@@ -21,7 +21,7 @@ from swarmd.driver_api.watchdog_client import WatchdogProcess
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.testing.driver_contract import is_running
 from tests.support.fake_body import Commanded
-from tests.support.processes import wait_until, watchdogs
+from tests.support.processes import attempts, wait_until, watchdogs
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench
@@ -31,8 +31,7 @@ pytestmark = pytest.mark.integration
 WITHIN = 0.6
 """Seconds within which a base without a timeout is told to stand; on a starved machine later."""
 SLACK = 4.0
-LATE = 5
-"""Zeros of decisions that came late, at most; in a second a watchdog sends twenty."""
+SILENT = "the daemon is silent: sending zeros"
 
 
 @pytest.fixture
@@ -50,6 +49,28 @@ def watchdog_of(bench: Bench) -> int:
 
 def zeros_since(bench: Bench, since: float) -> list[Commanded]:
     return [one for one in bench.body.commands if one.at > since and one.twist.is_zero]
+
+
+def is_of_watchdog(command: Commanded) -> bool:
+    """Whether a watchdog sent it: a daemon names its last scan, but in the zero for a lost base."""
+    return command.scan_seq < 0
+
+
+def await_last_zero(bench: Bench, after: float) -> None:
+    """A zero of the watchdog came after this time; the body may read it later than it ended."""
+    bench.body.wait(is_of_watchdog, after)
+
+
+def drives_undisturbed(bench: Bench, since: float) -> None:
+    """No watchdog sends zero for a second in which neither the daemon nor the base stands still."""
+    for _ in attempts("neither the daemon nor the base stands still for a second"):
+        silences = bench.daemon.text().count(SILENT)
+        bench.body.wait(lambda one: one.at > since + 1.0)  # noqa: B023
+        zeros = [one for one in zeros_since(bench, since) if is_of_watchdog(one)]
+        if bench.daemon.text().count(SILENT) == silences and not bench.body.was_late(since):
+            assert not zeros, "no other process sends zero"
+            return
+        since = bench.drive().at + MIN_ZERO_TIME  # the stall may have ended the run
 
 
 def await_steady_zeros(bench: Bench, since: float, seconds: float) -> float:
@@ -83,8 +104,7 @@ def test_a_daemon_that_is_back_relieves_the_watchdog_of_the_one_before(guarded: 
     moving = guarded.drive()  # at once: the last zero has been said
     wait_until(lambda: not is_running(before), "the first watchdog has ended")
     assert watchdog_of(guarded) != before
-    guarded.body.wait(lambda one: one.at > moving.at + 1.0)
-    assert len(zeros_since(guarded, moving.at)) < LATE, "no other process sends zero"
+    drives_undisturbed(guarded, moving.at)
 
 
 def test_signals_meant_for_everyone_leave_the_watchdog_at_its_post(guarded: Bench) -> None:
@@ -94,18 +114,17 @@ def test_signals_meant_for_everyone_leave_the_watchdog_at_its_post(guarded: Benc
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGABRT):
         os.kill(watchdog, number)
     signalled = boottime()
-    guarded.body.wait(lambda one: one.at > signalled + 1.0)
+    drives_undisturbed(guarded, signalled)
     assert is_running(watchdog)
-    assert len(zeros_since(guarded, signalled)) < LATE, "its daemon lives and drives on"
     killed = boottime()
     guarded.daemon.kill()
     guarded.body.wait_zero(killed)
     wait_until(lambda: not is_running(watchdog), "it was asked to end, and has")
-    assert zeros_since(guarded, killed)[-1].at - killed > 1.5
+    await_last_zero(guarded, killed + 1.5)
 
 
 def test_a_frozen_daemon_is_stopped_for_and_thawed_it_does_not_move(guarded: Bench) -> None:
-    guarded.drive()
+    drives_undisturbed(guarded, guarded.drive().at)
     watchdog = watchdog_of(guarded)
     frozen = boottime()
     guarded.daemon.freeze()
@@ -114,7 +133,7 @@ def test_a_frozen_daemon_is_stopped_for_and_thawed_it_does_not_move(guarded: Ben
     finally:
         thawed = boottime()
         guarded.daemon.thaw()
-    assert 0.3 < after < WITHIN + SLACK
+    assert after < WITHIN + SLACK  # and not before 0.4 s: tests/driver_api/test_watchdog.py
     stalled = guarded.await_state(State.STOPPED, Reason.LOOP_STALLED, thawed)
     assert not guarded.body.moved_since(stalled.at)
     assert watchdog_of(guarded) == watchdog, "it is the same, and serves on"
@@ -125,14 +144,18 @@ def test_a_frozen_daemon_is_stopped_for_and_thawed_it_does_not_move(guarded: Ben
 
 
 def test_a_daemon_that_is_back_before_the_zeros_end_requires_zero_too(guarded: Bench) -> None:
-    guarded.drive()
-    frozen = boottime()
-    guarded.daemon.freeze()
-    try:
-        first = guarded.body.wait_zero(frozen)
-    finally:
-        guarded.daemon.thaw()
-    guarded.body.wait(lambda one: one.at > first.at + MIN_ZERO_TIME + 0.5)
+    for _ in attempts("this process measures without a stall of its own"):
+        guarded.drive()
+        frozen = boottime()
+        guarded.daemon.freeze()
+        try:
+            first = guarded.body.wait(is_of_watchdog, frozen)
+        finally:
+            guarded.daemon.thaw()
+        guarded.body.wait(lambda one: one.at > first.at + MIN_ZERO_TIME + 0.5)  # noqa: B023
+        if not guarded.body.was_late(frozen):
+            break
+        guarded.calm()
     meanwhile = [
         one for one in guarded.body.commands if 0.0 < one.at - first.at < MIN_ZERO_TIME - 0.1
     ]
@@ -146,12 +169,13 @@ def test_a_daemon_that_is_back_before_the_zeros_end_requires_zero_too(guarded: B
 def test_asked_to_end_the_watchdog_sends_zeros_for_2_s_and_ends(guarded: Bench) -> None:
     guarded.drive()
     watchdog = watchdog_of(guarded)
+    asked = boottime()
     assert guarded.daemon.terminate() == 0
     ended = boottime()
     wait_until(lambda: not is_running(watchdog), "its watchdog is gone")
     gone = boottime()
-    assert zeros_since(guarded, ended)[-1].at - ended > 1.0
-    assert not guarded.body.moved_since(ended)
+    await_last_zero(guarded, asked + 1.5)
+    assert not guarded.body.moved_anew(ended)
     assert gone - ended < 10.0
 
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 import pytest
 
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
+from swarmd.core.clock import TICK
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import (
     TICK_INPUT,
@@ -47,6 +48,33 @@ def test_stop_zeroes_at_once_until_the_next_run() -> None:
     assert harness.ask("run", pattern="forward") is not None
     harness.advance(0.2)
     assert harness.twist.linear > 0.0
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+@pytest.mark.parametrize("stall", [0.0, 0.5])
+def test_zero_comes_with_the_ack_of_a_stop_and_no_later_command_moves(
+    verb: str, stall: float
+) -> None:
+    harness = started()
+    harness.advance(stall, ticks=False)  # the stop is the first input after a stall
+    assert harness.twist.linear > 0.0
+    harness.commands.clear()
+    harness.applied(verb)
+    assert harness.commands == [(harness.now, ZERO)]
+    harness.advance(5.0)
+    assert all(twist.is_zero for _, twist in harness.commands)
+
+
+@pytest.mark.parametrize("stall", [0.0, 0.2, 0.25, 0.5, 0.9])
+def test_a_driving_robot_commands_zero_once_after_a_stall_and_else_never(stall: float) -> None:
+    """The requested command has expired after 0.25 s; the pattern answers at once."""
+    harness = started()
+    harness.advance(stall, ticks=False)
+    thawed = harness.now
+    harness.commands.clear()
+    harness.advance(60.0)
+    zeros = {at for at, twist in harness.commands if twist.is_zero}
+    assert zeros == ({round(thawed + TICK, 9)} if stall >= 0.25 else set())
 
 
 def test_repeated_stop_is_one_change() -> None:

@@ -6,6 +6,7 @@ thread of its own at their nominal rates; `scans` makes each scan and can be rep
 
 from __future__ import annotations
 
+import math
 import select
 import threading
 import time
@@ -24,6 +25,8 @@ from swarmd.testing.scans import empty_scan
 CAP = 60.0
 ODOMETRY_RATE = 20.0
 IN_FLIGHT = 3
+LATE = 0.2
+"""s between two messages of odometry, meant 0.05 s apart, of a body that a stall has stopped."""
 ScanScript = Callable[[int, float], Scan | bytes | None]
 
 
@@ -61,6 +64,7 @@ class Body:
         self.swarm = swarm
         self._period = 1.0 / (rate or platform.scan.rate)
         self._changed = threading.Condition()
+        self._late_at, self._turned_at = 0.0, math.inf
         self._stopping = threading.Event()
         self._threads = [
             threading.Thread(target=run, name=f"body {robot}", daemon=True)
@@ -151,6 +155,10 @@ class Body:
                 late += 1
             return [one for one in since[late:] if not one.twist.is_zero]
 
+    def was_late(self, since: float) -> bool:
+        """True if this process stood still after `since`: the times of commands tell nothing."""
+        return self._late_at > since or boottime() - self._turned_at > LATE
+
     def ran_since(self, moving: Commanded) -> bool:
         """True if from then on every command was of a running pattern, held up or not.
 
@@ -187,8 +195,13 @@ class Body:
 
     def _publish(self) -> None:
         begin, seq, next_scan = boottime(), 0, 0.0
+        self._turned_at = begin
         while not self._stopping.wait(1.0 / ODOMETRY_RATE):
-            stamp = boottime() - begin
+            now = boottime()
+            if now - self._turned_at > LATE:
+                self._late_at = now
+            self._turned_at = now
+            stamp = now - begin
             if self.odometry is not None:
                 odometry = Odometry(stamp, Pose(), self.odometry)
                 self._send("odometry", encode_odometry(odometry))

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from unittest import mock
@@ -93,6 +93,14 @@ def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> No
     while not condition():
         assert time.monotonic() < deadline, f"after {cap:.0f} s still not: {what}"
         pause.wait(0.02)
+
+
+def attempts(what: str) -> Iterator[None]:
+    """Attempts until `what` holds, for CAP s: how many a busy machine needs is no property."""
+    deadline = time.monotonic() + CAP
+    while True:
+        yield
+        assert time.monotonic() < deadline, f"after {CAP:.0f} s still not: {what}"
 
 
 def stop_process(pid: int) -> None:

@@ -21,7 +21,7 @@ from swarmd.network.settings import NetworkSettings
 from tests.support.fake_body import resting_body
 from tests.support.keys import SwarmKeys
 from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, wait_until
-from tests.support.swarmctl import await_applied
+from tests.support.swarmctl import await_applied, heard_statuses
 
 RUNNING = ("r1", "r2")
 
@@ -144,22 +144,22 @@ class SecuredSwarm:
 
     def status(self, robot: str) -> Status:
         """The robot's status, as its operator gets it."""
-        found: list[Status] = []
-
-        def look() -> bool:
-            status = self.anna.members().members[robot].status
-            found[:] = [] if status is None else [status]
-            return bool(found)
-
-        wait_until(look, f"{robot} answers")
-        return found[0]
+        return heard_statuses(self.anna, [robot])[robot]
 
     def dropped(self, robot: str, kind: str) -> int:
         """How many datagrams of a kind the robot has dropped."""
         return self.status(robot).health.dropped.get(f"datagram:{kind}", 0)
 
     def presence(self, robot: str) -> Presence:
-        return self.anna.members().members[robot].presence
+        found: list[Presence] = []
+
+        def is_listed() -> bool:
+            member = self.anna.members().members.get(robot)
+            found[:] = [] if member is None else [member.presence]
+            return bool(found)
+
+        wait_until(is_listed, f"{robot} is listed")
+        return found[0]
 
     def reset(self, robot: str) -> None:
         """Reset it; asked again if a stall of the machine refused it."""

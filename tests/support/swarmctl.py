@@ -93,13 +93,13 @@ def swarmctl_in_time(*words: str, environ: Mapping[str, str] | None = None) -> F
 
 
 def ask_in_time(ask: Callable[[], Finished], *, late: tuple[int, ...] = ()) -> Finished:
-    """Ask, and three times again as long as a stall refuses it or the exit code is in `late`."""
-    for _ in range(3):
+    """Ask for CAP s, as long as a stall refuses it or the exit code is in `late`."""
+    deadline = time.monotonic() + CAP
+    while True:
         done = ask()
         is_late = STALLED.search(done.out + done.err) or done.code in late
-        if done.code == APPLIED or not is_late:
+        if done.code == APPLIED or not is_late or time.monotonic() > deadline:
             return done
-    return ask()
 
 
 def await_applied(ask: Callable[[], Outcome], what: str) -> None:

@@ -227,7 +227,7 @@ def _check_what_a_hostile_viewer_reads(
         session.declare_queryable(everything, lambda one: queries.append(str(one.key_expr)))
         told = list[bytes]()
         anna.watch("status", lambda robot, payload: told.append(payload))
-        assert anna.members().answered == set(RUNNING)
+        wait_until(lambda: anna.members().answered == set(RUNNING), "both robots answer")
         session.put(build(swarm.name, "r1", STATE, "status"), b"\x01\x80")
         count = len(told) + 2 * len(RUNNING)
         wait_until(lambda: len(told) >= count, "the operator hears both robots")

@@ -28,7 +28,7 @@ from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness, is_running
 from tests.drivers.ros.contract import last_arrives
 from tests.drivers.ros1.rig import RosRobot, ros_robot
-from tests.support.processes import CAP
+from tests.support.processes import CAP, attempts
 from tests.support.roscore import RosCore
 from tests.support.stories import story
 
@@ -398,9 +398,15 @@ async def test_an_endless_message_fills_no_memory(
     harness: DriverHarness, robot: RosRobot, roscore: RosCore
 ) -> None:
     await drive(harness, robot)
-    with closing(EndlessPublisher(roscore, f"{robot.namespace}/scan")) as publisher:
-        await harness.until(lambda: not publisher.is_alive())
-    status = Path(f"/proc/{adapter(harness.driver)}/status").read_text()
+    assert isinstance(harness.driver, Ros1Driver)
+    for _ in attempts("the adapter ends the connection; a stalled one is replaced"):
+        await harness.until(lambda: harness.sink.is_up)
+        first = harness.driver.adapter_pid
+        with closing(EndlessPublisher(roscore, f"{robot.namespace}/scan")) as publisher:
+            await harness.until(lambda: not publisher.is_alive())
+        if first == harness.driver.adapter_pid is not None:
+            break
+    status = Path(f"/proc/{first}/status").read_text()
     peak = int(status.partition("VmHWM:")[2].split()[0])  # kB
     assert peak < 1 << 20
     known = len(harness.sink.scans)

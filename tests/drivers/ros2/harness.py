@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Mapping
 
 from swarmd.core.finding import Finding
@@ -12,6 +13,7 @@ from tests.drivers.ros.contract import last_arrives
 from tests.drivers.ros2.robots import Robot
 
 PACE = 0.01
+STALL = 0.5
 
 
 def stands(twist: Twist) -> bool:
@@ -62,15 +64,21 @@ def check(
 ) -> Mapping[str, Finding]:
     """The findings of `check`, by subject, while `publish` is called repeatedly.
 
-    `tries`: so many checks for one in which all is well; a busy machine publishes too rarely.
+    `tries`: so many checks for one in which all is well; a busy machine publishes too rarely. A
+    check during which a stall let this process publish nothing for STALL s is done again.
     """
 
     async def once() -> tuple[Finding, ...]:
-        checking = asyncio.create_task(robot.make(options).check(seconds))
+        is_stalled = True
         async with asyncio.timeout(TIMEOUT):
-            while not checking.done():
-                publish()
-                await asyncio.sleep(PACE)
+            while is_stalled:
+                checking = asyncio.create_task(robot.make(options).check(seconds))
+                is_stalled, last = False, time.monotonic()
+                while not checking.done():
+                    publish()
+                    await asyncio.sleep(PACE)
+                    is_stalled |= time.monotonic() - last > STALL
+                    last = time.monotonic()
         return checking.result()
 
     async def run() -> tuple[Finding, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 import zenoh
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.messages import Code, Refusal, Reply, State
+from swarmd.core.messages import Code, Refusal, Reply, State, Status
 from swarmd.core.values import Value
 from swarmd.daemon.driver_commands import MAX_COMMAND_AGE
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
@@ -27,10 +28,11 @@ from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.harness import check
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot, scan
 from tests.drivers.ros2.service_calls import CALL, EMPTY, Call
-from tests.support.drive_daemon import ROBOT, status
+from tests.support.drive_daemon import ROBOT
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 from tests.support.ros2_types import TriggerResponse
 from tests.support.stories import story
+from tests.support.swarmctl import heard_statuses
 
 SERVICES: dict[str, Value] = {
     "operator": "ros",
@@ -298,27 +300,28 @@ def test_a_daemon_is_run_and_stopped_by_services(make: Callable[[], Robot], tmp_
         "driver": driver,
         "driver_options": {**given, "command_timeout": "base"},
     }
-    swarm, count = unique_swarm(), [0]
+    swarm, is_done = unique_swarm(), threading.Event()
+
+    def keep_scanning() -> None:
+        """Without scans for 2 s a run ends; without odometry the robot counts as resting."""
+        count = 0
+        while not is_done.wait(0.05):
+            count += 1
+            robot.put("scan", scan(100.0 + 0.1 * count))
 
     def answer(service: str) -> TriggerResponse:
-        """The answer of a service, while the robot scans; without odometry it counts as resting."""
         call = Call(robot, service)
-
-        def has_ended() -> bool:
-            count[0] += 1
-            robot.put("scan", scan(100.0 + 0.1 * count[0]))
-            return call.has_ended
-
-        wait_until(has_ended, service)
+        wait_until(lambda: call.has_ended, service)
         return call.answers[0] if call.answers else TriggerResponse()  # not yet, or too often
 
     def later_answer(service: str) -> TriggerResponse:
-        """The first answer that does not say that the robot has just changed."""
+        """The first answer that says neither that the robot nor that the hub has just changed."""
         answers: list[TriggerResponse] = []
 
         def is_other() -> bool:
             answers.append(answer(service))
-            return bool(answers[-1].message) and "stale_epoch" not in answers[-1].message
+            message = answers[-1].message
+            return bool(message) and "stale_epoch" not in message and DOUBT not in message
 
         wait_until(is_other, service)
         return answers[-1]
@@ -326,29 +329,30 @@ def test_a_daemon_is_run_and_stopped_by_services(make: Callable[[], Robot], tmp_
     daemon = DaemonProcess(
         tmp_path, swarm=swarm, robot=ROBOT, endpoint="", platform="burger", options=options
     )
+    scanning = threading.Thread(target=keep_scanning)
+    scanning.start()
     try:
         with daemon, Operator(NetworkSettings(swarm=swarm), name="anna") as operator:
             daemon.wait_ready()
 
-            def is_applied() -> bool:
+            def told() -> Status:
+                return heard_statuses(operator, [ROBOT])[ROBOT]
+
+            def is_running() -> bool:
                 """The age of a call is unknown at first, and the robot has no scan yet."""
-                answers.append(answer("swarmd/run/go"))
-                return answers[-1].success
+                if not answer("swarmd/run/go").success:
+                    return False
+                now = told()  # a stall of the daemon has ended the run, if it does not run
+                return (now.state, now.pattern) == (State.RUNNING, "drive")
 
-            answers: list[TriggerResponse] = []
-            wait_until(is_applied, "the run is applied")
-            now = status(operator)
-            assert now is not None
-            assert (now.state, now.pattern) == (State.RUNNING, "drive")
-
-            stopped = answer("swarmd/stop")
+            wait_until(is_running, "it runs")
+            stopped = later_answer("swarmd/stop")
             assert stopped.success, stopped
             assert "commanded zero" in stopped.message
-            now = status(operator)
-            assert now is not None
+            now = told()
             assert (now.state, now.detail) == (State.STOPPED, "by ros")
 
-            assert answer("swarmd/estop").success
+            assert later_answer("swarmd/estop").success
             # A run that may have been issued before the stop is refused for that at first.
             refused = later_answer("swarmd/run/go")
             assert not refused.success
@@ -369,4 +373,6 @@ def test_a_daemon_is_run_and_stopped_by_services(make: Callable[[], Robot], tmp_
         }
         assert {entry["verb"] for entry in by_ros} == {"run", "stop", "estop", "reset"}
     finally:
+        is_done.set()
+        scanning.join()
         robot.close()

@@ -159,10 +159,13 @@ def test_a_rerun_with_another_hash_seed_finds_the_run_that_differs(
     assert [run for run, is_identical in found.items() if not is_identical] == ["speed=0.2_s0007"]
 
 
+PROGRESS = r"[0-9]+ of [0-9]+ runs(, [0-9]+ failed)?(, about [0-9.]+ (s|min|h) left)?"
+
+
 def first_words(done: subprocess.CompletedProcess[str]) -> str:
-    """The first line on stderr that is not about the progress."""
+    """The first line on stderr that is not about the progress, which a slow machine estimates."""
     lines = done.stderr.splitlines()
-    return next(line for line in lines if not re.fullmatch("[0-9]+ of [0-9]+ runs", line))
+    return next(line for line in lines if not re.fullmatch(PROGRESS, line))
 
 
 LATER = "if inputs.now > 1.2 and 1 / self.params.speed:"

@@ -6,13 +6,14 @@ import json
 import math
 import os
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from swarmd.core.messages import State
 from swarmd.core.values import Array, Value
 from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.operator import Operator
@@ -58,6 +59,7 @@ class Show:
 
     def run(self, pattern: str, **params: Value) -> None:
         """Run it on all; asked again if a stall of the machine refused it."""
+        self._pattern, self._params = pattern, params
         robots = tuple(self.spec.robots)
 
         def ask() -> Outcome:
@@ -65,6 +67,17 @@ class Show:
             return self.operator.request(RunRequest, epochs, pattern=pattern, params=params)
 
         await_applied(ask, f"all run {pattern}")
+
+    def reaches(self, holds: Callable[[WorldState], bool]) -> None:
+        """Wait until it holds, with the last pattern run again on robots that a stall stopped."""
+
+        def does_hold() -> bool:
+            states = {status.state for status in statuses_of(self.operator.members()).values()}
+            if State.STOPPED in states:
+                self.run(self._pattern, **self._params)
+            return holds(self.state())
+
+        wait_until(does_hold, "the robots get there", GATHERING)
 
     def state(self) -> WorldState:
         return self._watch.wait()
@@ -134,7 +147,7 @@ def gather(spec: FleetSpec, settling: float) -> tuple[float, float]:
         begin = show.state()
         assert largest_group(begin) == 1
         show.run("attraction")
-        wait_until(lambda: largest_group(show.state()) == n, "all are in one group", GATHERING)
+        show.reaches(lambda state: largest_group(state) == n)
         end = show.after(settling)
         assert largest_group(end) == n
         assert end.contacts == end.arena_contacts == 0
@@ -174,7 +187,7 @@ def test_the_watchdog_stops_a_base_without_command_timeout(emulator: str, tmp_pa
     spec = make_spec(tmp_path, ("tb3-01",), emulator)
     with on(spec) as show:
         show.run("random_walk")
-        wait_until(lambda: show.is_moving(0), "it drives")
+        show.reaches(lambda _: show.is_moving(0))
         assert show.state().commanded == (True,)
         os.kill(show.fleet.pids["tb3-01"], signal.SIGKILL)
         wait_until(lambda: not show.is_moving(0), "it stands")
@@ -228,12 +241,10 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
     )
     with on(spec) as show:
         show.run("approach_tag", kind="box")
-        wait_until(
-            lambda: math.dist(show.state().poses[0][:2], (1.0, 0.5)) < 0.9, "it is there", GATHERING
-        )
+        show.reaches(lambda state: math.dist(state.poses[0][:2], (1.0, 0.5)) < 0.9)
         for pattern in ("policy", "random_walk", "attraction", "collective_perception"):
             show.run(pattern)
-            wait_until(lambda: show.is_moving(0), f"{pattern} drives")
+            show.reaches(lambda _: show.is_moving(0))
 
         def read() -> list[Mapping[str, Value]]:
             return [one.readings for one in statuses_of(show.operator.members()).values()]

@@ -18,7 +18,8 @@ BURGER = load_platform("burger")
 
 
 def problem(**end: Any) -> tuple[str, ...]:
-    return problems_of(["a"], {"a": status("a")}, {"a": status("a", **end)}, contacts=0)
+    here = {"a": status("a")}
+    return problems_of(["a"], here, here, {"a": status("a", **end)}, contacts=0)
 
 
 def closing_in() -> Trace:
@@ -100,8 +101,15 @@ def test_a_robot_that_did_not_run_to_the_end_is_a_problem(end: dict[str, Any], l
     assert re.match(line, found)
 
 
+def test_a_pattern_that_failed_before_the_first_status_of_its_run_is_a_problem() -> None:
+    failed = {"a": status("a", generation=2, health=Health(host_restarts=1))}
+    (found,) = problems_of(["a"], {"a": status("a")}, failed, failed, contacts=0)
+    assert found.startswith("a: its pattern failed")
+
+
 def test_a_silent_robot_and_a_touch_are_problems() -> None:
-    found = problems_of(["a", "b"], {"a": status("a"), "b": status("b")}, {"a": status("a")}, 2)
+    here = {"a": status("a"), "b": status("b")}
+    found = problems_of(["a", "b"], here, here, {"a": status("a")}, 2)
     assert found == ("b did not answer at the end", "robots touched each other 2 times")
 
 
