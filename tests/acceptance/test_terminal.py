@@ -220,7 +220,8 @@ def test_a_part_or_a_step_is_picked() -> None:
         "C7",
         "C10",
     ]
-    assert [one.id for one in verb._wanted(steps, "A6")] == ["A6", "A7", "A8", "A9", "A10", "A11"]
+    of_the_base = ["A6", "A7", "A8", "A9", "A10", "A11", "A16"]
+    assert [one.id for one in verb._wanted(steps, "A6")] == of_the_base
     assert [one.id for one in verb._wanted(steps, "B2")] == ["B2"]
     assert len(verb._wanted(steps, None)) == len(steps)
     with pytest.raises(click.UsageError):

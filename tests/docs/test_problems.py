@@ -21,9 +21,10 @@ PAGE = PAGE.partition("\n## Problems that others report\n")[2]
 
 
 def command(start: str) -> list[str]:
-    """The words after `swarmctl exp` of the one command of the page that begins so."""
-    (line,) = re.findall(rf"^swarmctl exp ({start} .*)$", PAGE, re.MULTILINE)
-    return shlex.split(line)
+    """The words after `swarmctl exp` of the first command of the page that begins so."""
+    found = re.search(rf"^swarmctl exp ({start} .*)$", PAGE, re.MULTILINE)
+    assert found is not None
+    return shlex.split(found[1])
 
 
 def test_a_parked_robot_is_neither_met_nor_pushed(tmp_path: Path) -> None:
