@@ -58,7 +58,8 @@ def judged(rig: Rig, *steps: str) -> dict[str, Verdict]:
 def test_a_sound_base_is_as_it_says_while_it_rests(rig: Rig) -> None:
     found: dict[str, Verdict] = {}
     for _ in range(TRIES):
-        found = judged(rig, "A5", "A6", "A7", "A8", "A9", "A10")
+        verdicts = judged(rig, "A5", "A6")
+        found = {name: verdicts[name] for name in ("A5", "A6", "A7", "A8", "A9", "A10")}
         if all(verdict.result is Result.PASS for verdict in found.values()):
             break
     assert all(verdict.result is Result.PASS for verdict in found.values()), found

@@ -111,9 +111,9 @@ def test_a_sound_base_is_as_it_says_while_it_rests(tmp_path: Path, left: ExitSta
         one.answer("y")
         one.read_on("A6 PASS", LONG)
         one.end()
-        for name in ("A1", "A7", "A8", "A9", "A10"):
-            rig.asked(name).end()
-        found = read_record(rig.results).verdicts
+        rig.asked("A1").end()
+        verdicts = read_record(rig.results).verdicts
+        found = {name: verdicts[name] for name in ("A1", "A6", "A7", "A8", "A9", "A10")}
         if all(one.result is Result.PASS for one in found.values()):
             break
     assert all(one.result is Result.PASS for one in found.values()), found
@@ -144,6 +144,7 @@ def test_a_sound_base_stops_in_every_case(tmp_path: Path, left: ExitStack) -> No
     rig.end_adapter()
     one.restore(LONG)
     one.read_on("B8 ", LONG)
+    one.answer("n")  # B9: the base has no stop button
     one.end()
     found = read_record(rig.results).verdicts
     # B8 is not judged here: a new adapter comes within the bound on a machine that is not busy.

@@ -123,6 +123,7 @@ def judge_part_b(rig: Rig, folder: Path) -> None:
         rig.base.reconnect()
         one.restore(LONG)
         one.read_on("B8 ", LONG)
+        one.answer("n")  # B9: the base has no stop button
         one.end()
     found = read_record(folder).verdicts
     # A Burger keeps its last velocity: nothing reaches it without its bridge (docs/safety.md).
