@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -120,7 +120,7 @@ def test_a_figure_over_a_scale_has_the_deviation_of_both() -> None:
     assert (found.samples, found.assumed) == (8, 1.5)
 
 
-ODD_TIMES = {
+ODD_TIMES: dict[str, list[float]] = {
     "none": [],
     "one": [1.0],
     "equal": [1.0] * 40,
@@ -130,9 +130,9 @@ ODD_TIMES = {
     "nan": [math.nan] * 40,
     "one nan": [0.05 * n if n != 20 else math.nan for n in range(40)],
 }
-ODD_WAYS: Mapping[str, Callable[[int], Array]] = {
+ODD_WAYS: dict[str, Callable[[int], Array]] = {
     "standing": lambda count: np.zeros(count),
-    "ahead": lambda count: 0.1 * np.arange(count, dtype=np.float64),
+    "ahead": lambda count: np.array([0.1 * n for n in range(count)]),
     "nan": lambda count: np.full(count, math.nan),
     "inf": lambda count: np.full(count, math.inf),
 }
