@@ -157,6 +157,7 @@ def test_the_bridge_of_a_robot_stops_after_the_daemon_and_never_before() -> None
     assert unit["StopPropagatedFrom"] == ["zenoh-bridge-ros2dds.service"]
 
 
+@pytest.mark.integration
 @needs_systemd
 def test_systemd_finds_no_fault_in_the_unit_and_little_exposure(tmp_path: Path) -> None:
     unit = tmp_path / "swarmd.service"
@@ -170,6 +171,7 @@ def test_systemd_finds_no_fault_in_the_unit_and_little_exposure(tmp_path: Path) 
     assert float(exposure[1]) <= MAX_EXPOSURE
 
 
+@pytest.mark.integration
 @needs_systemd
 def test_systemd_reads_paths_with_spaces_and_percent_signs(tmp_path: Path) -> None:
     program = tmp_path / "a folder %h" / "swarmd"

@@ -54,6 +54,7 @@ def loaded(*args: str) -> set[str]:
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
+@pytest.mark.integration
 def test_help_loads_nothing_heavy_and_no_message() -> None:
     assert not loaded("--help") & (HEAVY | {"msgspec", "hashlib"})
 
@@ -66,6 +67,7 @@ def test_a_verb_loads_nothing_heavy_and_reads_no_package_metadata(args: list[str
     assert not loaded(*args) & (HEAVY | {"importlib.metadata"})
 
 
+@pytest.mark.integration
 def test_help_lists_all_verbs(tmp_path: Path) -> None:
     done = fork_command("swarmctl", "--help", cwd=tmp_path)
     assert done.returncode == 0

@@ -64,6 +64,7 @@ def test_the_facts_of_an_interface() -> None:
     assert not measure_network("absent0").exists
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(
     os.geteuid() != 0 or not shutil.which("nft") or not shutil.which("unshare"),
     reason="needs root, nft and unshare",

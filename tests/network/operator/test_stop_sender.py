@@ -139,6 +139,7 @@ def test_an_interrupt_of_until_all_gives_what_was_reached(
     assert outcome.line == "2 targeted, 1 applied, 1 no answer (lost)"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("where", "code"), [(">&-", 0), (">/dev/full", 1), ("2>&-", 0)])
 def test_a_stop_that_was_applied_is_not_lost_with_stdout(
     settings: NetworkSettings, robots: Robots, tmp_path: Path, where: str, code: int

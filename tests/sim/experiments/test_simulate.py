@@ -85,6 +85,7 @@ def test_without_a_folder_nothing_stays(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_folder_is_not_done_again_and_a_script_without_a_guard_gives_the_same_bits(
     plain: Results, tmp_path: Path
 ) -> None:

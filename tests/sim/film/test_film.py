@@ -131,6 +131,7 @@ def test_a_stage_has_the_floor_of_the_scenario(trace: Trace) -> None:
 
 @needs_ffmpeg
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_film_of_a_second(trace: Trace, tmp_path: Path) -> None:
     from swarmd.sim.film.film import FilmSettings, make_film
     from swarmd.sim.film.renderer import gl_context

@@ -160,6 +160,7 @@ def test_a_folder_without_an_experiment_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_the_player_plays_from_a_file(a_browser: Browser, experiment: Path) -> None:
     with a_browser.page() as page:
         page.open((experiment / "report.html").as_uri())
