@@ -89,7 +89,7 @@ def pytest_unconfigure() -> None:
         faulthandler.dump_traceback_later(20.0, exit=True)
 
 
-# The contract of patterns runs on these in `make test` and, with the mark `long`, in `make test-all`,
+# The contract of patterns runs on these in `make test` and, marked `long`, in `make test-all`,
 # and in `make evidence` on all: a lidar behind the axle whose rays fill the circle, and eight short
 # rays at unequal bearings.
 CONTRACT_PLATFORMS = {"waffle_pi": (), "epuck2": (pytest.mark.long.mark,)}
@@ -127,7 +127,8 @@ def _wants_evidence(config: pytest.Config) -> bool:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect tests marked `evidence` unless `-m` or a test's id asks for them; long files first.
 
-    A test that uses one of PROCESS_FIXTURES is marked `integration`.
+    A test that uses one of PROCESS_FIXTURES is marked `integration`; rows of parameters behind
+    those that `short_rows` leaves to the short lane are marked `long`.
 
     A default `-m "not evidence"` in pyproject.toml would be lost under any other `-m`. Files that
     take long start first, so that no worker ends long after the others.
@@ -135,6 +136,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if not PROCESS_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.integration)
+    rows: Counter[str] = Counter()
+    for item in items:
+        if kept := item.get_closest_marker("short_rows"):
+            rows[name := item.nodeid.partition("[")[0]] += 1
+            if rows[name] > kept.args[0]:
+                item.add_marker(pytest.mark.long)
     if not _wants_evidence(config):
         evidence = [item for item in items if item.get_closest_marker("evidence")]
         config.hook.pytest_deselected(items=evidence)

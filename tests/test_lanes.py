@@ -43,6 +43,10 @@ def test_smoke(): START["popen"]()
 @pytest.mark.long
 def test_long(): ...
 
+@pytest.mark.short_rows(1)
+@pytest.mark.parametrize("row", [1, 2, 3])
+def test_rows(row): ...
+
 @pytest.fixture
 def a_browser(): ...
 
@@ -56,10 +60,10 @@ def test_browser(a_browser): ...
     [
         (
             SHORT,
-            {"pure", "smoke"},
+            {"pure", "smoke", "rows[1]"},
             {"process[popen]", "process[fork]", "process[multiprocessing]", "fixture"},
         ),
-        (f"not ({SHORT})", {"integration", "long", "browser"}, set()),
+        (f"not ({SHORT})", {"integration", "long", "rows[2]", "rows[3]", "browser"}, set()),
     ],
     ids=["test", "test-long"],
 )

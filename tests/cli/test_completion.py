@@ -53,6 +53,7 @@ def completed(*words: str, shell: str = "bash", **environ: str) -> list[str]:
     return [line.removeprefix("plain,") for line in done.out.splitlines() if line]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("words", "offered"),
     [

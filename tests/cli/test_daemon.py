@@ -221,6 +221,7 @@ def test_1_and_a_traceback_for_an_unforeseen_error(tmp_path: Path) -> None:
     assert "ZeroDivisionError" in done.stderr
 
 
+@pytest.mark.integration
 def test_2_if_too_few_files_may_be_opened(tmp_path: Path) -> None:
     limited = ["prlimit", "--nofile=64:64", sys.executable, "-m", "swarmd.cli.daemon", "--id", "r1"]
     done = subprocess.run(limited, capture_output=True, text=True, timeout=CAP, cwd=tmp_path)

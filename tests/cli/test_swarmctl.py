@@ -96,12 +96,14 @@ def test_every_verb_has_a_help() -> None:
     assert wrong == {}
 
 
+@pytest.mark.integration
 def test_the_shell_completes_verbs_of_core_and_plugins(tmp_path: Path) -> None:
     words = {"COMP_WORDS": "swarmctl de", "COMP_CWORD": "1"}
     done = fork_command("swarmctl", cwd=tmp_path, _SWARMCTL_COMPLETE="bash_complete", **words)
     assert done.stdout.split() == ["plain,describe", "plain,demo"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("args", "subject"),
     [
@@ -247,6 +249,7 @@ def test_the_list_of_patterns_is_whole_in_a_pipe(tmp_path: Path) -> None:
     assert not [line for line in lines if "..." in line]
 
 
+@pytest.mark.integration
 def test_a_plugin_that_ends_its_process_is_named_and_others_are_shown(tmp_path: Path) -> None:
     (tmp_path / "able.py").write_text(OWN)
     (tmp_path / "ends.py").write_text("import os\nos._exit(3)")
@@ -319,6 +322,7 @@ def test_every_error_is_one_line_with_its_code(
     assert capsys.readouterr().err.count("\n") <= 2
 
 
+@pytest.mark.integration
 def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", "--help"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -329,6 +333,7 @@ def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
         assert process.wait(30) == 141
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["swarmctl", "swarmd"])
 def test_ctrl_c_while_a_command_is_imported_is_no_traceback(tmp_path: Path, name: str) -> None:
     slow = "import signal\nprint('importing', flush=True)\nsignal.pause()\n"
@@ -347,6 +352,7 @@ def test_ctrl_c_while_a_command_is_imported_is_no_traceback(tmp_path: Path, name
         assert process.wait(30) == 130
 
 
+@pytest.mark.integration
 def test_files_of_the_working_directory_are_not_imported(tmp_path: Path) -> None:
     for name in ("json", "random", "numpy", "swarmd"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong file')")

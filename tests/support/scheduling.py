@@ -102,15 +102,15 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
         return not all(computes(one.gateway.id, self.numnodes) for one in others)
 
     def _waits(self, scope: str) -> bool:
-        """Whether a file has tests marked `integration`, or is in a folder of _WAITING.
+        """Whether a file is in a folder of _WAITING, or marks tests `integration` and none `long`.
 
-        With tests marked `long` it computes: daemons of other files would wait for a processor.
+        The processes of those that are `long` compute: daemons would wait for a processor.
         """
         if scope not in self._found:
             file: Path = self.config.rootpath / scope
             text = file.read_text() if file.is_file() else ""
-            waits = "pytest.mark.integration" in text or bool(_WAITING & {*Path(scope).parts})
-            self._found[scope] = waits and "pytest.mark.long" not in text
+            waits = "pytest.mark.integration" in text and "pytest.mark.long" not in text
+            self._found[scope] = waits or not _WAITING.isdisjoint(Path(scope).parts)
         return self._found[scope]
 
 

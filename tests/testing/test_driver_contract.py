@@ -102,6 +102,8 @@ def run_test(contract: DriverContract, name: str, monkeypatch: pytest.MonkeyPatc
         test()
 
 
+@pytest.mark.short_rows(4)
+@pytest.mark.integration
 @pytest.mark.parametrize(("name", "kind"), CASES, ids=lambda v: getattr(v, "__name__", v))
 def test_a_broken_driver_is_found(
     name: str, kind: type[Good], monkeypatch: pytest.MonkeyPatch

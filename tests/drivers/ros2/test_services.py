@@ -32,6 +32,8 @@ from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 from tests.support.ros2_types import TriggerResponse
 from tests.support.stories import story
 
+pytestmark = pytest.mark.long
+
 SERVICES: dict[str, Value] = {
     "operator": "ros",
     "runs": {"go": {"pattern": "drive", "params": {"speed": 0.1}, "seconds": 600.0}},
