@@ -230,6 +230,7 @@ def test_the_swarm_is_that_of_the_file_given(tmp_path: Path) -> None:
     assert "'other'" in overridden.stderr
 
 
+@pytest.mark.integration
 def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text("import nothing_of_that_name")
     done = fork_command(
@@ -242,6 +243,7 @@ def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
     assert "nothing_of_that_name" in rows["broken"]["error"]
 
 
+@pytest.mark.integration
 def test_the_list_of_patterns_is_whole_in_a_pipe(tmp_path: Path) -> None:
     lines = fork_command("swarmctl", "patterns", "list", cwd=tmp_path).stdout.splitlines()
     (line,) = (line for line in lines if line.startswith("foraging "))
@@ -270,6 +272,7 @@ def test_a_plugin_that_ends_its_process_is_named_and_others_are_shown(tmp_path: 
     assert rows["ends"]["source"] == str(tmp_path / "ends.py")
 
 
+@pytest.mark.integration
 def test_show_lists_parameters_with_their_bounds(tmp_path: Path) -> None:
     done = fork_command(
         "swarmctl", "patterns", "show", "drive", "--platform", "burger", cwd=tmp_path
@@ -280,6 +283,7 @@ def test_show_lists_parameters_with_their_bounds(tmp_path: Path) -> None:
     assert "a float from -2 to 2 m/s" in speed
 
 
+@pytest.mark.integration
 def test_a_verb_that_lacks_a_library_names_its_installation(tmp_path: Path) -> None:
     info = tmp_path / "outsider-1.dist-info"
     info.mkdir()
