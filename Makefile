@@ -107,9 +107,9 @@ release: $(VENV)/tools
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else). 50: the
 # slowest tests that are shown.
-test test-long test-all test-robot: export PYTHONDONTWRITEBYTECODE =
+test test-long test-robot: export PYTHONDONTWRITEBYTECODE =
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
-test test-long test-all test-robot: export OPENBLAS_NUM_THREADS = 1
+test test-long test-robot: export OPENBLAS_NUM_THREADS = 1
 # $(call tested,JOBS,MORE): pytest with so many files at a time. ARGS of test-all may pick no test of a
 # lane, with which pytest exits with 5.
 tested = $(COMPILE) tests && { $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --dist loadfile --no-loadscope-reorder $(2) \
@@ -118,9 +118,10 @@ tested = $(COMPILE) tests && { $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --d
 test: kernels
 	@$(call tested,2,--durations 20 -m "$(SHORT)" $(ARGS))
 
-# The rest alone is test-long, for .ci/run.
-test-all: test
-test-all test-long: kernels
+test-all: test test-long
+
+# The rest alone, for .ci/run. Behind test, also with `make -j`.
+test-long: $(if $(filter test-all,$(MAKECMDGOALS)),test) kernels
 	@$(call tested,6,--durations 50 -m "not ($(SHORT))" $(ARGS))
 
 # The folders of the robot wing in tests/support/wings.py.

@@ -110,7 +110,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> Iterator[None]:
         calls = metafunc._calls
         metafunc._calls = [one for one in calls if one.id in CONTRACT_PLATFORMS]
         for call in metafunc._calls:
-            call.marks += CONTRACT_PLATFORMS[call.id]
+            call.marks.extend(CONTRACT_PLATFORMS[call.id])
         if _wants_evidence(metafunc.config):
             long = [one for one in calls if one.id not in CONTRACT_PLATFORMS]
             for call in long:
@@ -151,7 +151,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: places[item.path])
 
 
-PROCESS_FIXTURES = {"a_browser", "forked_popen", "roscore", "shared_swarm"}
+PROCESS_FIXTURES = {"a_browser", "roscore", "shared_swarm"}
 """Fixtures that start a process."""
 
 

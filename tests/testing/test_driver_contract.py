@@ -74,6 +74,7 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
 }
 
 
+@pytest.mark.long
 class TestGood(DriverContract):
     def rig(self) -> Wire:
         return Wire(Good)

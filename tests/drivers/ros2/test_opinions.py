@@ -27,6 +27,8 @@ from tests.support.drive_daemon import ROBOT, status
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 from tests.support.stories import story
 
+pytestmark = pytest.mark.long
+
 INT32 = "std_msgs::msg::dds_::Int32_/"
 # Computed by REP 2016 for `int64 id`, `int64 opinion`.
 PAIR = "communication_interfaces::msg::dds_::OpinionMessage_/"

@@ -40,6 +40,7 @@ def test_a_close_that_hangs_or_fails_holds_nobody_up(
     wait_until(lambda: not is_closing(), "all sessions are closed")
 
 
+@pytest.mark.long
 def test_an_endpoint_that_zenoh_refuses_ends_no_look(
     settings: NetworkSettings, robots: Robots, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,6 +57,7 @@ def finished(folder: Path) -> int:
     return max(path.read_bytes().count(b"\n") - 1, 0) if path.exists() else 0
 
 
+@pytest.mark.integration
 def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys\nfrom swarmd.cli.swarmctl import cli\n"
@@ -279,6 +280,7 @@ def test_a_sweep_goes_on_where_it_was(x: Path, swept: tuple[Path, str], swarmctl
     assert traces(x) == traces(swept[0])
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("args", "subject"),
     [
@@ -485,6 +487,7 @@ def test_list_and_metrics_in_json(swarmctl: Swarmctl) -> None:
     assert {"path_length", "minimum_gap"} <= {metric["name"] for metric in metrics}
 
 
+@pytest.mark.integration
 def test_a_home_that_cannot_be_written_gives_no_lines_of_matplotlib() -> None:
     code = "from swarmd.sim.cli.options import need; need('matplotlib'); import matplotlib"
     environ = {name: text for name, text in os.environ.items() if name[:4] not in ("XDG_", "MPLC")}

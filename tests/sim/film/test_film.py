@@ -98,6 +98,7 @@ def test_a_machine_without_opengl_gives_one_line(monkeypatch: pytest.MonkeyPatch
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="there is no ffmpeg")
 
 
+@pytest.mark.integration
 @needs_ffmpeg
 def test_a_film_that_fails_leaves_no_file(tmp_path: Path) -> None:
     black = np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8)

@@ -23,6 +23,8 @@ from swarmd.sim.report.player import player_of, script
 from swarmd.sim.view.trace_source import source_of
 from tests.support.chromium import Browser, Page
 
+pytestmark = pytest.mark.long
+
 METRICS = ("mean_distance_to_centroid_late", "minimum_gap")
 SCENARIO = """\
 description: "Do two Burgers <gather>?"
