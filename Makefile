@@ -21,20 +21,24 @@ LOCKED := $(if $(shell command -v flock),flock $(VENV)/lock)
 # Not $(MAKE), which `make -n` would run, too.
 REST := env -u MAKEFLAGS make --no-print-directory
 ARGS ?=
-# Test files at a time. Six for two cores: at most four wait for processes, since with six of these
-# daemons on slow cores stall for more than 1 s, which refuses their runs; two compute, at a lower
-# priority (tests/support/scheduling.py). 0: one after the other, in this process.
-JOBS ?= 6
+# The lanes of the tests, by their marks: `make test` runs SHORT, and `make test-all` the others, too.
+SHORT = not (integration or long) or smoke
+# Test files at a time. The short lane computes: one for each core. Six for the rest: at most four wait
+# for processes, since with six of these daemons on slow cores stall for more than 1 s, which refuses
+# their runs; two compute, at a lower priority (tests/support/scheduling.py). 0: one after the other, in
+# this process.
+JOBS ?=
 
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
+.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      seven simulated robots gather; the first time installs, for some 15 s"
-	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
+	@echo "make test      what decides and computes, four minutes  (ARGS='-k scan' picks some, JOBS=0 one by one)"
+	@echo "make test-all  all tests: make test, then processes, long simulations and studies"
 	@echo "make test-robot  the tests of the robot wing: what runs on a robot, without swarmctl and the simulation"
 	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
@@ -103,30 +107,31 @@ release: $(VENV)/tools
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else). 50: the
 # slowest tests that are shown.
-test test-robot $(VENV)/collected: export PYTHONDONTWRITEBYTECODE =
+test test-long test-robot: export PYTHONDONTWRITEBYTECODE =
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
-test test-robot: export OPENBLAS_NUM_THREADS = 1
-test: kernels $(if $(ARGS),,$(VENV)/collected)
-	@$(COMPILE) tests
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --durations 50 $(ARGS)
+test test-long test-robot: export OPENBLAS_NUM_THREADS = 1
+# $(call tested,JOBS,MORE): pytest with so many files at a time. ARGS of test-all may pick no test of a
+# lane, with which pytest exits with 5.
+tested = $(COMPILE) tests && { $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --dist loadfile --no-loadscope-reorder $(2) \
+  $(if $(ARGS),$(if $(filter test-all,$(MAKECMDGOALS)),|| [ $$? -eq 5 ])); }
+
+test: kernels
+	@$(call tested,2,--durations 20 -m "$(SHORT)" $(ARGS))
+
+test-all: test test-long
+
+# The rest alone, for .ci/run. Behind test, also with `make -j`.
+test-long: $(if $(filter test-all,$(MAKECMDGOALS)),test) kernels
+	@$(call tested,6,--durations 50 -m "not ($(SHORT))" $(ARGS))
 
 # The folders of the robot wing in tests/support/wings.py.
 test-robot: kernels
-	@$(COMPILE) tests
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder \
-	  $$($(BIN)/python -m tests.support.wings) $(ARGS)
-
-# Collected once after an edit of tests: else each worker compiles all files with their assertions (15 s
-# of CPU, and 7 s without).
-$(VENV)/collected: $(VENV)/tools $(shell find tests -name '*.py')
-	@$(COMPILE) tests
-	@$(BIN)/python -m pytest --collect-only -qq >/dev/null || true
-	@touch $@
+	@$(call tested,6,$$($(BIN)/python -m tests.support.wings) $(ARGS))
 
 # The tests marked `evidence` and all examples of the property tests, then every study with its
 # usual seeds.
 evidence: $(VENV)/tools
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "evidence or hypothesis" \
+	@$(BIN)/python -m pytest -n $(or $(JOBS),6) --dist loadfile -m "evidence or hypothesis" \
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
 	@$(MAKE) --no-print-directory ARGS= outcomes paper voting tuning safety
 

@@ -1,4 +1,4 @@
-"""What tests of several folders need: hypothesis profiles, CPU times, loops and a browser."""
+"""What tests of several folders need: profiles, marks, CPU times, loops and a browser."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from tests.support.forked_python import ForkedPython, forked_python
 from tests.support.pages import SUMMARY
 from tests.support.scheduling import NICENESS, MixedScheduling, computes, order
 from tests.support.stalls import Stalls
+from tests.support.started import STARTED
 
 # A machine may be busy: how long an example takes is no property. A property test draws an eighth
 # of its examples in `make test`, the same ones for everybody, and all of them in `make evidence`,
@@ -99,9 +100,10 @@ def pytest_unconfigure() -> None:
         faulthandler.dump_traceback_later(20.0, exit=True)
 
 
-# The contract of patterns runs on these in `make test`, and in `make evidence` on all: a lidar
-# behind the axle whose rays fill the circle, and eight short rays at unequal bearings.
-CONTRACT_PLATFORMS = {"waffle_pi", "epuck2"}
+# The contract of patterns runs on these in `make test` and, marked `long`, in `make test-all`,
+# and in `make evidence` on all: a lidar behind the axle whose rays fill the circle, and eight short
+# rays at unequal bearings.
+CONTRACT_PLATFORMS = {"waffle_pi": (), "epuck2": (pytest.mark.long.mark,)}
 
 
 @pytest.hookimpl(wrapper=True)
@@ -118,6 +120,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> Iterator[None]:
     if "subject" in metafunc.fixturenames:
         calls = metafunc._calls
         metafunc._calls = [one for one in calls if one.id in CONTRACT_PLATFORMS]
+        for call in metafunc._calls:
+            call.marks.extend(CONTRACT_PLATFORMS[call.id])
         if _wants_evidence(metafunc.config):
             long = [one for one in calls if one.id not in CONTRACT_PLATFORMS]
             for call in long:
@@ -130,12 +134,25 @@ def _wants_evidence(config: pytest.Config) -> bool:
     return "evidence" in config.option.markexpr or any("::" in one for one in config.args)
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m` deselects tests by their marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect tests marked `evidence` unless `-m` or a test's id asks for them; long files first.
+
+    A test that uses one of PROCESS_FIXTURES is marked `integration`; rows of parameters behind
+    those that `short_rows` leaves to the short lane are marked `long`.
 
     A default `-m "not evidence"` in pyproject.toml would be lost under any other `-m`. Files that
     take long start first, so that no worker ends long after the others.
     """
+    for item in items:
+        if not PROCESS_FIXTURES.isdisjoint(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.integration)
+    rows: Counter[str] = Counter()
+    for item in items:
+        if kept := item.get_closest_marker("short_rows"):
+            rows[name := item.nodeid.partition("[")[0]] += 1
+            if rows[name] > kept.args[0]:
+                item.add_marker(pytest.mark.long)
     if not _wants_evidence(config):
         evidence = [item for item in items if item.get_closest_marker("evidence")]
         config.hook.pytest_deselected(items=evidence)
@@ -143,6 +160,26 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     waiting = {item.path for item in items if item.get_closest_marker("integration")}
     places = {path: order(path, path in waiting) for path in {item.path for item in items}}
     items.sort(key=lambda item: places[item.path])
+
+
+PROCESS_FIXTURES = {"a_browser", "roscore", "shared_swarm"}
+"""Fixtures that start a process."""
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Fail a test that has started a process, its fixtures included, without a mark.
+
+    So `make test` starts those of its smoke tests alone.
+    """
+    yield
+    if STARTED and not item.get_closest_marker("integration"):
+        pytest.fail(f"{STARTED[0]} was started by a test without the mark `integration`")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    STARTED.clear()
 
 
 # CPU time so far, and what was spent since the last report, by what it was spent on.

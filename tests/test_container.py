@@ -25,6 +25,7 @@ def test_the_context_of_the_build_has_all_that_the_wheel_is_built_from() -> None
     assert admitted == wanted
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("has_base", "code", "lines"), [(False, 77, 1), (True, 3, 0)], ids=["no base", "build fails"]
 )
@@ -59,6 +60,7 @@ def test_a_base_that_cannot_be_pulled_is_told_and_a_build_that_fails_is_a_failur
     assert verbs == ["info", "inspect", *(["build"] if has_base else ["pull"])]
 
 
+@pytest.mark.integration
 def test_without_a_builder_one_line_tells_that_nothing_was_tried(tmp_path: Path) -> None:
     for name in ("bash", "dirname"):
         (tmp_path / name).symlink_to(shutil.which(name) or name)

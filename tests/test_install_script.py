@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.integration
+
 SCRIPT = Path(__file__).resolve().parent.parent / ".ci" / "install.sh"
 BUNDLED = [
     *Path(shutil.__file__).parent.glob("ensurepip/_bundled/pip-*.whl"),

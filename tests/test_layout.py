@@ -333,6 +333,7 @@ def test_the_core_names_no_concrete_plugin() -> None:
     assert found == []
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("module", "unwanted"),
     [
@@ -479,6 +480,7 @@ def test_every_package_has_an_init_that_only_reexports() -> None:
     assert busy == []
 
 
+@pytest.mark.integration
 def test_public_names_are_imported_when_they_are_used() -> None:
     names = set(swarmd._PUBLIC)
     typed = {

@@ -215,6 +215,7 @@ def test_a_module_of_no_extra_is_named_itself() -> None:
     assert plugins.how_to_install("scapy", "sim").endswith("run: pip install scapy")
 
 
+@pytest.mark.integration
 def test_discovery_imports_no_pattern() -> None:
     code = (
         "import sys; from swarmd.plugins import pattern_names; pattern_names(None);"

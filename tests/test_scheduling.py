@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.scheduling import _COMPUTING, LONGEST, MixedScheduling, computes, order
+from tests.support.scheduling import LONGEST, MixedScheduling, computes, order
 
 MARKED, COMPUTING = ("w0", "w1"), ("tests/sim/test_portable.py", "c1", "c2", "c3")
 WAITING = (*MARKED, "drivers/w2")
@@ -63,8 +63,9 @@ def dealt(
     `last_is_first`: the last worker is ready first, and those of few files end but for it.
     """
     for name in files:
-        is_marked = name in MARKED or name.endswith("test_portable.py")  # the latter computes
-        mark = "@pytest.mark.integration" if is_marked else ""
+        is_long = name == COMPUTING[0]
+        mark = "@pytest.mark.integration" if name in MARKED or is_long else ""
+        mark += "@pytest.mark.long" if is_long else ""
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(f"{mark}\ndef test(): ...\n")
     scheduling = scheduler(folder, workers)
@@ -138,7 +139,6 @@ def test_a_third_of_the_workers_computes(workers: int, found: list[int]) -> None
 def test_the_longest_files_come_first_and_short_ones_that_compute_last() -> None:
     here = Path(__file__).parent
     files = [here / f"{name}.py" for name in LONGEST]
-    assert [name for name in _COMPUTING if not (here / f"{name}.py").is_file()] == []
     assert [path for path in files if not path.is_file()] == []
     files += [here / "sim" / "x.py", here / "core" / "x.py"]
     places = [order(path, is_integration=False) for path in files]

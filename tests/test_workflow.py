@@ -53,6 +53,7 @@ def test_each_action_is_pinned_by_the_hash_of_a_commit() -> None:
     assert [name for name in actions if not re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", name)] == []
 
 
+@pytest.mark.integration
 def test_actionlint_finds_nothing() -> None:
     actionlint = checker("actionlint", CACHE, ".ci/run builds it where go is installed")
     files = [str(file) for file in FOLDER.iterdir()]
@@ -60,6 +61,7 @@ def test_actionlint_finds_nothing() -> None:
     assert (done.returncode, done.stdout) == (0, "")
 
 
+@pytest.mark.integration
 def test_zizmor_finds_nothing() -> None:
     zizmor = checker("zizmor", Path(sys.executable).parent, "pip install zizmor")
     command = [zizmor, "--offline", "--no-progress", "--format=plain", str(FOLDER)]

@@ -207,6 +207,7 @@ def part_of(step: str, last: str = "", *, is_alone: bool = False, **bench: Any) 
     return Bench(BURGER, steps, verdicts=known, **bench).run()
 
 
+@pytest.mark.short_rows(5)
 @pytest.mark.parametrize("fault", ROWS)
 def test_each_fault_is_found_by_its_step_with_its_cause(fault: str) -> None:
     row = ROWS[fault]

@@ -11,6 +11,7 @@ from swarmd.acceptance.result_file import RECORD
 from swarmd.cli.acceptance_robot import TestedRobot
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Reason, Status
+from swarmd.core.verbs import RecordingFile, RecordingsReply
 from tests.support.statuses import status
 
 TWICE = status("r", reason=Reason.DUPLICATE_ID, detail="this id is also held by abc")
@@ -58,3 +59,18 @@ def test_a_test_that_goes_on_ends_the_recording_of_the_step_that_was_cut(
     ):
         robot._learn()
     assert done == (["stop", "start"] if goes_on else ["start"])
+
+
+def test_a_recording_is_copied_once_its_last_chunk_is_on_the_disk(robot: TestedRobot) -> None:
+    """A file that is closed and has no checksum still gets its last chunk."""
+    being_written = RecordingFile(name="a", size=10, is_open=False)
+    finished = RecordingFile(name="a", size=20, is_open=False, crc=1)
+    listed = [
+        RecordingsReply(robot="r", now=0.0, clock="", files=(one,))
+        for one in (being_written, finished)
+    ]
+    with (
+        mock.patch("swarmd.cli.acceptance_robot.recordings_of", side_effect=listed),
+        mock.patch("time.sleep"),
+    ):
+        assert robot._finished_files(mock.Mock()) == [finished]

@@ -166,6 +166,7 @@ def later(seconds: float, keyboard: int, *texts: bytes) -> None:
     threading.Thread(target=type_all, daemon=True).start()
 
 
+@pytest.mark.long
 def test_a_drive_on_40_columns_that_a_key_stops(
     keyboard: int, robot: FakeRobot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -184,6 +185,7 @@ def test_a_drive_on_40_columns_that_a_key_stops(
         assert words in text
 
 
+@pytest.mark.long
 def test_ctrl_c_stops_and_waits_for_the_stop(
     keyboard: int, robot: FakeRobot, tmp_path: Path
 ) -> None:
@@ -197,6 +199,7 @@ def test_ctrl_c_stops_and_waits_for_the_stop(
     assert not one.record.is_whole
 
 
+@pytest.mark.long
 def test_an_error_stops_the_robot_and_is_raised(
     keyboard: int, robot: FakeRobot, tmp_path: Path
 ) -> None:

@@ -91,6 +91,7 @@ def found(sim: Lockstep) -> dict[str, Figure]:
     return figures_of(report)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("platform", "linear", "angular", "delay", "latency"),
     [
@@ -122,6 +123,7 @@ def test_brakes_and_delays_are_found_within_five_percent(
         assert figures[name].samples >= 8
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.evidence)])
 def test_a_scale_that_far_walls_hardly_bind_is_stated_as_less_exact(seed: int) -> None:
     arena = {"size": [6.0, 6.0], "boxes": [{"name": "crate", "at": [1.7, 0.4], "size": [0.3, 0.3]}]}
@@ -149,6 +151,7 @@ def test_scales_of_speed_and_odometry_are_found_within_five_percent() -> None:
     assert figures["braking_angular"].value == pytest.approx(3.2, rel=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arena", "unknown"),
     [
@@ -168,6 +171,7 @@ def test_what_the_surroundings_do_not_show_is_not_measured(
     assert figures["braking_linear"].value == pytest.approx(1.0, rel=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("platform", "arena", "word"),
     [
@@ -194,6 +198,7 @@ HALL: dict[str, Any] = {
 }
 
 
+@pytest.mark.long
 def test_weak_brakes_sideways_are_found_and_the_monitor_names_them_before() -> None:
     """On a base whose odometry measures too long a way sideways."""
     body = {"linear_acceleration": 1.0, "lateral_acceleration": 0.4}
@@ -225,6 +230,7 @@ def test_weak_brakes_sideways_are_found_and_the_monitor_names_them_before() -> N
     assert float(braking.value) == pytest.approx(0.4, rel=0.05)
 
 
+@pytest.mark.long
 def test_drives_sideways_stay_on_the_floor() -> None:
     """And find a base that is slower sideways than its file says."""
     sim = simulated("rosbot_xl", NOISE, HALL, limits={"lateral": 0.3})
@@ -243,12 +249,14 @@ def test_drives_sideways_stay_on_the_floor() -> None:
     assert figures["braking_lateral"].value == pytest.approx(1.0, rel=0.05)
 
 
+@pytest.mark.long
 def test_wheels_that_do_not_slide_end_the_drives() -> None:
     report = calibrated(simulated("rosbot_xl", arena=HALL, limits={"lateral": 0.0}))
     assert report["state"] == REFUSED
     assert "limits.lateral" in report["why"]
 
 
+@pytest.mark.long
 def test_odometry_without_the_way_sideways_ends_the_drives_before_the_robot_goes_far() -> None:
     sim = simulated("rosbot_xl", NOISE, HALL)
     sim.world._odometers._measured[0, 2, 2] = 0.0
@@ -258,6 +266,7 @@ def test_odometry_without_the_way_sideways_ends_the_drives_before_the_robot_goes
     assert abs(float(sim.world.poses()[0, 1])) < 0.76
 
 
+@pytest.mark.long
 def test_the_floor_has_room_at_the_sides_as_ahead() -> None:
     """A base turned by 90 degrees needs the same floor."""
     base = load_platform("rosbot_xl")
@@ -307,6 +316,7 @@ def refusal_of(sim: Lockstep) -> str:
     return str(report["why"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "angle", [180.0, *(pytest.param(angle, marks=pytest.mark.evidence) for angle in (90.0, -90.0))]
 )
@@ -319,23 +329,27 @@ def test_a_lidar_that_is_turned_ends_the_first_drive(angle: float) -> None:
     assert sim.world.time < 12.0
 
 
+@pytest.mark.long
 @pytest.mark.evidence
 def test_a_mirrored_scan_gives_no_figures() -> None:
     why = refusal_of(with_scans(simulated(realism=NOISE, repeats=1), mirrored))
     assert "scan is mirrored" in why
 
 
+@pytest.mark.long
 def test_swapped_motors_give_no_figures() -> None:
     why = refusal_of(with_motors(simulated(realism=NOISE, repeats=1), 1.0, -1.0))
     assert "motors are swapped" in why
 
 
+@pytest.mark.long
 def test_motors_of_wrong_sign_end_the_first_drive() -> None:
     sim = with_motors(simulated(realism=NOISE), -1.0, -1.0)
     assert "wrong sign" in refusal_of(sim)
     assert sim.world.time < 12.0
 
 
+@pytest.mark.long
 @pytest.mark.evidence
 def test_a_mirrored_scan_of_a_base_that_moves_sideways_ends_the_first_drive_sideways() -> None:
     why = refusal_of(with_scans(simulated("rosbot_xl", NOISE, HALL, repeats=1), mirrored))
@@ -345,6 +359,7 @@ def test_a_mirrored_scan_of_a_base_that_moves_sideways_ends_the_first_drive_side
 LATE = {"preset": "realistic", "lidar": {"bias": 0.0, "delay": 0.23}}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("platform", "floor"),
     [("jackal", 5.0), pytest.param("burger", 2.3, marks=pytest.mark.evidence)],
@@ -364,6 +379,7 @@ def test_scans_that_come_late_are_measured(platform: str, floor: float) -> None:
     assert figures["braking_linear"].value == pytest.approx(1.0, rel=0.05)
 
 
+@pytest.mark.long
 def test_late_scans_need_a_larger_floor() -> None:
     sim = simulated("jackal", LATE, {"size": [6.0, 6.0]}, floor=4.6)
     start = sim.world.poses()
@@ -373,6 +389,7 @@ def test_late_scans_need_a_larger_floor() -> None:
     assert np.array_equal(sim.world.poses(), start)
 
 
+@pytest.mark.long
 def test_the_robot_stays_on_its_floor() -> None:
     sim = simulated("waffle_pi", NOISE, {"size": [2.02, 2.02]})
     far = 0.0
@@ -386,6 +403,7 @@ def test_the_robot_stays_on_its_floor() -> None:
     assert robot.status(sim.world.time).decision.duty == 0.0
 
 
+@pytest.mark.long
 def test_what_comes_onto_the_floor_ends_the_drives() -> None:
     arena = {"size": [4.0, 4.0], "boxes": [{"name": "b", "size": [0.2, 0.2], "mass": 9.0}]}
     placed = {"at": 15.0, "place": "b", "pose": [0.85, 0.0, 0.0]}

@@ -53,6 +53,7 @@ def completed(*words: str, shell: str = "bash", **environ: str) -> list[str]:
     return [line.removeprefix("plain,") for line in done.out.splitlines() if line]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
@@ -72,6 +73,7 @@ def test_tab_offers_names(cache: Path, words: tuple[str, ...], offered: list[str
     assert completed(*words) == offered
 
 
+@pytest.mark.integration
 def test_the_swarm_of_the_line_decides_whose_robots_are_offered(cache: Path) -> None:
     other = unique_swarm()
     remember(NetworkSettings(swarm=other), view("jackal"))
@@ -79,12 +81,14 @@ def test_the_swarm_of_the_line_decides_whose_robots_are_offered(cache: Path) -> 
     assert sorted(completed("--swarm", "t")) == sorted((other, os.environ["SWARM"]))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_other_shells_get_names_in_their_form(cache: Path, shell: str) -> None:
     word = {"COMP_CWORD": "tb3-01"} if shell == "fish" else {}
     assert "tb3-01" in "\n".join(completed("describe", "tb3-01", shell=shell, **word))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "environ",
     [{"SWARM_CONFIG": "/nowhere.yaml"}, {"SWARM": "../x"}, {"XDG_CACHE_HOME": "/dev/null/x"}],
@@ -94,6 +98,7 @@ def test_what_is_wrong_is_silent(cache: Path, environ: dict[str, str]) -> None:
     assert completed("describe", "", **environ) == []
 
 
+@pytest.mark.integration
 def test_a_damaged_cache_is_ignored(cache: Path) -> None:
     (file,) = cache.iterdir()
     for text in ("[", "{}", '{"names": [1, "a b", "good"]}', "7", '{"names": 7}', "[]"):

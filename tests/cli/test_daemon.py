@@ -104,6 +104,7 @@ def test_a_wrong_option_is_one_line_and_exit_2(
     assert captured.err.count("\n") == 1
 
 
+@pytest.mark.integration
 def test_driver_options_are_read_as_in_a_file(tmp_path: Path) -> None:
     words = ("loop=true", "again=false", "speed=2", "namespace={robot}")
     given = [part for word in words for part in ("--driver-option", word)]
@@ -114,6 +115,7 @@ def test_driver_options_are_read_as_in_a_file(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.integration
 def test_the_effective_configuration_has_sources_and_reads_back_the_same(tmp_path: Path) -> None:
     (tmp_path / "swarm.yaml").write_text("swarm: lab\nroster: [r1, r2]\nlabels: {red: [r1]}")
     (tmp_path / "r.yaml").write_text(
@@ -140,6 +142,7 @@ def test_the_effective_configuration_has_sources_and_reads_back_the_same(tmp_pat
     assert again.file.neighbors == first.file.neighbors
 
 
+@pytest.mark.integration
 def test_check_finds_problems_and_moves_nothing(tmp_path: Path) -> None:
     (tmp_path / "own").mkdir()
     (tmp_path / "own/broken.py").write_text("import nothing_of_that_name")
@@ -158,6 +161,7 @@ def test_check_finds_problems_and_moves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / ".local").exists()
 
 
+@pytest.mark.integration
 def test_a_parent_that_has_ended_already_starts_nothing(tmp_path: Path) -> None:
     done = swarmd("--id", "r1", "--die-with-parent", "1", "--check", cwd=tmp_path)
     assert done.stdout == ""
@@ -215,12 +219,14 @@ def test_the_first_host_is_a_fork_of_the_daemon(tmp_path: Path) -> None:
         assert_keeps_nothing_of_its_daemon(daemon.wait_ready().process.pid)
 
 
+@pytest.mark.integration
 def test_1_and_a_traceback_for_an_unforeseen_error(tmp_path: Path) -> None:
     done = with_drivers(tmp_path, "--id", "r1", "--driver", "wrong")
     assert done.returncode == 1
     assert "ZeroDivisionError" in done.stderr
 
 
+@pytest.mark.integration
 def test_2_if_too_few_files_may_be_opened(tmp_path: Path) -> None:
     limited = ["prlimit", "--nofile=64:64", sys.executable, "-m", "swarmd.cli.daemon", "--id", "r1"]
     done = subprocess.run(limited, capture_output=True, text=True, timeout=CAP, cwd=tmp_path)
@@ -237,6 +243,7 @@ def unprotected(tmp_path: Path) -> tuple[str, ...]:
     return ("--id", "r1", "--platform", "bare.yaml", "--driver")
 
 
+@pytest.mark.integration
 def test_2_for_a_real_robot_without_protection(
     tmp_path: Path, unprotected: tuple[str, ...]
 ) -> None:
@@ -247,6 +254,7 @@ def test_2_for_a_real_robot_without_protection(
     assert not (tmp_path / "connected").exists()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("driver", "is_found"), [("real", True), ("simulated", False)])
 def test_check_finds_a_real_robot_without_protection(
     tmp_path: Path, unprotected: tuple[str, ...], driver: str, is_found: bool
@@ -296,6 +304,7 @@ def test_processes_of_its_user_cannot_look_into_a_daemon_on_a_network(
         assert is_readable() is is_open
 
 
+@pytest.mark.integration
 def test_4_without_a_network(tmp_path: Path) -> None:
     done = with_drivers(
         tmp_path, "--id", "r1", "--profile", "field", "--interface", "wlan77", "--insecure"
@@ -304,6 +313,7 @@ def test_4_without_a_network(tmp_path: Path) -> None:
     assert "'wlan77'" in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.integration
 def test_5_for_a_driver_that_cannot_be_used(tmp_path: Path) -> None:
     done = with_drivers(tmp_path, "--id", "r1", "--driver", "unusable")
     assert (done.returncode, done.stderr.count("\n")) == (5, 1)

@@ -123,6 +123,7 @@ def test_a_link_that_the_account_has_left_leads_nowhere(
     assert load_identity(identities / "meadow").name == "r1"
 
 
+@pytest.mark.integration
 def test_no_race_of_the_account_changes_a_file_elsewhere(root: Path, bundle: Path) -> None:
     identities = root / "etc/swarmd/identities"
     install(root, bundle)
@@ -161,6 +162,7 @@ def test_no_race_of_the_account_changes_a_file_elsewhere(root: Path, bundle: Pat
     assert load_identity(identities / "meadow").name == "r1"
 
 
+@pytest.mark.integration
 def test_the_account_owns_its_identity_and_not_the_folder_around_it(
     root: Path, bundle: Path
 ) -> None:

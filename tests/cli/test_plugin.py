@@ -43,7 +43,7 @@ from swarmd.testing.pattern_contract import PatternContract
 from tests.support.examples import part
 from tests.support.processes import wait_until
 
-pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("forked_starts")]
+pytestmark = [pytest.mark.integration, pytest.mark.long, pytest.mark.usefixtures("forked_starts")]
 
 CODE = """
 from swarmd.api import *

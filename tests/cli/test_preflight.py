@@ -137,6 +137,7 @@ def test_the_state_folder_is_written_to_and_left_as_it_was(
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.integration
 def test_parameters_that_no_pattern_takes_are_found(tmp_path: Path) -> None:
     settings = settings_of(
         tmp_path,
@@ -150,6 +151,7 @@ def test_parameters_that_no_pattern_takes_are_found(tmp_path: Path) -> None:
     assert "speed is 1000" in out_of_range
 
 
+@pytest.mark.integration
 def test_touch_zones_are_compared_with_what_patterns_ask_for(tmp_path: Path) -> None:
     settings = settings_of(
         tmp_path,
@@ -164,6 +166,7 @@ def test_touch_zones_are_compared_with_what_patterns_ask_for(tmp_path: Path) -> 
     assert "'push'" in unknown.text
 
 
+@pytest.mark.integration
 def test_missions_are_checked_for_the_platform_of_the_robot(tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(
         "mission: Distances for TurtleBots\n"
@@ -191,6 +194,7 @@ def test_missions_are_checked_for_the_platform_of_the_robot(tmp_path: Path) -> N
     ]
 
 
+@pytest.mark.integration
 def test_the_driver_gets_the_rest_of_five_seconds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -209,6 +213,7 @@ def test_the_driver_gets_the_rest_of_five_seconds(
     assert "scan 5.0 Hz" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.integration
 def test_a_wrong_option_of_the_driver_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -241,6 +246,7 @@ def test_the_fence_is_told_and_must_have_room_for_the_robot(tmp_path: Path) -> N
         given(0.6)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("given", "is_well", "text"),
     [
@@ -261,6 +267,7 @@ def test_what_a_low_battery_does_is_told(
     assert "on_low_battery: {below: " in effective_config(settings)
 
 
+@pytest.mark.integration
 def test_the_runs_of_services_are_checked_as_a_run_would_be(tmp_path: Path) -> None:
     runs: dict[str, dict[str, Any]] = {
         "well": {"pattern": "attraction", "params": {"speed": 0.1}, "until": ["nearer:0.3"]},
@@ -294,6 +301,7 @@ def test_the_runs_of_a_viewer_are_refused(tmp_path: Path) -> None:
     assert "viewer" in told
 
 
+@pytest.mark.long
 def test_a_check_goes_on_without_the_folder_of_patterns(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,6 +55,7 @@ def root(tmp_path: Path) -> Path:
     return found
 
 
+@pytest.mark.integration
 def test_install_and_uninstall_in_another_root(
     root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,6 +75,7 @@ def test_install_and_uninstall_in_another_root(
     assert not within(root, STATE_FOLDER).exists()
 
 
+@pytest.mark.integration
 @needs_systemd
 def test_the_service_is_enabled_without_a_running_systemd(root: Path) -> None:
     link = within(root, Path("/etc/systemd/system/multi-user.target.wants/swarmd.service"))
@@ -83,6 +85,7 @@ def test_the_service_is_enabled_without_a_running_systemd(root: Path) -> None:
     assert not link.is_symlink()
 
 
+@pytest.mark.integration
 @needs_root
 def test_the_account_may_read_the_settings_and_use_the_identities(root: Path) -> None:
     outside = root / "outside"
@@ -126,6 +129,7 @@ def test_a_program_that_is_absent_is_refused(
     assert not within(root, UNIT_FILE).exists()
 
 
+@pytest.mark.integration
 def test_the_status_names_what_is_there_and_what_is_wrong(
     root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -157,6 +161,7 @@ def test_the_bridge_of_a_robot_stops_after_the_daemon_and_never_before() -> None
     assert unit["StopPropagatedFrom"] == ["zenoh-bridge-ros2dds.service"]
 
 
+@pytest.mark.integration
 @needs_systemd
 def test_systemd_finds_no_fault_in_the_unit_and_little_exposure(tmp_path: Path) -> None:
     unit = tmp_path / "swarmd.service"
@@ -170,6 +175,7 @@ def test_systemd_finds_no_fault_in_the_unit_and_little_exposure(tmp_path: Path) 
     assert float(exposure[1]) <= MAX_EXPOSURE
 
 
+@pytest.mark.integration
 @needs_systemd
 def test_systemd_reads_paths_with_spaces_and_percent_signs(tmp_path: Path) -> None:
     program = tmp_path / "a folder %h" / "swarmd"

@@ -60,6 +60,7 @@ def loaded(*args: str) -> set[str]:
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
+@pytest.mark.integration
 def test_help_loads_nothing_heavy_and_no_message() -> None:
     assert not loaded("--help") & (HEAVY | {"msgspec", "hashlib"})
 
@@ -72,6 +73,7 @@ def test_a_verb_loads_nothing_heavy_and_reads_no_package_metadata(args: list[str
     assert not loaded(*args) & (HEAVY | {"importlib.metadata"})
 
 
+@pytest.mark.integration
 def test_help_lists_all_verbs(tmp_path: Path) -> None:
     done = fork_command("swarmctl", "--help", cwd=tmp_path)
     assert done.returncode == 0
@@ -100,12 +102,14 @@ def test_every_verb_has_a_help() -> None:
     assert wrong == {}
 
 
+@pytest.mark.integration
 def test_the_shell_completes_verbs_of_core_and_plugins(tmp_path: Path) -> None:
     words = {"COMP_WORDS": "swarmctl de", "COMP_CWORD": "1"}
     done = fork_command("swarmctl", cwd=tmp_path, _SWARMCTL_COMPLETE="bash_complete", **words)
     assert done.stdout.split() == ["plain,describe", "plain,demo"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("args", "subject"),
     [
@@ -232,6 +236,7 @@ def test_the_swarm_is_that_of_the_file_given(tmp_path: Path) -> None:
     assert "'other'" in overridden.stderr
 
 
+@pytest.mark.integration
 def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text("import nothing_of_that_name")
     done = fork_command(
@@ -244,6 +249,7 @@ def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
     assert "nothing_of_that_name" in rows["broken"]["error"]
 
 
+@pytest.mark.integration
 def test_the_list_of_patterns_is_whole_in_a_pipe(tmp_path: Path) -> None:
     lines = fork_command("swarmctl", "patterns", "list", cwd=tmp_path).stdout.splitlines()
     (line,) = (line for line in lines if line.startswith("foraging "))
@@ -251,6 +257,7 @@ def test_the_list_of_patterns_is_whole_in_a_pipe(tmp_path: Path) -> None:
     assert not [line for line in lines if "..." in line]
 
 
+@pytest.mark.integration
 def test_a_plugin_that_ends_its_process_is_named_and_others_are_shown(tmp_path: Path) -> None:
     (tmp_path / "able.py").write_text(OWN)
     (tmp_path / "ends.py").write_text("import os\nos._exit(3)")
@@ -271,6 +278,7 @@ def test_a_plugin_that_ends_its_process_is_named_and_others_are_shown(tmp_path: 
     assert rows["ends"]["source"] == str(tmp_path / "ends.py")
 
 
+@pytest.mark.integration
 def test_show_lists_parameters_with_their_bounds(tmp_path: Path) -> None:
     done = fork_command(
         "swarmctl", "patterns", "show", "drive", "--platform", "burger", cwd=tmp_path
@@ -281,6 +289,7 @@ def test_show_lists_parameters_with_their_bounds(tmp_path: Path) -> None:
     assert "a float from -2 to 2 m/s" in speed
 
 
+@pytest.mark.integration
 def test_a_verb_that_lacks_a_library_names_its_installation(tmp_path: Path) -> None:
     info = tmp_path / "outsider-1.dist-info"
     info.mkdir()
@@ -323,6 +332,7 @@ def test_every_error_is_one_line_with_its_code(
     assert capsys.readouterr().err.count("\n") <= 2
 
 
+@pytest.mark.integration
 def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", "--help"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -333,6 +343,7 @@ def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
         assert process.wait(30) == 141
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["swarmctl", "swarmd"])
 def test_ctrl_c_while_a_command_is_imported_is_no_traceback(tmp_path: Path, name: str) -> None:
     slow = "import signal\nprint('importing', flush=True)\nsignal.pause()\n"
@@ -351,6 +362,7 @@ def test_ctrl_c_while_a_command_is_imported_is_no_traceback(tmp_path: Path, name
         assert process.wait(30) == 130
 
 
+@pytest.mark.integration
 def test_files_of_the_working_directory_are_not_imported(tmp_path: Path) -> None:
     for name in ("json", "random", "numpy", "swarmd"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong file')")

@@ -12,6 +12,8 @@ import pytest
 
 from swarmd.core.kernels import KERNELS, source_of
 
+pytestmark = pytest.mark.integration
+
 pytest.importorskip("Cython")
 SETUP = Path(__file__).parents[2] / "setup.py"
 FALSE = shutil.which("false")

@@ -25,6 +25,8 @@ from swarmd.sim.live.fleet import DAEMON_MODULES
 from swarmd.testing.driver_contract import is_running
 from tests.support.processes import MODULES, wait_until
 
+pytestmark = pytest.mark.integration
+
 MODULE = "tests.support.forked_module"
 PARENT = f"""
 import signal, sys

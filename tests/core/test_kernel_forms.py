@@ -40,6 +40,8 @@ def passed() -> dict[str, str]:
     return dict(json.loads(PASSED.read_text())) if PASSED.exists() else {}
 
 
+@pytest.mark.integration
+@pytest.mark.long
 @pytest.mark.skipif(describe_kernels() != "compiled", reason="the kernels are not compiled")
 @pytest.mark.timeout(1200)  # of all; each test in there has its own
 @pytest.mark.parametrize("rows", part(["first"], ["all"]))

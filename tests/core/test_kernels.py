@@ -56,6 +56,7 @@ def test_any_text_about_kernels_fits_into_a_status(monkeypatch: pytest.MonkeyPat
     assert Decoder(Status)(encode(told_of)).kernels == told
 
 
+@pytest.mark.integration
 def test_a_description_imports_no_kernel() -> None:
     script = (
         "import sys; from swarmd.core.kernels import describe_kernels; describe_kernels();"
@@ -67,6 +68,7 @@ def test_a_description_imports_no_kernel() -> None:
     assert done.stdout.strip() == "set()"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("share", [0.0, 0.00002, 0.003, 0.3, 0.999])
 def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
     share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -77,6 +79,7 @@ def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
     assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
 
 
+@pytest.mark.integration
 def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,6 +90,7 @@ def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("library", ["swarmd.sim.world._base", "swarmd.sensing._scans"])
 def test_a_library_that_is_older_than_a_source_is_not_loaded_and_named_once(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -123,6 +127,7 @@ def test_a_library_that_is_older_than_a_source_is_not_loaded_and_named_once(
         copy.write_bytes(source.read_bytes())
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("views", "said"),
     [

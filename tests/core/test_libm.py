@@ -24,6 +24,7 @@ def _has_two_variants() -> bool:
     return False
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(not _has_two_variants(), reason="the C library has no choice here")
 def test_another_variant_of_the_mathematical_functions_is_reported() -> None:
     code = "from swarmd.core import libm; print(libm.digest_of_libm())"

@@ -179,6 +179,7 @@ def test_a_name_that_looks_like_a_number_survives_or_is_refused(name: str) -> No
             assert faults or value in ([name.strip()], {name.strip(): name.strip()})
 
 
+@pytest.mark.long
 @given(
     data=st.dictionaries(
         st.text(),

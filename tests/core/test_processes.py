@@ -22,6 +22,8 @@ from swarmd.core.processes import (
     limit_growth,
 )
 
+pytestmark = pytest.mark.integration
+
 NOBODY = 65534
 PR_SET_DUMPABLE = 4
 

@@ -45,6 +45,8 @@ from swarmd.sim.world.realism import Realism
 from tests.support.shape import FILES, keys_of
 from tests.support.swarmctl import parse_line
 
+pytestmark = pytest.mark.integration
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
     [
@@ -167,6 +169,7 @@ def test_that_pattern_is_at_most_15_lines_of_code() -> None:
     assert 10 <= len(lines) <= 15
 
 
+@pytest.mark.integration
 def test_links_lead_to_files_and_headings() -> None:
     wrong = []
     for page in PAGES:

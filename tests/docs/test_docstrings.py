@@ -31,6 +31,7 @@ def ran(module: str, **given: object) -> dict[str, Any]:
     return names
 
 
+@pytest.mark.long
 def test_that_of_simulate_runs_both_spacings(monkeypatch: pytest.MonkeyPatch) -> None:
     """With runs of 4 s."""
 

@@ -202,6 +202,7 @@ def with_printed(*, short: bool) -> list[str]:
     return [page for page in pages() if printed_of(page, short=short)]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("page", with_printed(short=True))
 def test_cheap_output_of_a_page_is_that_of_its_commands(page: str, reader: Reader) -> None:
     compare(page, reader, printed_of(page, short=True))

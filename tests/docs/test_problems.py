@@ -27,6 +27,7 @@ def command(start: str) -> list[str]:
     return shlex.split(found[1])
 
 
+@pytest.mark.integration
 def test_a_parked_robot_is_neither_met_nor_pushed(tmp_path: Path) -> None:
     words = [*command("run drive"), "--seeds", "1", "--set", "duration=12", "-j", "1"]
     done = CliRunner().invoke(exp, [*words, "--out", str(tmp_path / "out"), "-o", "json"])

@@ -132,6 +132,7 @@ def test_one_that_cannot_be_ready_is_an_error(
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
+@pytest.mark.integration
 def test_a_watchdog_whose_sender_cannot_be_made_reports_why() -> None:
     async def run() -> None:
         mine = WatchdogProcess(SPEC, name=None)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Refusal
+from swarmd.core.messages import Refusal, State
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
@@ -198,6 +198,20 @@ def test_the_robot_of_a_frozen_daemon_stops(moving: tuple[Course, DaemonProcess]
     assert is_running(daemon.process.pid)
     late = [t - thawed for t, twist in course.commands if t > thawed and not twist.is_zero]
     assert len(late) <= IN_FLIGHT, "the stall has ended the run"
+
+
+@pytest.mark.smoke
+def test_a_robot_on_the_emulated_hub_is_driven_and_stopped(tmp_path: Path) -> None:
+    with driven(ros2("ros2dds", BridgedRobot()), tmp_path) as (course, _, operator):
+        asked = boottime()
+        operator.send_stop("estop", reason="test")
+        course.stands(asked, 1.0)
+
+        def is_latched() -> bool:
+            now = status(operator)
+            return now is not None and now.state is State.ESTOPPED
+
+        wait_until(is_latched, "its status says so")
 
 
 class Rival:

@@ -130,6 +130,7 @@ class Deck:
         """There is nothing to end."""
 
 
+@pytest.mark.long
 class TestContract(DriverContract):
     @pytest.fixture(autouse=True)
     def _folder(self, tmp_path: Path) -> None:

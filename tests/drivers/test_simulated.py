@@ -242,6 +242,7 @@ class RingedBody(Body):
         self.send("ranges", encode_scan(scan))
 
 
+@pytest.mark.long
 class TestSimulatedDriverWithARing(DriverContract):
     """A ring is a second scan, with the geometry of the platform's section."""
 

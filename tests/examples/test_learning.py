@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import swarmd
 from swarmd.kit.policy_network import network_from_bytes, network_of, parameter_count
 from swarmd.pattern_host.loader import import_file
@@ -12,6 +14,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples/learning/train_aggrega
 HELD_OUT = range(3)
 
 
+@pytest.mark.long
 def test_three_generations_gather_robots_of_other_seeds() -> None:
     example = import_file(EXAMPLE)
     room = {**example.ROOM, "groups.tb3.count": 3, "duration": 10}

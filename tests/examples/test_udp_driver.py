@@ -112,6 +112,7 @@ class UdpBase:
             self._socket.sendto(data, self._peer)
 
 
+@pytest.mark.long
 class TestUdpDriver(DriverContract):
     def rig(self) -> UdpBase:
         return UdpBase()

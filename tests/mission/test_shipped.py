@@ -57,6 +57,7 @@ def test_the_page_shows_some() -> None:
     assert len(SHOWN) == 5
 
 
+@pytest.mark.integration
 def test_mission_check_prints_all_faults_and_exits_with_2(tmp_path: Path) -> None:
     path = tmp_path / "low.yaml"
     path.write_text(SHOWN[0].replace("0.6, 1.0", "0.4, 0.5").replace("timeout", "timeot"))
@@ -69,6 +70,7 @@ def test_mission_check_prints_all_faults_and_exits_with_2(tmp_path: Path) -> Non
     assert (done.code, done.json["faults"]) == (0, [])
 
 
+@pytest.mark.integration
 def test_patterns_show_lists_its_kind_as_mission() -> None:
     done = swarmctl("patterns", "show", "discuss_then_disperse", "-o", "json")
     row = done.json["pattern"]
@@ -76,6 +78,7 @@ def test_patterns_show_lists_its_kind_as_mission() -> None:
     assert row["summary"].startswith("Votes on a distance")
 
 
+@pytest.mark.integration
 def test_text_of_a_file_is_printed_without_control_characters(tmp_path: Path) -> None:
     path = tmp_path / "red.yaml"
     path.write_text('mission: "\\e[31mred"\nparts: {b: {pattern: drive}}\npart: b\n')

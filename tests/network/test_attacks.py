@@ -453,6 +453,7 @@ def test_another_operator_of_a_removed_generation_stops_for_ten_minutes_and_asks
 # Without an attack
 
 
+@pytest.mark.long
 def test_fifty_robots_meet_with_few_questions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "swarmd.network.members.beacon_times.CLAIM_PERIOD", 0.5

@@ -38,6 +38,7 @@ def spread(network: VirtualNetwork, wanted: Goal) -> float:
     return network.until(lambda: agree(network, wanted), 30.0)
 
 
+@pytest.mark.long
 def test_a_goal_of_one_robot_reaches_a_hundred() -> None:
     network = VirtualNetwork(100, settle=0.1, joined=False)  # a long claim costs the test seconds
     network.run(0.5)

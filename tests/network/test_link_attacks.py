@@ -29,6 +29,8 @@ from tests.support.keys import SwarmKeys
 from tests.support.processes import CAP, free_endpoint, wait_until
 from tests.support.secured_swarm import SecuredSwarm
 
+pytestmark = pytest.mark.integration
+
 WILD = ("**", "swarm/**", "swarm/*/*/control/**", "swarm/*/r1/state/*")
 LINK_TIME = 1.0  # s; an attacker that is let in has its link after 10 ms
 REQUESTS = tuple(r.name for r in VERBS.values() if r.is_request and not r.is_datagram)
@@ -164,6 +166,7 @@ def expired(besieged: Besieged, folder: Path) -> dict[str, Any]:
     return options
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("of", [None, no_certificate, of_another_authority, expired])
 def test_without_a_certificate_that_is_valid_there_is_no_link(
     besieged: Besieged, tmp_path: Path, of: Callable[[Besieged, Path], dict[str, Any]] | None

@@ -57,6 +57,7 @@ def test_a_port_names_its_user() -> None:
         assert port_users("udp", udp.getsockname()[1]).users == ("this process",)
 
 
+@pytest.mark.integration
 def test_the_facts_of_an_interface() -> None:
     facts = measure_network("lo")
     assert (facts.exists, facts.mtu is not None) == (True, True)
@@ -64,6 +65,7 @@ def test_the_facts_of_an_interface() -> None:
     assert not measure_network("absent0").exists
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(
     os.geteuid() != 0 or not shutil.which("nft") or not shutil.which("unshare"),
     reason="needs root, nft and unshare",

@@ -56,6 +56,7 @@ def test_all_robots_know_each_other_on_any_link(
     assert network.until(lambda: all_know_each_other(network), cap=15.0) < 15.0
 
 
+@pytest.mark.long
 def test_an_idle_robot_sends_one_datagram_a_second_and_few_for_words() -> None:
     network = VirtualNetwork(20)
     network.sent.clear()
@@ -221,6 +222,7 @@ def test_every_robot_acks_a_stop_on_any_link(delay: float, loss: float) -> None:
     assert network.acks().keys() == network.robots.keys()
 
 
+@pytest.mark.long
 def test_fifty_robots_that_all_hear_the_operator_say_little() -> None:
     network = VirtualNetwork(50)
     network.sent_kinds.clear()
@@ -482,6 +484,7 @@ def test_solicits_do_not_keep_an_owner_from_answering_a_claimer() -> None:
     network.until(lambda: second.peer.holder is not None, cap=1.0)
 
 
+@pytest.mark.long
 def test_a_question_for_words_costs_as_many_answers_as_it_has_parts() -> None:
     network = VirtualNetwork(60)
     robot = network.robots["r1"]

@@ -157,6 +157,7 @@ open_session(NetworkSettings(swarm="nobody")).close()
 """
 
 
+@pytest.mark.integration
 def test_loopback_that_is_down_is_reported_with_the_remedy() -> None:
     away = ("unshare", "--net", "--map-root-user")
     if subprocess.run([*away, "true"], capture_output=True, check=False).returncode:

@@ -15,7 +15,10 @@ from tests.support.field_swarm import FieldSwarm
 from tests.support.processes import wait_until
 
 ROBOTS = ("a", "b", "c")
-pytestmark = pytest.mark.skipif(shutil.which("babeld") is None, reason="babeld is not installed")
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(shutil.which("babeld") is None, reason="babeld is not installed"),
+]
 
 
 def address(host: str) -> str:

@@ -68,6 +68,7 @@ def test_a_class_with_a_text_that_is_no_network_is_refused() -> None:
         type("Broken", (PolicyPattern,), {"network": "UEsD"})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runs", part([3], [20]))
 def test_beats_random_actions_on_seeds_of_no_training(runs: int) -> None:
     """Also the worst of its runs is better than the mean of random actions."""

@@ -161,6 +161,7 @@ def test_restless_robots_with_brakes_as_declared_raise_no_alarm(noise: float) ->
     assert bases.run(12000.0) == []
 
 
+@pytest.mark.short_rows(1)
 @long_run
 @pytest.mark.parametrize(
     ("name", "lag"),
@@ -189,6 +190,7 @@ def test_bases_that_respond_late_are_named_and_not_slowed(
     assert sum(map(bool, texts)) == late
 
 
+@pytest.mark.short_rows(1)
 @long_run
 @pytest.mark.parametrize("noise", [1.0, 2.0])
 def test_restless_robots_with_weak_brakes_are_noticed_within_two_minutes(noise: float) -> None:
@@ -210,6 +212,7 @@ def shares_brakes() -> Platform:
     )
 
 
+@pytest.mark.short_rows(1)
 @long_run
 @pytest.mark.parametrize("platform", [SLIDES, shares_brakes()], ids=["slides", "shares brakes"])
 @pytest.mark.parametrize(("brakes", "noise", "lag"), [(1.0, 2.0, 0.0), (0.9, 2.5, 0.25)])
@@ -500,6 +503,7 @@ def test_both_axes_are_judged_also_if_they_fail_at_once() -> None:
     assert [("linear" in text, "angular" in text) for text in events if text] == [(True, True)] * 2
 
 
+@pytest.mark.short_rows(1)
 @compares_forms
 @pytest.mark.parametrize("axis", ["linear", "lateral"])
 def test_compiled_and_interpreted_code_measure_the_same(axis: str) -> None:

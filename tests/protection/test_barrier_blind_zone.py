@@ -206,6 +206,7 @@ def test_robot_that_is_pushed_does_not_drive_into_what_pushes_it(
     assert rested.poses[-1].x == pytest.approx(-speed * seconds, abs=0.005)
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("away", [(0.3, 0.0), (0.1, 0.0), (0.0, 0.3), (0.0, -0.3), (0.0, 0.1)])
 def test_obstacle_that_leaves_in_the_open_is_forgotten(away: tuple[float, float]) -> None:
     """Nothing behind it gives a return; it comes into view at other bearings than it vanished."""

@@ -302,6 +302,7 @@ class Restarting(FilterSim):
         return Odometry(self.time - self.restart, here, self.twist)
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("name", ["burger", "waffle_pi"])
 def test_restarted_odometry_does_not_move_a_wall_away(name: str) -> None:
     """The last scan has no valid pose any more, so the robot stops until the next one."""
@@ -360,6 +361,7 @@ def random_run(kind: str, seed: int, share: float, seconds: float) -> FilterRun:
     return sim.run(twists(platform, rng), seconds)
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("seed", part([0], [1, 2, 3, 4]))
 @pytest.mark.parametrize("kind", KINDS)
 def test_standing_obstacles_are_never_touched(kind: str, seed: int) -> None:

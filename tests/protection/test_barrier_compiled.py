@@ -175,6 +175,7 @@ def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way(before: i
     assert decision.twist.linear < 0.22
 
 
+@pytest.mark.short_rows(5)
 @compares_forms
 @pytest.mark.parametrize("stream", read(), ids=lambda stream: stream.scene)
 def test_recorded_decisions_are_made_again(stream: Stream) -> None:

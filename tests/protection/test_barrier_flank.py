@@ -51,6 +51,7 @@ def test_pole_that_passes_a_turning_flank_is_not_met(phase: float, noise: float)
     assert touch is None or touch.speed <= NO_FAULT
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("first", part([0], [1]))
 @pytest.mark.parametrize("seed", [58, 64, 100, 133])
 def test_pole_that_homes_in_on_a_turning_waffle_pi_is_not_met(seed: int, first: int) -> None:
@@ -65,6 +66,7 @@ def test_pole_that_homes_in_on_a_turning_waffle_pi_is_not_met(seed: int, first: 
     assert max(faults) <= NO_FAULT, faults
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(
     ("name", "requested", "start", "velocity"),

@@ -81,6 +81,7 @@ def driven(trace: Trace, name: str = "a") -> float:
     return float(np.hypot(*(path - path[0]).T).max())
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("visibility", ["body", "real"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_robots_that_drive_at_each_other_stop(kind: str, visibility: str) -> None:
@@ -94,6 +95,7 @@ def test_two_robots_that_drive_at_each_other_stop(kind: str, visibility: str) ->
     assert min(driven(trace, "a"), driven(trace, "b")) > 1.0
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["ahead", "reversing"])
 def test_robot_stops_at_a_wall(kind: str, way: float) -> None:
@@ -102,6 +104,7 @@ def test_robot_stops_at_a_wall(kind: str, way: float) -> None:
     assert driven(trace) > 0.7
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
 @pytest.mark.parametrize("bearing", [0.0, 1.2, math.pi])
 def test_rammed_robot_is_not_at_fault(kind: str, bearing: float) -> None:
@@ -133,6 +136,7 @@ def test_jackal_rammed_out_of_its_blind_zone_is_not_at_fault() -> None:
     assert first_touch(trace) <= NO_FAULT
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_resting_robot_that_is_rammed_twice_faster_than_declared_goes_on(seed: int) -> None:
     """A Jackal drives at 0.5 m/s into a Burger, backs, and comes again."""

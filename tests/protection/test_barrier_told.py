@@ -237,6 +237,7 @@ def unseen(radius: float, x: float, **motion: object) -> Shape:
     return Shape(round_corners(radius), Pose(x), seen=nowhere, **motion)  # type: ignore[arg-type]
 
 
+@pytest.mark.short_rows(1)
 @long_run
 @pytest.mark.parametrize("platform", [BURGER, JACKAL], ids=lambda platform: platform.name)
 @pytest.mark.parametrize(
@@ -251,6 +252,7 @@ def test_place_in_a_shared_frame_hides_no_peer_that_is_sensed(
     assert touched_at(sim.run(Twist(platform.limits.linear), 12.0)) <= NO_FAULT
 
 
+@pytest.mark.short_rows(1)
 @long_run
 @pytest.mark.parametrize("speed", [-1.2, 0.0])
 @pytest.mark.parametrize("linear", part([2.0], [0.5]))

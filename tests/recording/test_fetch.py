@@ -154,6 +154,7 @@ except OSError as error:
 """
 
 
+@pytest.mark.integration
 def test_a_full_disk_here_keeps_what_came_and_the_next_fetch_goes_on(tmp_path: Path) -> None:
     root = Path(__file__).parents[2]
     done = subprocess.run(

@@ -171,6 +171,7 @@ def test_an_existing_file_is_kept(tmp_path: Path) -> None:
     assert len(read_file(first).messages) == 10
 
 
+@pytest.mark.integration
 def test_what_was_added_two_seconds_before_a_kill_is_kept(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from tests.recording.test_files import *\n"

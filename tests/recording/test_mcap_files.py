@@ -106,6 +106,7 @@ PERMITTED: dict[str, tuple[Extra | None, dict[str, Any]]] = {
 }
 
 
+@pytest.mark.short_rows(5)
 @pytest.mark.parametrize(("extra", "options"), PERMITTED.values(), ids=PERMITTED)
 def test_each_form_that_the_format_permits_is_read_as_our_own(
     recording: RecordedFile, tmp_path: Path, extra: Extra | None, options: dict[str, Any]

@@ -161,6 +161,7 @@ Change = Callable[[RecordedFile, random.Random, Path], None]
 Reader = Callable[[Path], None]
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("seed", part(range(1), range(1, 50)))
 @pytest.mark.parametrize("change", [change_file, change_texts, change_messages, change_memory])
 def test_changed_recordings_end_in_one_line_or_are_read(

@@ -196,6 +196,7 @@ def test_a_step_that_is_answered_after_the_next_load_is_compared(tmp_path: Path)
     assert_equal(story.replayed(), 60)
 
 
+@pytest.mark.short_rows(3)
 @pytest.mark.parametrize("has_ring", [False, True])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_recording_begun_at_any_time_is_repeated_to_the_bit(

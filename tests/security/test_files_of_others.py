@@ -48,7 +48,7 @@ from tests.support.processes import has_landlock
 from tests.support.recorded_stories import Story
 from tests.support.swarmctl import Finished, swarmctl
 
-pytestmark = pytest.mark.usefixtures("forked_starts")
+pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("forked_starts")]
 
 
 @dataclass(frozen=True)
@@ -150,6 +150,7 @@ def hostile_results(scene: Scene, which: str) -> None:
     path.write_text(json.dumps(manifest))
 
 
+@pytest.mark.integration
 def test_a_folder_of_the_name_of_the_home_sign_is_not_imported(scene: Scene) -> None:
     """`~/p` is the home's for what is compared: a folder `~` of the others holds the code."""
     hostile_results(scene, "pattern")
@@ -158,6 +159,7 @@ def test_a_folder_of_the_name_of_the_home_sign_is_not_imported(scene: Scene) -> 
     scene.run("exp", "rerun", "x", "-j", "1")
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["plots", "testing"])
 def test_a_pattern_in_a_folder_that_runs_of_ours_do_not_import(scene: Scene, name: str) -> None:
     hostile_results(scene, "pattern")
@@ -199,6 +201,7 @@ RESULTS: dict[str, list[tuple[str, ...]]] = {
 }
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("which", RESULTS)
 def test_results_run_code_with_trust_alone(scene: Scene, which: str) -> None:
     hostile_results(scene, which)
@@ -256,6 +259,7 @@ YAML_FILES = {
 }
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", YAML_FILES.values(), ids=YAML_FILES)
 def test_yaml_makes_values_alone(scene: Scene, words: tuple[object, ...]) -> None:
     for tag in ("python/object/apply:os.system", "python/name:os.system", "python/object/new:x.Y"):
@@ -388,6 +392,7 @@ def test_a_bundle_sets_no_program_and_no_folder(scene: Scene, key: str) -> None:
     assert list((scene.folder / "card").rglob("*")) == []
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(not has_landlock(), reason="this kernel has no Landlock")
 def test_code_that_is_checked_runs_in_the_sandbox(scene: Scene) -> None:
     pattern = scene.code + MOODY
@@ -414,6 +419,7 @@ def test_a_scenario_runs_the_patterns_of_its_folder_and_nothing_else(scene: Scen
 NOTEBOOK = ("exp run", "exp view", "exp measure", "replay", "plugin check", "mission check")
 
 
+@pytest.mark.integration
 def test_a_notebook_is_opened_by_no_verb(scene: Scene) -> None:
     cell = {"cell_type": "code", "source": scene.code, "metadata": {}, "outputs": []}
     scene.write("x.ipynb", json.dumps({"cells": [cell], "nbformat": 4, "metadata": {}}))

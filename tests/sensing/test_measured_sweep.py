@@ -60,6 +60,7 @@ def test_returns_of_a_turning_robot_are_where_they_are_once_the_order_is_known(
     assert max(after) < ERROR
 
 
+@pytest.mark.short_rows(3)
 @long_run
 @pytest.mark.parametrize("seed", range(16))
 def test_random_lidars_on_random_ways_are_never_deskewed_in_another_order(seed: int) -> None:

@@ -124,6 +124,7 @@ def reached(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object]
     return places, faults
 
 
+@pytest.mark.integration
 def test_a_key_and_a_setting_of_the_barrier_reach_each_robot_by_one_field(
     reached: tuple[dict[str, object], list[str]],
 ) -> None:
@@ -132,6 +133,7 @@ def test_a_key_and_a_setting_of_the_barrier_reach_each_robot_by_one_field(
     assert places == {name: [WRITTEN, SQUARE, CAUTION] for name in names.split(", ")}
 
 
+@pytest.mark.integration
 def test_the_bounds_of_the_field_are_those_of_both_files(
     reached: tuple[dict[str, object], list[str]],
 ) -> None:

@@ -145,6 +145,7 @@ def test_a_fault_in_the_environment_names_the_variable() -> None:
         load_swarm(None, {}, {"SWARM": "a b"})
 
 
+@pytest.mark.integration
 def test_is_read_without_numpy() -> None:
     code = "import sys, swarmd.settings.swarmfile; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -80,6 +80,7 @@ class Twin:
                 robot.wake_at(later), robot.aged_latches(later)
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("seed", part(range(2), range(2, 20)))
 def test_a_robot_goes_on_from_its_memory_to_the_bit(seed: int) -> None:
     twin = Twin(seed)

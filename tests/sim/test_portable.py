@@ -130,6 +130,7 @@ def run(folder: Path, system: dict[str, str], code: str) -> str:
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_runs_and_reports_are_made_without_what_another_system_lacks(tmp_path: Path) -> None:
     """A run by itself on both; an experiment on macOS, and its report on Windows."""
     pytest.importorskip("matplotlib")
@@ -139,6 +140,7 @@ def test_runs_and_reports_are_made_without_what_another_system_lacks(tmp_path: P
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_module_that_linux_alone_has_is_found(tmp_path: Path) -> None:
     """The block blocks: else the tests above could not fail."""
     code = (

@@ -25,6 +25,8 @@ from tests.support.recorded_crowd import ROUND_TRIP, clock_of, recorded_crowd
 from tests.support.recorded_stories import ORIGINS, repeat, rewritten
 from tests.support.swarmctl import swarmctl
 
+pytestmark = pytest.mark.long
+
 DAY = 86_400.0
 SECONDS, APART, JOINED = 6.0, 7.0, 4.8
 

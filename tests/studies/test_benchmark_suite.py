@@ -12,6 +12,8 @@ from studies import benchmark_suite
 from studies.outcomes.outcome import RESULTS_PART
 from swarmd.sim.experiments.benchmark import load_task
 
+pytestmark = pytest.mark.long
+
 
 def test_files_of_other_seeds_make_one_row_for_each_pattern(tmp_path: Path) -> None:
     first, second = tmp_path / "a.csv", tmp_path / "b.json"

@@ -7,6 +7,8 @@ import pytest
 
 from studies.ideal_search import RULES, SIGHT, Groups, search_times
 
+pytestmark = pytest.mark.long
+
 HALF = np.array([3.0, 2.0])
 PAIR = np.array([[0.0, 0.0], [SIGHT - 0.01, 0.0]])
 APART = np.array([[0.0, 0.0], [SIGHT + 0.05, 0.0]])

@@ -14,6 +14,8 @@ from studies.outcomes.__main__ import main
 from studies.outcomes.catalog import MODULES, short_outcomes
 from studies.outcomes.outcome import Outcome, at_least, at_most, digits_of, other_digits, renewal
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = outcome.kept_outcomes()
 

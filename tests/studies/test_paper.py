@@ -12,6 +12,8 @@ from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.scenarios.scenariofile import load_scenario
 
+pytestmark = pytest.mark.long
+
 SEEDS = (0, 1, 2)
 NAMES = ("burger", "waffle_pi")
 VISIBILITIES = ("body", "real")

@@ -13,7 +13,7 @@ from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
 from tests.support.traces import trace_of
 
-pytestmark = pytest.mark.timeout(600)  # on a busy machine
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]  # on a busy machine
 MISSION = "discuss_then_disperse"
 
 

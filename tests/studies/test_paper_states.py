@@ -9,6 +9,8 @@ from studies.paper_states import counts_of, shares, state_figure, state_rows
 from swarmd.sim.trace import WORD, Trace
 from tests.support.traces import trace_of
 
+pytestmark = pytest.mark.long
+
 
 def leaving(away: list[float], states: list[str]) -> Trace:
     """A robot that stands settled, and another `away` m from it, in `states`, every 0.1 s."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from studies.outcomes.still import control_of, still_robots
 from studies.point_swarm import PointSwarm, at_places
 from swarmd.sim.experiments.simulate import simulate
+
+pytestmark = pytest.mark.long
 
 
 def test_robots_of_the_pattern_have_no_path_while_it_asks_them_to_move() -> None:

@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
@@ -78,10 +78,12 @@ class ForkedPython(subprocess.Popen[Any]):
 class Server:
     """The other end of a process from which commands that run one of `modules` are forked."""
 
-    def __init__(self, connection: socket.socket, modules: Sequence[str]) -> None:
+    def __init__(self, connect: Callable[[], socket.socket], modules: Sequence[str]) -> None:
+        """`connect` gives the connection, when the first command is forked."""
         self._environ = {name: os.environ.get(name) for name in _READ_AT_START}
         self._lock = threading.Lock()
-        self._socket, self._modules = connection, modules
+        self._socket: socket.socket | None = None
+        self._connect, self._modules = connect, modules
 
     def has_imports_of(self, command: Any, environ: dict[str, str]) -> bool:
         """Whether the command runs one of the modules, with what Python reads at its start."""
@@ -94,6 +96,8 @@ class Server:
     def fork(self, request: dict[str, Any], descriptors: list[int]) -> int:
         """The process id of a fork that runs the command."""
         with self._lock:
+            if self._socket is None:
+                self._socket = self._connect()
             _become_subreaper(True)
             try:
                 socket.send_fds(self._socket, [json.dumps(request).encode()], descriptors)
@@ -108,21 +112,27 @@ def _connection() -> tuple[socket.socket, socket.socket]:
 
 @contextmanager
 def forked_python() -> Iterator[type[ForkedPython]]:
-    """The class that takes the place of `subprocess.Popen`, with a server until the end."""
-    ours, theirs = _connection()
-    with theirs:
-        process = subprocess.Popen(
-            [sys.executable, "-P", __file__, str(theirs.fileno())],
-            pass_fds=(theirs.fileno(),),
-            stdin=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            process_group=0,
-        )
-    try:
-        yield type("ForkedPython", (ForkedPython,), {"server": Server(ours, MODULES)})
-    finally:
-        ours.close()
-        process.wait()
+    """The class that takes the place of `subprocess.Popen`, with a server until the end.
+
+    The server starts with the first command that is forked.
+    """
+    with contextlib.ExitStack() as left:
+
+        def connect() -> socket.socket:
+            ours, theirs = _connection()
+            with theirs:
+                process = subprocess.Popen(
+                    [sys.executable, "-P", __file__, str(theirs.fileno())],
+                    pass_fds=(theirs.fileno(),),
+                    stdin=subprocess.DEVNULL,
+                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                    process_group=0,
+                )
+            left.callback(process.wait)
+            left.callback(ours.close)
+            return ours
+
+        yield type("ForkedPython", (ForkedPython,), {"server": Server(connect, MODULES)})
 
 
 def fork_hosts() -> None:
@@ -151,7 +161,7 @@ def fork_hosts() -> None:
                 sys.stdout.flush()
             os._exit(code)
     theirs.close()
-    server = Server(ours, HOSTS)
+    server = Server(lambda: ours, HOSTS)
     subprocess.Popen = type("ForkedPython", (ForkedPython,), {"server": server})  # type: ignore[assignment, misc]
 
 

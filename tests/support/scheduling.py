@@ -17,16 +17,6 @@ _WAITING = {
     *("pattern_host", "view"),
 }
 """Folders whose tests wait for sockets, threads or processes, also without the mark."""
-_COMPUTING = (
-    *("cli/test_plugin", "sim/cli/test_classroom", "sim/cli/test_exp", "sim/cli/test_exp_storage"),
-    *("sim/experiments/test_benchmark", "sim/experiments/test_pool"),
-    *("sim/experiments/test_simulate", "sim/film/test_film"),
-    *("sim/learning/test_vector", "sim/report/test_report", "sim/test_portable"),
-)
-"""Files marked `integration` whose processes compute, and have no deadline in real time: daemons of
-other files would wait for a processor beside them."""
-
-
 LONGEST = (
     *("core/test_kernel_forms", "cli/test_plugin", "network_faults/test_addresses"),
     *("cli/test_calibrate", "drivers/ros2/test_bridge", "drivers/ros1/test_driver"),
@@ -112,15 +102,15 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
         return not all(computes(one.gateway.id, self.numnodes) for one in others)
 
     def _waits(self, scope: str) -> bool:
-        """Whether a file has tests of the layer `integration`, or is in a folder of _WAITING.
+        """Whether a file is in a folder of _WAITING, or marks tests `integration` and none `long`.
 
-        The files of _COMPUTING compute.
+        The processes of those that are `long` compute: daemons would wait for a processor.
         """
         if scope not in self._found:
             file: Path = self.config.rootpath / scope
-            is_marked = file.is_file() and "pytest.mark.integration" in file.read_text()
-            waits = is_marked or bool(_WAITING & {*Path(scope).parts})
-            self._found[scope] = waits and not _is_in(file, _COMPUTING)
+            text = file.read_text() if file.is_file() else ""
+            waits = "pytest.mark.integration" in text and "pytest.mark.long" not in text
+            self._found[scope] = waits or not _WAITING.isdisjoint(Path(scope).parts)
         return self._found[scope]
 
 

@@ -303,6 +303,8 @@ start: {layout: ring, radius: 0.6, heading_deg: 180.0}
 """
 
 
+@pytest.mark.long
+@pytest.mark.integration
 @pytest.mark.parametrize(("mode", "is_confirmed"), [("off", False), ("barrier", True)])
 def test_a_rehearsal_refuses_a_run_in_which_robots_touch(
     tmp_path: Path, mode: str, is_confirmed: bool
@@ -364,6 +366,7 @@ def test_events_name_robots_that_did_not_answer(swarm: Swarm) -> None:
     asyncio.run(asyncio.wait_for(agent(), CAP))
 
 
+@pytest.mark.integration
 def test_a_rehearsal_has_the_parameters_of_the_run(tmp_path: Path) -> None:
     file = tmp_path / "head_on.yaml"
     file.write_text(
@@ -384,6 +387,7 @@ def test_a_cancelled_simulation_ends(tmp_path: Path) -> None:
         Rehearsal.of("aggregation").simulate("attraction", {}, 60.0, cancelled)
 
 
+@pytest.mark.integration
 def test_an_agent_names_no_files_and_simulates_one_scenario_at_a_time() -> None:
     async def agent() -> None:
         has_begun, may_end = threading.Event(), threading.Event()

@@ -127,6 +127,7 @@ def test_robots_without_an_answer_are_named(swarm: Swarm, tmp_path: Path) -> Non
     lost.thaw()
 
 
+@pytest.mark.smoke
 def test_a_replay_repeats_the_commands_of_pattern_and_protection(swarm: Swarm) -> None:
     body = swarm.body("tb3-01")
     swarm.start("tb3-01", body)

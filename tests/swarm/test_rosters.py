@@ -86,6 +86,7 @@ def secured(swarm: Swarm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Se
     return SecuredSwarm(swarm, tmp_path / "robots")
 
 
+@pytest.mark.smoke
 def test_a_roster_stops_robots_that_take_it_and_reaches_those_that_return(
     secured: SecuredSwarm,
 ) -> None:

@@ -158,6 +158,7 @@ def test_a_run_ends_when_its_condition_holds(swarm: Swarm) -> None:
     assert status.detail == "until 0.5 s have passed"
 
 
+@pytest.mark.smoke
 def test_an_estop_is_held_until_a_reset_names_it(swarm: Swarm) -> None:
     assert swarm.ctl("estop", "r1").outcome == (0, "1 targeted, 1 applied")
     assert [latch.scope for latch in swarm.status("r1").latches.values()] == ["robots"]

@@ -74,6 +74,7 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
 }
 
 
+@pytest.mark.long
 class TestGood(DriverContract):
     def rig(self) -> Wire:
         return Wire(Good)
@@ -102,6 +103,8 @@ def run_test(contract: DriverContract, name: str, monkeypatch: pytest.MonkeyPatc
         test()
 
 
+@pytest.mark.short_rows(4)
+@pytest.mark.integration
 @pytest.mark.parametrize(("name", "kind"), CASES, ids=lambda v: getattr(v, "__name__", v))
 def test_a_broken_driver_is_found(
     name: str, kind: type[Good], monkeypatch: pytest.MonkeyPatch

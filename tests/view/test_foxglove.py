@@ -228,6 +228,7 @@ def test_junk_and_silent_connections_keep_no_client_out(monkeypatch: pytest.Monk
                 assert opened[0].recv(1) == b""
 
 
+@pytest.mark.long
 def test_a_client_that_reads_nothing_delays_no_other_and_no_end() -> None:
     with FedSwarm(1) as swarm:
         source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)

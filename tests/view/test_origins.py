@@ -116,6 +116,7 @@ REQUESTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("listener", LISTENERS)
 async def test_pages_of_other_sites_reach_no_listener(listener: str) -> None:
     make, *results = LISTENERS[listener]

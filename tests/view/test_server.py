@@ -147,6 +147,7 @@ def socket_of(address: str, token: str = "") -> str:
     return f"{address.replace('http', 'ws', 1)}socket?token={token}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("acks", [False, True], ids=["silent", "acknowledges-all"])
 async def test_a_page_that_reads_nothing_gets_few_frames_and_holds_up_no_other(acks: bool) -> None:
     async with serving(frame_period=0.01) as (server, address):
@@ -245,6 +246,7 @@ async def test_a_server_that_was_frozen_starts_nothing_that_waited(
     assert commander.verbs == ["stop", "run"]
 
 
+@pytest.mark.long
 async def test_a_page_that_looks_back_learns_of_new_robots_and_gets_plots() -> None:
     async with (
         serving(frame_period=0.01) as (server, address),

@@ -31,6 +31,8 @@ from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, DriverHarness, play
 from tests.support.processes import CAP
 
+pytestmark = pytest.mark.long
+
 UdpDriver: Any = pytest.importorskip("cflib.crtp.udpdriver", reason="extra crazyflie").UdpDriver
 
 PLATFORM = load_platform("crazyflie")

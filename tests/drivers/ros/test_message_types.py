@@ -148,6 +148,7 @@ STANDARD = {
 }
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "definition",
     [

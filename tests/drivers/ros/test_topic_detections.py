@@ -263,6 +263,7 @@ def test_they_arrive_over_a_bridge_and_go_stale(topics: Topics) -> None:
     play(robot, story, detections=entries, message_path=topics.path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_heard", [True, False])
 def test_a_check_tells_what_is_detected(topics: Topics, is_heard: bool) -> None:
     robot = BridgedRobot()

@@ -65,6 +65,7 @@ def texts(sink: CollectingSink) -> list[str]:
     return [text for _, text in sink.states]
 
 
+@pytest.mark.integration
 @playing("garbage")
 async def test_garbage_is_counted_and_later_events_are_read(sink: CollectingSink) -> None:
     await until(lambda: any("a fake adapter" in text for text in texts(sink)))
@@ -73,11 +74,13 @@ async def test_garbage_is_counted_and_later_events_are_read(sink: CollectingSink
     assert not sink.scans
 
 
+@pytest.mark.integration
 @playing("dies")
 async def test_the_last_words_of_an_adapter_are_reported(sink: CollectingSink) -> None:
     await until(lambda: any("it cannot go on" in text for text in texts(sink)))
 
 
+@pytest.mark.integration
 @playing("mute")
 async def test_a_silent_adapter_is_killed(
     sink: CollectingSink, monkeypatch: pytest.MonkeyPatch
@@ -87,6 +90,7 @@ async def test_a_silent_adapter_is_killed(
     assert any("did not answer" in text for text in texts(sink))
 
 
+@pytest.mark.integration
 @playing("deaf")
 async def test_an_adapter_that_does_not_leave_is_killed(
     driver: Ros1Driver, sink: CollectingSink
@@ -95,6 +99,7 @@ async def test_an_adapter_that_does_not_leave_is_killed(
     assert driver.adapter_pid is not None  # `playing` sees that it has ended
 
 
+@pytest.mark.integration
 @playing("mute")
 async def test_a_full_machine_ends_no_daemon(
     driver: Ros1Driver, sink: CollectingSink, monkeypatch: pytest.MonkeyPatch
@@ -110,6 +115,7 @@ async def test_a_full_machine_ends_no_daemon(
     await until(lambda: driver.adapter_pid is not None)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("python", "remedy"),
     [("/no/python3", "set driver_options.python"), (sys.executable, "install python3-rospy")],

@@ -190,6 +190,7 @@ def master() -> Iterator[str]:
         thread.join(CAP)
 
 
+@pytest.mark.integration
 def test_an_adapter_whose_stderr_is_not_read_still_leaves(tmp_path: Path, master: str) -> None:
     (tmp_path / "rospy.py").write_text(ROSPY)
     mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -216,6 +217,7 @@ def test_an_adapter_whose_stderr_is_not_read_still_leaves(tmp_path: Path, master
     assert process.returncode == 0
 
 
+@pytest.mark.integration
 def test_an_adapter_that_joins_only_in_part_ends_with_the_reason(
     tmp_path: Path, master: str
 ) -> None:

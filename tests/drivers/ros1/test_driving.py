@@ -234,6 +234,7 @@ async def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(scene: S
         assert data[12:20] == b"\x04\0\0\0base"
 
 
+@pytest.mark.integration
 def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

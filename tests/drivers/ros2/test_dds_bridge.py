@@ -21,6 +21,8 @@ from tests.support import ros2_types as dds
 from tests.support.range_ring import RING_DEG, ring_spec, with_ring
 from tests.support.stories import story
 
+pytestmark = pytest.mark.long
+
 
 class RobotWithRing(BridgedRobot):
     """A lidar and six range sensors, each with a topic."""

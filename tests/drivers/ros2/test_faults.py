@@ -22,6 +22,8 @@ from tests.drivers.ros2.harness import check, drive, reported
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.support.stories import story
 
+pytestmark = pytest.mark.long
+
 LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
 STAMPED = "geometry_msgs/msg/TwistStamped"
 MAKERS: list[Callable[[], Robot]] = [BridgedRobot, ZenohRobot]

@@ -16,6 +16,8 @@ from tests.drivers.ros2.harness import drive, reported, stands
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.support.stories import story
 
+pytestmark = pytest.mark.long
+
 
 @story(BridgedRobot)
 async def test_zeros_go_out_and_are_promised_only_with_a_link(

@@ -34,6 +34,8 @@ from tests.drivers.ros2.harness import check, drive, reported
 from tests.drivers.ros2.robots import BridgedRobot, open_session
 from tests.support.stories import story
 
+pytestmark = pytest.mark.long
+
 LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
 ODOMETRY = "nav_msgs/msg/Odometry"
 BASE = {"publishers": [], "subscribers": [{"name": "/cmd_vel", "type": TWIST}]}

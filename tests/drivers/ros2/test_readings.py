@@ -22,6 +22,8 @@ from tests.support import ros2_types as dds
 from tests.support.stories import story
 from tests.support.vendor_messages import PACKAGE, vendor_folder
 
+pytestmark = pytest.mark.long
+
 ENTRY: dict[str, Value] = {
     "topic": "/temp",
     "type": "sensor_msgs/Temperature",

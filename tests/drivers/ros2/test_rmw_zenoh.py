@@ -18,6 +18,8 @@ from tests.drivers.ros2.harness import check, drive, reported
 from tests.drivers.ros2.robots import ZenohRobot
 from tests.support.stories import story
 
+pytestmark = pytest.mark.long
+
 LASER = "sensor_msgs/msg/LaserScan"
 
 

@@ -34,6 +34,8 @@ from tests.support.ros2_types import TriggerResponse
 from tests.support.stories import story
 from tests.support.swarmctl import heard_statuses
 
+pytestmark = pytest.mark.long
+
 SERVICES: dict[str, Value] = {
     "operator": "ros",
     "runs": {"go": {"pattern": "drive", "params": {"speed": 0.1}, "seconds": 600.0}},

@@ -31,6 +31,8 @@ from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 from tests.support.statuses import status
 from tests.support.stories import story
 
+pytestmark = pytest.mark.long
+
 TYPES = {
     POSE: ("geometry_msgs", dds.PoseStamped),
     MARKERS: ("visualization_msgs", dds.MarkerArray),

@@ -38,6 +38,7 @@ def test_the_zero_sender_of_a_driver_sends_zero_to_its_base(make: Callable[[], R
     robot.close()
 
 
+@pytest.mark.long
 @story(BridgedRobot)
 async def test_zeros_of_another_node_that_do_not_end_are_reported(
     harness: DriverHarness, robot: BridgedRobot

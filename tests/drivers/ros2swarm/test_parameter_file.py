@@ -41,6 +41,7 @@ def written(folder: Path, text: str, name: str = "attraction_pattern") -> Path:
     return path
 
 
+@pytest.mark.integration
 def test_a_file_of_ros2swarm_runs(tmp_path: Path) -> None:
     file = written(tmp_path, HEAD + ATTRACTION)
     done = swarmctl("import", "ros2swarm", str(file))
@@ -126,6 +127,7 @@ def test_what_cannot_be_converted_is_one_line(
     assert (done.code, done.out, done.err.count("\n")) == (2, "", 1)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("value", "wanted"),
     [("max_range: -2.0", "paper_range is -2.0"), ("threshold: 1.5", "rays is 1.5")],

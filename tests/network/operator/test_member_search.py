@@ -7,6 +7,8 @@ import json
 import socket
 from pathlib import Path
 
+import pytest
+
 from swarmd.core import codec
 from swarmd.core.messages import Epoch, Presence
 from swarmd.network.carriers.udp import UdpCarrier
@@ -36,6 +38,7 @@ def test_robots_that_join_are_dialled_by_an_operator_that_stays(
             assert len(operator.members().answered) == number
 
 
+@pytest.mark.long
 def test_those_that_left_or_failed_are_listed(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "polite", "rude")
     swarm.call(swarm["polite"].leave)
@@ -88,6 +91,8 @@ class Hole:
             one.close()
 
 
+@pytest.mark.long
+@pytest.mark.integration
 def test_a_robot_that_takes_no_connection_changes_neither_the_answer_nor_the_exit_code(
     settings: NetworkSettings, robots: Robots, tmp_path: Path
 ) -> None:

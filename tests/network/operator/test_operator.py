@@ -21,6 +21,7 @@ def test_a_swarm_without_daemons_is_an_empty_view(settings: NetworkSettings) -> 
     assert (outcome.exit_code, outcome.reached) == (NO_TARGET, 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("needs_status", [True, False])
 def test_a_robot_that_died_since_the_last_look_has_not_answered(
     settings: NetworkSettings, robots: Robots, needs_status: bool

@@ -56,6 +56,7 @@ link.recv(1)  # the handshake has begun
 """
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("end", ["", "operator.close()"])
 def test_the_end_of_a_program_waits_for_no_frozen_robot(end: str) -> None:
     """A frozen robot accepts a link and sends nothing; Zenoh would close the session 9 s later."""
@@ -69,6 +70,7 @@ def test_the_end_of_a_program_waits_for_no_frozen_robot(end: str) -> None:
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "[]\n", "")
 
 
+@pytest.mark.long
 def test_an_endpoint_that_zenoh_refuses_ends_no_look(
     settings: NetworkSettings, robots: Robots, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,6 +44,7 @@ def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: 
     assert swarm["c"].requests == []
 
 
+@pytest.mark.long
 def test_each_copy_of_a_request_counts_from_when_it_was_issued(
     settings: NetworkSettings, robots: Robots
 ) -> None:
@@ -134,6 +135,7 @@ def test_a_request_waits_for_links_that_are_not_up_when_it_begins(
     assert swarm["c"].requests == []
 
 
+@pytest.mark.long
 def test_refusals_and_silence_are_named(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     robots("b", answer=lambda request: Code.REFUSED)
@@ -151,6 +153,7 @@ def test_refusals_and_silence_are_named(settings: NetworkSettings, robots: Robot
     assert outcome.exit_code == PARTIAL
 
 
+@pytest.mark.long
 def test_a_request_is_repeated_to_robots_without_a_reply(
     settings: NetworkSettings, robots: Robots
 ) -> None:

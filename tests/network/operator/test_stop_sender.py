@@ -49,6 +49,7 @@ def test_a_stop_is_repeated_until_all_acked(settings: NetworkSettings, robots: R
     assert len({one.id for one in (*swarm["a"].requests, *deaf["deaf"].requests)}) == 1
 
 
+@pytest.mark.long
 def test_deaf_and_failed_robots_are_named_by_a_stop(
     settings: NetworkSettings, robots: Robots
 ) -> None:
@@ -89,6 +90,7 @@ def test_a_named_stop_is_for_named_robots(settings: NetworkSettings, robots: Rob
     assert ("estop", "robots") in scopes
 
 
+@pytest.mark.long
 def test_until_all_goes_on_until_the_last_robot_has_acked(
     settings: NetworkSettings, robots: Robots
 ) -> None:
@@ -109,6 +111,7 @@ def test_until_all_goes_on_until_the_last_robot_has_acked(
     assert ("late",) in shown
 
 
+@pytest.mark.long
 def test_until_all_names_a_robot_that_moved_when_it_was_heard_last(
     settings: NetworkSettings, robots: Robots
 ) -> None:
@@ -125,6 +128,7 @@ def test_until_all_names_a_robot_that_moved_when_it_was_heard_last(
     assert outcome.failed == ("a",)
 
 
+@pytest.mark.long
 def test_an_interrupt_of_until_all_gives_what_was_reached(
     settings: NetworkSettings, robots: Robots
 ) -> None:
@@ -139,6 +143,7 @@ def test_an_interrupt_of_until_all_gives_what_was_reached(
     assert outcome.line == "2 targeted, 1 applied, 1 no answer (lost)"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("where", "code"), [(">&-", 0), (">/dev/full", 1), ("2>&-", 0)])
 def test_a_stop_that_was_applied_is_not_lost_with_stdout(
     settings: NetworkSettings, robots: Robots, tmp_path: Path, where: str, code: int

@@ -62,7 +62,9 @@ def pupils(result: Result) -> Mapping[str, dict[str, Any]]:
     return {one["pupil"]: one for one in json.loads(result.stdout)["pupils"]}
 
 
+@pytest.mark.smoke
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_broken_file_fails_its_pupil_alone(tmp_path: Path, short: Lesson) -> None:
     for name, text in {**MISTAKES, "anna": BOLD}.items():
         (tmp_path / f"{name}.py").write_text(text)
@@ -84,6 +86,7 @@ def test_a_broken_file_fails_its_pupil_alone(tmp_path: Path, short: Lesson) -> N
 
 @pytest.mark.evidence
 @pytest.mark.integration
+@pytest.mark.long
 def test_what_breaks_in_the_run_fails_its_pupil_alone(tmp_path: Path, short: Lesson) -> None:
     (tmp_path / "anna").mkdir()
     (tmp_path / "anna" / "bold.py").write_text(BOLD)
@@ -99,6 +102,7 @@ def test_what_breaks_in_the_run_fails_its_pupil_alone(tmp_path: Path, short: Les
 
 
 @pytest.mark.integration
+@pytest.mark.long
 @pytest.mark.skipif(not has_landlock(), reason="this kernel has no Landlock")
 def test_a_pattern_cannot_write_a_file(tmp_path: Path, short: Lesson) -> None:
     stolen = tmp_path / "stolen"
@@ -108,6 +112,7 @@ def test_a_pattern_cannot_write_a_file(tmp_path: Path, short: Lesson) -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_pattern_that_hangs_or_is_slow_ends_with_the_time(tmp_path: Path, short: Lesson) -> None:
     (tmp_path / "hang.py").write_text(bold_until("pass"))
     found = pupils(checked(tmp_path, "5", "--timeout", "4", "-o", "json"))
@@ -116,6 +121,7 @@ def test_a_pattern_that_hangs_or_is_slow_ends_with_the_time(tmp_path: Path, shor
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_the_table_has_the_targets_the_values_and_a_reason(tmp_path: Path, short: Lesson) -> None:
     (tmp_path / "anna.py").write_text(BOLD)
     (tmp_path / "ben.py").write_text(BOLD.replace("] = 0.2", "] = 0.01"))
@@ -132,6 +138,7 @@ def test_the_table_has_the_targets_the_values_and_a_reason(tmp_path: Path, short
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_handed_in_results_are_compared_with_the_targets(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -151,6 +158,7 @@ def test_handed_in_results_are_compared_with_the_targets(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_handed_in_results_run_no_code(tmp_path: Path) -> None:
     place = tmp_path / "eve/runs/first"
     (tmp_path / "evil.py").write_text(
@@ -175,6 +183,7 @@ def test_handed_in_results_run_no_code(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.long
 @pytest.mark.parametrize(("lesson", "name"), part([], [("2", "beeclust"), ("5", "bold")]))
 def test_the_pattern_of_the_page_passes_its_lesson(tmp_path: Path, lesson: str, name: str) -> None:
     texts = {"bold": BOLD, "beeclust": (ROOT / "examples/beeclust.py").read_text()}

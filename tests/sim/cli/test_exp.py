@@ -57,6 +57,7 @@ def finished(folder: Path) -> int:
     return max(path.read_bytes().count(b"\n") - 1, 0) if path.exists() else 0
 
 
+@pytest.mark.integration
 def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys\nfrom swarmd.cli.swarmctl import cli\n"
@@ -88,6 +89,7 @@ def x(tmp_path: Path, swept: tuple[Path, str]) -> Path:
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_sweep_leaves_rows_traces_a_summary_and_a_manifest(swept: tuple[Path, str]) -> None:
     folder, told = swept
     assert "results: experiments/duo-1/" in told
@@ -105,6 +107,7 @@ def test_a_sweep_leaves_rows_traces_a_summary_and_a_manifest(swept: tuple[Path, 
 
 @pytest.mark.evidence
 @pytest.mark.integration
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["traces", ".", "runs.csv"])
 def test_removed_results_are_one_line_and_the_command_works_again(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl, what: str
@@ -126,6 +129,7 @@ def test_removed_results_are_one_line_and_the_command_works_again(
 
 @pytest.mark.evidence
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_hanging_run_fails_and_the_others_go_on(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
@@ -141,6 +145,7 @@ def test_a_hanging_run_fails_and_the_others_go_on(
 
 @pytest.mark.evidence
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_rerun_with_another_hash_seed_finds_the_run_that_differs(
     tmp_path: Path, x: Path, swept: tuple[Path, str], swarmctl: Swarmctl
 ) -> None:
@@ -172,6 +177,7 @@ LATER = "if inputs.now > 1.2 and 1 / self.params.speed:"
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_pattern_that_raises_is_told_first_with_its_line(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
@@ -191,6 +197,7 @@ def test_a_pattern_that_raises_is_told_first_with_its_line(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_pattern_that_raises_in_the_first_second_begins_no_run(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
@@ -208,6 +215,7 @@ def test_a_pattern_that_raises_in_the_first_second_begins_no_run(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 @pytest.mark.parametrize(
     "signals",
     [
@@ -261,6 +269,7 @@ def is_there(pid: int) -> bool:
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_sweep_goes_on_where_it_was(x: Path, swept: tuple[Path, str], swarmctl: Swarmctl) -> None:
     duo = swept[0].parents[1] / "duo" / "duo.yaml"
     lines = (x / "runs.csv").read_text().splitlines(keepends=True)
@@ -275,6 +284,7 @@ def test_a_sweep_goes_on_where_it_was(x: Path, swept: tuple[Path, str], swarmctl
     assert traces(x) == traces(swept[0])
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("args", "subject"),
     [
@@ -312,6 +322,7 @@ def test_a_mistake_is_one_line_and_nothing_is_made(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_parts_are_run_apart_and_joined(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
     command = ("exp", "run", duo, "--seeds", 2, "--set", "duration=0.5")
     for part in ("1/3", "3/3"):  # the third of two runs is empty, as in an array of a fixed size
@@ -331,6 +342,7 @@ def test_parts_are_run_apart_and_joined(tmp_path: Path, duo: Path, swarmctl: Swa
 
 @pytest.mark.evidence
 @pytest.mark.integration
+@pytest.mark.long
 def test_the_job_script_of_the_documentation_runs_every_part(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
@@ -360,6 +372,7 @@ def test_the_job_script_of_the_documentation_runs_every_part(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_the_summary_tells_the_speed_and_which_code_ran(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
@@ -378,6 +391,7 @@ def test_the_summary_tells_the_speed_and_which_code_ran(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [
@@ -402,6 +416,7 @@ def test_an_answer_of_an_incomplete_experiment_says_so(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_plots_are_of_the_metrics_of_the_run(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
     words = ("--seeds", 2, "--set", "duration=0.5", "--metrics", "path_length", "--out", "y")
     assert swarmctl("exp", "run", duo, *words).returncode == 0
@@ -417,6 +432,7 @@ def test_plots_are_of_the_metrics_of_the_run(tmp_path: Path, duo: Path, swarmctl
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_what_the_run_was_asked_for_is_compared(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
@@ -433,6 +449,7 @@ def test_what_the_run_was_asked_for_is_compared(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_compare_finds_what_a_sweep_has_changed(x: Path, swarmctl: Swarmctl) -> None:
     words = ("exp", "compare", "x:speed=0.1", "x:speed=0.2")
     done = swarmctl(*words)
@@ -451,6 +468,7 @@ def test_compare_finds_what_a_sweep_has_changed(x: Path, swarmctl: Swarmctl) -> 
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_plot_draws_the_runs_asked_for(tmp_path: Path, x: Path, swarmctl: Swarmctl) -> None:
     done = swarmctl("exp", "plot", "x", "--seeds", "7", "--metrics", "minimum_gap")
     assert done.returncode == 0, done.stderr
@@ -473,6 +491,7 @@ def test_list_and_metrics_in_json(swarmctl: Swarmctl) -> None:
     assert {"path_length", "minimum_gap"} <= {metric["name"] for metric in metrics}
 
 
+@pytest.mark.integration
 def test_a_home_that_cannot_be_written_gives_no_lines_of_matplotlib() -> None:
     code = "from swarmd.sim.cli.options import need; need('matplotlib'); import matplotlib"
     environ = {name: text for name, text in os.environ.items() if name[:4] not in ("XDG_", "MPLC")}

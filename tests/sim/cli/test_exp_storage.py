@@ -13,6 +13,7 @@ from tests.support.swarmctl import SWARMCTL
 
 pytestmark = [
     pytest.mark.integration,
+    pytest.mark.long,
     pytest.mark.skipif(
         os.geteuid() != 0 or not all(map(shutil.which, ("unshare", "mount"))),
         reason="needs root, unshare and mount",

@@ -28,6 +28,7 @@ def walls(folder: Path) -> dict[str, float]:
     return {row["run"]: row["wall"] for row in load_results(folder).rows}
 
 
+@pytest.mark.integration
 def test_a_killed_tuning_continues_with_the_same_command(
     tmp_path: Path, swarmctl: Swarmctl
 ) -> None:

@@ -73,6 +73,7 @@ def test_nothing_to_do_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err == "4 of 4 runs\n"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("no_colour", ["", pytest.param("1", marks=pytest.mark.evidence)])
 def test_on_a_terminal_there_is_a_bar(no_colour: str) -> None:
     ours, theirs = pty.openpty()

@@ -248,6 +248,7 @@ def _short(data: dict[str, Any]) -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_bench_prints_one_table_resumes_and_takes_other_results(tmp_path: Path) -> None:
     task = write(tmp_path, _short)
     other = tmp_path / "argos.csv"

@@ -62,6 +62,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(p): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+@pytest.mark.integration
 def test_all_parts_give_the_folder_of_one_machine(
     whole: Path, parts: list[Path], tmp_path: Path
 ) -> None:
@@ -76,6 +77,7 @@ def test_all_parts_give_the_folder_of_one_machine(
     assert set(rerun(tmp_path / "m", None, 1).values()) == {""}
 
 
+@pytest.mark.long
 def test_an_incomplete_merge_names_what_is_missing_and_goes_on(
     whole: Path, parts: list[Path], tmp_path: Path
 ) -> None:

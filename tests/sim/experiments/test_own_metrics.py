@@ -38,6 +38,7 @@ def small(duo: Path, out: Path, *metrics: str, **more: Any) -> Results:
     return simulate(duo, 2, set={"duration": 0.2}, out=out, metrics=metrics, **more)
 
 
+@pytest.mark.integration
 def test_they_are_columns_in_worker_processes_with_the_digest_in_the_manifest(
     duo: Path, file: Path, tmp_path: Path
 ) -> None:
@@ -62,6 +63,7 @@ def test_they_are_columns_in_worker_processes_with_the_digest_in_the_manifest(
         small(duo, out, f"{file}:seed", f"{file}:odd", "report:none")
 
 
+@pytest.mark.long
 def test_traces_are_measured_later_and_again_by_changed_code(
     duo: Path, file: Path, tmp_path: Path
 ) -> None:

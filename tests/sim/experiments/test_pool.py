@@ -28,7 +28,7 @@ from tests.support.processes import children
 
 END = "groups.all.parameters.end"
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.long]
 
 
 def job(

@@ -53,6 +53,7 @@ def test_the_arithmetic_that_the_environment_chooses_is_reported(
     assert made_with() == {**free, "blas": "Haswell"} != free
 
 
+@pytest.mark.integration
 def test_no_run_reads_what_the_digest_leaves_out() -> None:
     modules = "swarmd.sim.experiments.pool, swarmd.patterns.attraction.pattern"
     code = f"import sys, {modules}; print(*sys.modules)"
@@ -126,6 +127,7 @@ def test_links_that_multiply_folders_end(tmp_path: Path) -> None:
     assert any(name.endswith("own.py") for name in digests_of_plugins(tmp_path))
 
 
+@pytest.mark.integration
 def test_git_gives_the_commit_and_whether_files_have_changed(tmp_path: Path) -> None:
     git(tmp_path, "init", "-q")
     inside = tmp_path / "scenarios"
@@ -163,6 +165,7 @@ PROGRAMS = {
 """Keys of a checkout's configuration that name a program, or lead to one."""
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("key", PROGRAMS)
 def test_a_checkout_of_others_runs_no_program(key: str, tmp_path: Path) -> None:
     folder, canary = tmp_path / "checkout", tmp_path / "canary"

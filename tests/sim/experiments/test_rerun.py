@@ -52,6 +52,7 @@ def test_a_pattern_that_is_not_installed_is_named(results: Results, tmp_path: Pa
         again(results, tmp_path)
 
 
+@pytest.mark.integration
 def test_each_other_bit_is_reported_even_without_the_scenario(
     results: Results, tmp_path: Path
 ) -> None:
@@ -76,6 +77,7 @@ def test_each_other_bit_is_reported_even_without_the_scenario(
     assert stamps(results.folder) == before
 
 
+@pytest.mark.integration
 def test_the_new_results_show_the_metrics_that_the_old_ones_show(
     results: Results, tmp_path: Path
 ) -> None:
@@ -86,6 +88,7 @@ def test_the_new_results_show_the_metrics_that_the_old_ones_show(
     assert json.loads((tmp_path / "y" / "manifest.json").read_bytes())["shown"] == ["minimum_gap"]
 
 
+@pytest.mark.integration
 def test_a_run_that_fails_now_is_reported(duo: Path, tmp_path: Path) -> None:
     results = simulate(duo, seeds=1, set={"duration": 0.6}, out=tmp_path / "x")
     plugin = duo.parent / "plugins" / "moody.py"
@@ -110,6 +113,7 @@ def test_functions_that_give_other_bits_are_a_likelier_cause_than_a_name(results
     assert "kernels" in third
 
 
+@pytest.mark.integration
 def test_without_a_folder_only_finished_runs_are_made_and_nothing_stays(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -135,6 +139,7 @@ def test_nothing_to_compare_is_an_error(results: Results) -> None:
         rerun(results.folder, None, 1)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("value", ["~no_such_user/x", "a\0", 5, ["a"], "gone"])
 def test_a_folder_of_patterns_that_is_none_is_one_line(results: Results, value: object) -> None:
     path = results.folder / "manifest.json"

@@ -65,6 +65,7 @@ def test_results_have_rows_statistics_and_traces(plain: Results) -> None:
         plain.traces[2]
 
 
+@pytest.mark.integration
 def test_without_a_folder_nothing_stays(
     duo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,6 +86,7 @@ def test_without_a_folder_nothing_stays(
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_folder_is_not_done_again_and_a_script_without_a_guard_gives_the_same_bits(
     plain: Results, tmp_path: Path
 ) -> None:
@@ -150,6 +152,7 @@ def test_seeds_may_be_numbers_of_numpy(duo: Path) -> None:
     assert metrics(some) == metrics(three)[1:]
 
 
+@pytest.mark.integration
 def test_failed_runs_are_reported_and_the_others_kept(duo: Path) -> None:
     results = small(duo, seeds=1, sweep={END: ["exit", "none"]}, jobs=2)
     assert list(results.failures) == ["end=exit_s0000"]

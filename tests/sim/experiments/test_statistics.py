@@ -54,6 +54,7 @@ def _fewer_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(statistics, "RESAMPLES", 1000)
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize(
     ("interval", "kind", "truth"),
     [
@@ -70,6 +71,7 @@ def test_an_interval_covers_the_true_value(
     assert COARSE[0] <= share <= COARSE[1]
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize(
     ("interval", "kind", "truth"),
     [(difference_interval, "normal", 3.0), (ratio_interval, "exponential", 4.0)],

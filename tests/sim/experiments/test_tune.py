@@ -134,6 +134,7 @@ def test_the_order_in_which_runs_end_changes_nothing(
     assert other.gain == whole[1].gain
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("limit", [27, 50])
 def test_an_interrupted_tuning_resumes_with_the_same_result(
     whole: tuple[Path, Tuning, Bench], duo: Path, tmp_path: Path, limit: int

@@ -98,6 +98,7 @@ def test_a_machine_without_opengl_gives_one_line(monkeypatch: pytest.MonkeyPatch
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="there is no ffmpeg")
 
 
+@pytest.mark.integration
 @needs_ffmpeg
 def test_a_film_that_fails_leaves_no_file(tmp_path: Path) -> None:
     black = np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8)
@@ -131,6 +132,7 @@ def test_a_stage_has_the_floor_of_the_scenario(trace: Trace) -> None:
 
 @needs_ffmpeg
 @pytest.mark.integration
+@pytest.mark.long
 def test_a_film_of_a_second(trace: Trace, tmp_path: Path) -> None:
     from swarmd.sim.film.film import FilmSettings, make_film
     from swarmd.sim.film.renderer import gl_context

@@ -243,6 +243,7 @@ def test_a_fault_is_named(call: Callable[[], object], text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.integration
 def test_without_its_packages_the_remedy_is_named() -> None:
     code = "import sys; sys.modules['pettingzoo'] = None; import swarmd; swarmd.env"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -20,6 +20,7 @@ SET = {
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_two_processes_give_what_two_environments_give() -> None:
     envs = vector_env(2, "aggregation", seed=4, set=SET)
     singles = [JointEnv(swarmd.env("aggregation", seed, set=SET)) for seed in (4, 5)]

@@ -71,6 +71,7 @@ def test_a_pattern_that_fails_is_a_problem_in_a_plain_summary(tmp_path: Path) ->
     assert "\x1b" not in done.stderr
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("words", "subject"),
     [

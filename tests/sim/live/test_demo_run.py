@@ -186,6 +186,7 @@ def test_a_request_that_all_refuse_is_not_repeated() -> None:
     assert len(operator.asked) == 1
 
 
+@pytest.mark.integration
 def test_a_demo_starts_without_the_libraries_that_only_its_world_or_its_view_needs() -> None:
     code = "import sys, swarmd.sim.live.demo_run; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

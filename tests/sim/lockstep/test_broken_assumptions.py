@@ -73,6 +73,7 @@ def said(robot: Robot, now: float) -> set[str]:
     return found
 
 
+@pytest.mark.short_rows(3)
 @pytest.mark.parametrize(
     ("changes", "breaks", "expected"),
     [

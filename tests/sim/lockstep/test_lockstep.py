@@ -84,6 +84,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others() -> None:
     assert runs[0] != runs[2]
 
 
+@pytest.mark.integration
 def test_the_bits_do_not_depend_on_the_process() -> None:
     script = (
         "import json, sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"

@@ -26,11 +26,14 @@ def needs() -> Mapping[str, frozenset[str]]:
     return {row["name"]: frozenset(row["needs"]) for row in rows}
 
 
+@pytest.mark.integration
 def test_every_platform_can_run_most_patterns(needs: Mapping[str, frozenset[str]]) -> None:
     assert set(needs) == set(OURS)
     assert all(len(_fitting(needs, platform)) >= 10 for platform in platform_names())
 
 
+@pytest.mark.integration
+@pytest.mark.long
 @pytest.mark.parametrize("seconds", part([1.0], [3.0]))
 @pytest.mark.parametrize("platform", platform_names())
 def test_every_pattern_runs_on_a_platform_that_has_its_needs(

@@ -278,6 +278,7 @@ def arrays(trace: Trace) -> dict[str, NDArray[Any]]:
     return {**plain, **contacts, **trace.report, **trace.words}
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize(
     "data", [VOTERS, GATHERING, PUSHING, DISPERSING], ids=["vote", "gather", "push", "disperse"]
 )
@@ -294,6 +295,7 @@ def farthest(data: Mapping[str, Any], seed: int) -> int:
     return int(np.hypot(*(trace.pose[-1, :, :2] - trace.pose[0, :, :2]).T).argmax())
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("runs", [8, pytest.param(400, marks=pytest.mark.evidence)])
 @pytest.mark.parametrize(("pattern", "side"), [("attraction", 2.0), ("dispersion", 0.7)])
 def test_equal_robots_move_the_farthest_equally_often(pattern: str, side: float, runs: int) -> None:

@@ -128,6 +128,7 @@ def same_bits(a: Trace, b: Trace) -> None:
             assert one.tobytes() == other.tobytes(), field.name
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("data", "cores"),
     [(MIXED, 3), (AT_ONCE, 2), (BOXES, 2), (LATCHES, 3), (CARRIED, 2), (SEEN, 2)],
@@ -147,11 +148,13 @@ def test_robots_carry_their_items_from_the_first_steps_on() -> None:
     assert np.hypot(*ahead.T) == pytest.approx(0.038, abs=1e-9)
 
 
+@pytest.mark.integration
 def test_robots_of_both_processes_recognise_the_box_and_the_lamp() -> None:
     trace = simulate_run(scenario_of(SEEN), 4, cores=2)
     assert trace.words["state"][-1].tolist() == ["push", "around", "around"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("robot", ["r-01", "r-02"])
 def test_a_pattern_fault_and_a_refusal_are_told_from_each_process(
     tmp_path: Path, robot: str
@@ -186,6 +189,7 @@ def test_robots_of_one_step_are_shared_out_evenly() -> None:
         assert {len(process.own(step)) for process in processes} <= {2, 3}
 
 
+@pytest.mark.integration
 def test_parts_longer_than_a_round_arrive_whole() -> None:
     def work(process: RunProcess) -> list[bool]:
         part = (process.index, bytes([process.index]) * (3_000_000 * process.index + 5))
@@ -211,6 +215,7 @@ def has_ended(pid: int) -> bool:
     return False
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("fault", "timeout", "words"),
     [
@@ -244,6 +249,7 @@ def test_a_process_that_fails_ends_the_run_and_is_named(
     assert all(has_ended(pid) for pid in pids_of(pids))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("fault", [None, "killed"])
 def test_a_pattern_may_ignore_the_end_of_children(fault: str | None) -> None:
     def work(process: RunProcess) -> list[int]:
@@ -265,6 +271,7 @@ def test_a_pattern_may_ignore_the_end_of_children(fault: str | None) -> None:
         signal.signal(signal.SIGCHLD, before)
 
 
+@pytest.mark.integration
 def test_an_error_of_the_first_process_leaves_none_behind(tmp_path: Path) -> None:
     pids = tmp_path / "pids"
 

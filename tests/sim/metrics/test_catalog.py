@@ -119,6 +119,7 @@ def test_each_metric_is_listed_once() -> None:
     assert all(one.meaning and one.source for one in METRICS.values())
 
 
+@pytest.mark.integration
 def test_listing_metrics_does_not_import_scipy() -> None:
     code = "import sys; import swarmd.sim.metrics.catalog, swarmd.sim.experiments.statistics;"
     code += "sys.exit('scipy' in sys.modules)"

@@ -94,6 +94,7 @@ def start_and_end(arena: str) -> Figure:
     return start_and_end_figure(replace(trace, meta={**trace.meta, "arena": arena}), TITLE)
 
 
+@pytest.mark.short_rows(3)
 @pytest.mark.parametrize(
     "make",
     [

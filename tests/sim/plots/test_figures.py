@@ -31,6 +31,7 @@ def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage() for record in caplog.records]
 
 
+@pytest.mark.long
 def test_all_is_drawn_and_a_damaged_and_a_missing_trace_are_one_line_each(
     experiment: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -54,6 +55,7 @@ def test_all_is_drawn_and_a_damaged_and_a_missing_trace_are_one_line_each(
     assert any(str(traces / "law=paper_s0001.npz") in line for line in told)
 
 
+@pytest.mark.long
 def test_one_run_has_no_worst_and_a_metric_of_one_value_is_not_drawn_and_named(
     experiment: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -68,6 +70,7 @@ def test_one_run_has_no_worst_and_a_metric_of_one_value_is_not_drawn_and_named(
     assert warnings(caplog) == ["failed_patterns is 0 in all runs; it is not drawn"]
 
 
+@pytest.mark.long
 def test_pictures_name_scenario_variant_seed_and_value(
     experiment: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -89,6 +92,7 @@ def test_pictures_name_scenario_variant_seed_and_value(
     assert warnings(caplog) == []
 
 
+@pytest.mark.long
 def test_without_traces_values_are_drawn_and_one_line_gives_the_reason(
     experiment: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -38,6 +38,7 @@ def test_text_beside_a_figure_is_not_cut(tmp_path: Path) -> None:
     assert pixels("out", 1.1)[1] > pixels("in", 0.5)[1] + 40
 
 
+@pytest.mark.short_rows(1)
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_the_same_figure_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
     def draw(name: str) -> bytes:

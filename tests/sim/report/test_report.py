@@ -23,6 +23,8 @@ from swarmd.sim.report.player import player_of, script
 from swarmd.sim.view.trace_source import source_of
 from tests.support.chromium import Browser, Page
 
+pytestmark = pytest.mark.long
+
 METRICS = ("mean_distance_to_centroid_late", "minimum_gap")
 SCENARIO = """\
 description: "Do two Burgers <gather>?"
@@ -160,6 +162,7 @@ def test_a_folder_without_an_experiment_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.long
 def test_the_player_plays_from_a_file(a_browser: Browser, experiment: Path) -> None:
     with a_browser.page() as page:
         page.open((experiment / "report.html").as_uri())

@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 from swarmd.sim.world.seeding import generator
 
 
@@ -24,6 +26,7 @@ def test_each_of_the_three_makes_them_others() -> None:
     assert len(set(found)) == len(found)
 
 
+@pytest.mark.integration
 def test_another_process_with_another_hash_seed_gives_the_same() -> None:
     code = (
         "from swarmd.sim.world.seeding import generator;"

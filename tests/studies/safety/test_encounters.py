@@ -19,6 +19,8 @@ from studies.safety.encounters import (
 )
 from tests.support.examples import part
 
+pytestmark = pytest.mark.long
+
 LATE = Found(
     arrived=3, robots=8, last=None, goals=4, recovering=0.5, stuck=3, windows=6, touches=1,
     faults=1, cpu=1.0,

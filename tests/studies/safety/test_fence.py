@@ -10,6 +10,8 @@ from studies.safety import fence, runs
 from studies.safety.fence import GROWTH, MODES, PLATFORMS, Run, measure, table
 from swarmd.protection.fence.fence import Fence
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize(
     ("platform", "mode", "seed", "is_outside"),

@@ -18,6 +18,8 @@ from studies.safety.scenes import Scene, scenario
 from swarmd.core.errors import ConfigError
 from swarmd.sim.lockstep.lockstep import simulate_run
 
+pytestmark = pytest.mark.long
+
 SEED = 7
 
 

@@ -13,6 +13,8 @@ from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import simulate_run
 from tests.support.filter_sim import under_barrier
 
+pytestmark = pytest.mark.long
+
 
 def burger() -> NarrowestPassage:
     """The narrowest passage of a Burger among obstacles that are seen whole."""

@@ -14,6 +14,8 @@ from studies.safety.runs import Record, Task, carry_out, fingerprint, read, tota
 from studies.safety.scenes import FAMILIES, Scene
 from swarmd.core.errors import ConfigError
 
+pytestmark = pytest.mark.long
+
 NOTHING = Judgement(
     seconds=3600.0,
     collisions=0,
@@ -45,6 +47,7 @@ def changed(**values: float) -> Judgement:
     return msgspec.structs.replace(NOTHING, **values)
 
 
+@pytest.mark.integration
 def test_a_finished_run_is_not_repeated(tmp_path: Path) -> None:
     file = tmp_path / "some.jsonl"
     first = carry_out([Task(SHORT, 0)], file, 1)

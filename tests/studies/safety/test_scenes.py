@@ -23,6 +23,8 @@ from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
 from swarmd.sim.metrics.contacts import count_of
 from swarmd.sim.trace import Trace
 
+pytestmark = pytest.mark.long
+
 ATTACKING = ("ram", "lead", "behind", "corner", "flank", "spin")
 
 

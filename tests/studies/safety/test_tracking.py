@@ -30,6 +30,8 @@ else:
     kernel = load_kernel("swarmd.steering.tracks")
     Surroundings, Track = kernel.Surroundings, kernel.Track
 
+pytestmark = pytest.mark.long
+
 DENSE = scenario(Scene("goals", "burger", "body", "orca", duration=6.0))
 
 

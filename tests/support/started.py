@@ -1,0 +1,30 @@
+"""The processes that the running test has started, as tests/conftest.py asks."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+STARTED: list[str] = []
+"""What was started since the last test began, without git, which tells a commit in milliseconds."""
+
+
+def _noticed(start: Callable[..., Any]) -> Callable[..., Any]:
+    """A method that starts a process, and keeps its first argument in STARTED."""
+
+    def noticed(self: Any, *words: Any, **options: Any) -> Any:
+        command = words[0] if words else options.get("args", self)
+        if not (isinstance(command, list | tuple) and command[0] == "git"):
+            STARTED.append(repr(command))
+        return start(self, *words, **options)
+
+    return noticed
+
+
+# An audit hook would be called for each import and each open file, too.
+subprocess.Popen.__init__ = _noticed(subprocess.Popen.__init__)  # type: ignore[method-assign]
+BaseProcess.start = _noticed(BaseProcess.start)  # type: ignore[method-assign]
+os.register_at_fork(before=lambda: STARTED.append("a fork"))
