@@ -46,6 +46,7 @@ def test_the_recording_of_a_daemon_drives_another(tmp_path: Path) -> None:
                 ),
                 "the recording ends",
             )
+            wait_until(lambda: any(folder.glob("*.mcap")), "the writer has begun the file")
             (file,) = folder.glob("*.mcap")
             wait_until(lambda: not read_file(file).fault, "the file has its summary")
             assert daemon.terminate() == 0

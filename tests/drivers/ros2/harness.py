@@ -13,7 +13,8 @@ from tests.drivers.ros.contract import last_arrives
 from tests.drivers.ros2.robots import Robot
 
 PACE = 0.01
-STALL = 0.5
+STALL = 0.8
+"""s; a reading is stale after 1 s."""
 
 
 def stands(twist: Twist) -> bool:
@@ -65,7 +66,8 @@ def check(
     """The findings of `check`, by subject, while `publish` is called repeatedly.
 
     `tries`: so many checks for one in which all is well; a busy machine publishes too rarely. A
-    check during which a stall let this process publish nothing for STALL s is done again.
+    check that finds old messages, since a stall let this process publish nothing for STALL s, is
+    done again.
     """
 
     async def once() -> tuple[Finding, ...]:
@@ -79,6 +81,7 @@ def check(
                     await asyncio.sleep(PACE)
                     is_stalled |= time.monotonic() - last > STALL
                     last = time.monotonic()
+                is_stalled &= any("stale after" in one.text for one in checking.result())
         return checking.result()
 
     async def run() -> tuple[Finding, ...]:

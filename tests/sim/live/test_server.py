@@ -80,7 +80,10 @@ def test_a_robot_follows_its_driver_and_stops_when_commands_end(
                 while speed(heard) < 0.19:  # the first one is sent as zero, so once would not do
                     driver.send(Twist(0.2), heard.scans[-1].seq, -1)
                     await asyncio.sleep(0.01)
-                while speed(heard) > 0.0:  # silence
+                # Silence; a base that a stall cut off gets zero once more when it is back.
+                while any((await asyncio.to_thread(view.ask, "poses")).state.commanded):
+                    await asyncio.sleep(0.05)
+                while speed(heard) > 0.0:
                     await asyncio.sleep(0.01)
                 done = await asyncio.to_thread(view.ask, "finish")
         task.cancel()
