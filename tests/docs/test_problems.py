@@ -21,8 +21,8 @@ PAGE = PAGE.partition("\n## Problems that others report\n")[2]
 
 
 def command(start: str) -> list[str]:
-    """The words after `swarmctl exp` of the one command of the page that begins so."""
-    (line,) = re.findall(rf"^swarmctl exp ({start} .*)$", PAGE, re.MULTILINE)
+    """The words after `swarmctl exp` of the first command of the page that begins so."""
+    line, *_ = re.findall(rf"^swarmctl exp ({start} .*)$", PAGE, re.MULTILINE)
     return shlex.split(line)
 
 
