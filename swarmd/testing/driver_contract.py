@@ -563,10 +563,12 @@ class DriverContract:
                 bearings = _regular(harness, ray_count)
                 return Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max)
 
+            is_stalled = False
+
             async def half_arrives() -> bool:
                 """Publish for `seconds` s; True if half of the scans arrive and the base stays.
 
-                For a base that a stall of this process made silent, the result is of no account.
+                The result does not count if a stall of this process made the base silent.
                 """
                 nonlocal is_stalled
                 arrived_before, states_before = len(sink.scans), len(sink.order)
@@ -587,7 +589,7 @@ class DriverContract:
                 return stays and len(sink.scans) - arrived_before >= max(sent // 2, 1)
 
             # On a busy machine newer scans replace scans that the driver has not read: try again.
-            is_stalled, checks, end = False, 0, loop.time() + TIMEOUT
+            checks, end = 0, loop.time() + TIMEOUT
             while not (has_arrived := await half_arrives()) and checks < _MAX_CHECKS - 1:
                 await harness.until(lambda: sink.is_up, publishing=True)
                 checks += not is_stalled or loop.time() > end
