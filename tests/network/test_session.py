@@ -342,6 +342,7 @@ def test_an_error_of_one_item_does_not_end_the_thread_of_a_callback(
         is_ended.wait(0.01)
     callback.callback(2)
     is_going_on = is_ended.wait(5.0)
+    assert callback.drop is not None
     callback.drop()
     assert is_going_on
     assert taken == [1, 2]
