@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
-from swarmd.core.messages import State, Status
+from swarmd.core.messages import Status
 from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
@@ -113,13 +113,6 @@ class Swarm:
     def wait_ready(self) -> None:
         """Until every daemon has its body and scans."""
         self.wait(lambda seen: all(self._is_ready(seen.get(r)) for r in self.robots), "ready swarm")
-
-    def wait_none(self, state: State) -> None:
-        """Until no robot is in `state`."""
-        self.wait(
-            lambda seen: all(r in seen and seen[r].state is not state for r in self.robots),
-            f"end of {state}",
-        )
 
     def _is_ready(self, status: Status | None) -> bool:
         return status is not None and status.health.driver_up and status.health.scan_rate > 3.0

@@ -11,7 +11,6 @@ from rosbags.typesys.stores import ros2_jazzy
 
 Time: TypeAlias = ros2_jazzy.builtin_interfaces__msg__Time
 Header: TypeAlias = ros2_jazzy.std_msgs__msg__Header
-Int32: TypeAlias = ros2_jazzy.std_msgs__msg__Int32
 Float64: TypeAlias = ros2_jazzy.std_msgs__msg__Float64
 Vector3: TypeAlias = ros2_jazzy.geometry_msgs__msg__Vector3
 Quaternion: TypeAlias = ros2_jazzy.geometry_msgs__msg__Quaternion

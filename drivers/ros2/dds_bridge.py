@@ -77,10 +77,6 @@ class Ros2Dds(Ros2Middleware):
         """The fault of a put on a wildcard key; the key does not name the type."""
         return "" if key == self.subscription_key(topic) else f"sent on key {key[:80]!a}"
 
-    def topic_of(self, key: str, message_type: type) -> str | None:
-        """The name of the topic; the key does not name the type."""
-        return None if "*" in key else f"/{key}"
-
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint of `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for inner slashes.
 

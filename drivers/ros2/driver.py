@@ -510,7 +510,7 @@ class RosDriver:
         is_due = self._scheme.is_node and not self._tokens.are_declared and not are_heard
         if self._session is not None and is_due:
             subscribed = [_subscribed_end(stats, graph) for stats in topics]
-            self._tokens.declare(self._session, subscribed, None, ())
+            self._tokens.declare(self._session, subscribed)
 
     def _announce(self, command_type: type | None) -> None:
         """Announce this driver, with all its ends, as a ROS node; again for another type."""
@@ -523,7 +523,8 @@ class RosDriver:
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
-        self._tokens.declare(self._session, subscribed, command, (self._state,))
+        publishers = [*self._state.ends, command]
+        self._state.announced(self._tokens.declare(self._session, subscribed, publishers))
 
     def _close_gate(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):

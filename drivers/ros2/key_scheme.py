@@ -50,13 +50,6 @@ class KeyScheme(Middleware, Protocol):
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
         """The fault of a sample's key; empty if the key is of that topic and type."""
 
-    def topic_of(self, key: str, message_type: type) -> str | None:
-        """The full name of the topic of a sample's key; None for a wildcard or another type.
-
-        This method is for topics of other robots. Unlike `key_fault`, it learns nothing about the
-        robot of this driver from the key.
-        """
-
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint that a liveliness token announces; None if it announces no topic."""
 

@@ -3,23 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 import zenoh
 
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.carriers.session import undeclare
-
-
-class PublishingTopics(Protocol):
-    """Topics that the driver publishes beside the commands."""
-
-    @property
-    def ends(self) -> Sequence[TopicEnd]:
-        """The publishers."""
-
-    def announced(self, tokens: Mapping[str, str]) -> None:
-        """Take the tokens of publishers, by topic."""
 
 
 class NodeTokens:
@@ -40,26 +28,17 @@ class NodeTokens:
         self,
         session: zenoh.Session,
         subscriptions: Sequence[TopicEnd],
-        command: TopicEnd | None,
-        published: Sequence[PublishingTopics],
-    ) -> None:
+        publishers: Sequence[TopicEnd] = (),
+    ) -> Mapping[str, str]:
         """Declare the tokens of all ends, in place of those declared before.
 
-        `command`: the publisher of commands; None for a check, which publishes nothing.
+        `publishers`: the publisher of commands is the last one; none for a check, which publishes
+        nothing. Returns the tokens of the publishers, by topic.
         """
         undeclare(*self._declared)
-        if command is None:
-            tokens = self._scheme.tokens(str(session.info.zid()), subscriptions)
-            self._declared = [*map(session.liveliness().declare_token, tokens)]
-            return
-        other_ends = [end for topics in published for end in topics.ends]
-        zid = str(session.info.zid())
-        # The tokens of the ends come last, in the order of the ends: so the token of the commands
-        # is the last token, and the tokens of `other_ends` stand before it.
-        tokens = self._scheme.tokens(zid, [*subscriptions, *other_ends, command])
-        *earlier_tokens, self.command = tokens
-        other_tokens = earlier_tokens[len(earlier_tokens) - len(other_ends) :]
-        token_of = dict(zip((end.topic for end in other_ends), other_tokens, strict=True))
-        for topics in published:
-            topics.announced(token_of)
+        tokens = self._scheme.tokens(str(session.info.zid()), [*subscriptions, *publishers])
         self._declared = [*map(session.liveliness().declare_token, tokens)]
+        # The tokens of the ends come last, in the order of the ends.
+        own = tokens[len(tokens) - len(publishers) :]
+        self.command = own[-1] if own else ""
+        return dict(zip((end.topic for end in publishers), own, strict=True))

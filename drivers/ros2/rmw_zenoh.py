@@ -134,14 +134,6 @@ class RmwZenoh(Ros2Middleware):
         self._has_odometry = self._has_odometry or is_odometry
         return ""
 
-    def topic_of(self, key: str, message_type: type) -> str | None:
-        """The name of the topic; None for a wildcard, or another type or hash."""
-        if "*" in key:
-            return None
-        topic, typed, hashed = key.removeprefix(f"{self.domain}").rsplit("/", 2)
-        is_known = hashed == NO_HASH or hashed in known_hashes(message_type)
-        return topic if is_known and typed == dds_name(name_of(message_type)) else None
-
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint of a token.
 

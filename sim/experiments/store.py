@@ -83,6 +83,12 @@ def cell(text: str) -> str:
     return text
 
 
+def _text_of(cell_text: str) -> str:
+    """The text of which `cell` has made this."""
+    text = cell_text.removeprefix("'")
+    return text if cell(text) == cell_text else cell_text
+
+
 def lines(rows: Iterable[Sequence[str]]) -> str:
     """Rows of cells as lines of CSV."""
     text = io.StringIO()
@@ -109,10 +115,7 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
         columns = tuple(next(reader, ()))
         # The metrics stand between `seed` and `wall`, the last column.
         first_metric = len(header(plan, ())) - 1
-        named = {
-            cell(metric): metric for metric in (text[1:] for text in columns if text[:1] == "'")
-        }
-        metrics = tuple(named.get(text, text) for text in columns[first_metric:-1])
+        metrics = tuple(map(_text_of, columns[first_metric:-1]))
         if columns != header(plan, metrics) or len(set(columns)) < len(columns):
             raise ValueError(f"the columns are not those of its manifest: {','.join(columns)}")
         for cells in reader:

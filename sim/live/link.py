@@ -225,12 +225,11 @@ class WorldView(Closing):
     def watch(self, handler: Callable[[WorldState], None]) -> None:
         """Call `handler` with each state (10 Hz) on a daemon thread."""
 
-        def on_samples(samples: list[zenoh.Sample]) -> None:
-            for sample in samples:
-                with contextlib.suppress(CodecError):  # of another program
-                    handler(decode_state(sample.payload.to_bytes()))
+        def on_sample(sample: zenoh.Sample) -> None:
+            with contextlib.suppress(CodecError):  # of another program
+                handler(decode_state(sample.payload.to_bytes()))
 
-        self._session.declare_subscriber(state_key(self._swarm), on_thread(on_samples))
+        self._session.declare_subscriber(state_key(self._swarm), on_thread(on_sample))
 
     def ask(self, action: Action, timeout: float = 10.0) -> WorldReply:
         """The world's reply to an action; NetworkError if none comes within `timeout` s."""

@@ -40,8 +40,6 @@ SCENARIOS: Mapping[str, float] = {
     "crazyflies": 10.0,
 }
 """The s of each scenario."""
-EMULATED = tuple(SCENARIOS)[:6]
-"""What an emulated processor runs."""
 SEED = 1
 FACTS = "facts.json"
 _POINTS = 3001  # arguments of a function

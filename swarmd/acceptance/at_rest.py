@@ -95,18 +95,25 @@ def scan_rate(evidence: Evidence) -> Verdict:
     period, mean = float(np.median(gaps)), float(gaps.mean())
     came = f"{len(scans)} scans in {float(gaps.sum()):.1f} s"
     if _are_of_two([_distances(scan.ranges) for _, scan in scans]):
-        reason = "two sensors send scans in turn on one topic: give swarmd the topic of one of them"
-        return failed(reason, came, f"{spec.rate:g} Hz")
-    if period <= 0.5 * mean or mean <= 0.0:
-        reason = (
-            "scans come in bursts, or twice: look at the bridge and its buffers, and at the power"
-            " saving of the WiFi"
+        return failed(
+            "two sensors send scans in turn on one topic: give swarmd the topic of one of them",
+            came,
+            f"{spec.rate:g} Hz",
         )
-        return failed(reason, came, f"{spec.rate:g} Hz")
+    if period <= 0.5 * mean or mean <= 0.0:
+        return failed(
+            "scans come in bursts, or twice: look at the bridge and its buffers, and at the power"
+            " saving of the WiFi",
+            came,
+            f"{spec.rate:g} Hz",
+        )
     rate = 1.0 / period
     if mean * _OFTEN_SHARE * spec.rate < 1.0:
-        reason = "scans come too often: two nodes publish them; or correct scan.rate"
-        return failed(reason, came, f"{_OFTEN_SHARE * spec.rate:g} Hz")
+        return failed(
+            "scans come too often: two nodes publish them; or correct scan.rate",
+            came,
+            f"{_OFTEN_SHARE * spec.rate:g} Hz",
+        )
     lost = int(np.maximum(np.rint(gaps / period) - 1.0, 0.0).sum())
     share = lost / (len(scans) + lost)
     longest = float(gaps.max())
@@ -206,21 +213,22 @@ def odometry_at_rest(evidence: Evidence) -> Verdict:
     readings = evidence.samples.odometry
     if len(readings) < _LEAST_SCANS:
         return failed(f"odometry is missing: {_driver_text(evidence)}", f"{len(readings)} readings")
-    stamps = np.unique([reading.stamp for _, reading in readings])  # a repeated reading is not new
-    gaps = np.diff(stamps)
+    # By distinct stamps: a repeated reading is not new.
+    gaps = np.diff(np.unique([reading.stamp for _, reading in readings]))
     if not gaps.sum() > 0.0:
-        figure = f"{len(readings)} readings"
-        return failed("the base repeats one reading: look at its odometry", figure)
+        return failed(
+            "the base repeats one reading: look at its odometry", f"{len(readings)} readings"
+        )
     period, longest = float(np.median(gaps)), float(gaps.max())
     pauses = np.diff([at for at, _ in readings])
     stale = float(np.maximum(pauses - _LATEST_ODOMETRY, 0.0).sum() / max(pauses.sum(), 1e-9))
     if stale > _STALE_SHARE and period <= _LATEST_ODOMETRY:
-        reason = (
-            "odometry comes in bursts: look at the bridge and its buffers, and at the power saving"
-            " of the WiFi"
-        )
         return failed(
-            reason, f"{stale:.0%} of the time late", f"{_STALE_SHARE:.0%}", longest=pauses.max()
+            "odometry comes in bursts: look at the bridge and its buffers, and at the power saving"
+            " of the WiFi",
+            f"{stale:.0%} of the time late",
+            f"{_STALE_SHARE:.0%}",
+            longest=pauses.max(),
         )
     if period > _LATEST_ODOMETRY or longest > _STALE_ODOMETRY:
         figure = f"{period:.2f} s, at most {longest:.2f} s"

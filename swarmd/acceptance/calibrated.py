@@ -110,11 +110,12 @@ def ages(evidence: Evidence) -> Verdict:
     apart = max(delays) - min(delays)
     figure = ", ".join(f"{one.delay:.3f} s by {name}" for name, one in figures.items())
     if apart > bound:
-        reason = (
+        return failed(
             "rays are not as old as their stamp says: two lidars are joined into one scan of parts"
-            " that differ in age, or the stamp is not that of the oldest ray"
+            " that differ in age, or the stamp is not that of the oldest ray",
+            figure,
+            f"{bound:.3f} s apart",
         )
-        return failed(reason, figure, f"{bound:.3f} s apart")
     return passed("rays are as old as their stamp says", figure, f"{bound:.3f} s apart")
 
 
@@ -151,12 +152,13 @@ def level(evidence: Evidence) -> Verdict:
         at = float(far.min())
         tilt = math.degrees(math.atan2(heights.scan_plane, at))
         towards = math.degrees(platform.scan.bearings[int(far.argmin())])
-        reason = (
+        return failed(
             f"its lidar sees no farther at {towards:.0f} deg, wherever it turns: it is tilted and"
             " sees the floor, or a part of the robot is there. What is low on the other side is"
-            " overlooked: level it"
+            " overlooked: level it",
+            f"{tilt:.1f} deg, or a part at {at:.2f} m",
+            f"{_TILT:g} deg",
         )
-        return failed(reason, f"{tilt:.1f} deg, or a part at {at:.2f} m", f"{_TILT:g} deg")
     hidden = math.degrees(math.atan2(heights.scan_plane, _NEAR_SHARE * usual))
     if hidden > _TILT:
         free = heights.scan_plane / math.tan(math.radians(_TILT)) / _NEAR_SHARE

@@ -118,11 +118,12 @@ def own_stop(seconds: float) -> Judge:
         # The run has ended early where the driver tells the daemon of the button.
         drove = 0.0 if end - begin < _WHOLE_RUN * seconds else way(end - 1.0, end)
         if drove > _STOOD:
-            reason = (
+            return failed(
                 "it drove to the end of its run: the button was not pressed, was released before,"
-                " or does not stop the base"
+                " or does not stop the base",
+                f"{drove:.2f} m in the last second",
+                f"{_STOOD} m",
             )
-            return failed(reason, f"{drove:.2f} m in the last second", f"{_STOOD} m")
         later = way(end + END_TIME, max(last, end + END_TIME))
         if later > _STOOD:
             return failed("it moved after its run had ended", f"{later:.2f} m", f"{_STOOD} m")

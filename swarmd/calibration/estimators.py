@@ -77,16 +77,13 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     the slope is within three standard deviations of 0, the deceleration has no value.
     """
     if len(stops) < 4:
-        no_figure = Figure(why="fewer than four stops")
-        return no_figure, no_figure
+        return (Figure(why="fewer than four stops"),) * 2
 
     # 1. The line by least squares: intercept = delay, slope = 1 / (2 deceleration).
     speeds, seconds = np.array(stops).T
     if not np.ptp(speeds) > _LEAST_SPREAD * speeds.max():
-        no_figure = Figure(
-            why="all stops are from one speed: the base does not follow its commands"
-        )
-        return no_figure, no_figure
+        why = "all stops are from one speed: the base does not follow its commands"
+        return (Figure(why=why),) * 2
     centred = speeds - speeds.mean()
     slope = float(centred @ seconds / (centred @ centred))
     delay = float(seconds.mean() - slope * speeds.mean())
@@ -156,8 +153,7 @@ def turn_delay(
     arrivals, scan_headings = arrivals[usable], scan_headings[usable]
     are_numbers = bool(np.isfinite(scan_headings).all() and np.isfinite(odometry_headings).all())
     if len(arrivals) < 8 or not are_numbers:
-        no_figure = Figure(why="fewer than eight scans of the turns could be matched")
-        return no_figure, no_figure
+        return (Figure(why="fewer than eight scans of the turns could be matched"),) * 2
 
     # 1. The candidate delay with the least squared error, refined by a parabola.
     delays = np.arange(0.0, _MAX_DELAY, _DELAY_STEP)
@@ -177,8 +173,7 @@ def turn_delay(
         delay += _DELAY_STEP * 0.5 * float((before - after) / (before - 2.0 * least + after))
     turn_rate = _turn_rate(arrivals - delay, times, odometry_headings)
     if turn_rate < _LEAST_TURN_RATE:
-        no_figure = Figure(why="the robot did not turn")
-        return no_figure, no_figure
+        return (Figure(why="the robot did not turn"),) * 2
 
     # 2. The deviations. `error`: rad, of the headings; the fit has 3 parameters.
     count = len(arrivals)
@@ -186,8 +181,9 @@ def turn_delay(
     scans_per_odometry = fits[best][0]
     heading_deviation = float(np.std(scan_headings))
     if not heading_deviation > _LEAST_TURN:
-        no_figure = Figure(why="scans show no turn: the lidar repeats a scan, or turns not with it")
-        return no_figure, no_figure
+        return (
+            Figure(why="scans show no turn: the lidar repeats a scan, or turns not with it"),
+        ) * 2
     return (
         # The deviation of a single scan, since a delay must hold for each scan.
         Figure(delay, error / turn_rate, count),

@@ -81,7 +81,7 @@ class ScanContent:
         scan = self.last
         if scan is None:
             return ""
-        distances, returns = self._distances(scan), self._returns(scan)
+        distances, returns = self._distances(scan.ranges), self._returns(scan)
         rays = len(scan.ranges)
         parts = [f"{rays} rays, {100.0 * returns / max(rays, 1):.0f} % with a return"]
         if returns:
@@ -137,8 +137,7 @@ class ScanContent:
         noise, and a mask is proposed only for measured distances, in sectors that a platform may
         mask. The text begins with `encoding`.
         """
-        text = self._fault()
-        return "; ".join(filter(None, (self.encoding, text))) if text else ""
+        return "; ".join(filter(None, (self.encoding, text))) if (text := self._fault()) else ""
 
     def _fault(self) -> str:
         scan, spec = self.last, self.spec
@@ -192,7 +191,7 @@ class ScanContent:
 
     def _is_equal(self, ranges: Array) -> NDArray[np.bool_]:
         """(n,) True for the rays with the most frequent distance, if it is no measurement."""
-        values, counts = np.unique(self._distances_of(ranges), return_counts=True)
+        values, counts = np.unique(self._distances(ranges), return_counts=True)
         if counts.max(initial=0) < _LEAST_EQUAL:
             return np.zeros(len(ranges), np.bool_)
         value, count = values[counts.argmax()], counts.max()
@@ -248,11 +247,8 @@ class ScanContent:
             return []
         return [f"no return between {degrees[k]:.0f} and {(degrees[k] + widths[k]) % 360:.0f} deg"]
 
-    def _distances(self, scan: Scan) -> Array:
+    def _distances(self, ranges: Array) -> Array:
         """(k,) m of the returns that have a distance."""
-        return self._distances_of(scan.ranges)
-
-    def _distances_of(self, ranges: Array) -> Array:
         return ranges[(ranges > 0.0) & (ranges <= self.spec.range_max)]
 
     def _returns(self, scan: Scan) -> int:

@@ -21,6 +21,7 @@ from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.network.carriers.session import (
     connected_sockets,
     foreign_options,
+    on_thread,
     open_in_thread,
     open_operator_session,
     open_session,
@@ -322,3 +323,28 @@ def live_sockets(sessions: list[zenoh.Session]) -> list[tuple[int, bool]]:
         for sock in connected_sockets()
         if {sock.getsockname()[1], sock.getpeername()[1]} <= ports
     ]
+
+
+def test_an_error_of_one_item_does_not_end_the_thread_of_a_callback(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    taken: list[int] = []
+    is_ended = threading.Event()
+
+    def take(item: int) -> None:
+        taken.append(item)
+        if item == 1:
+            raise ValueError("an item that its handler cannot take")
+        is_ended.set()
+
+    callback = on_thread(take)
+    callback.callback(1)
+    while 1 not in taken:
+        is_ended.wait(0.01)
+    callback.callback(2)
+    is_going_on = is_ended.wait(5.0)
+    assert callback.drop is not None
+    callback.drop()
+    assert is_going_on
+    assert taken == [1, 2]
+    assert "cannot take" in caplog.text

@@ -87,7 +87,7 @@ class RoutedCarrier:
         self._subscribers = tuple(
             self._session.declare_subscriber(
                 build(self._swarm, ANY, plane, name),
-                on_thread(self._on_samples),
+                on_thread(self._on_sample),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
             for plane, name in ((ALL, "all"), (ONE, self._own))
@@ -117,10 +117,6 @@ class RoutedCarrier:
             )
         except zenoh.ZError:
             self.unsent += 1
-
-    def _on_samples(self, samples: list[zenoh.Sample]) -> None:
-        for sample in samples:
-            self._on_sample(sample)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         key = parse(str(sample.key_expr))

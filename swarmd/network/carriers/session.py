@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import json
+import logging
 import os
 import re
 import socket
@@ -58,6 +59,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from swarmd.security.identity import Identity
+
+log = logging.getLogger(__name__)
 
 Address = tuple[str, int]
 S = TypeVar("S", bound=zenoh.Session | None)
@@ -206,7 +209,23 @@ async def open_in_thread(open_it: Callable[[], S]) -> S:
         raise
 
 
-def on_thread(work: Callable[[list[T]], object]) -> Callback[T]:
+def on_thread(handler: Callable[[T], object]) -> Callback[T]:
+    """A callback that hands each item to `handler` on a daemon thread; see `batches_on_thread`.
+
+    An error of the handler is logged; the next item follows.
+    """
+
+    def work(items: list[T]) -> None:
+        for item in items:
+            try:
+                handler(item)
+            except Exception:  # an item of the network may make a handler raise anything
+                log.exception("an item from Zenoh was dropped")
+
+    return batches_on_thread(work)
+
+
+def batches_on_thread(work: Callable[[list[T]], object]) -> Callback[T]:
     """A callback that hands all that came to `work`, on a daemon thread, until it is undeclared.
 
     Python waits for the thread that Zenoh makes for a plain callback: a script that leaves a
@@ -514,7 +533,7 @@ def tune_sockets(session: zenoh.Session, lease: float) -> None:
             tune_links([(near, far) for far, near in new.items()], lease)
             tuned.update(new)
 
-    session.info.declare_link_events_listener(on_thread(on_links), history=True)
+    session.info.declare_link_events_listener(batches_on_thread(on_links), history=True)
 
 
 def tune_links(links: Iterable[tuple[str, str]], lease: float) -> int:

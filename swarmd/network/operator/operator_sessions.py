@@ -309,18 +309,17 @@ class OperatorSessions:
 
         handler, swarm = self._watched[name, robot], self._settings.swarm
 
-        def on_samples(samples: list[zenoh.Sample]) -> None:
-            for sample in samples:
-                key = parse(str(sample.key_expr))
-                if key is None or (key.swarm, key.plane, key.name) != (swarm, "state", name):
-                    continue
-                if len(sample.payload) <= MAX_WIRE:
-                    with contextlib.suppress(CodecError):
-                        handler(key.robot, sample.payload.to_bytes())
+        def on_sample(sample: zenoh.Sample) -> None:
+            key = parse(str(sample.key_expr))
+            if key is None or (key.swarm, key.plane, key.name) != (swarm, "state", name):
+                return
+            if len(sample.payload) <= MAX_WIRE:
+                with contextlib.suppress(CodecError):
+                    handler(key.robot, sample.payload.to_bytes())
 
         with contextlib.suppress(zenoh.ZError):
             key = build(swarm, robot, "state", name)
-            subscriber = session.declare_subscriber(key, on_thread(on_samples))
+            subscriber = session.declare_subscriber(key, on_thread(on_sample))
             self._subscribers.setdefault((name, robot), []).append(subscriber)
 
 
