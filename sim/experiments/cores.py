@@ -30,8 +30,8 @@ def usable_cores(root: Path = Path("/")) -> int:
 def core_share() -> float:
     """The share of a core that one process gets at the present load, 1 on a machine that is free.
 
-    At least _LEAST_SHARE. Whoever gives up after some seconds counts them by this share: a machine
-    that is overloaded must not look like a program that is slow.
+    At least _LEAST_SHARE. Time limits of runs count seconds by this share, so that an overloaded
+    machine does not look like a slow program.
     """
     return min(1.0, max(usable_cores() / max(os.getloadavg()[0], 1.0), _LEAST_SHARE))
 

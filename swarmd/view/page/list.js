@@ -4,7 +4,7 @@ import { colourOf, isAlarm, reasonOf, signOf, wordOf } from './states.js';
 
 const ROW = 30; // px, until a row is drawn
 const PERIOD = 250; // ms between two updates
-const LOW = 0.2; // the share of a battery that is told as low
+const LOW = 0.2; // the share of a battery that is shown as low
 const NOW = 2; // s within which a robot was heard now
 const CALM = 10000; // ms for which all robots are heard before their column leaves its room
 
