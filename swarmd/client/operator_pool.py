@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 import threading
 from collections.abc import Callable, Collection, Hashable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -87,20 +88,26 @@ class OperatorPool:
         self.requests = RequestLimit()
         self.looks = LookTurns()
         self._is_closed = False
-        atexit.register(self.close)
+        self._process = os.getpid()
+        atexit.register(self._end)
 
     def close(self) -> None:
         """End leases and close idle operators, within 0.2 s each; then no operator is lent.
 
         An operator that is in use is closed when it is given back.
         """
-        atexit.unregister(self.close)
+        atexit.unregister(self._end)
         with self._lock:
             self._is_closed = True
             idle, self._idle = self._idle, []
         self._end_leases()
         for operator in idle:
             operator.close()
+
+    def _end(self) -> None:
+        """At the end of the program: close; a child process of `os.fork` has nothing to close."""
+        if os.getpid() == self._process:
+            self.close()
 
     def _end_leases(self) -> None:
         with self._lock:

@@ -198,6 +198,20 @@ def test_a_script_that_ends_ends_its_connection(
     assert stopped.reason is Reason.LEASE_ENDED
 
 
+def test_a_forked_child_ends_by_itself(shared_swarm: Swarm, name: str) -> None:
+    """It has no thread of the connection, and the lease of its parent goes on."""
+    script = f"""{OPENED}
+if not (child := os.fork()):
+    sys.exit(5)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 5
+assert swarm.stop("r1").applied
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=CAP
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def test_a_stop_is_sent_at_exit(name: str, shared_swarm: Swarm) -> None:
     script = f"{OPENED}import atexit; atexit.register(swarm.stop)"
     ended = subprocess.run(

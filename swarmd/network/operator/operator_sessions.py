@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 import sys
 import threading
 from collections.abc import Callable, Collection
@@ -55,6 +56,7 @@ class OperatorSessions:
         self._asker = ANYONE if identity is None else identity.name
         self._arrivals = arrivals
         self._opened: list[zenoh.Session] = []
+        self._process = os.getpid()
         self._dial_at = 0.0
         self._waiting_since: float | None = None  # since when robots wait to be dialled
         # By robot and instance: the address that was dialled last, and when.
@@ -136,7 +138,12 @@ class OperatorSessions:
             atexit.unregister(self._end)
 
     def _end(self) -> None:
-        """At the end of the program: close all sessions; no other thread calls Zenoh again."""
+        """At the end of the program: close all sessions; no other thread calls Zenoh again.
+
+        A child process of `os.fork` has none of Zenoh's threads, and a close would wait for them.
+        """
+        if os.getpid() != self._process:
+            return
         self._calls.acquire(timeout=_ENDING)  # and never released
         self.close()
         for thread in self._closing.copy():
