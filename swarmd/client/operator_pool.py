@@ -11,6 +11,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import R, SwarmError
+from swarmd.core.threads import is_program_ended
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -121,7 +122,7 @@ class OperatorPool:
 
         SwarmError after `close` of the pool.
         """
-        if not threading.main_thread().is_alive():
+        if is_program_ended():
             self._end_leases()  # for a stop at exit: a new operator may get no thread then
         with self._lock:
             if self._is_closed:

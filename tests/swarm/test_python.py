@@ -170,6 +170,10 @@ waiting = loop.create_task(swarm.wait("state=faulted", timeout=1e6))
 loop.run_until_complete(asyncio.sleep(0.0))
 """
 WORKER = "threading.Thread(target=lambda: list(swarm.states()))"
+POOL = """
+from concurrent.futures import ThreadPoolExecutor
+ThreadPoolExecutor().submit(lambda: list(swarm.states()))
+"""
 
 
 @pytest.mark.parametrize(
@@ -180,6 +184,7 @@ WORKER = "threading.Thread(target=lambda: list(swarm.states()))"
         pytest.param(f"{OPENED}sys.exit(3)", 3, id="exit"),
         pytest.param(f"{OPENED}signal.raise_signal(signal.SIGINT)", -2, id="ctrl_c"),
         pytest.param(f"{OPENED}{WORKER}.start()\nraise RuntimeError", 1, id="worker_thread"),
+        pytest.param(f"{OPENED}{POOL}raise RuntimeError", 1, id="worker_of_a_pool"),
         pytest.param(f"{OPENED}states = swarm.states()\nnext(states)", 0, id="iterator"),
         pytest.param(f"{OPENED_IN_A_LOOP}loop.close()", 0, id="closed_loop"),
     ],

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.keys import ANY, ANYONE, CONTROL, build, parse
+from swarmd.core.threads import is_program_ended
 from swarmd.network.carriers.query_links import QueryLinks
 from swarmd.network.datagram import Address
 from swarmd.network.operator.arrivals import Arrivals
@@ -110,7 +111,7 @@ class OperatorSessions:
         Once the main thread has ended, at which Python starts no more threads, they are closed at
         the return.
         """
-        if not threading.main_thread().is_alive():
+        if is_program_ended():
             from swarmd.network.carriers.session import end_dials
 
             end_dials(self._endpoints)
