@@ -17,8 +17,7 @@ def is_program_ended() -> bool:
     module `threading` notes the begin of this wait in `_SHUTTING_DOWN` (Python 3.9 to 3.14); in a
     Python without it only the end of the main thread counts.
     """
-    is_joining = getattr(threading, "_SHUTTING_DOWN", False)
-    return bool(is_joining) or not threading.main_thread().is_alive()
+    return getattr(threading, "_SHUTTING_DOWN", False) or not threading.main_thread().is_alive()
 
 
 def hand_over(

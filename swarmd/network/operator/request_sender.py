@@ -21,9 +21,6 @@ from swarmd.network.operator.outcome import Acks, Outcome
 
 # s after which a request without a reply is repeated: a congested or closing link may lose it.
 REPEAT_PERIOD = 0.5
-NOT_AGAIN = (
-    "it was not sent again; a robot without an answer may run: see `swarmctl members`, or stop it"
-)
 # By default a request waits for the sum of the first three, at most for REQUEST_CAP.
 REQUEST_WAIT = 5.0  # s
 REQUEST_TRIPS = 8.0  # round trips, as measured by `discovery.py`
@@ -123,7 +120,10 @@ class RequestSender:
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
             outcome = acks.outcome(targets, seconds=now - started, reached=len(asked))
         if stood and outcome.missing:
-            outcome = replace(outcome, warnings=(stood_still(stood, NOT_AGAIN),))
+            outcome = replace(
+                outcome,
+                warnings=(stood_still(stood, "it was not sent again; see which robots run"),),
+            )
         return outcome, set(asked) - unlinked
 
     def _query(
