@@ -92,10 +92,13 @@ def installed_ir_sim(folder: Path = Path("build/ir_sim")) -> str:
 
 def _made(program: str, commands: Iterable[Sequence[str]], failure: str) -> str:
     """`program`, once all commands have succeeded; "" if one fails."""
-    if all(subprocess.run(command, check=False).returncode == 0 for command in commands):
-        return program
-    print(f"{failure}: its rows are left out.")
-    return ""
+    try:
+        for command in commands:
+            subprocess.run(command, check=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        print(f"{failure}: its rows are left out: {error}")
+        return ""
+    return program
 
 
 def rows(rays: int, program: str, seconds: Mapping[int, int] = SECONDS) -> Iterator[Row]:

@@ -49,12 +49,12 @@ def view(
     foxglove: int | None,
     page: WebOptions,
 ) -> None:
-    """Show a living swarm: map, list, details and commands.
+    """Show a living swarm: map and list.
 
-    The swarm is shown on this terminal, where `?` lists the keys; with --web on a page whose
-    address is printed. With FILE the page plays recordings instead: a merged recording, recordings
-    of robots (.mcap), or a folder of recordings, such as `record fetch` makes. With --foxglove a
-    Foxglove on this computer shows the swarm.
+    The swarm is shown on this terminal, where keys stop all robots; with --web on a page with
+    details and commands, whose address is printed. With FILE the page plays recordings instead: a
+    merged recording, recordings of robots (.mcap), or a folder of recordings, such as `record
+    fetch` makes. With --foxglove a Foxglove on this computer shows the swarm.
     """
     if not web and (page.token or page.viewer_token or page.tls is not None):
         raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
@@ -146,7 +146,10 @@ def _show(options: CommonOptions) -> int:
     from swarmd.view.screen import Screen
     from swarmd.view.terminal_view import TerminalView
 
-    with _live(options, "from a terminal view") as (source, commander, _), Screen() as screen:
+    with (
+        _live(options, "from a terminal view", with_patterns=False) as (source, commander, _),
+        Screen() as screen,
+    ):
         return asyncio.run(TerminalView(source, commander, screen).run())
 
 

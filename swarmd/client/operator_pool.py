@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 import threading
 from collections.abc import Callable, Collection, Hashable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,6 +11,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import R, SwarmError
+from swarmd.core.threads import is_program_ended
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -87,20 +89,26 @@ class OperatorPool:
         self.requests = RequestLimit()
         self.looks = LookTurns()
         self._is_closed = False
-        atexit.register(self.close)
+        self._process = os.getpid()
+        atexit.register(self._end)
 
     def close(self) -> None:
         """End leases and close idle operators, within 0.2 s each; then no operator is lent.
 
         An operator that is in use is closed when it is given back.
         """
-        atexit.unregister(self.close)
+        atexit.unregister(self._end)
         with self._lock:
             self._is_closed = True
             idle, self._idle = self._idle, []
         self._end_leases()
         for operator in idle:
             operator.close()
+
+    def _end(self) -> None:
+        """At the end of the program: close; a child process of `os.fork` has nothing to close."""
+        if os.getpid() == self._process:
+            self.close()
 
     def _end_leases(self) -> None:
         with self._lock:
@@ -114,7 +122,7 @@ class OperatorPool:
 
         SwarmError after `close` of the pool.
         """
-        if not threading.main_thread().is_alive():
+        if is_program_ended():
             self._end_leases()  # for a stop at exit: a new operator may get no thread then
         with self._lock:
             if self._is_closed:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from swarmd.client.ask_robots import next_status, statuses_of
 from swarmd.core.clock import boottime
 from swarmd.core.goal import GoalState
+from swarmd.core.threads import is_program_ended
 from swarmd.network.datagram import RunLease
 from swarmd.texts.values import seconds
 
@@ -80,7 +81,7 @@ class LeaseKeeper(threading.Thread):
         is_owned: Callable[[], bool] | None = None,
     ) -> None:
         super().__init__(name="swarmd-lease", daemon=True)
-        self._is_owned = is_owned or threading.main_thread().is_alive
+        self._is_owned = is_owned or (lambda: not is_program_ended())
         self._operator, self._goal_id, self._names = operator, goal_id, names
         self._period = lease / PARTS
         self._ending = threading.Event()

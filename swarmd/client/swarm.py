@@ -16,6 +16,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.numbers import python_value
+from swarmd.core.threads import is_program_ended
 from swarmd.network.operator.exit_codes import TIMEOUT
 
 if TYPE_CHECKING:
@@ -443,7 +444,7 @@ class Swarm(Closing):
         """A session for one call; the end of the main thread cancels it, unless it `is_stop`."""
         check_time("timeout", timeout)
         began = boottime() if self._began is None else self._began
-        events, main_thread = (self._cancelled, *self._parents), threading.main_thread()
+        events = (self._cancelled, *self._parents)
         lend = self._pool.lend_for_request if is_request else self._pool.lend
         with lend() as operator:
             if self._worked:
@@ -453,8 +454,7 @@ class Swarm(Closing):
                 self._timeout if timeout is None else timeout,
                 self._tell,
                 lambda: (
-                    any(event.is_set() for event in events)
-                    or not (is_stop or main_thread.is_alive())
+                    any(event.is_set() for event in events) or (is_program_ended() and not is_stop)
                 ),
                 began,
             )

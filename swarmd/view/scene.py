@@ -1,4 +1,4 @@
-"""The content of a terminal view: robots, poses, and the operator's cursor and selection."""
+"""The content of a terminal view: robots, poses, and texts."""
 
 from __future__ import annotations
 
@@ -35,8 +35,6 @@ class Scene:
     footer_style: str = "dim"
     robots: Sequence[str] = ()  # all robots in the order of the table; empty: that of `poses`
     notes: Mapping[str, str] = field(default_factory=dict)  # a few words on robots without status
-    cursor: str | None = None  # the robot that keys act on; None: a view without keys
-    selected: frozenset[str] = frozenset()
     below: Sequence[tuple[str, str]] = ()  # lines under table and map, with their styles
     map_note: str = ""
 

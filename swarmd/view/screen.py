@@ -1,4 +1,4 @@
-"""A terminal's alternate screen, of which changed lines are painted anew, and a decoder of keys.
+"""A terminal's alternate screen, of which changed lines are painted anew, and its typed keys.
 
 Not `textual`: its import takes five times as long (2.2 s against 0.45 s on one busy machine), and
 its packages take 24 MB.
@@ -21,18 +21,14 @@ from rich.text import Text
 # Alternate screen, hidden cursor, no wrapping, pasted text in brackets (xterm's control sequences).
 _ENTER = "\x1b[?1049h\x1b[?25l\x1b[?7l\x1b[?2004h"
 _LEAVE = "\x1b[0m\x1b[?2004l\x1b[?7h\x1b[?25h\x1b[?1049l"
-_CSI = re.compile(rb"\x1b\[[0-?]*[ -/]*([@-~])")
-_SS3 = re.compile(rb"\x1bO(.)", re.DOTALL)
-_NAMES = {**{b"A": "up", b"B": "down", b"C": "right", b"D": "left", b"H": "home", b"F": "end"}}
-_NUMBERED = {b"1": "home", b"4": "end", b"5": "pageup", b"6": "pagedown", b"7": "home", b"8": "end"}
-_CONTROLS = {
-    **{"\r": "enter", "\n": "enter", "\t": "tab", "\x7f": "backspace", "\x08": "backspace"},
-    **{" ": "space", "\x05": "ctrl-e", "\x15": "ctrl-u", "\x0c": "ctrl-l"},
-}
-_PASTE, _PASTE_END = b"\x1b[200~", b"\x1b[201~"
-PASTED = "pasted:"
-"""Prefix of a key that stands for pasted text."""
-MAX_PENDING = 4096
+_SEQUENCE = re.compile(
+    rb"\x1b\[200~.*?\x1b\[201~"  # pasted text
+    rb"|\x1b\[(?!200~)[0-?]*[ -/]*[@-~]|\x1bO."  # CSI and SS3 of ECMA-48
+    rb"|\x1b(?=[^\[O])",
+    re.DOTALL,
+)
+SEQUENCE_TIME = 0.5
+"""A sequence that does not go on for this time, in s, is dropped: it swallows no later key."""
 
 
 class Screen:
@@ -67,7 +63,7 @@ class Screen:
         self._before = termios.tcgetattr(self.input)
         tty.setcbreak(self.input)
         self._write(_ENTER)
-        self.forget()
+        self._painted = []
 
     def suspend(self) -> None:
         """Restore the terminal, even if it is gone; waiting keys are dropped."""
@@ -79,15 +75,11 @@ class Screen:
         with contextlib.suppress(termios.error):
             termios.tcsetattr(self.input, termios.TCSAFLUSH, before)
 
-    def forget(self) -> None:
-        """Let the next `paint` write all lines."""
-        self._painted = []
-
     def paint(self, lines: Sequence[Text]) -> None:
         """Show these lines; writes only changed lines, or all if the terminal was resized."""
         if self.size != self._size:
             self._size = self.size
-            self.forget()
+            self._painted = []
         changes = [] if self._painted else ["\x1b[2J"]
         for number, line in enumerate(lines):
             if number >= len(self._painted) or line != self._painted[number]:
@@ -108,66 +100,24 @@ class Screen:
         self._output.flush()
 
 
-class KeyDecoder:
-    """Decodes bytes into names of keys, such as `up`, `enter`, `a`; pasted text is one key. Pure.
+class TypedKeys:
+    """The bytes that a user types at a terminal. Pure.
 
-    Sequences follow ECMA-48: CSI is ESC [, parameters 0x30-0x3f, intermediates 0x20-0x2f and a
-    final byte 0x40-0x7e; SS3 is ESC O and one byte. An unknown sequence is dropped whole, so that
-    none of its letters acts as a key.
+    Pasted text and the sequences of other keys, as of arrows, are left out whole, so that none of
+    their letters acts as a key.
     """
 
     def __init__(self) -> None:
         self._pending = b""
+        self._fed_at = 0.0
 
-    @property
-    def is_pending(self) -> bool:
-        """True while an ESC may be the begin of a sequence; call `flush` if no byte follows."""
-        return bool(self._pending)
-
-    def feed(self, data: bytes) -> list[str]:
-        """The keys that are complete now."""
-        self._pending += data
-        keys: list[str] = []
-        while self._pending and (taken := self._take(keys)):
-            self._pending = self._pending[taken:]
-        if len(self._pending) > MAX_PENDING:
+    def feed(self, data: bytes, now: float) -> bytes:
+        """The typed bytes of `data`, which was read at `now` in s; 0 in place of a sequence."""
+        if now - self._fed_at > SEQUENCE_TIME:
             self._pending = b""
-        return keys
-
-    def flush(self) -> list[str]:
-        """The keys of an incomplete sequence that was not continued: a single ESC is `escape`."""
-        pending, self._pending = self._pending, b""
-        return ["escape"] if pending == b"\x1b" else []
-
-    def _take(self, keys: list[str]) -> int:
-        """Append the first key, unless it is unknown; its length in bytes, 0 while incomplete."""
-        data = self._pending
-        if data.startswith(_PASTE):
-            end = data.find(_PASTE_END)
-            if end < 0:
-                return 0
-            keys.append(PASTED + data[len(_PASTE) : end].decode(errors="replace"))
-            return end + len(_PASTE_END)
-        if data[:1] != b"\x1b":
-            return self._take_character(keys)
-        if found := _CSI.match(data) or _SS3.match(data):
-            numbers = found[0][2:-1].split(b";")[0]
-            name = _NUMBERED.get(numbers) if found[1] == b"~" else _NAMES.get(found[1])
-            if name is not None:
-                keys.append(name)
-            return found.end()
-        if len(data) == 1 or data[1:2] in (b"[", b"O"):
-            return 0 if len(data) < 64 else len(data)
-        keys.append("escape")
-        return 1
-
-    def _take_character(self, keys: list[str]) -> int:
-        first = self._pending[0]
-        size = 1 if first < 0xC0 else 2 if first < 0xE0 else 3 if first < 0xF0 else 4
-        if len(self._pending) < size:
-            return 0
-        character = self._pending[:size].decode(errors="replace")
-        key = _CONTROLS.get(character, character)
-        if len(key) > 1 or key.isprintable():
-            keys.append(key)
-        return size
+        self._fed_at = now
+        typed, escape, rest = _SEQUENCE.sub(b"\0", self._pending + data).partition(b"\x1b")
+        # The begin and the end tell when the sequence is complete: a long paste is not kept.
+        begun = escape + rest
+        self._pending = begun[:6] + begun[6:][-6:]
+        return typed

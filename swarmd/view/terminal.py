@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from itertools import zip_longest
 
 from rich.cells import cell_len, set_cell_size
@@ -93,26 +94,29 @@ def table_of(scene: Scene, lines: int, name_width: int = NAME_WIDTH) -> list[Tex
     for robot in robots_shown:
         rows.append(_row(scene, robot, marks.get(robot, " "), name_width))
     if len(robots_shown) < len(scene.order):
-        rows.append(Text(_rest(scene, robots_shown), style="dim"))
+        hidden = len(scene.order) - len(robots_shown)
+        rows.append(Text(f"... and {hidden} more", style="dim"))
     return rows
 
 
 def chosen(scene: Scene, rows: int) -> Sequence[str]:
     """The robots to show in `rows` lines; if not all fit, the last line counts the hidden robots.
 
-    With a cursor: the robots around it. Without a cursor: first the robots that do not run, since
-    they need attention, then running robots in their order.
+    Alarms are kept first, running robots last. The shown robots stay in their order.
     """
     robots = scene.order
     if len(robots) <= rows:
         return robots
-    rows -= 1
-    if scene.cursor is not None and scene.cursor in robots:
-        first = min(max(robots.index(scene.cursor) - rows // 2, 0), len(robots) - rows)
-        return robots[first : first + rows]
-    running = {name for name, status in scene.statuses.items() if status.state is State.RUNNING}
-    kept = set(sorted(robots, key=running.__contains__)[:rows])  # False, not running, comes first
+    kept = set(sorted(robots, key=partial(_rank, scene))[: rows - 1])
     return tuple(robot for robot in robots if robot in kept)
+
+
+def _rank(scene: Scene, robot: str) -> int:
+    """0 for an alarm (silent, estopped, faulted, base lost), 2 for a robot that runs, else 1."""
+    status = scene.statuses.get(robot)
+    if status is None or status.state in (State.ESTOPPED, State.FAULTED) or lost_base(status):
+        return 0
+    return 2 if status.state is State.RUNNING else 1
 
 
 def map_size(area: Area, width: int, height: int) -> tuple[int, int]:
@@ -135,9 +139,7 @@ def map_of(scene: Scene, columns: int, rows: int) -> list[Text]:
         if 0 <= arrow[0] < columns and 0 <= arrow[1] < rows:
             grid[arrow[1]][arrow[0]] = (ARROWS[octant], _colour(scene, robot))
     for number, (robot, (column, row)) in enumerate(cells.items()):
-        chosen = robot == scene.cursor or robot in scene.selected
-        style = f"bold {_colour(scene, robot)}{' reverse' * chosen}"
-        grid[row][column] = (_mark(number), style)
+        grid[row][column] = (_mark(number), f"bold {_colour(scene, robot)}")
     note = f" {scene.map_note} " if 0 < len(scene.map_note) <= columns - 2 else ""
     return [
         Text(f"┌{'─' * columns}┐", style="dim"),
@@ -155,11 +157,7 @@ def cell_of(pose: Sequence[float], area: Area, columns: int, rows: int) -> tuple
 
 def _row(scene: Scene, robot: str, mark: str, name_width: int) -> Text:
     status, note = scene.statuses.get(robot), scene.notes.get(robot)
-    sign = ""
-    if scene.cursor is not None:
-        sign = (">" if robot == scene.cursor else " ") + ("*" if robot in scene.selected else " ")
-    row = Text(style="reverse" if robot == scene.cursor else "", no_wrap=True)
-    row.append(_cell(f"{sign}{mark} {robot}", name_width), "bold" if sign.strip() else "")
+    row = Text(_cell(f"{mark} {robot}", name_width), no_wrap=True)
     if status is None or note:
         row.append(f" {SILENT:9} {printable(note or '')}".rstrip(), "red")
         return row
@@ -183,18 +181,9 @@ def _values(status: Status) -> tuple[str, ...]:
     )
 
 
-def _rest(scene: Scene, shown: Sequence[str]) -> str:
-    robots = scene.order
-    if not shown or scene.cursor is None or scene.cursor not in robots:
-        return f"... and {len(robots) - len(shown)} more"
-    above = robots.index(shown[0])
-    return f"... and {above} more above, {len(robots) - above - len(shown)} below"
-
-
 def _name_width(scene: Scene, spare: int) -> int:
     """The width of the first column: as the names need, at most `spare` more than usual."""
-    sign = 0 if scene.cursor is None else 2
-    needed = max((len(robot) for robot in scene.order), default=0) + sign + 2
+    needed = max((len(robot) for robot in scene.order), default=0) + 2
     return min(max(needed, NAME_WIDTH), NAME_WIDTH + max(spare, 0), MAX_NAME_WIDTH)
 
 

@@ -1,33 +1,35 @@
-"""Shows a living swarm on a terminal, and turns keys into commands."""
+"""Shows a living swarm on a terminal, and turns keys into stops."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 import signal
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
-from swarmd.client.input_watch import TOO_LATE, InputWatch
 from swarmd.core.clock import boottime
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.values import counted
-from swarmd.texts.why import SILENT, absence, lost_base, state_word, stops_text, why
+from swarmd.texts.why import SILENT, absence, lost_base, state_word
 from swarmd.view.commander import LiveCommander
-from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.live import LiveSource
 from swarmd.view.scene import Area, Place, Scene, area_around
-from swarmd.view.screen import KeyDecoder, Screen
-from swarmd.view.source import STOPS, CommandProgress
+from swarmd.view.screen import Screen, TypedKeys
+from swarmd.view.source import CommandProgress
 from swarmd.view.terminal import lines_of
 
 PERIOD = 0.5
 """Seconds between two drawings without a key: a drawing takes 8 ms with 50 robots."""
 MIN_PERIOD = 0.05
-ESCAPE_TIME = 0.05
-"""A sequence of a key that is not complete after this time, in s, was the key Escape."""
-MAX_ANSWERS, MAX_ANSWER_LINES = 4, 6
+MAX_ANSWER_LINES = 6
 ODOMETRY = "each robot's own odometry"
+CTRL_E = 0x05
+VERBS = {ord("s"): "stop", ord("S"): "stop"} | dict.fromkeys((ord("e"), ord("E"), CTRL_E), "estop")
+"""The verb of each key; it goes to all robots. No other key commands robots, so keys that waited
+while this program stood still start no motion."""
+HELP = "e ESTOP  s stop  q quit  (all robots; more: swarmctl in another terminal)"
 
 
 class TerminalView:
@@ -38,18 +40,12 @@ class TerminalView:
 
     def __init__(self, source: LiveSource, commander: LiveCommander, screen: Screen) -> None:
         self._source, self._commander, self._screen = source, commander, screen
-        self._controls = Controls(patterns=source.patterns)
-        self._keys = KeyDecoder()
-        self._flush: asyncio.TimerHandle | None = None
+        self._keys = TypedKeys()
         self._changed = asyncio.Event()
-        self._answers: dict[int, tuple[str, CommandProgress]] = {}
+        self._answers: dict[str, CommandProgress] = {}  # the last answer to each verb
         self._tasks: set[asyncio.Task[None]] = set()
-        self._commands = 0
         self._code: int | None = None
-        self._is_warned = False
-        self._robots: Sequence[str] = ()
-        self._known: Sequence[str] = ()
-        self._watch = InputWatch(boottime())
+        self._is_warned = False  # that an emergency stop is still sent
 
     async def run(self) -> int:
         """Show the swarm; returns the exit code: 0, or 128 plus the number of an ending signal."""
@@ -61,10 +57,12 @@ class TerminalView:
         loop.add_reader(self._screen.input, self._on_input)
         try:
             while self._code is None:
-                self._watch.look(boottime())
-                self._draw()
+                width, height = self._screen.size
+                self._screen.paint(lines_of(self._scene(), width, height))
                 await asyncio.sleep(MIN_PERIOD)
-                await _wait(self._changed, PERIOD - MIN_PERIOD)
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(PERIOD - MIN_PERIOD):
+                        await self._changed.wait()
                 self._changed.clear()
         finally:
             loop.remove_reader(self._screen.input)
@@ -84,68 +82,39 @@ class TerminalView:
         if not data:  # the terminal is gone
             self._end(128 + signal.SIGHUP)
             return
-        if self._flush is not None:
-            self._flush.cancel()
-        self._on_keys(self._keys.feed(data))
-        if self._keys.is_pending:
-            loop = asyncio.get_running_loop()
-            self._flush = loop.call_later(ESCAPE_TIME, lambda: self._on_keys(self._keys.flush()))
-
-    def _on_keys(self, keys: Sequence[str]) -> None:
-        for key in keys:
-            if key == "ctrl-l":
-                self._screen.forget()
-                continue
-            command = self._controls.on_key(key, self._robots, self._known)
-            if command is not None:
-                self._carry_out(command)
+        for key in self._keys.feed(data, boottime()):
+            if key == ord("q"):
+                self._quit()
+            elif key in VERBS:
+                self._command(VERBS[key])
         self._changed.set()
 
-    def _carry_out(self, command: Command) -> None:
-        if command.verb == "quit":
-            waiting = self._waiting_estops()
-            if waiting and not self._is_warned:
-                self._is_warned = True
-                missing = names_of([name for answer in waiting for name in answer.missing])
-                self._controls.note = (
-                    f"the estop is still sent, {missing or 'robots'} did not acknowledge it;"
-                    " q again ends it"
-                )
-                return
+    def _quit(self) -> None:
+        if self._estop_under_way is None or self._is_warned:
             self._end(0)
-            return
-        if command.verb == "estop" and self._waiting_estops():
-            self._controls.note = "the estop is still being sent"
-            return
-        now = boottime()
-        if command.verb not in STOPS and not self._watch.is_fresh(now, now):
-            self._controls.note = f"{command.verb}: not sent: {TOO_LATE}"
-            return
+        self._is_warned = True
+
+    def _command(self, verb: str) -> None:
         self._is_warned = False
-        self._commands += 1
-        task = asyncio.get_running_loop().create_task(self._act(self._commands, command))
+        if verb == "estop" and self._estop_under_way is not None:
+            return  # it is repeated until all robots have acknowledged it
+        task = asyncio.get_running_loop().create_task(self._act(verb))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _act(self, number: int, command: Command) -> None:
+    async def _act(self, verb: str) -> None:
         def tell(answer: CommandProgress) -> None:
-            self._answers[number] = command.verb, answer
+            self._answers[verb] = answer
             self._changed.set()
 
-        to = "all robots" if command.targets is None else names_of(command.targets)
-        tell(CommandProgress(f"{command.verb}: sent to {to}, waits for answers"))
-        targets = None if command.targets is None else list(command.targets)
-        await self._commander.act(command.verb, {**command.fields, "targets": targets}, tell)
-        finals = [key for key, (_, answer) in self._answers.items() if answer.is_final]
-        for old in finals[:-MAX_ANSWERS]:
-            del self._answers[old]
+        tell(CommandProgress(f"{verb}: sent to all robots, waits for answers"))
+        await self._commander.act(verb, {}, tell)
 
-    def _waiting_estops(self) -> list[CommandProgress]:
-        return [
-            answer
-            for verb, answer in self._answers.values()
-            if verb == "estop" and not answer.is_final
-        ]
+    @property
+    def _estop_under_way(self) -> CommandProgress | None:
+        """The answers so far to an emergency stop that robots have not acknowledged."""
+        answer = self._answers.get("estop")
+        return None if answer is None or answer.is_final else answer
 
     def _end(self, code: int) -> None:
         self._code = code
@@ -160,50 +129,28 @@ class TerminalView:
 
     # Output
 
-    def _draw(self) -> None:
-        width, height = self._screen.size
-        self._screen.paint(lines_of(self._scene(), width, height))
-
     def _scene(self) -> Scene:
-        """All that the screen shows now: robots, map, answers to commands, and prompt.
-
-        Also keeps the cursor on a robot when the order of the shown robots changes.
-        """
+        """All that the screen shows now: robots, map, answers to commands, and keys."""
         view, statuses = self._source.view, self._source.statuses()
-        controls = self._controls
-        # 1. All known robots. A silent robot has a note in place of its last status; every other
-        #    robot is in `present`, with its status.
-        self._known = sorted(view.members.keys() | statuses.keys() | view.roster)
-        all_notes = {
-            name: _note(view.members.get(name), statuses.get(name)) for name in self._known
-        }
+        # A silent robot has a note in place of its last status; every other robot is in `present`,
+        # with its status.
+        robots = sorted(view.members.keys() | statuses.keys() | view.roster)
+        all_notes = {name: _note(view.members.get(name), statuses.get(name)) for name in robots}
         notes = {name: note for name, note in all_notes.items() if note}
         present = {name: status for name, (status, _) in statuses.items() if name not in notes}
-        # 2. The shown robots, whose text matches the filter.
-        search_texts = {
-            name: f"{SILENT} {notes[name]}" if name in notes else _searched(present[name])
-            for name in self._known
-        }
-        shown_before = self._robots
-        self._robots = controls.shown(search_texts)
-        controls.follow(self._robots, shown_before)
-        # 3. The poses of shown robots, each by the odometry of its robot: no frame is shared.
+        # The poses are each by the odometry of its robot: no frame is shared.
         poses, area = self._where()
-        located = poses.keys() & present.keys()
-        shown_poses = {name: poses[name] for name in self._robots if name in located}
-        needs_attention = controls.mode is not Mode.LOOK or bool(controls.note)
+        warning = self._warning()
         return Scene(
             title=self._title(view, present, notes),
             area=area,
-            poses=shown_poses,
+            poses={name: poses[name] for name in robots if name in poses and name in present},
             statuses=present,
-            robots=self._robots,
+            robots=robots,
             notes=notes,
-            cursor=controls.cursor,
-            selected=frozenset(controls.selected),
-            below=[*self._details(view, statuses, notes), *self._told()],
-            footer=controls.prompt,
-            footer_style="bold" if needs_attention else "dim",
+            below=self._told(),
+            footer=warning or HELP,
+            footer_style="bold" if warning else "dim",
             map_note=ODOMETRY,
         )
 
@@ -216,7 +163,7 @@ class TerminalView:
     def _title(
         self, view: MembersView, statuses: Mapping[str, Status], notes: Mapping[str, str]
     ) -> str:
-        swarm, controls = self._source.swarm, self._controls
+        swarm = self._source.swarm
         if not statuses and not notes:
             if not view.seconds:
                 return f"{swarm}: looking for robots"
@@ -226,45 +173,25 @@ class TerminalView:
         counts += [f"{len(notes)} {SILENT}"] if notes else []
         lost = sum(bool(lost_base(status)) for status in statuses.values())
         counts += [f"{lost} WITHOUT THEIR BASE"] if lost else []
-        parts = [f"{swarm}: {counted(len(states) + len(notes), 'robot')}: {', '.join(counts)}"]
-        if controls.selected:
-            hidden = len(controls.selected.difference(self._robots))
-            parts.append(f"{len(controls.selected)} selected{f' ({hidden} hidden)' * bool(hidden)}")
-        if controls.filter:
-            parts.append(f"with '{controls.filter}': {len(self._robots)}")
-        return "; ".join(parts)
+        return f"{swarm}: {counted(len(states) + len(notes), 'robot')}: {', '.join(counts)}"
 
-    def _details(
-        self,
-        view: MembersView,
-        statuses: Mapping[str, tuple[Status, float]],
-        notes: Mapping[str, str],
-    ) -> Iterator[tuple[str, str]]:
-        """Why the robot at the cursor stands, and what a reset would clear."""
-        controls = self._controls
-        if controls.mode is Mode.RESET:
-            for name in controls.targets:
-                if name in statuses and (held := statuses[name][0].latches.values()):
-                    yield f"{name}: emergency stop{stops_text(held)}", "red"
-        name = controls.cursor
-        member = view.members.get(name)
-        if name in notes or member is None or name not in statuses:
-            text = notes.get(name, "")
-        else:
-            text = why(_with_status(member, statuses[name][0]))
-        yield (f"{name}: {text}" if text else ""), ""
+    def _warning(self) -> str:
+        """The question of the first `q` while an emergency stop is under way."""
+        estop = self._estop_under_way
+        if estop is None or not self._is_warned:
+            return ""
+        missing = names_of(estop.missing) or "robots"
+        return f"the estop is still sent, {missing} did not acknowledge it; q again ends it"
 
-    def _told(self) -> Iterator[tuple[str, str]]:
-        """The answers to the last commands, and the help on keys if it is open."""
+    def _told(self) -> Sequence[tuple[str, str]]:
+        """The answers to the last stop and the last emergency stop."""
         lines: list[tuple[str, str]] = []
-        for verb, answer in self._answers.values():
+        for verb, answer in self._answers.items():
             style = "green" if answer.is_good else "yellow"
             if not answer.is_good and (answer.is_final or verb == "estop"):
                 style = "bold red"
             lines += [(text, style) for text in answer_lines(answer)]
-        yield from lines[-MAX_ANSWER_LINES:]
-        if self._controls.is_help_shown:
-            yield from ((text, "") for text in KEYS)
+        return lines[-MAX_ANSWER_LINES:]
 
 
 def answer_lines(answer: CommandProgress) -> list[str]:
@@ -287,22 +214,8 @@ def _note(member: SeenMember | None, known: tuple[Status, float] | None) -> str:
     return "" if is_present and known and known[1] <= STATUS_SILENCE else absence(member)
 
 
-def _with_status(member: SeenMember, status: Status) -> SeenMember:
-    from msgspec.structs import replace
-
-    return replace(member, status=status, contact=Contact.ANSWERED)
-
-
-def _searched(status: Status) -> str:
-    return (
-        f"{state_word(status)} {status.state} {status.reason or ''} {status.pattern or ''}"
-        f" {status.platform}"
-    )
-
-
-async def _wait(event: asyncio.Event, timeout: float) -> None:
-    try:
-        async with asyncio.timeout(timeout):
-            await event.wait()
-    except TimeoutError:
-        return
+def names_of(names: Sequence[str], most: int = 4) -> str:
+    """The names; for many, their number and the first names."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{len(names)} robots ({', '.join(names[: most - 1])}, ...)"

@@ -170,6 +170,10 @@ waiting = loop.create_task(swarm.wait("state=faulted", timeout=1e6))
 loop.run_until_complete(asyncio.sleep(0.0))
 """
 WORKER = "threading.Thread(target=lambda: list(swarm.states()))"
+POOL = """
+from concurrent.futures import ThreadPoolExecutor
+ThreadPoolExecutor().submit(lambda: list(swarm.states()))
+"""
 
 
 @pytest.mark.parametrize(
@@ -180,6 +184,7 @@ WORKER = "threading.Thread(target=lambda: list(swarm.states()))"
         pytest.param(f"{OPENED}sys.exit(3)", 3, id="exit"),
         pytest.param(f"{OPENED}signal.raise_signal(signal.SIGINT)", -2, id="ctrl_c"),
         pytest.param(f"{OPENED}{WORKER}.start()\nraise RuntimeError", 1, id="worker_thread"),
+        pytest.param(f"{OPENED}{POOL}raise RuntimeError", 1, id="worker_of_a_pool"),
         pytest.param(f"{OPENED}states = swarm.states()\nnext(states)", 0, id="iterator"),
         pytest.param(f"{OPENED_IN_A_LOOP}loop.close()", 0, id="closed_loop"),
     ],
@@ -196,6 +201,20 @@ def test_a_script_that_ends_ends_its_connection(
     assert "Exception ignored" not in ended.stderr
     stopped = shared_swarm.await_status("r1", "stopped", lambda one: one.state is State.STOPPED)
     assert stopped.reason is Reason.LEASE_ENDED
+
+
+def test_a_forked_child_ends_by_itself(shared_swarm: Swarm, name: str) -> None:
+    """It has no thread of the connection, and the lease of its parent goes on."""
+    script = f"""{OPENED}
+if not (child := os.fork()):
+    sys.exit(5)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 5
+assert swarm.stop("r1").applied
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=CAP
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 def test_a_stop_is_sent_at_exit(name: str, shared_swarm: Swarm) -> None:

@@ -1,38 +1,41 @@
-"""Keys from the bytes of a terminal."""
+"""Typed bytes from the bytes of a terminal."""
 
 from __future__ import annotations
 
 import pytest
 
-from swarmd.view.screen import PASTED, KeyDecoder
+from swarmd.view.screen import SEQUENCE_TIME, TypedKeys
+
+
+def fed(*parts: bytes) -> bytes:
+    """What is typed, without the marks of left out sequences."""
+    keys = TypedKeys()
+    return b"".join(keys.feed(part, 0.0) for part in parts).replace(b"\0", b"")
 
 
 @pytest.mark.parametrize(
-    ("data", "keys"),
+    ("data", "typed"),
     [
-        (b"ae \r\t\x7f\x05", ["a", "e", "space", "enter", "tab", "backspace", "ctrl-e"]),
-        (b"\x1b[A\x1b[B\x1bOC\x1b[5~\x1b[6~\x1b[H\x1b[4~",
-         ["up", "down", "right", "pageup", "pagedown", "home", "end"]),
-        (b"\x1b[1;5A", ["up"]),
-        (b"\x1b[1;5e\x1b[<0;3;4mx\x1b[?1;2cx", ["x", "x"]),
-        (b"\x1bx", ["escape", "x"]),
-        (b"\x1b\x1b[A", ["escape", "up"]),
-        ("é\x01".encode(), ["é"]),
-        (b"\x1b[200~run e\n\x1b[A\x1b[201~q", [f"{PASTED}run e\n\x1b[A", "q"]),
-        (b"\xff\xfe", []),
+        (b"se\x05q", b"se\x05q"),
+        (b"\x1b[A\x1bOS\x1b[5~\x1b[Hq", b"q"),
+        (b"\x1b[1;5e\x1b[<0;3;4mx\x1b[?1;2cx", b"xx"),
+        (b"\x1be", b"e"),
+        (b"\x1b\x1b[Ae", b"e"),
+        (b"\x1b[200~run e\n\x1b[A\x1b[201~q", b"q"),
+        (b"\x1b[200~" + 999 * b"seq" + b"\x1b[201~s", b"s"),
     ],
-)  # fmt: skip
-def test_bytes_become_keys_whole_or_one_by_one(data: bytes, keys: list[str]) -> None:
-    whole, single = KeyDecoder(), KeyDecoder()
-    assert whole.feed(data) == keys
-    assert [key for byte in data for key in single.feed(bytes((byte,)))] == keys
+)
+def test_sequences_and_pasted_text_are_left_out_whole_or_in_parts(
+    data: bytes, typed: bytes
+) -> None:
+    assert fed(data) == typed
+    for size in (1, 2, 5):
+        assert fed(*(data[at : at + size] for at in range(0, len(data), size))) == typed
 
 
-def test_escape_alone_is_a_key_once_nothing_follows() -> None:
-    decoder = KeyDecoder()
-    assert decoder.feed(b"\x1b") == []
-    assert decoder.is_pending
-    assert decoder.flush() == ["escape"]
-    assert decoder.feed(b"\x1b[") == []
-    assert decoder.flush() == []
-    assert decoder.feed(b"q") == ["q"]
+def test_a_sequence_without_its_end_swallows_no_later_key() -> None:
+    keys = TypedKeys()
+    assert keys.feed(b"\x1b[", 10.0) == b""
+    assert keys.feed(b"e", 10.1 + SEQUENCE_TIME) == b"e"
+    assert keys.feed(b"\x1b", 20.0) == b""
+    assert keys.feed(b"e", 20.1) == b"\0e"

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from swarmd.core.messages import Health, Reason, State
+from swarmd.core.messages import Health, Reason, State, Status
 from swarmd.view.scene import Area, Scene, area_around
 from swarmd.view.terminal import cell_of, lines_of, map_of, map_size, render
 from tests.support.statuses import status
@@ -114,7 +114,7 @@ def crowd(*standing: int) -> Scene:
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (140, 24), (80, 10), (140, 6), (80, 40)])
-def test_stopped_robots_are_shown_first_and_the_rest_is_counted(width: int, height: int) -> None:
+def test_robots_that_stand_are_shown_first_and_the_rest_is_counted(width: int, height: int) -> None:
     lines = shown(crowd(25), width, height).splitlines()
     text = "\n".join(lines)
     assert len(lines) < height
@@ -123,8 +123,8 @@ def test_stopped_robots_are_shown_first_and_the_rest_is_counted(width: int, heig
     if height < 34:
         rows = sum(" tb3-" in line for line in lines)
         assert f"... and {30 - rows} more" in text
-        assert "silent" in text or rows < 2
-        assert "no_scan" in text
+        assert "silent" in text  # the alarm is shown before the stopped robot
+        assert "no_scan" in text or rows < 2
     else:
         assert "more" not in text
 
@@ -140,31 +140,34 @@ def test_robots_keep_their_order_and_marks_if_some_are_left_out() -> None:
     ]
 
 
-def test_cursor_selection_and_notes_are_shown_without_colour() -> None:
-    shown_scene = replace(
-        scene(a=(0.0, 0.0, 0.0), b=(1.0, 0.0, 0.0)),
-        robots=("a", "b", "c"),
-        cursor="b",
-        selected=frozenset("ab"),
-        notes={"c": "failed 3 s ago"},
-    )
-    rows = [line.split("│")[0].split() for line in shown(shown_scene).splitlines()[2:5]]
-    assert [row[:3] for row in rows] == [["*1", "a", "running"], [">*2", "b", "running"],
-                                         ["c", "silent", "failed"]]  # fmt: skip
+def test_a_robot_with_a_note_is_silent_in_place_of_its_status() -> None:
+    noted = replace(scene(a=(0.0, 0.0, 0.0)), robots=("a", "c"), notes={"c": "failed 3 s ago"})
+    rows = [line.split("│")[0].split() for line in shown(noted).splitlines()[2:4]]
+    assert [row[:3] for row in rows] == [["1", "a", "running"], ["c", "silent", "failed"]]
 
 
-@pytest.mark.parametrize(("cursor", "first"), [("tb3-01", 1), ("tb3-15", 12), ("tb3-30", 25)])
-def test_rows_around_the_cursor_are_shown(cursor: str, first: int) -> None:
-    lines = shown(replace(crowd(25), cursor=cursor), 80, 11).splitlines()
-    assert [line.split("tb3-")[1][:2] for line in lines[2:-2]] == [
-        f"{number:02d}" for number in range(first, first + 6)
+@pytest.mark.parametrize(
+    "alarm",
+    [
+        status("tb3-29", state=State.ESTOPPED, reason=Reason.ESTOP),
+        status("tb3-29", state=State.FAULTED),
+        status("tb3-29", health=Health(driver="no such device", driver_up=False)),
+    ],
+    ids=["estopped", "faulted", "base lost"],
+)
+def test_an_alarm_is_shown_before_robots_that_are_idle(alarm: Status) -> None:
+    many = crowd()
+    idle = {name: status(name, state=State.IDLE) for name in many.statuses}
+    lines = shown(replace(many, statuses={**idle, "tb3-29": alarm}), 80, 10).splitlines()
+    assert [line.split()[1] for line in lines[2:-2]] == [
+        *("tb3-01", "tb3-02", "tb3-03", "tb3-29", "tb3-30")  # tb3-30 is silent
     ]
-    assert f"{first - 1} more above, {30 - first - 5} below" in lines[-2]
+    assert "25 more" in lines[-2]
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (20, 2), (80, 3)])
 def test_a_terminal_without_room_for_a_robot_is_drawn(width: int, height: int) -> None:
-    lines = lines_of(replace(crowd(25), cursor="tb3-15"), width, height)
+    lines = lines_of(crowd(25), width, height)
     assert max(line.cell_len for line in lines) <= width
 
 

@@ -30,6 +30,7 @@ from msgspec.structs import replace
 from zenoh.handlers import Callback
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from swarmd.core.threads import is_program_ended
 from swarmd.network.access import asker_access, robot_access
 from swarmd.network.carriers.interface_watch import flags_of, index_of
 from swarmd.network.settings import FIELD_PORT, NetworkSettings, parse_endpoint
@@ -150,7 +151,7 @@ def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
     Raises NetworkError, whose text names `what` the session is for. Raises SwarmError once the main
     thread has ended: nothing would close the session before Python ends.
     """
-    if not threading.main_thread().is_alive():
+    if is_program_ended():
         raise SwarmError(f"no session for {what}: the main thread of this program has ended")
     config = zenoh.Config()
     try:

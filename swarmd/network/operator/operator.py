@@ -384,7 +384,7 @@ class Operator(Closing):
             **fields,
         )
         if starts_motion(request) and (stood := self.loops.stood(issued)):
-            raise RequestError(stood_still(stood, "nothing was sent"), FAILED)
+            raise RequestError(stood_still(stood, "nothing was sent; type it anew"), FAILED)
         if timeout is None:
             timeout = request_timeout(last_view, least_timeout)
         outcome, linked = self._requests.send(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 import sys
 import threading
 from collections.abc import Callable, Collection
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.keys import ANY, ANYONE, CONTROL, build, parse
+from swarmd.core.threads import is_program_ended
 from swarmd.network.carriers.query_links import QueryLinks
 from swarmd.network.datagram import Address
 from swarmd.network.operator.arrivals import Arrivals
@@ -55,6 +57,7 @@ class OperatorSessions:
         self._asker = ANYONE if identity is None else identity.name
         self._arrivals = arrivals
         self._opened: list[zenoh.Session] = []
+        self._process = os.getpid()
         self._dial_at = 0.0
         self._waiting_since: float | None = None  # since when robots wait to be dialled
         # By robot and instance: the address that was dialled last, and when.
@@ -108,7 +111,7 @@ class OperatorSessions:
         Once the main thread has ended, at which Python starts no more threads, they are closed at
         the return.
         """
-        if not threading.main_thread().is_alive():
+        if is_program_ended():
             from swarmd.network.carriers.session import end_dials
 
             end_dials(self._endpoints)
@@ -136,7 +139,12 @@ class OperatorSessions:
             atexit.unregister(self._end)
 
     def _end(self) -> None:
-        """At the end of the program: close all sessions; no other thread calls Zenoh again."""
+        """At the end of the program: close all sessions; no other thread calls Zenoh again.
+
+        A child process of `os.fork` has none of Zenoh's threads, and a close would wait for them.
+        """
+        if os.getpid() != self._process:
+            return
         self._calls.acquire(timeout=_ENDING)  # and never released
         self.close()
         for thread in self._closing.copy():

@@ -113,12 +113,17 @@ class RequestSender:
                 break
         links.close()
         with self._arrivals.lock:
+            if stood:  # replies that came meanwhile are handed over only now
+                self._arrivals.lock.wait_for(lambda: not acks.missing(asked), REPEAT_PERIOD)
             # A robot of another version that has not replied counts as refusing.
             for name in acks.missing(of_other_version):
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
             outcome = acks.outcome(targets, seconds=now - started, reached=len(asked))
         if stood and outcome.missing:
-            outcome = replace(outcome, warnings=(stood_still(stood, "it was not sent again"),))
+            outcome = replace(
+                outcome,
+                warnings=(stood_still(stood, "it was not sent again; see which robots run"),),
+            )
         return outcome, set(asked) - unlinked
 
     def _query(
@@ -157,7 +162,7 @@ class RequestSender:
 def stood_still(seconds: float, consequence: str) -> str:
     """The line for the user after this process stood still."""
     text = f"this program stood still for {seconds:.1f} s (stopped, or its computer suspended)"
-    return f"{text}: {consequence}; type it anew if you still want it"
+    return f"{text}: {consequence}"
 
 
 def _collect(acks: Acks) -> Callable[[str, bytes], object]:

@@ -17,6 +17,7 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.request_sender import REPEAT_PERIOD
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots
+from tests.support.processes import wait_until
 
 
 def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: Robots) -> None:
@@ -133,6 +134,26 @@ def test_a_request_waits_for_links_that_are_not_up_when_it_begins(
     assert outcome.line == "2 targeted, 2 applied"
     assert len(swarm["a"].different_requests) == 1
     assert swarm["c"].requests == []
+
+
+def test_a_reply_that_came_during_a_standstill_counts(
+    settings: NetworkSettings, robots: Robots, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reply is handed over once the loop of the sender has seen its gap."""
+    ahead = [0.0]
+    with Operator(settings) as operator:
+
+        def late_answer(request: AnyRequest) -> Code:
+            ahead[0] = 40.0
+            wait_until(lambda: operator.loops.stood(0.0) > 0.0, "the gap is noticed")
+            return Code.APPLIED
+
+        robots("a", answer=late_answer)
+        targets = operator.members().epochs(["a"])
+        now = boottime
+        monkeypatch.setattr(request_sender, "boottime", lambda: now() + ahead[0])
+        outcome = operator.request(RunRequest, targets, issued=now(), timeout=300.0, pattern="x")
+    assert (outcome.missing, outcome.exit_code, outcome.warnings) == ((), 0, ())
 
 
 @pytest.mark.long

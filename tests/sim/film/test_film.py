@@ -182,6 +182,7 @@ def test_frames_from_above_have_the_shape_of_the_arena(trace: Trace, arena: str)
     assert frame_size(own, SIZE, "perspective") == SIZE
 
 
+@pytest.mark.integration
 def test_frames_from_above_have_names_and_a_scale_bar(trace: Trace) -> None:
     from swarmd.sim.film.film import Marks, bar_length
     from swarmd.sim.film.renderer import Renderer
