@@ -10,8 +10,8 @@ from contextlib import ExitStack, contextmanager
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
+from swarmd.core.closing import is_program_ended
 from swarmd.core.errors import R, SwarmError
-from swarmd.core.threads import is_program_ended
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator

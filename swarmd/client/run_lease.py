@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from swarmd.client.ask_robots import next_status, statuses_of
 from swarmd.core.clock import boottime
+from swarmd.core.closing import is_program_ended
 from swarmd.core.goal import GoalState
-from swarmd.core.threads import is_program_ended
 from swarmd.network.datagram import RunLease
 from swarmd.texts.values import seconds
 

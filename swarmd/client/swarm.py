@@ -13,10 +13,9 @@ from swarmd.client.session import Session
 from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.clock import boottime
-from swarmd.core.closing import Closing
+from swarmd.core.closing import Closing, is_program_ended
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.numbers import python_value
-from swarmd.core.threads import is_program_ended
 from swarmd.network.operator.exit_codes import TIMEOUT
 
 if TYPE_CHECKING:

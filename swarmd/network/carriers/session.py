@@ -29,8 +29,8 @@ import zenoh
 from msgspec.structs import replace
 from zenoh.handlers import Callback
 
+from swarmd.core.closing import is_program_ended
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from swarmd.core.threads import is_program_ended
 from swarmd.network.access import asker_access, robot_access
 from swarmd.network.carriers.interface_watch import flags_of, index_of
 from swarmd.network.settings import FIELD_PORT, NetworkSettings, parse_endpoint

@@ -10,9 +10,9 @@ import threading
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING
 
+from swarmd.core.closing import is_program_ended
 from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.keys import ANY, ANYONE, CONTROL, build, parse
-from swarmd.core.threads import is_program_ended
 from swarmd.network.carriers.query_links import QueryLinks
 from swarmd.network.datagram import Address
 from swarmd.network.operator.arrivals import Arrivals
