@@ -3,7 +3,8 @@
 A figure is measured in turn with its yardstick (`benchmarks/yardsticks.py`), and the median of
 their ratios is held against the budget: so the same budgets hold on any machine. The absolute
 figure stands beside it without a verdict. A budget is the ratio of the last release plus twice its
-spread (lockstep 11 %, driving 19 %, idle 24 %); it falls with the ratio. The exit code is 1 if a budget does not hold.
+spread (lockstep 11 %, driving 19 %, idle 24 %); it falls with the ratio. The exit code is 1 if a
+budget does not hold.
 
 Rows of the command line have a verdict only where real-time priority is permitted (root, or
 `ulimit -r 5`): without, their ratios spread by 58 %.
