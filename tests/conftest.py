@@ -162,8 +162,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: places[item.path])
 
 
-PROCESS_FIXTURES = {"a_browser", "roscore", "shared_swarm"}
-"""Fixtures that start a process."""
+PROCESS_FIXTURES = {"a_browser", "elsewhere", "hosts", "roscore", "shared_swarm"}
+"""Fixtures that start a process or need root."""
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -21,7 +21,10 @@ from swarmd.security.bundle import Bundle, write_bundle
 from swarmd.security.identity import load_identity
 from tests.support.keys import SwarmKeys
 
-pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="needs root and another account")
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(os.geteuid() != 0, reason="needs root and another account"),
+]
 
 USER, GROUP = 4321, 1234
 ROUNDS = 20
@@ -123,7 +126,6 @@ def test_a_link_that_the_account_has_left_leads_nowhere(
     assert load_identity(identities / "meadow").name == "r1"
 
 
-@pytest.mark.integration
 def test_no_race_of_the_account_changes_a_file_elsewhere(root: Path, bundle: Path) -> None:
     identities = root / "etc/swarmd/identities"
     install(root, bundle)
@@ -162,7 +164,6 @@ def test_no_race_of_the_account_changes_a_file_elsewhere(root: Path, bundle: Pat
     assert load_identity(identities / "meadow").name == "r1"
 
 
-@pytest.mark.integration
 def test_the_account_owns_its_identity_and_not_the_folder_around_it(
     root: Path, bundle: Path
 ) -> None:

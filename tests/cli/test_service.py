@@ -109,6 +109,7 @@ def test_a_dry_run_changes_nothing(root: Path, capsys: pytest.CaptureFixture[str
     assert f"would write {within(root, UNIT_FILE)}" in capsys.readouterr().out
 
 
+@pytest.mark.integration
 def test_without_the_tools_of_systemd_it_writes_and_names_what_is_left(
     root: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

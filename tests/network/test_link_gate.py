@@ -206,6 +206,7 @@ def is_taken(listener: socket.socket, source: str) -> bool:
     return False
 
 
+@pytest.mark.integration
 def test_the_kernel_takes_connections_of_the_hosts_that_are_named(listener: socket.socket) -> None:
     gate = LinkGate({listener.getsockname()[1]})
     with contextlib.closing(gate):
@@ -221,6 +222,7 @@ def test_the_kernel_takes_connections_of_the_hosts_that_are_named(listener: sock
         assert is_taken(listener, "127.0.0.2")
 
 
+@pytest.mark.integration
 def test_the_kernel_refuses_the_hosts_that_are_named(listener: socket.socket) -> None:
     gate = LinkGate({listener.getsockname()[1]})
     with contextlib.closing(gate):
@@ -234,6 +236,7 @@ def test_the_kernel_refuses_the_hosts_that_are_named(listener: socket.socket) ->
         assert is_taken(listener, "127.0.0.2")
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("listener", ["::"], indirect=True)
 def test_hosts_of_both_families_are_told_apart(listener: socket.socket) -> None:
     gate = LinkGate({listener.getsockname()[1]})

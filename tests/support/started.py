@@ -9,7 +9,9 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 STARTED: list[str] = []
-"""What was started since the last test began, without git, which tells a commit in milliseconds."""
+"""What was started since the last test began, without HELPERS."""
+HELPERS = {"git", "fc-list"}
+"""Programs that code runs for some milliseconds: for a commit, for the first list of fonts."""
 
 
 def _noticed(start: Callable[..., Any]) -> Callable[..., Any]:
@@ -17,7 +19,7 @@ def _noticed(start: Callable[..., Any]) -> Callable[..., Any]:
 
     def noticed(self: Any, *words: Any, **options: Any) -> Any:
         command = words[0] if words else options.get("args", self)
-        if not (isinstance(command, list | tuple) and command[0] == "git"):
+        if not (isinstance(command, list | tuple) and command[0] in HELPERS):
             STARTED.append(repr(command))
         return start(self, *words, **options)
 
