@@ -31,7 +31,7 @@ leave open:
 - `storm`: at most MAX_SENT datagrams.
 - `program`: no robot takes a message in the name of a robot that it knows, or more of a sender on a
   channel within a second than the limits allow.
-- `still_pose`: at most STANDING_WAY by one request of an operator.
+- `still_pose`: at most STANDING_WAY by one request of an operator, in one life of the daemon.
 - `lost_base`: after a loss of more than LOSS_TIME only a run that began after it moves the robot.
 
 The time that a stop is on its way adds nothing to its age: no clocks are compared. So it may seem
@@ -638,7 +638,7 @@ _ROWS = (
     ),
     Rule(
         "still_pose",
-        "A pose that stands still moves no fenced robot farther than 25 cm.",
+        "A pose that stands still moves no fenced robot farther than 25 cm in one life of its daemon.",
         (Invariants.on_twist,),
     ),
 )

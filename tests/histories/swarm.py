@@ -382,7 +382,9 @@ class VirtualDaemon(Node):
         self.twist = ZERO
         self.x = 0.0  # m, the true place; robots drive along x
         self.told_x: float | None = None  # where the tracker tells the robot to stand, in error
-        self.told_way = 0.0  # m driven since then, or since an operator wanted the run
+        self.told_way = (
+            0.0  # m driven since then, in this life, and since an operator wanted the run
+        )
         self.cause: Cause | None = None  # of the pattern that runs
         self.event: object = None  # the request or the goal that is handed to the robot now
         self.hops: dict[str, int] = {}  # of the stops that were carried out, the greatest
@@ -419,6 +421,7 @@ class VirtualDaemon(Node):
         self.hops, self.waits = {}, {}
         self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
         self._moved_at = self._posed_at = -math.inf
+        self.told_way = 0.0  # a new life has no earlier pose to compare with
         self._loads = itertools.count()
         self._load = 0  # the load under way, which a kill of the host ends
         self._pattern = ""

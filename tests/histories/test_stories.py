@@ -254,3 +254,16 @@ def test_a_stop_of_a_zenoh_program_leaves_what_a_datagram_leaves(
         traces.append((acks, events, [(robot.state, len(robot.latches)) for robot in robots]))
     assert traces[0] == traces[1]
     assert "by bob from ('10.0.1.2', 5000): applied" in traces[0][1][0][-1]
+
+
+def test_a_daemon_that_restarts_drives_by_a_still_pose_again() -> None:
+    replay(
+        2,
+        [
+            step(0.0, "run", by="anna", **JOIN),
+            step(0.05, "freeze_pose", robot="r2", seconds=60.0),
+            step(5.0, "start", robot="r2"),
+            step(14.0, "undo", by="anna"),
+        ],
+        seed=371,
+    )
