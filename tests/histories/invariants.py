@@ -638,7 +638,8 @@ _ROWS = (
     ),
     Rule(
         "still_pose",
-        "A pose that stands still moves no fenced robot farther than 25 cm in one life of its daemon.",
+        "A pose that stands still moves no fenced robot farther than 25 cm in one life of its"
+        " daemon.",
         (Invariants.on_twist,),
     ),
 )

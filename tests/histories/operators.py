@@ -94,7 +94,7 @@ class VirtualOperator(Node):
         self._wakes_at = 0.0
         self._sleeps: list[tuple[float, float]] = []
         self._notices = True
-        self._watch = LoopWatch(lambda: 0.0)  # of the command that goes on now
+        self._watch = LoopWatch(dict)  # of the command that goes on now
         self._origin, self._counter = self._random.randbytes(4), 0
         self._discoveries: list[Discovery] = []
         self._pending: list[PendingStop] = []
@@ -104,7 +104,7 @@ class VirtualOperator(Node):
     def begin(self, verb: str, command: Command) -> None:
         """Type a command."""
         began, life = self.swarm.now, self._life
-        watch = LoopWatch(lambda: 0.0)
+        watch = LoopWatch(dict)
         watch.begin(began)
         self.under_way += 1
 

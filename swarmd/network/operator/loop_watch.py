@@ -4,36 +4,37 @@ A program that commands robots looks again and again while it works: it waits fo
 canary, or for the next call. If it did not look for more than MAX_GAP beyond its wait, it stood
 still, and its user may have given a later order elsewhere. Then it starts no motion.
 
-Time for which the thread waited for a processor is no gap: on a loaded computer a program is slow
-without standing still. The kernel counts this time, and does not count it for a stopped process. A
-robot bounds the age of each start in any case (`verbs.MAX_AGE`).
+Time for which a thread of the process waited for a processor is no gap: on a loaded computer a
+program is slow without standing still, also where the waiting thread holds what the loop needs. The
+kernel counts this time, and does not count it for a stopped process. A robot bounds the age of each
+start in any case (`verbs.MAX_AGE`).
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 MAX_GAP = 1.0
 """Seconds without a look, beyond the wait and the time without a processor."""
+READ_PERIOD = 0.5  # s after which the waits are read again; 20 threads take some 0.5 ms
 MAX_LOOPS = 64  # loops that are remembered
 START_TIME = 3.0
 """Seconds between an order and the first look that count as work: the start of a program."""
 
 
-def processor_wait() -> float:
-    """Seconds for which this thread has waited for a processor so far; 0 if it is not known."""
-    try:
-        file = os.open("/proc/thread-self/schedstat", os.O_RDONLY)
-    except OSError:
-        return 0.0
-    try:
-        return 1e-9 * int(os.read(file, 100).split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0.0
-    finally:
-        os.close(file)
+def processor_waits() -> dict[str, float]:
+    """Seconds for which each thread has waited for a processor so far; empty if not known."""
+    waits = {}
+    with contextlib.suppress(OSError):
+        for thread in os.listdir("/proc/self/task"):
+            path = f"/proc/self/task/{thread}/schedstat"
+            with contextlib.suppress(OSError, ValueError, IndexError), open(path, "rb", 0) as file:
+                waits[thread] = 1e-9 * int(file.read().split()[1])
+    return waits
 
 
 class LoopWatch:
@@ -42,16 +43,17 @@ class LoopWatch:
     Call `begin` before a loop, and `turn` in each turn of it.
     """
 
-    def __init__(self, waited: Callable[[], float] = processor_wait) -> None:
-        """`waited`: s for which the thread has waited for a processor so far."""
-        self._processor_wait = waited
-        self._waited = 0.0
+    def __init__(self, waited: Callable[[], Mapping[str, float]] = processor_waits) -> None:
+        """`waited`: s for which each thread has waited for a processor so far."""
+        self._processor_waits = waited
+        self._waited: Mapping[str, float] = {}
+        self._read_at = -math.inf
         self._loops = deque[tuple[float, float]](maxlen=MAX_LOOPS)  # begin and last turn of each
         self._stops = deque[tuple[float, float]](maxlen=MAX_LOOPS)  # end of a standstill, and s
 
     def begin(self, now: float) -> None:
         """A loop begins."""
-        self._waited = self._processor_wait()
+        self._read(now)
         self._loops.append((now, now))
 
     def turn(self, now: float, pause: float = 0.0) -> float:
@@ -60,14 +62,22 @@ class LoopWatch:
         `pause`: s for which the loop wanted to wait at most since its last turn.
         """
         begun, last = self._loops[-1]
-        before, self._waited = self._waited, self._processor_wait()
-        gap = now - last - pause - (self._waited - before)
+        gap = now - last - pause
+        if gap > MAX_GAP or now - self._read_at > READ_PERIOD:
+            gap -= self._read(now)
         if gap <= MAX_GAP:
             self._loops[-1] = begun, now
             return 0.0
         self._stops.append((now, gap))
         self._loops.append((now, now))
         return gap
+
+    def _read(self, now: float) -> float:
+        """The longest wait of a thread in s since the last call."""
+        before, self._waited, self._read_at = self._waited, self._processor_waits(), now
+        return max(
+            (wait - before.get(thread, 0.0) for thread, wait in self._waited.items()), default=0.0
+        )
 
     def note_work(self, begun: float, end: float) -> None:
         """Note work of the caller in another loop, such as a rehearsal."""

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
+import threading
+
 import pytest
 
-from swarmd.network.operator.loop_watch import MAX_GAP, START_TIME, LoopWatch, processor_wait
+from swarmd.network.operator.loop_watch import MAX_GAP, START_TIME, LoopWatch, processor_waits
 
 
 class Waited:
-    """The time for which a thread waited for a processor, set by hand."""
+    """The times for which threads waited for a processor, set by hand."""
 
-    seconds = 0.0
+    def __init__(self) -> None:
+        self.seconds = {"loop": 0.0, "other": 0.0}
 
-    def __call__(self) -> float:
-        return self.seconds
+    def __call__(self) -> dict[str, float]:
+        return dict(self.seconds)
 
 
 @pytest.mark.parametrize(
@@ -27,13 +31,14 @@ class Waited:
         (140.0, 0.5, 2.0, 37.5),
     ],
 )
+@pytest.mark.parametrize("thread", ["loop", "other", "new"])
 def test_a_gap_beyond_the_wait_is_a_standstill(
-    turn: float, pause: float, waited: float, stood: float
+    turn: float, pause: float, waited: float, stood: float, thread: str
 ) -> None:
     processor = Waited()
     watch = LoopWatch(processor)
     watch.begin(100.0)
-    processor.seconds = waited
+    processor.seconds[thread] = waited
     assert watch.turn(turn, pause) == pytest.approx(stood)
     assert watch.stood(99.0) == pytest.approx(stood)
     assert watch.stood(turn) == 0.0  # an order of later
@@ -62,5 +67,17 @@ def test_a_standstill_is_no_work() -> None:
     assert watch.worked(100.0) == pytest.approx(1.0)
 
 
+def test_a_wait_of_long_ago_hides_no_standstill() -> None:
+    processor = Waited()
+    watch = LoopWatch(processor)
+    watch.begin(100.0)
+    for number in range(1, 101):
+        processor.seconds["loop"] += 0.09  # a loaded computer for 10 s
+        assert watch.turn(100.0 + 0.1 * number, 0.05) == 0.0
+    assert watch.turn(112.0, 0.05) > MAX_GAP
+
+
 def test_the_kernel_counts_the_time_without_a_processor() -> None:
-    assert 0.0 <= processor_wait() <= processor_wait()
+    first, second = processor_waits(), processor_waits()
+    assert str(threading.main_thread().native_id) in first
+    assert all(0.0 <= first[thread] <= second.get(thread, math.inf) for thread in first)
