@@ -67,8 +67,9 @@ def test_a_stop_of_one_side_does_not_cross_to_robots_that_were_run_again(
     judged = ask(swarm, "stop")
     assert (judged.answer.code, judged.counted, judged.named) == (3, set(LEFT), set(RIGHT))
     swarm.field.heal()
+    # A copy that a stall delays counts as later by this delay, so the first one is awaited.
+    swarm.await_states(NEAR, "stopped")
     check_all_alive(swarm)
-    # The stop that is still handed on may come between the look of a `run` and its request.
     wait_until(lambda: ask(swarm, "run").counted == set(ROBOTS), "all run again")
     pause(2.0)
     assert set(swarm.states(NEAR).values()) == {"running"}
