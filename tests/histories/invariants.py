@@ -104,6 +104,10 @@ class _Memory:
     stopped: float = -1.0  # when the latest stop that it obeyed was issued
     obeyed: float = -1.0  # when it obeyed a stop last
     told: float = -1.0  # when the latest stop of which it was told was issued
+    resumed: tuple[str, float] = (
+        "",
+        -1.0,
+    )  # the goal of the last request that began a run, its time
     stopped_all: float = -1.0  # as `stopped`, of the stops of all robots
     reset: float = -1.0  # when it was reset last
     held: frozenset[str] = frozenset()
@@ -317,6 +321,8 @@ class Invariants:
                     f"{name} runs by `{cause.request.verb}` of {late:.1f} s ago, beside its work",
                 )
             known.stopped = known.reset = -1.0  # an operator wants it to run again
+            own = daemon.robot.goals.own
+            known.resumed = ("", -1.0) if own is None or asked is None else (own.id, asked)
             return
         goal = daemon.robot.goals.own
         assert goal is not None, "a robot joins by a goal"
@@ -345,7 +351,9 @@ class Invariants:
     def _check_told(self, daemon: VirtualDaemon, known: _Memory) -> None:
         cause = daemon.cause
         assert cause is not None
-        early = known.told - self._wanted(cause)
+        goal, resumed = known.resumed
+        is_resumed = cause.request is None and cause.goal_id == goal
+        early = known.told - max(self._wanted(cause), resumed if is_resumed else -1.0)
         if early > ROUNDING:
             what = "joined goal" if cause.request is None else f"`{cause.request.verb}`"
             raise BrokenRuleError(
@@ -555,7 +563,7 @@ _ROWS = (
     Rule(
         "later_run",
         "A robot that knows of a stop, also by others, does not go on with a run whose request was"
-        " typed before that stop.",
+        " typed before that stop, unless a later `resume` let it go on.",
         (Invariants._check_told,),
     ),
     Rule(

@@ -267,3 +267,32 @@ def test_a_daemon_that_restarts_drives_by_a_still_pose_again() -> None:
         ],
         seed=371,
     )
+
+
+@pytest.mark.parametrize("stop", ["stop", "program_stop"])
+@pytest.mark.parametrize("after", [0.05, 2.0])
+def test_a_robot_that_was_resumed_and_restarts_may_go_on(stop: str, after: float) -> None:
+    replay(
+        2,
+        [
+            step(0.0, "run", by="anna", **JOIN),
+            step(after, stop, by="bob", targets=("r2",)),
+            step(1.0, "resume", by="bob"),
+            step(2.0, "start", robot="r2"),
+            step(9.0, "heal"),
+        ],
+        seed=5774,
+    )
+
+
+def test_a_robot_that_was_stopped_and_restarts_stands() -> None:
+    history = replay(
+        2,
+        [
+            step(0.0, "run", by="anna", **JOIN),
+            step(2.0, "stop", by="bob", targets=("r2",)),
+            step(2.0, "start", robot="r2"),
+            step(9.0, "heal"),
+        ],
+    )
+    assert not history.swarm.robots["r2"].robot.is_running
