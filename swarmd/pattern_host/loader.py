@@ -179,7 +179,22 @@ def _from_file(path: Path, digest: bytes = b"") -> type[Pattern[Any]]:
 
 
 def _check_declarations(kind: type[Pattern[Any]]) -> None:
-    """PluginError for a missing `params_type`, or a channel whose type cannot be sent."""
+    """PluginError for a class that contradicts itself.
+
+    It lacks `params_type`, has a channel whose type cannot be sent, or a method that takes fewer
+    arguments than it is called with; most often `self` is missing.
+    """
+    for name, own in vars(kind).items():
+        base = getattr(super(kind, kind), name, None)
+        if not (inspect.isfunction(own) and inspect.isfunction(base)):
+            continue
+        code, called = own.__code__, base.__code__
+        if code.co_argcount < called.co_argcount and not code.co_flags & inspect.CO_VARARGS:
+            found, wanted = (", ".join(c.co_varnames[: c.co_argcount]) for c in (code, called))
+            raise PluginError(
+                f"{kind.__name__}.{name}({found}): write `def {name}({wanted})`"
+                f" ({os.path.basename(code.co_filename)}:{code.co_firstlineno})"
+            )
     for base in vars(kind).get("__orig_bases__", ()):
         for params in get_args(base):
             is_params = isinstance(params, type) and issubclass(params, Params)
