@@ -79,7 +79,7 @@ def exp() -> None:
     """Run scenarios over many seeds; statistics, comparisons and plots."""
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp run aggregation --seeds 20 --out runs/gather")
 @click.argument("scenario", shell_complete=scenarios)
 @click.option(
     "--seeds",
@@ -250,7 +250,7 @@ def _tell_how_to_resume(folder: Path, plan: Plan, command: Sequence[str]) -> Non
         warn(f"{done}; to go on: {shlex.join(command)}")
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp rerun runs/gather")
 @folder_argument
 @out_option("Folder of the new results; without it they are compared and discarded.")
 @_processes
@@ -316,7 +316,7 @@ def rerun(
     ctx.exit(_exit_code(len(identical_runs), is_complete=is_complete))
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp merge runs/part-1 runs/part-2 --out runs/gather")
 @click.argument(
     "folders", metavar="DIR..", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
@@ -348,7 +348,7 @@ def merge(
     ctx.exit(PARTIAL if lacking else 0)
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp compare runs/wait:wait=0 runs/wait:wait=120")
 @click.argument("a")
 @click.argument("b", required=False)
 @_metrics
@@ -391,7 +391,7 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     exit_if_incomplete(results_a, results_b)
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp show runs/spacing")
 @folder_argument
 @_metrics
 @trust_option
@@ -404,7 +404,7 @@ def show(folder: Path, metrics: str | None, is_trusted: bool, is_json: bool) -> 
     _print_results(results, chosen_metrics(metrics, results.asked), is_json)
 
 
-@exp.command("list")
+@exp.command("list", epilog="Example: swarmctl exp list")
 @output_option
 def list_scenarios(is_json: bool) -> None:
     """List the scenarios that come with swarmd."""
@@ -430,7 +430,9 @@ def list_scenarios(is_json: bool) -> None:
     print_table(("NAME", "ROBOTS", "DURATION", "DESCRIPTION"), rows)
 
 
-@exp.command("check-mission")
+@exp.command(
+    "check-mission", epilog="Example: swarmctl exp check-mission survey.yaml shelter_choice"
+)
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("scenario", shell_complete=scenarios)
 @set_option
@@ -466,7 +468,7 @@ def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str
     click.echo(f"{file}: ok on {names} of {loaded.name}")
 
 
-@exp.command("metrics")
+@exp.command("metrics", epilog="Example: swarmctl exp metrics")
 @output_option
 def list_metrics(is_json: bool) -> None:
     """List the metrics of every run, those of installed packages, and those with places."""
@@ -486,7 +488,7 @@ def list_metrics(is_json: bool) -> None:
     print_table([*map(str.upper, keys)], [[*(v or "-" for v in m.values())] for m in listed])
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp measure runs/20260301-101500/run.npz")
 @click.argument(
     "files", metavar="TRACE.npz..", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
