@@ -16,6 +16,7 @@ import click
 
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
+from swarmd.cli.patterns import report_mission
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_bench import FAILED, PARTIAL, bench
 from swarmd.sim.cli.exp_results import (
@@ -436,8 +437,8 @@ def list_scenarios(is_json: bool) -> None:
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("scenario", shell_complete=scenarios)
 @set_option
-@click.pass_context
-def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str, ...]) -> None:
+@output_option
+def check_mission(file: Path, scenario: str, sets: tuple[str, ...], is_json: bool) -> None:
     """Check the mission in FILE for the robots of SCENARIO: their platforms, fields and radio.
 
     `swarmctl mission check` does the same for one platform without a scenario. The mission may name
@@ -460,12 +461,8 @@ def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str
         for platform in platforms.values()
         for line in faults_of(file, platform, loaded.plugin_dir)
     )
-    for line in faults:
-        warn(line)
-    if faults:
-        ctx.exit(2)
     names = ", ".join(dict.fromkeys(name for name, _ in platforms))
-    click.echo(f"{file}: ok on {names} of {loaded.name}")
+    report_mission(file, faults, f"{names} of {loaded.name}", is_json=is_json)
 
 
 @exp.command("metrics", epilog="Example: swarmctl exp metrics")

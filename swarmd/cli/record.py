@@ -123,8 +123,7 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
         if sys.stderr.isatty():
             rewrite("")  # clears the line of progress
         if not rows and not failed_robots:
-            robots = ", ".join(replies)
-            raise Failure(f"nothing to fetch from {robots}; see `swarmctl record list`", NO_TARGET)
+            raise Failure(f"{', '.join(replies)}: no recording to fetch", NO_TARGET)
         if options.is_json:
             files = [
                 {"robot": robot, "path": path, "state": state} for robot, path, _, state in rows

@@ -81,6 +81,22 @@ def test_help_of_a_verb_by_either_word() -> None:
         assert (asked.code, asked.out, asked.err) == (0, wanted.out, "")
 
 
+def test_every_verb_of_contexts_answers_in_json() -> None:
+    given = [
+        swarmctl("context", *words, "-o", "json").json
+        for words in (
+            ("add", "lab", "--swarm", "meadow"),
+            ("use", "lab"),
+            ("show",),
+            ("remove", "lab"),
+            ("list",),
+        )
+    ]
+    assert [one["kind"] for one in given] == ["Context"] * 4 + ["Contexts"]
+    assert [(one["name"], one["swarm"]) for one in given[:3]] == [("lab", "meadow")] * 3
+    assert given[3]["was_in_use"] is True
+
+
 def examples() -> dict[str, tuple[click.Command, list[str]]]:
     """The words of the example of each verb in these groups, and the verb."""
     groups = {name: cli.get_command(click.Context(cli), name) for name in EXAMPLES}
