@@ -188,12 +188,14 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
         base = getattr(super(kind, kind), name, None)
         if not (inspect.isfunction(own) and inspect.isfunction(base)):
             continue
-        code, called = own.__code__, base.__code__
-        if code.co_argcount < called.co_argcount and not code.co_flags & inspect.CO_VARARGS:
-            found, wanted = (", ".join(c.co_varnames[: c.co_argcount]) for c in (code, called))
+        taken, given = (
+            code.co_varnames[: code.co_argcount] for code in (own.__code__, base.__code__)
+        )
+        if len(taken) < len(given) and not own.__code__.co_flags & inspect.CO_VARARGS:
             raise PluginError(
-                f"{kind.__name__}.{name}({found}): write `def {name}({wanted})`"
-                f" ({os.path.basename(code.co_filename)}:{code.co_firstlineno})"
+                f"{kind.__name__}.{name}({', '.join(taken)}): write"
+                f" `def {name}({', '.join(given)})`"
+                f" ({Path(own.__code__.co_filename).name}:{own.__code__.co_firstlineno})"
             )
     for base in vars(kind).get("__orig_bases__", ()):
         for params in get_args(base):
