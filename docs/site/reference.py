@@ -45,6 +45,7 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.core.verbs import VERBS
+from swarmd.kit.behavior import Context
 from swarmd.network.access import robot_access
 from swarmd.protection.compatibility import assumed_speed, body_of, sees
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
@@ -628,6 +629,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "keys": keys,
     "payloads": payloads,
     "inputs": lambda: fields(Inputs),
+    "context": lambda: fields(Context),
     "scan": lambda: fields(Scan),
     "values": values,
     "outputs": lambda: fields(Outputs),

@@ -16,6 +16,7 @@ import click
 
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
+from swarmd.cli.patterns import report_mission
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_bench import FAILED, PARTIAL, bench
 from swarmd.sim.cli.exp_results import (
@@ -79,7 +80,7 @@ def exp() -> None:
     """Run scenarios over many seeds; statistics, comparisons and plots."""
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp run aggregation --seeds 20 --out runs/gather")
 @click.argument("scenario", shell_complete=scenarios)
 @click.option(
     "--seeds",
@@ -250,7 +251,7 @@ def _tell_how_to_resume(folder: Path, plan: Plan, command: Sequence[str]) -> Non
         warn(f"{done}; to go on: {shlex.join(command)}")
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp rerun runs/gather")
 @folder_argument
 @out_option("Folder of the new results; without it they are compared and discarded.")
 @_processes
@@ -316,7 +317,7 @@ def rerun(
     ctx.exit(_exit_code(len(identical_runs), is_complete=is_complete))
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp merge runs/part-1 runs/part-2 --out runs/gather")
 @click.argument(
     "folders", metavar="DIR..", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
@@ -348,7 +349,7 @@ def merge(
     ctx.exit(PARTIAL if lacking else 0)
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp compare runs/wait:wait=0 runs/wait:wait=120")
 @click.argument("a")
 @click.argument("b", required=False)
 @_metrics
@@ -391,7 +392,7 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     exit_if_incomplete(results_a, results_b)
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp show runs/spacing")
 @folder_argument
 @_metrics
 @trust_option
@@ -404,7 +405,7 @@ def show(folder: Path, metrics: str | None, is_trusted: bool, is_json: bool) -> 
     _print_results(results, chosen_metrics(metrics, results.asked), is_json)
 
 
-@exp.command("list")
+@exp.command("list", epilog="Example: swarmctl exp list")
 @output_option
 def list_scenarios(is_json: bool) -> None:
     """List the scenarios that come with swarmd."""
@@ -430,12 +431,14 @@ def list_scenarios(is_json: bool) -> None:
     print_table(("NAME", "ROBOTS", "DURATION", "DESCRIPTION"), rows)
 
 
-@exp.command("check-mission")
+@exp.command(
+    "check-mission", epilog="Example: swarmctl exp check-mission survey.yaml shelter_choice"
+)
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("scenario", shell_complete=scenarios)
 @set_option
-@click.pass_context
-def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str, ...]) -> None:
+@output_option
+def check_mission(file: Path, scenario: str, sets: tuple[str, ...], is_json: bool) -> None:
     """Check the mission in FILE for the robots of SCENARIO: their platforms, fields and radio.
 
     `swarmctl mission check` does the same for one platform without a scenario. The mission may name
@@ -458,15 +461,11 @@ def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str
         for platform in platforms.values()
         for line in faults_of(file, platform, loaded.plugin_dir)
     )
-    for line in faults:
-        warn(line)
-    if faults:
-        ctx.exit(2)
     names = ", ".join(dict.fromkeys(name for name, _ in platforms))
-    click.echo(f"{file}: ok on {names} of {loaded.name}")
+    report_mission(file, faults, f"{names} of {loaded.name}", is_json=is_json)
 
 
-@exp.command("metrics")
+@exp.command("metrics", epilog="Example: swarmctl exp metrics")
 @output_option
 def list_metrics(is_json: bool) -> None:
     """List the metrics of every run, those of installed packages, and those with places."""
@@ -486,7 +485,7 @@ def list_metrics(is_json: bool) -> None:
     print_table([*map(str.upper, keys)], [[*(v or "-" for v in m.values())] for m in listed])
 
 
-@exp.command()
+@exp.command(epilog="Example: swarmctl exp measure runs/20260301-101500/run.npz")
 @click.argument(
     "files", metavar="TRACE.npz..", nargs=-1, required=True, type=click.Path(path_type=Path)
 )

@@ -37,7 +37,7 @@ def _tasks(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     return completion.names_or_files((_LIST, *task_names()), incomplete)
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl exp bench doorway --seeds 20")
 @click.argument("tasks", metavar="[TASK..|list]", nargs=-1, shell_complete=_tasks)
 @click.option(
     "--pattern",

@@ -37,7 +37,7 @@ _MODULES = {
 MISSED = 1  # exit code
 
 
-@click.command("export")
+@click.command("export", epilog="Example: swarmctl exp export runs/gather --to parquet -o gather")
 @folder_argument
 @click.option(
     "--to",
@@ -76,7 +76,7 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
         click.echo("\n".join(map(str, written)))
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl exp check runs/first 'median(gather_time) <= 40'")
 @click.argument("experiment", metavar="DIR")
 @click.argument("requirements", metavar="REQUIREMENT..", nargs=-1, required=True)
 @output_option
@@ -134,7 +134,7 @@ def _print_findings(findings: Sequence[RequirementFinding]) -> None:
     print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), rows)
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl exp report runs/gather")
 @click.argument("place", metavar="DIR|FILE.mcap", type=click.Path(path_type=Path))
 @out_option("The report [DIR/report.html, or FILE.html].", "-o", is_file=True)
 @click.option("--metrics", metavar="A,B,..", help="Show these metrics first, and draw them.")
@@ -208,7 +208,7 @@ def _refuse_recordings(folder: Path) -> None:
         )
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl exp view runs/gather --seed 7")
 @folder_argument
 @click.option("--seed", type=int, metavar="N", help="The run that is shown first [the first].")
 @click.option("--variant", metavar="NAME", help="Of a sweep, the variant that is shown first.")
@@ -230,7 +230,7 @@ _INCHES = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 0.1 / 2.54, "pt": 1.0 / 72.27}
 _NARROWEST, _WIDEST = 2.0, 20.0
 
 
-@click.command("plot")
+@click.command("plot", epilog="Example: swarmctl exp plot runs/rules --metrics consensus_time")
 @folder_argument
 @out_option("Folder of the pictures [DIR/plots; with --seeds DIR/plots/seeds-SEEDS].", "-o")
 @click.option(

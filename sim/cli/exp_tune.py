@@ -37,7 +37,10 @@ _MAX_METRIC, _BORDERS = 16, 13  # characters of a metric's name, and around four
 _MIN_VALUES = 8  # characters of the values of a candidate in one column
 
 
-@click.command()
+@click.command(
+    epilog="\b\nExample:\n"
+    "  swarmctl exp tune aggregation --metric gather_time:min --param range=2..7"
+)
 @click.argument("scenario", shell_complete=scenarios)
 @click.option(
     "--metric",

@@ -21,7 +21,10 @@ _SIZE = re.compile(r"([0-9]+)x([0-9]+)")
 _SMALLEST, _LARGEST = 160, 4096
 
 
-@click.command("video")
+@click.command(
+    "video",
+    epilog="Example: swarmctl exp video runs/patrol --colour report:phase",
+)
 @click.argument("place", metavar="DIR", type=click.Path(exists=True, path_type=Path))
 @click.option("--seed", type=click.IntRange(min=0), help="The seed of the run [the first run].")
 @click.option("--variant", metavar="NAME", help="The variant of a sweep [the first].")

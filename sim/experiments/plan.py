@@ -31,6 +31,9 @@ class Variant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     values: Mapping[str, Any]  # by swept key
     effective: Mapping[str, Any]  # the complete scenario
 
+    def __repr__(self) -> str:
+        return f"Variant({self.name!r}, {dict(self.values)})"
+
 
 class Shard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Part number `part`, counted from 1, of `of` parts; ValueError if it is out of range."""

@@ -351,6 +351,9 @@ class Results:
             lines.append(f"kernels: {self.kernels}")
         return lines
 
+    def __repr__(self) -> str:
+        return f"Results({str(self.folder)!r}, {len(self._rows)} of {len(self.plan.runs)} runs)"
+
     def __str__(self) -> str:
         return self.text()
 

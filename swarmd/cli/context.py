@@ -43,12 +43,13 @@ def context() -> None:
 
 @context.command()
 @_name
-def use(name: str) -> None:
+@local_options
+def use(options: CommonOptions, name: str) -> None:
     """Use the context NAME from now on, in all terminals of this user."""
     path = contexts_path()
     contexts = load_contexts(path).with_use(name)
     save_contexts(path, contexts)
-    click.echo(f"{name}: {_line(contexts.get(name))}")
+    _show(options, name, contexts.get(name))
 
 
 @context.command("list")
@@ -77,10 +78,7 @@ def show(options: CommonOptions, name: str | None) -> None:
     if chosen is None:
         raise click.ClickException("no context is in use; see `swarmctl context use`")
     label, one = chosen
-    if options.is_json:
-        print_json("Context", {"name": label, **msgspec.to_builtins(one)})
-    else:
-        click.echo(f"{label}: {_line(one)}")
+    _show(options, label, one)
 
 
 @context.command()
@@ -97,18 +95,28 @@ def add(options: CommonOptions, name: str, is_used: bool) -> None:
         raise click.UsageError(f"context add needs options, such as --swarm {name}")
     one = Context(**{key: _kept(value) for key, value in given.items()})
     add_context(name, one, use=is_used)
-    click.echo(f"{name}: {_line(one)}")
+    _show(options, name, one)
 
 
 @context.command()
 @_name
-def remove(name: str) -> None:
+@local_options
+def remove(options: CommonOptions, name: str) -> None:
     """Remove the context NAME; the robots do not notice."""
     path = contexts_path()
     contexts = load_contexts(path)
     save_contexts(path, contexts.without(name))
-    if contexts.use == name:
+    if options.is_json:
+        print_json("Context", {"name": name, "was_in_use": contexts.use == name})
+    elif contexts.use == name:
         click.echo(f"{name} was in use; no context is in use now")
+
+
+def _show(options: CommonOptions, name: str, one: Context) -> None:
+    if options.is_json:
+        print_json("Context", {"name": name, **msgspec.to_builtins(one)})
+    else:
+        click.echo(f"{name}: {_line(one)}")
 
 
 def _kept(value: Any) -> Any:

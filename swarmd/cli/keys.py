@@ -63,7 +63,7 @@ def keys() -> None:
     """
 
 
-@keys.command()
+@keys.command(epilog="Example: swarmctl keys init meadow --robots 'tb3-[01-07]' --interface wlan0")
 @click.argument("swarm")
 @click.option("--robots", required=True, metavar="NAMES", help="Such as 'tb3-[01-40]'.")
 @click.option("--operators", metavar="NAMES", help="Such as alice,bob [your login name].")
@@ -171,7 +171,7 @@ def _make_authority(
     return authority, installed
 
 
-@keys.command()
+@keys.command(epilog="Example: swarmctl keys bundle --all -o bundles")
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--all", "is_all", is_flag=True, help="All names of the roster.")
 @click.option(
@@ -220,7 +220,7 @@ def _bundle_files(names: Sequence[str], target: Path | None) -> dict[str, Path]:
     return {name: folder / f"{name}{SUFFIX}" for name in names}
 
 
-@keys.command("list")
+@keys.command("list", epilog="Example: swarmctl keys list")
 @_swarm_option
 @local_options
 def list_(options: CommonOptions) -> None:
@@ -263,7 +263,7 @@ def list_(options: CommonOptions) -> None:
             click.echo(f"# {row['name']}: {note}; see `swarmctl keys renew`")
 
 
-@keys.command()
+@keys.command(epilog="Example: swarmctl keys install alice.bundle")
 @click.argument("file", type=FILE)
 @click.option("--interface", metavar="NAME", help="This machine's interface, if it has another.")
 @click.option("--force", is_flag=True, help="Replace an identity of another name or authority.")
@@ -361,7 +361,7 @@ def _login_id() -> str:
     return found
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl keys router --swarm meadow")
 @click.option("--swarm", metavar="NAME", required=True, help="The swarm of the identity.")
 @click.option(
     "--identity",

@@ -37,7 +37,7 @@ ANSWER_TIME = 3.0
 """How long a revoked robot may take to answer, in s."""
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl keys add tb3-41 --role robot")
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @click.option(
     "--role",
@@ -59,7 +59,7 @@ def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
     roll_out(options, authority)
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl keys revoke tb3-07")
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @common_options
 def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
@@ -86,7 +86,7 @@ def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
     roll_out(options, authority, revoked=tuple(name for name in gone if name in roster.robots))
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl keys renew --all")
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--all", "is_all", is_flag=True, help="All robots, and this operator.")
 @days_option
@@ -130,7 +130,7 @@ def _renewable(authority: Authority, own: Identity, names: tuple[str, ...]) -> l
     return with_keys
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl keys push")
 @common_options
 def push(options: CommonOptions) -> None:
     """Roll the present roster out to the robots that may not have it yet."""

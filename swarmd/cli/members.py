@@ -28,7 +28,12 @@ if TYPE_CHECKING:
 
 
 @click.group(cls=VerbGroup, invoke_without_command=True)
-@click.option("-w", "--wide", is_flag=True, help="Show all columns, whole reports, too.")
+@click.option(
+    "-w",
+    "--wide",
+    is_flag=True,
+    help="All columns, whole reports. To watch: `swarmctl view`.",
+)
 @common_options
 def members(options: CommonOptions, wide: bool) -> None:
     """Print the robots of the swarm and their states.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -110,8 +111,13 @@ def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | 
     if not file.is_file():
         raise click.UsageError(f"{file} is no file; expected the YAML file of a mission")
     faults = check_mission(file, platform, plugin_dir or file.parent)
-    if options.is_json:
-        print_json("Mission", {"file": str(file), "platform": platform, "faults": faults})
+    report_mission(file, faults, platform, is_json=options.is_json)
+
+
+def report_mission(file: Path, faults: Collection[str], platform: str, *, is_json: bool) -> None:
+    """Print the faults of a mission on `platform`; end the verb with exit code 2 if it has one."""
+    if is_json:
+        print_json("Mission", {"file": str(file), "platform": platform, "faults": list(faults)})
     elif not faults:
         click.echo(f"{file}: ok on {platform}")
     else:

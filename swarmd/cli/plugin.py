@@ -44,7 +44,7 @@ def plugin() -> None:
     """Patterns of your own, a file or a folder each."""
 
 
-@plugin.command("new")
+@plugin.command("new", epilog="Example: swarmctl plugin new swirl --dir mine")
 @click.argument("name")
 @click.option(
     "--dir", "folder", type=FOLDER, default=Path(), help="The folder to write to [the current one]."
@@ -105,7 +105,7 @@ def new(
     click.echo(f"\nOn a robot, put {plugin} into the folder that its plugin_dir names.")
 
 
-@plugin.command("check")
+@plugin.command("check", epilog="Example: swarmctl plugin check mine/swirl.py")
 @click.argument("file", type=EXISTING_FILE)
 @local_options
 def check(options: CommonOptions, file: Path) -> None:
@@ -143,7 +143,7 @@ def check(options: CommonOptions, file: Path) -> None:
     click.get_current_context().exit(0 if is_well else 1)
 
 
-@plugin.command("reload")
+@plugin.command("reload", epilog="Example: swarmctl plugin reload shy --all --run")
 @click.argument("name", shell_complete=completion.patterns)
 @takes_targets(is_required=True)
 @click.option("--run", "is_run", is_flag=True, help="Run again where it ran, with its parameters.")

@@ -51,6 +51,7 @@ MAX_GENERATION = 2**32 - 1  # version number of a manifest
 PUSH_TIMEOUT = 15.0  # s: a trial on a robot may take 10
 CANARY_TIME = 90.0  # s: a version is held after 60 s of runs
 LOOK_PERIOD = 0.5  # s between two queries of the canaries
+TELL_PERIOD = 10.0  # s between two lines about the wait for canaries
 MAX_NAME, MAX_VERSION = 63, 32  # characters in a manifest
 DIGEST_LENGTH = 12  # characters of the hash in a report of pushed patterns
 
@@ -65,7 +66,7 @@ class Source(NamedTuple):
     code: bytes
 
 
-@click.command("push")
+@click.command("push", epilog="Example: swarmctl plugin push shy.py --all --canary 1")
 @click.argument("file", type=EXISTING_FILE)
 @takes_targets(is_required=True)
 @click.option("--version", default="", help="Shown beside the hash [that of the wheel].")
@@ -125,15 +126,18 @@ def push(
             try:
                 result = _await_canary(asked, source, canaries, remaining, canary_time)
             except (KeyboardInterrupt, SystemExit):
-                warn(f"{', '.join(canaries)} has the new code; nothing was sent to {others}")
+                warn(f"{_way_back(source.name, canaries)}; nothing was sent to {others}")
                 raise
             warn(f"canary {', '.join(canaries)} with the new code: {result}; now {others}")
             # The manifest of the canaries has other targets. A greater generation replaces it.
             generation += 1
-        asked.report(pusher.push(generation, targets=push_targets, robots=robots))
+        outcome = pusher.push(generation, targets=push_targets, robots=robots)
+        if canaries:
+            warn(_way_back(source.name, sorted({*canaries, *outcome.applied})))
+        asked.report(outcome)
 
 
-@click.command("remove")
+@click.command("remove", epilog="Example: swarmctl plugin remove shy --all")
 @click.argument("name")
 @takes_targets(is_required=True)
 @common_options
@@ -148,7 +152,7 @@ def remove(options: CommonOptions, name: str, targets: Targets) -> None:
         asked.report(pusher.push(generation, targets=push_targets, robots=asked.names))
 
 
-@click.command("list")
+@click.command("list", epilog="Example: swarmctl plugin list --all")
 @takes_targets(is_required=False)
 @common_options
 def list_pushed(options: CommonOptions, targets: Targets) -> None:
@@ -423,7 +427,7 @@ def _await_canary(
     """
     options, operator = asked.options, asked.operator
     digest = hashlib.sha256(source.code).hexdigest()[:DIGEST_LENGTH]
-    deadline = time.monotonic() + limit
+    began = told = time.monotonic()
     while True:
         view = operator.members(timeout=options.timeout)
         replies = pushed_patterns_of(options, operator, view, canaries)
@@ -439,10 +443,21 @@ def _await_canary(
             return "holds it"
         if not any(_runs(view, robot, source.name) for robot in provisional_on):
             return f"loaded, and not tried by a run on {', '.join(provisional_on)}"
-        if time.monotonic() >= deadline:
+        if (now := time.monotonic()) >= began + limit:
             return f"not held yet after {limit:.0f} s, and without a fault"
+        if now >= told + TELL_PERIOD:
+            told = now
+            warn(f"canary {', '.join(provisional_on)}: {now - began:.0f} s, without a fault so far")
         time.sleep(LOOK_PERIOD)
         operator.loops.turn(boottime(), LOOK_PERIOD)
+
+
+def _way_back(name: str, robots: Collection[str]) -> str:
+    """Which robots have the new code of the pattern `name`, and the verbs that take it back."""
+    return (
+        f"new code of {name} on {', '.join(robots)}; back: push the file before, or"
+        f" `swarmctl plugin remove {name} {' '.join(robots)}`"
+    )
 
 
 def _canary_fault(report: PushedPatternReport | None, *, has_answered: bool) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, common_options
+from swarmd.cli.options import FOLDER, CommonOptions, Failure, VerbGroup, common_options
 from swarmd.cli.output import fields, print_json, print_table, rewrite, warn
 from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to
@@ -18,7 +18,7 @@ from swarmd.client.ask_robots import ASK_TIME
 from swarmd.client.targets import Targets, targets_of
 from swarmd.core.errors import NetworkError
 from swarmd.core.verbs import RecordRequest
-from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT
+from swarmd.network.operator.exit_codes import NO_TARGET, PARTIAL, TIMEOUT
 from swarmd.texts.values import NOTHING, counted, megabytes, seconds
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def record() -> None:
     """
 
 
-@record.command()
+@record.command(epilog="Example: swarmctl record start --all")
 @takes_targets(is_required=True)
 @common_options
 def start(options: CommonOptions, targets: Targets) -> None:
@@ -46,7 +46,7 @@ def start(options: CommonOptions, targets: Targets) -> None:
     send_to(options, RecordRequest, targets, action="start")
 
 
-@record.command()
+@record.command(epilog="Example: swarmctl record stop --all")
 @takes_targets(is_required=True)
 @common_options
 def stop(options: CommonOptions, targets: Targets) -> None:
@@ -54,7 +54,7 @@ def stop(options: CommonOptions, targets: Targets) -> None:
     send_to(options, RecordRequest, targets, action="stop")
 
 
-@record.command("list")
+@record.command("list", epilog="Example: swarmctl record list")
 @takes_targets(is_required=False)
 @common_options
 def list_(options: CommonOptions, targets: Targets) -> None:
@@ -91,7 +91,7 @@ def list_(options: CommonOptions, targets: Targets) -> None:
         _exit_if_failed(replies.keys(), without_answer)
 
 
-@record.command()
+@record.command(epilog="Example: swarmctl record fetch --all -d evening")
 @takes_targets(is_required=True)
 @click.option(
     "-d",
@@ -105,7 +105,8 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
     """Copy the recordings of TARGETS to this machine.
 
     A fetch that was interrupted continues where it ended. Robots record on while their files are
-    copied; the copy of a file that is being written ends in `.partial`.
+    copied; the copy of a file that is being written ends in `.partial`. Exit code 4 if TARGETS have
+    no recordings.
     """
     with options.operator() as operator:
         replies, failed_robots = _recordings(options, operator, targets)
@@ -121,6 +122,8 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
                 failed_robots.append(robot)
         if sys.stderr.isatty():
             rewrite("")  # clears the line of progress
+        if not rows and not failed_robots:
+            raise Failure(f"{', '.join(replies)}: no recording to fetch", NO_TARGET)
         if options.is_json:
             files = [
                 {"robot": robot, "path": path, "state": state} for robot, path, _, state in rows

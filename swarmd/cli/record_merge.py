@@ -13,7 +13,7 @@ from swarmd.plugins import need
 from swarmd.texts.values import clock_cells, counted
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl record merge evening -o evening.mcap")
 @recordings_argument
 @click.option(
     "-o",

@@ -161,7 +161,7 @@ def cli(options: CommonOptions) -> None:
     """Command a swarm of robots from any machine in its network.
 
     Targets are robot names, globs such as 'tb3-*' and ranges such as 'tb3-[01-07]' (quoted), or
-    --all, less --exclude GLOB.
+    --all, less --exclude GLOB. `swarmctl help VERB` explains a verb.
     """
 
 
@@ -219,6 +219,8 @@ def run_cli(
     `-o json` an error is also a JSON document on stdout, the only document.
     """
     words = sys.argv[1:] if args is None else args
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
     stdout_at_start = sys.stdout
     is_completing = bool(os.environ.get(f"_{name.upper()}_COMPLETE"))
     if is_completing:  # the shell would show the text of stderr in the line that it completes
@@ -226,7 +228,7 @@ def run_cli(
     elif fault := _not_text(words):
         return _fail(fault, 2, words)
     try:
-        return int(command.main(args, prog_name=name, standalone_mode=False, obj=options) or 0)
+        return int(command.main(words, prog_name=name, standalone_mode=False, obj=options) or 0)
     except click.Abort:
         return _fail("interrupted", 130, words)
     except click.exceptions.NoArgsIsHelpError as error:

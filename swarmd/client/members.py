@@ -82,6 +82,9 @@ class Members(Mapping[str, SeenMember]):
         return rows
 
     def __repr__(self) -> str:
+        return f"Members({self.notes[0]!r})"
+
+    def __str__(self) -> str:
         cells = [HEADER, *(row(robot) for robot in self.values())]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
@@ -102,6 +105,9 @@ class Description:
     robot: str
     why: str
     sections: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]
+
+    def __repr__(self) -> str:
+        return f"Description({f'{self.robot}: {self.why}'!r})"
 
     def __str__(self) -> str:
         lines = [f"{self.robot}: {self.why}"]

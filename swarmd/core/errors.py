@@ -115,15 +115,17 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """One line for an unknown name, with a suggestion.
 
     Suggests the known names that contain `name` as a word or after a colon, else the most similar
-    name, else all.
+    name, or the name that is most similar after its colon. Else all: first those with a colon,
+    which are the user's own.
     """
-    names = sorted(known)
+    names = sorted(known, key=lambda one: (":" not in one, one))
     having = [one for one in names if name in one.split("_") or one.endswith(f":{name}")]
     if 0 < len(having) <= _MAX_HINTS:
         text = " or ".join(filter(None, [", ".join(map(repr, having[:-1])), repr(having[-1])]))
         return f"no {what} {name!r}; did you mean {text}?"
-    if close := nearest(name, names):
-        return f"no {what} {name!r}; did you mean {close!r}?"
+    ends = {end: one for one in names for end in (one.rpartition(":")[2], one)}
+    if close := nearest(name, ends):
+        return f"no {what} {name!r}; did you mean {ends[close]!r}?"
     return f"no {what} {name!r}; there are: {', '.join(names) or 'none'}"
 
 

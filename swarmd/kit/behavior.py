@@ -50,17 +50,20 @@ def _no_parts(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """The robot and platform on which a pattern runs, and the tools of the pattern."""
+    """The robot and platform on which a pattern runs, and the tools of the pattern.
+
+    - `robot`: the id of this robot, as `Neighbor.id` and `Message.sender` have it on other robots.
+    - `platform`: what the robot is: its `limits`, `footprint`, `scan`, `provides` and more.
+    - `rng`: the seeded random generator, the only source of chance.
+    - `make`: makes another pattern as a part, for a `CombinedPattern`.
+    - `channel_prefix`: what `CombinedPattern` puts before the channels of a part; else empty.
+    """
 
     robot: str
-    """The id of this robot."""
     platform: Platform
     rng: Generator
-    """The seeded random generator."""
     make: Make = _no_parts
-    """Makes other patterns as parts."""
     channel_prefix: str = ""
-    """What CombinedPattern puts before the channels of this pattern, if it is a part."""
 
 
 class Pattern(ABC, Generic[P]):

@@ -179,7 +179,24 @@ def _from_file(path: Path, digest: bytes = b"") -> type[Pattern[Any]]:
 
 
 def _check_declarations(kind: type[Pattern[Any]]) -> None:
-    """PluginError for a missing `params_type`, or a channel whose type cannot be sent."""
+    """PluginError for a class that contradicts itself.
+
+    It lacks `params_type`, has a channel whose type cannot be sent, or a method that takes fewer
+    arguments than it is called with; most often `self` is missing.
+    """
+    for name, own in vars(kind).items():
+        base = getattr(super(kind, kind), name, None)
+        if not (inspect.isfunction(own) and inspect.isfunction(base)):
+            continue
+        taken, given = (
+            code.co_varnames[: code.co_argcount] for code in (own.__code__, base.__code__)
+        )
+        if len(taken) < len(given) and not own.__code__.co_flags & inspect.CO_VARARGS:
+            raise PluginError(
+                f"{kind.__name__}.{name}({', '.join(taken)}): write"
+                f" `def {name}({', '.join(given)})`"
+                f" ({Path(own.__code__.co_filename).name}:{own.__code__.co_firstlineno})"
+            )
     for base in vars(kind).get("__orig_bases__", ()):
         for params in get_args(base):
             is_params = isinstance(params, type) and issubclass(params, Params)

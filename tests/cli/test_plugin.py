@@ -27,7 +27,7 @@ from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.kit.observation import NeighborsPart, PolicySpec, ReadingPart, ScanPart, TwistPart
 from swarmd.kit.policy_network import from_text, network_of, parameter_count
-from swarmd.pattern_host.loader import import_file
+from swarmd.pattern_host.loader import PatternLoader, import_file
 from swarmd.pattern_host.plugin_inspector import (
     DROPPED,
     IMPORTS,
@@ -290,6 +290,32 @@ def test_a_wrong_default_or_params_type_is_reported_once(
     points = {point.name: point for point in check_file(tmp_path / "own.py", 60.0)}
     (found,) = faults(points).values()
     assert text in found
+
+
+@pytest.mark.parametrize(
+    ("taken", "wanted"),
+    [("inputs", "self, inputs"), ("self", "self, inputs"), ("", "self, inputs")],
+)
+def test_a_method_without_self_is_reported_once_with_its_line(
+    tmp_path: Path, taken: str, wanted: str
+) -> None:
+    code = CODE.format(top="", declared="", made="pass", body="return Twist()")
+    lines = code.replace("drive(self, inputs: Inputs)", f"drive({taken})").splitlines()
+    (tmp_path / "own.py").write_text("\n".join(lines))
+    (found,) = faults({p.name: p for p in check_file(tmp_path / "own.py", 60.0)}).values()
+    number = 1 + next(i for i, line in enumerate(lines) if f"drive({taken})" in line)
+    assert f"def drive({wanted})" in found
+    assert f"(own.py:{number})" in found
+
+
+@pytest.mark.parametrize("taken", ["this, scan", "*arguments", "self, *more"])
+def test_a_method_that_takes_its_arguments_by_other_names_is_no_fault(
+    tmp_path: Path, taken: str
+) -> None:
+    code = CODE.format(top="", declared="", made="pass", body="return Twist()")
+    (tmp_path / "own.py").write_text(code.replace("drive(self, inputs: Inputs)", f"drive({taken})"))
+    loaded = PatternLoader({"own": (str(tmp_path / "own.py"), True)})("own")
+    assert loaded.__name__ == "Own"
 
 
 def test_a_nan_that_is_passed_on_is_no_difference(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -100,3 +101,33 @@ def test_without_an_answer_no_generation_is_guessed(monkeypatch: pytest.MonkeyPa
     answers.clear()
     with pytest.raises(Failure, match="from r1, r2; nothing was sent"):
         pusher.next_generation()
+
+
+def test_the_wait_for_a_canary_is_told_at_intervals(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a canary that runs new code for 90 s, with a clock that the waits wind."""
+    clock = [0.0]
+    code = b"code"
+    digest = hashlib.sha256(code).hexdigest()[: plugin_push.DIGEST_LENGTH]
+    report = PushedPatternReport(name="own", standing="provisional", digest=digest)
+    answers = {"r1": PushedPatternsReply(robot="r1", patterns=(report,))}
+
+    def wait(seconds: float) -> None:
+        clock[0] += seconds
+
+    operator = SimpleNamespace(
+        members=lambda timeout: None, loops=SimpleNamespace(turn=lambda *_: None)
+    )
+    monkeypatch.setattr(plugin_push, "pushed_patterns_of", lambda *_: answers)
+    monkeypatch.setattr(plugin_push, "_runs", lambda *_: True)
+    monkeypatch.setattr(
+        plugin_push, "time", SimpleNamespace(monotonic=lambda: clock[0], sleep=wait)
+    )
+    asked: Any = SimpleNamespace(options=SimpleNamespace(timeout=None), operator=operator)
+    source = plugin_push.Source("own", "file", "", "", code)
+    assert "not held yet" in plugin_push._await_canary(asked, source, ["r1"], ["r2"], 90.0)
+    told = capsys.readouterr().err.splitlines()
+    assert [line.partition(" s,")[0] for line in told] == [
+        f"canary r1: {seconds}" for seconds in range(10, 90, 10)
+    ]

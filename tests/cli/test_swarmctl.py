@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -38,6 +39,7 @@ class Own(MovementPattern[Params]):
 '''
 SHY = str(Path(__file__).parents[2] / "examples" / "shy.py")
 SOON = ("--timeout", "200ms")
+EXAMPLES = ("exp", "plugin", "record", "keys")
 HEAVY = {"numpy", "rich", "yaml", "asyncio", "mujoco", "matplotlib", "swarmd.patterns"}
 
 
@@ -71,6 +73,62 @@ def test_help_loads_nothing_heavy_and_no_message() -> None:
 )
 def test_a_verb_loads_nothing_heavy_and_reads_no_package_metadata(args: list[str]) -> None:
     assert not loaded(*args) & (HEAVY | {"importlib.metadata"})
+
+
+def test_help_of_a_verb_by_either_word() -> None:
+    for words in (("stop",), ("record", "fetch"), ()):
+        asked, wanted = swarmctl("help", *words), swarmctl(*words, "--help")
+        assert (asked.code, asked.out, asked.err) == (0, wanted.out, "")
+
+
+def test_every_verb_of_contexts_answers_in_json() -> None:
+    given = [
+        swarmctl("context", *words, "-o", "json").json
+        for words in (
+            ("add", "lab", "--swarm", "meadow"),
+            ("use", "lab"),
+            ("show",),
+            ("remove", "lab"),
+            ("list",),
+        )
+    ]
+    assert [one["kind"] for one in given] == ["Context"] * 4 + ["Contexts"]
+    assert [(one["name"], one["swarm"]) for one in given[:3]] == [("lab", "meadow")] * 3
+    assert given[3]["was_in_use"] is True
+
+
+def examples() -> dict[str, tuple[click.Command, list[str]]]:
+    """The words of the example of each verb in these groups, and the verb."""
+    groups = {name: cli.get_command(click.Context(cli), name) for name in EXAMPLES}
+    return {
+        f"{name} {verb}": (command, shlex.split((command.epilog or "").partition("swarmctl ")[2]))
+        for name, group in groups.items()
+        if isinstance(group, click.Group)
+        for verb, command in group.commands.items()
+    }
+
+
+def test_the_example_of_each_verb_is_a_line_that_the_verb_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder in (
+        "mine",
+        "evening",
+        "runs/gather",
+        "runs/first",
+        "runs/spacing",
+        "runs/rules",
+        "runs/patrol",
+    ):
+        Path(folder).mkdir(parents=True)
+    for file in ("mine/swirl.py", "shy.py", "survey.yaml", "alice.bundle"):
+        Path(file).touch()
+    given = examples()
+    assert {name for name, (_, words) in given.items() if " ".join(words[:2]) != name} == set()
+    assert len(given) == 37
+    for name, (command, words) in given.items():
+        command.make_context(name, words[2:])
 
 
 @pytest.mark.integration

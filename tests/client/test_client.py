@@ -410,7 +410,41 @@ def test_what_robots_send_is_text_in_a_page() -> None:
     assert "&lt;r2&gt;" in page
     assert "<script>" not in page
     assert "<svg" not in Members(MembersView({"r1": member}))._repr_html_()
-    assert repr(shown).splitlines()[-1].startswith("# 1/1 alive")
+    assert str(shown).splitlines()[-1].startswith("# 1/1 alive")
+
+
+def replied(robot: str, code: Code) -> Reply:
+    return Reply(id="a", robot=robot, code=code)
+
+
+@pytest.mark.parametrize(
+    ("codes", "missing", "unlisted", "is_success"),
+    [
+        ([Code.APPLIED, Code.APPLIED], (), (), True),
+        ([Code.APPLIED, Code.REFUSED], (), (), False),
+        ([Code.REFUSED] * 7, (), (), False),
+        ([Code.APPLIED], ("r9",), (), False),
+        ([Code.APPLIED], (), ("r0",), False),  # further robots may exist
+        ([], (), (), False),
+    ],
+)
+def test_an_outcome_is_true_only_if_all_robots_applied_the_request(
+    codes: list[Code], missing: tuple[str, ...], unlisted: tuple[str, ...], is_success: bool
+) -> None:
+    replies = {f"r{i}": replied(f"r{i}", code) for i, code in enumerate(codes)}
+    assert bool(Outcome(replies, missing, unlisted=unlisted)) is is_success
+
+
+def test_what_python_shows_of_a_value_is_one_short_line() -> None:
+    member = make_member("r1", pattern="drive")
+    members = Members(MembersView({"r1": member}))
+    outcome = Outcome({f"r{i}": replied(f"r{i}", Code.REFUSED) for i in range(3)}, ("r9",))
+    shown = [repr(one) for one in (member, members, members.describe("r1"), outcome)]
+    assert [text for text in shown if "\n" in text or len(text) > 100] == []
+    assert shown[-1] == "Outcome('4 targeted, 0 applied, 3 refused (r0, r1, r2), 1 no answer (r9)')"
+    assert "r1" in shown[0]
+    assert "1/1 alive" in shown[1]
+    assert "r1" in shown[2]
 
 
 @pytest.mark.parametrize(("pattern", "text"), [("levy_walk", "0.25 m"), ("gone", "0.25")])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.names import check_distinct, expand_names, select_names
 
 
@@ -65,3 +65,20 @@ def test_a_name_has_one_role() -> None:
     check_distinct(("a",), ("b",))
     with pytest.raises(ConfigError, match="two roles"):
         check_distinct(("a", "b"), ("b",))
+
+
+@pytest.mark.parametrize(
+    ("name", "suggested"),
+    [("warn", "mine.py:warm"), ("mine:warm", "mine.py:warm"), ("gather_tine", "gather_time")],
+)
+def test_an_unknown_name_is_answered_with_the_nearest_also_after_a_colon(
+    name: str, suggested: str
+) -> None:
+    assert unknown("metric", name, ("gather_time", "mine.py:warm", "x")).endswith(
+        f"did you mean {suggested!r}?"
+    )
+
+
+def test_names_of_the_user_come_first_where_none_is_near() -> None:
+    text = unknown("metric", "misspelt", ("alpha", "mine.py:warm", "beta"))
+    assert text.endswith("there are: mine.py:warm, alpha, beta")

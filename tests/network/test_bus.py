@@ -119,12 +119,20 @@ async def test_wild_and_oversized_queries_are_dropped_counted_and_ended(
 async def test_the_address_of_an_asker_that_names_its_session_is_known(rig: BusRig) -> None:
     await rig.serve(lambda query: query.reply(query.source.encode()))
     ((_, unnamed),) = await rig.get("me/control/run/eve")
-    assert unnamed == b"an unknown address"
+    assert unnamed == b"an unnamed Zenoh session"
     named = zenoh.SourceInfo(rig.foreign.id, 0)
     replies = await asyncio.to_thread(
         lambda: list(rig.foreign.get(rig.key("me/control/run/eve"), source_info=named, timeout=5.0))
     )
     assert [reply.ok.payload.to_bytes()[:10] for reply in replies if reply.ok] == [b"127.0.0.1:"]
+    gone = open_with({**OFF, "listen/endpoints": []}, "a test")
+    other = zenoh.SourceInfo(gone.id, 0)
+    gone.close()
+    replies = await asyncio.to_thread(
+        lambda: list(rig.foreign.get(rig.key("me/control/run/eve"), source_info=other, timeout=5.0))
+    )
+    (source,) = [reply.ok.payload.to_bytes().decode() for reply in replies if reply.ok]
+    assert str(other.source_id.zid) in source
 
 
 async def test_an_answer_may_come_later_and_only_once(rig: BusRig) -> None:

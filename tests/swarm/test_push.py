@@ -141,7 +141,9 @@ def test_a_late_joiner_gets_what_was_pushed(pushing: Pushing) -> None:
     assert done.code == 3, done
     assert "nothing was sent to r2" in done.err
     assert pushing.listed("r2").get("late", {}).get("hash", "") == ""
-    assert pushing.push(V1, "--all", "--canary", "1", name="late").code == 0
+    done = pushing.push(V1, "--all", "--canary", "1", name="late")
+    assert done.code == 0
+    assert "swarmctl plugin remove late r1 r2" in done.err
     swarm.start("r3", swarm.body("r3"))
     wait_until(lambda: pushing.listed("r3").get("late", {}).get("hash", "") != "", "r3 has it")
     assert pushing.listed("r3")["late"]["hash"] == pushing.listed("r1")["late"]["hash"]

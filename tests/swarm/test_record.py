@@ -31,6 +31,10 @@ def topics(found: RecordedFile) -> dict[str, int]:
 def test_a_run_is_recorded_listed_and_fetched(swarm: Swarm, tmp_path: Path) -> None:
     body = swarm.body("tb3-01")
     swarm.start("tb3-01", body)
+    nothing = swarm.ctl("record", "fetch", "--all", "-d", str(tmp_path / "none"))
+    assert (nothing.code, nothing.out) == (4, "")
+    assert "tb3-01" in nothing.err
+    assert swarm.ctl("record", "fetch", "--all", "-o", "json").json["exit_code"] == 4
     started = swarm.ctl("record", "start", "--all")
     assert started.outcome == (0, "1 targeted, 1 applied"), started.err
     assert "records to" in started.out

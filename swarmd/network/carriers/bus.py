@@ -72,7 +72,11 @@ class ZenohQuery:
 
     @property
     def source(self) -> str:
-        """The address of the link to the session that the query names; no signature proves it."""
+        """The address of the link to the session that the query names; no signature proves it.
+
+        Without such a link the session itself, as `zid`: its queries come through another session,
+        such as a router, or it has ended.
+        """
         asker = None if self._info is None else self._info.source_id.zid
         with suppress(zenoh.ZError):
             for link in self._session.info.links():
@@ -80,7 +84,7 @@ class ZenohQuery:
                 if link.zid == asker and is_proved:
                     address = str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0]
                     return without_mapping(address)
-        return "an unknown address"
+        return "an unnamed Zenoh session" if asker is None else f"Zenoh session {asker}, no link"
 
     def reply(self, payload: bytes) -> None:
         """Send `payload` (MessagePack) as the answer; a second call has no effect.

@@ -36,6 +36,9 @@ class SeenMember(Member, frozen=True, kw_only=True):
     header: StatusHeader | None = None  # the readable part of the status of another version
     epoch: Epoch | None = None  # the epoch of the status or, without a status, of the newest beacon
 
+    def __repr__(self) -> str:
+        return f"SeenMember({self.robot!r}, {self.presence.value}, {self.contact.value})"
+
 
 class MembersView(Struct, frozen=True):
     """The swarm as one operator sees it."""

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.network.datagram import Ack
-from swarmd.network.operator.exit_codes import MISTAKES, code_of_outcome
+from swarmd.network.operator.exit_codes import APPLIED, MISTAKES, code_of_outcome
 
 MAX_ROBOTS, MAX_INSTANCES = 1024, 8
 
@@ -22,7 +22,10 @@ _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
 class Outcome(Struct, frozen=True):
-    """The replies to a request, by robot, and the robots that did not answer."""
+    """The replies to a request, by robot, and the robots that did not answer.
+
+    True only if `exit_code` is 0: all targeted robots applied the request, and no others may exist.
+    """
 
     replies: Mapping[str, Reply]
     missing: tuple[str, ...] = ()  # targets without a reply
@@ -83,6 +86,12 @@ class Outcome(Struct, frozen=True):
     def exit_code(self) -> int:
         """The exit code of swarmctl for this outcome."""
         return code_of_outcome(self)
+
+    def __bool__(self) -> bool:
+        return self.exit_code == APPLIED
+
+    def __repr__(self) -> str:
+        return f"Outcome({self.line!r})"
 
     def _with(self, code: Code) -> tuple[str, ...]:
         return tuple(sorted(name for name, reply in self.replies.items() if reply.code is code))

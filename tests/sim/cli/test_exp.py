@@ -588,5 +588,7 @@ def test_a_mission_is_checked_for_the_robots_of_a_scenario(
     done = swarmctl(*words, "shelter_choice")
     assert (done.returncode, done.stderr) == (0, "")
     assert "ok on burger" in done.stdout
+    document = json.loads(swarmctl(*words, "shelter_choice", "-o", "json").stdout)
+    assert (document["kind"], document["faults"]) == ("Mission", [])
     done = swarmctl(*words, "shelter_choice", "--set", "radio.range_and_bearing=false")
     assert done.returncode == 2

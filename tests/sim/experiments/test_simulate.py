@@ -49,6 +49,8 @@ def test_results_have_rows_statistics_and_traces(plain: Results) -> None:
     assert [trace.meta["seed"] for trace in plain.traces] == [0, 1]
     assert plain.traces["s0001"].meta["seed"] == 1
     assert plain.traces[-1].meta["seed"] == 1
+    assert repr(plain) == f"Results({str(plain.folder)!r}, 2 of 2 runs)"
+    assert len(repr(plain.runs)) < 100 * len(plain.runs)  # without the whole scenario
     text = str(plain)
     assert f"{plain.plan.scenario}: 2 of 2 runs" in text
     assert "path_length" in text
