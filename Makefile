@@ -38,7 +38,7 @@ ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 help:
 	@echo "make demo      seven simulated robots gather; the first time installs, for some 15 s"
 	@echo "make test      what decides and computes, three minutes  (ARGS='-k scan' picks some, JOBS=0 one by one)"
-	@echo "make test-all  all tests: make test, then processes, long simulations and studies"
+	@echo "make test-all  all tests: make test, then processes, long simulations and studies  (STALLS=1 stops their processes at random moments)"
 	@echo "make test-robot  the tests of the robot wing: what runs on a robot, without swarmctl and the simulation"
 	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"

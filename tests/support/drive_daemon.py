@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from swarmd.core.errors import RequestError
 from swarmd.core.messages import Code, State, Status
 from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.operator import Operator
 from tests.support.processes import wait_until
+from tests.support.swarmctl import STALLED
 
 ROBOT = "tb3-01"
 
@@ -29,13 +31,17 @@ def drive(operator: Operator) -> None:
         now = status(operator)
         if now is None or not now.health.driver_up or now.decision.scan_age is None:
             return False
-        outcome = operator.request(
-            RunRequest,
-            {ROBOT: now.epoch},
-            pattern="drive",
-            params={"speed": 0.1},
-            timeout=10.0,
-        )
+        try:
+            outcome = operator.request(
+                RunRequest,
+                {ROBOT: now.epoch},
+                pattern="drive",
+                params={"speed": 0.1},
+                timeout=10.0,
+            )
+        except RequestError as error:
+            assert STALLED.search(str(error)), error
+            return False
         reply = outcome.replies.get(ROBOT)
         return reply is not None and reply.code is Code.APPLIED
 
