@@ -144,7 +144,7 @@ async def _serve(connection: Connection, allow: Collection[str], rehearse: Rehea
     for number in (signal.SIGTERM, signal.SIGHUP):  # the end of a simulation removes its files
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     # Simulations are processes of their own, which must not read the calls of the agent.
-    calls = CallInput(os.dup(sys.stdin.fileno()))
+    calls = CallInput(os.dup(sys.stdin.fileno()), os.dup(sys.stdout.fileno()))
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), sys.stdin.fileno())
     async with connection as swarm:

@@ -25,8 +25,9 @@ class CallInput:
     MCP server carries out a call in the context (`contextvars`) in which its line was read.
     """
 
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+    def __init__(self, descriptor: int, answers: int) -> None:
+        """`answers`: the file descriptor on which the agent reads; the input ends with it, too."""
+        self._descriptor, self._answers = descriptor, answers
         self._watch = InputWatch(boottime())
         self._arrived: ContextVar[float] = ContextVar("arrived")
 
@@ -52,9 +53,13 @@ class CallInput:
         """On the thread: each line with its arrival, until the end of the input."""
         poll, begun = select.poll(), b""
         poll.register(self._descriptor, select.POLLIN)
+        poll.register(self._answers, 0)  # tells the end alone
         while not ended.is_set():
             now = boottime()  # before the look: the process may be frozen between the two
-            if not poll.poll(0):
+            found = dict(poll.poll(0))
+            if self._answers in found:
+                return
+            if not found:
                 self._watch.look(now)
                 poll.poll(LOOK_PERIOD)
                 continue

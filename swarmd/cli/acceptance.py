@@ -249,7 +249,7 @@ class _Talk:
                 case dialogue.Begin(step=step):
                     if not step.is_asked:
                         self._head(step)
-                    self._robot.begin(step)
+                    self._begin(step)
                 case dialogue.Bring(end=end):
                     self._robot.bring(end)
                 case dialogue.Stop():
@@ -265,6 +265,17 @@ class _Talk:
         left = round(self._dialogue.seconds_left / 60.0)
         _say(f"\n{step.id} {step.name} ({self._dialogue.place}, {left} min left)")
         _say(step.why, "  ")
+
+    def _begin(self, step: Step) -> None:
+        """Begin a step, unless a pass that it needs has grown too old since the program's start."""
+        known = self.record.verdicts_on(self._dialogue.steps, time.time())
+        if old := [id for id in step.needs if id not in known]:
+            from swarmd.acceptance.dialogue import Refused
+
+            why = f"the pass of {old[0]} is older than a day: the same command asks it again"
+            self._robot.inputs.put(Refused(why))
+            return
+        self._robot.begin(step)
 
     def _ask(self, step: Step) -> None:
         self._head(step)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.numbers import python_value
@@ -16,24 +16,31 @@ if TYPE_CHECKING:
 MAX_TIME = 1e7  # s
 
 Words: TypeAlias = str | Iterable[str]
+T = TypeVar("T", float, float | None)
 """One word, or several."""
 
 
-def check_time(name: str, value: float | None) -> None:
-    """Raise ConfigError unless a given time is a finite number of seconds above 0."""
-    is_number = isinstance(value, Real) and not isinstance(value, bool)
-    if value is not None and not (is_number and 0.0 < value <= MAX_TIME):
+def check_time(name: str, value: T) -> T:
+    """The time as a float of Python, or None as it is.
+
+    ConfigError unless a given time is a finite number of seconds above 0.
+    """
+    plain = python_value(value)
+    is_number = isinstance(plain, Real) and not isinstance(plain, bool)
+    if plain is not None and not (is_number and 0.0 < plain <= MAX_TIME):
         raise ConfigError(
             f"{name} is {value!r}; expected a number of seconds above 0, at most {MAX_TIME:.0e}"
         )
+    return plain if plain is None else float(plain)  # type: ignore[no-any-return]  # numpy's too
 
 
 def check_words(words: Words, what: str) -> tuple[str, ...]:
     """The words as a tuple; ConfigError unless they are a text or several texts."""
-    some = tuple(words) if isinstance(words, Iterable) and not isinstance(words, str) else (words,)
+    plain = python_value(words)
+    some = tuple(plain) if isinstance(plain, Iterable) and not isinstance(plain, str) else (plain,)
     if not all(isinstance(word, str) for word in some):
         raise ConfigError(f"{what} is {words!r}; expected a text, or a list of texts")
-    return some
+    return tuple(map(str, some))  # numpy's texts cannot be sent
 
 
 def plain_params(values: Mapping[str, Any]) -> dict[str, Value]:

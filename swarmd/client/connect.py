@@ -145,7 +145,7 @@ def connect(
     """
     if profile is not None and profile not in get_args(Profile):
         raise ConfigError(unknown("profile", profile, get_args(Profile)))
-    check_time("timeout", timeout)
+    timeout = check_time("timeout", timeout)
     _check_types(
         texts={"swarm": swarm, "context": context, "interface": interface},
         paths={"config": config, "identity": identity},

@@ -78,6 +78,7 @@ class Swarm(Closing):
         """
         if not poses:
             return Members(self._look(timeout)[0])
+        timeout = check_time("timeout", timeout)
 
         def look() -> Members:
             with self._session(timeout) as session:
@@ -144,7 +145,7 @@ class Swarm(Closing):
 
         targets = _targets(robots, labels, exclude)
         if since != 0.0:
-            check_time("since", since)
+            since = check_time("since", since)
         with self._session(None) as session:
             chosen = session.named_now(targets)
             for lines in follow_events(session, EventFeed(since), chosen):
@@ -165,7 +166,7 @@ class Swarm(Closing):
         """
         from swarmd.client.states import follow_states
 
-        check_time("seconds", seconds)
+        seconds = check_time("seconds", seconds)
         targets = _targets(robots, labels, exclude)
         with self._session(None) as session:
             yield from follow_states(session, targets, seconds=seconds, poses=poses)
@@ -216,6 +217,7 @@ class Swarm(Closing):
         from swarmd.client.runs import Run, carry_out, goal_targets
 
         values = {
+            "pattern": pattern,
             "seconds": seconds,
             "valid": valid,
             "at": at,
@@ -224,7 +226,6 @@ class Swarm(Closing):
             "lease": lease,
         }
         run = Run(
-            pattern=pattern,
             params=plain_params(params or {}),
             conditions=check_words(until, "until"),
             on_join=on_join,
@@ -396,6 +397,7 @@ class Swarm(Closing):
 
     def _look(self, timeout: float | None) -> tuple[MembersView, Identity | None]:
         """A look that calls may share, and the identity of its operator."""
+        timeout = check_time("timeout", timeout)
 
         def look() -> tuple[MembersView, Identity | None]:
             with self._session(timeout) as session:
@@ -441,7 +443,7 @@ class Swarm(Closing):
         self, timeout: float | None, *, is_request: bool = False, is_stop: bool = False
     ) -> Iterator[Session]:
         """A session for one call; the end of the main thread cancels it, unless it `is_stop`."""
-        check_time("timeout", timeout)
+        timeout = check_time("timeout", timeout)
         began = boottime() if self._began is None else self._began
         events = (self._cancelled, *self._parents)
         lend = self._pool.lend_for_request if is_request else self._pool.lend

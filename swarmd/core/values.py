@@ -357,8 +357,9 @@ class ScanSpec:
         is_masked = np.zeros(len(bearings), np.bool_)
         for first, last in self.mask:
             width = last - first
-            if width < math.tau - rounding:  # else a full turn, such as from -180 to 180 deg
-                width %= math.tau
+            # A full turn, such as from -180 to 180 or from 360 to 0 deg, is no width of 0.
+            is_full = width != 0.0 and abs(math.remainder(width, math.tau)) <= rounding
+            width = math.tau if is_full or width > math.tau else width % math.tau
             is_masked |= (bearings - first + rounding) % math.tau <= width + 2.0 * rounding
         return is_masked
 

@@ -23,6 +23,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.files import read_regular
 from swarmd.core.keys import check_id
 from swarmd.security import datagram_keys
 from swarmd.security.content_signature import Purpose, sign
@@ -81,7 +82,7 @@ class Authority:
         self._key = load_key(folder / KEY, passphrase)
         self.public_key = public_bytes(self._key.public_key())
         try:
-            self._certificate = x509.load_pem_x509_certificate((folder / CERTIFICATE).read_bytes())
+            self._certificate = x509.load_pem_x509_certificate(read_regular(folder / CERTIFICATE))
         except OSError as error:
             raise ConfigError(f"authority {folder}: {error.strerror}: {error.filename}") from error
         except ValueError as error:
@@ -339,7 +340,7 @@ class Authority:
         """The present state on disk and its roster. ConfigError if it cannot be read."""
         path = self.folder / STATE
         try:
-            state = msgspec.msgpack.decode(path.read_bytes(), type=AuthorityState)
+            state = msgspec.msgpack.decode(read_regular(path), type=AuthorityState)
             return state, read_roster(state.now.roster, self.public_key)
         except OSError as error:
             raise ConfigError(f"authority {path.parent}: {error.strerror}: {path}") from error
@@ -381,7 +382,7 @@ class Authority:
 def is_encrypted(folder: Path) -> bool:
     """True if the authority in `folder` needs its passphrase. ConfigError without an authority."""
     try:
-        return b"ENCRYPTED" in (folder / KEY).read_bytes()
+        return b"ENCRYPTED" in read_regular(folder / KEY)
     except OSError as error:
         raise ConfigError(f"no authority in {folder}: {error.strerror}") from error
 

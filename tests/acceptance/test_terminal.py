@@ -17,8 +17,8 @@ from typing import Any
 import click
 import pytest
 
-from swarmd.acceptance.dialogue import Closed, Dialogue, Input, Judged, Key, Line, Sight
-from swarmd.acceptance.result_file import AcceptanceRecord, read_record
+from swarmd.acceptance.dialogue import Closed, Dialogue, Input, Judged, Key, Line, Refused, Sight
+from swarmd.acceptance.result_file import AcceptanceRecord, read_record, result_of, with_step
 from swarmd.acceptance.step import End, Motion, Step
 from swarmd.acceptance.steps import steps_of
 from swarmd.acceptance.verdict import Result, passed
@@ -183,6 +183,26 @@ def test_a_drive_on_40_columns_that_a_key_stops(
     text = " ".join(" ".join(lines).split())
     for words in ("B1 a drive (2/2", "A reason.", "2.00 m at most", "Free? [y/N]", "4 Hz"):
         assert words in text
+
+
+@pytest.mark.parametrize(("age", "begun"), [(60.0, ["begin C1"]), (3 * 86400.0, [])])
+def test_a_pass_of_days_ago_lets_nothing_move_in_a_dialogue_left_open(
+    keyboard: int, robot: FakeRobot, tmp_path: Path, age: float, begun: list[str]
+) -> None:
+    """docs/acceptance.md: a pass counts for a day."""
+    second = replace(DRIVE, id="C1", needs=("B1",))
+    steps, verdict = [DRIVE, second], passed("fine")
+    kept = result_of(DRIVE, verdict, (), time.time() - age, {})
+    record = with_step(RECORD, kept, ["B1", "C1"])
+    dialogue = Dialogue(steps, {"B1": verdict})
+    one = verb._Talk(dialogue, robot, tmp_path, record, ["B1", "C1"])  # type: ignore[arg-type]
+    one._begin(second)
+    assert robot.did == begun
+    refused = [robot.inputs.get(timeout=CAP) for _ in range(3)]
+    assert [type(one) for one in refused if not isinstance(one, Sight)] == [
+        Refused for _ in range(not begun)
+    ]
+    one._terminal.close()
 
 
 @pytest.mark.long

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 import pytest
 
 import swarmd
-from swarmd.client.arguments import plain_params
+from swarmd.client.arguments import check_words, plain_params
 from swarmd.client.async_swarm import AsyncSwarm
 from swarmd.client.canary import choose_canaries
 from swarmd.client.connect import Connection
@@ -299,11 +299,56 @@ def test_times_of_numpy_are_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Run, "check", lambda run: made.append(run))
     with pytest.raises(AttributeError):  # the operator of this test sends nothing
         Swarm(OperatorPool(Counted())).run(
-            "drive", seconds=numpy.float32(1.5), canary=numpy.int64(2), canary_time=numpy.int8(3)
+            numpy.str_("drive"),
+            seconds=numpy.float32(1.5),
+            canary=numpy.int64(2),
+            canary_time=numpy.int8(3),
         )
+    assert type(made[0].pattern) is str
     values = made[0].seconds, made[0].canary, made[0].canary_time
     assert values == (1.5, 2, 3)
     assert [type(value) for value in values] == [float, int, int]
+
+
+SESSIONS: dict[str, Callable[[Swarm, Any], object]] = {
+    "stop": lambda swarm, time: swarm.stop(timeout=time),
+    "estop": lambda swarm, time: swarm.estop(timeout=time),
+    "reset": lambda swarm, time: swarm.reset(timeout=time),
+    "members": lambda swarm, time: swarm.members(timeout=time),
+    "members with poses": lambda swarm, time: swarm.members(poses=True, timeout=time),
+    "goal": lambda swarm, time: swarm.goal(timeout=time),
+    "params": lambda swarm, time: swarm.params(timeout=time),
+    "wait": lambda swarm, time: swarm.wait("state=idle", timeout=time),
+}
+
+
+@pytest.mark.parametrize("kind", ["float16", "float32", "int8", "array"])
+@pytest.mark.parametrize("verb", SESSIONS)
+def test_a_timeout_of_numpy_is_a_float(
+    monkeypatch: pytest.MonkeyPatch, verb: str, kind: str
+) -> None:
+    """A sum with float16 or float32 keeps that type: a stop was over before it was sent."""
+    numpy = pytest.importorskip("numpy")
+    given: list[object] = []
+
+    def session(operator: object, timeout: float, *_: object) -> None:
+        given.append(timeout)
+        raise SwarmError("enough")
+
+    monkeypatch.setattr("swarmd.client.swarm.Session", session)
+    with pytest.raises(SwarmError, match="enough"):
+        SESSIONS[verb](Swarm(OperatorPool(Counted())), getattr(numpy, kind)(2))
+    assert [type(one) for one in given] == [float]
+    assert given == [2.0]
+
+
+def test_texts_of_numpy_are_texts() -> None:
+    numpy = pytest.importorskip("numpy")
+    texts = numpy.array(["a", "b"])
+    for words in (texts, list(texts), iter(texts)):
+        assert [type(word) for word in check_words(words, "robots")] == [str, str]
+    assert check_words(numpy.array("a"), "robots") == ("a",)
+    assert check_words(texts[0], "robots") == ("a",)
 
 
 WRONG: dict[str, Callable[[Swarm], object]] = {

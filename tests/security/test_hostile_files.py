@@ -7,10 +7,12 @@ and a file of 8 GiB would take its memory.
 
 from __future__ import annotations
 
+import functools
 import io
 import os
 import socket
 import struct
+import tempfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +27,8 @@ from swarmd.core.errors import SwarmError
 from swarmd.plugins import is_mission
 from swarmd.recording.fetch import read_exchanges
 from swarmd.recording.reader import read_file
+from swarmd.security import authority
+from swarmd.security.authority import Authority
 from swarmd.security.bundle import read_bundle
 from swarmd.security.identity import INFO, load_identity
 from swarmd.security.private_keys import load_private_key
@@ -124,6 +128,23 @@ SPECIAL: dict[str, Callable[[Path], object]] = {
 
 FILES: dict[str, bytes | Callable[[Path], object]] = {**CONTENTS, **SPECIAL}
 
+
+@functools.cache
+def _authority_files() -> dict[str, bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        Authority.create(Path(folder) / "keys", "lab")
+        names = authority.KEY, authority.CERTIFICATE, authority.STATE
+        return {name: (Path(folder) / "keys" / name).read_bytes() for name in names}
+
+
+def _open_authority(path: Path) -> object:
+    """Open the authority with all but this of its files intact."""
+    for name, content in _authority_files().items():
+        if name != path.name:
+            (path.parent / name).write_bytes(content)
+    return authority.is_encrypted(path.parent), Authority(path.parent)
+
+
 DOORS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "result of an acceptance test": ("a.zip", read_record),
     "folder of an acceptance test": (RECORD, lambda path: read_record(path.parent)),
@@ -146,6 +167,9 @@ DOORS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "bundle": ("a.swarm", read_bundle),
     "identity": (INFO, lambda path: load_identity(path.parent)),
     "key": ("key.pem", load_private_key),
+    "key of an authority": (authority.KEY, _open_authority),
+    "certificate of an authority": (authority.CERTIFICATE, _open_authority),
+    "state of an authority": (authority.STATE, _open_authority),
     "picture": ("a.png", lambda path: picture(str(path))),
 }
 

@@ -153,7 +153,15 @@ STAR = [[math.cos(a), math.sin(a)] for a in (0.0, 2.513, 5.027, 7.540, 10.053)]
         ("scan.mask", [[0, 359.5]], ["scan.mask leaves 0 of 4 rays", "360.0 deg"]),
         *(
             ("scan.mask", [circle], ["scan.mask leaves 0 of 4 rays", "360.0 deg"])
-            for circle in ([0, 360], [-180, 180], [-360, 360], [-0.5, 359.6])
+            for circle in (
+                [0, 360],
+                [-180, 180],
+                [-360, 360],
+                [-0.5, 359.6],
+                [360, 0],
+                [180, -180],
+                [360, -360],
+            )
         ),
         ("scan.mask", [[1]], ["scan.mask"]),
         ("scan.mask", [[math.nan, 1.0]], ["scan.mask"]),
