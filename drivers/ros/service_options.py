@@ -1,4 +1,4 @@
-"""The option `services`: the services by which ROS commands this robot."""
+"""The option `services`: the services by which ROS runs and resets this robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.driver_api.command_source import DeclaredRun
 
 MAX_RUNS = 32
-STOP, ESTOP, RESET, RUN = "swarmd/stop", "swarmd/estop", "swarmd/reset", "swarmd/run"
+RESET, RUN = "swarmd/reset", "swarmd/run"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -47,7 +47,7 @@ class ServiceOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the services in the robot's namespace."""
-        return (STOP, ESTOP, RESET, *(f"{RUN}/{name}" for name in self.runs))
+        return (RESET, *(f"{RUN}/{name}" for name in self.runs))
 
     def faults(self) -> Iterator[str]:
         """The texts of the faults of the names of runs, and of their conditions."""

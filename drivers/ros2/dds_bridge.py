@@ -122,8 +122,10 @@ class Ros2Dds(Ros2Middleware):
         """The one key of the service."""
         return self.subscription_key(service)
 
-    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
-        """None: the bridge offers a service to each client that it finds in DDS."""
+    def service_tokens(
+        self, zid: str, services: Sequence[str], ends: Sequence[TopicEnd]
+    ) -> tuple[str, ...]:
+        """None: the bridge offers services and topics to each node that it finds in DDS."""
         return ()
 
     def call_stamp(self, key: str, attachment: bytes | None) -> None:

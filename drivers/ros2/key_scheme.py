@@ -68,8 +68,13 @@ class KeyScheme(Middleware, Protocol):
     def service_key(self, service: str) -> str:
         """The key expression on which calls of a service of type std_srvs/Trigger arrive."""
 
-    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
-        """The tokens that announce a node with these services; empty behind a bridge."""
+    def service_tokens(
+        self, zid: str, services: Sequence[str], ends: Sequence[TopicEnd]
+    ) -> tuple[str, ...]:
+        """The tokens of a node with these services and ends, which come last; empty with a bridge.
+
+        These tokens last while the session is open, and those of `tokens` while a base is there.
+        """
 
     def call_stamp(self, key: str, attachment: bytes | None) -> float | None:
         """When a call was sent, in s since 1970 by the caller's clock; None: not known.

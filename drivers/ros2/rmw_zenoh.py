@@ -7,10 +7,11 @@ exact key. `make_robots` makes simulated robots of this middleware, with the has
 
 from __future__ import annotations
 
+import itertools
 import struct
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import xxhash
 
@@ -162,17 +163,7 @@ class RmwZenoh(Ros2Middleware):
 
     def tokens(self, zid: str, ends: Sequence[TopicEnd]) -> tuple[str, ...]:
         """The node's token, and a token for each end; default qualities are left out of tokens."""
-        first = 100 * self._index
-        context = f"@ros2_lv/{self.domain}/{zid}/{self._index}"
-        found = [f"{context}/{first}/NN/{self._node}"]
-        for number, end in enumerate(ends, start=first + 1):
-            direction = "MP" if end.is_publisher else "MS"
-            qos = f"{'' if end.is_reliable else _BEST_EFFORT}::,{end.depth}:,:,:,,"
-            found.append(
-                f"{context}/{number}/{direction}/{self._node}/{_mangled(end.topic)}"
-                f"/{dds_name(name_of(end.message_type))}/{self._hash_of(end.message_type)}/{qos}"
-            )
-        return tuple(found)
+        return tuple(self._tokens_of(zid, self._index, self._node, ends, []))
 
     def attachment(self, token: str = "") -> bytes | None:
         """Sequence number, ns since 1970, and the publisher's gid; gid 0 without a token."""
@@ -184,15 +175,12 @@ class RmwZenoh(Ros2Middleware):
         """The key expression of the service with any hash, for Humble's placeholder, too."""
         return f"{self.domain}{service}/{TRIGGER}/*"
 
-    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
-        """The token of a node of its own, and a token for each service."""
-        number = self._index + 1
-        context, node = f"@ros2_lv/{self.domain}/{zid}/{number}", f"{self._node}_services"
-        tokens = [f"{context}/{100 * number}/NN/{node}"]
-        for entity, service in enumerate(services, start=100 * number + 1):
-            end = f"{_mangled(service)}/{TRIGGER}/{TRIGGER_HASH}/::,10:,:,:,,"
-            tokens.append(f"{context}/{entity}/SS/{node}/{end}")
-        return tuple(tokens)
+    def service_tokens(
+        self, zid: str, services: Sequence[str], ends: Sequence[TopicEnd]
+    ) -> tuple[str, ...]:
+        """The token of a node of its own, and a token for each service and end."""
+        node = f"{self._node}_services"
+        return tuple(self._tokens_of(zid, self._index + 1, node, ends, services))
 
     def call_stamp(self, key: str, attachment: bytes | None) -> float | None:
         """The stamp of the caller. CodecError for a wildcard, a foreign hash or attachment."""
@@ -206,6 +194,23 @@ class RmwZenoh(Ros2Middleware):
         """Sequence number and gid of the call, and the present time."""
         sequence, _, gid = _unpacked(attachment)
         return _ATTACHMENT.pack(sequence, time.time_ns(), len(gid), gid)
+
+    def _tokens_of(
+        self, zid: str, index: int, node: str, ends: Sequence[TopicEnd], services: Sequence[str]
+    ) -> Iterator[str]:
+        """The token of a node, which is number `index` of its session, and of all that it has."""
+        context, numbers = f"@ros2_lv/{self.domain}/{zid}/{index}", itertools.count(100 * index)
+        yield f"{context}/{next(numbers)}/NN/{node}"
+        for service in services:
+            end = f"{_mangled(service)}/{TRIGGER}/{TRIGGER_HASH}/::,10:,:,:,,"
+            yield f"{context}/{next(numbers)}/SS/{node}/{end}"
+        for one in ends:
+            qos = f"{'' if one.is_reliable else _BEST_EFFORT}::,{one.depth}:,:,:,,"
+            yield (
+                f"{context}/{next(numbers)}/{'MP' if one.is_publisher else 'MS'}/{node}"
+                f"/{_mangled(one.topic)}/{dds_name(name_of(one.message_type))}"
+                f"/{self._hash_of(one.message_type)}/{qos}"
+            )
 
     def _hash_of(self, message_type: type) -> str:
         return NO_HASH if self._is_humble else type_hash(message_type)

@@ -1,7 +1,8 @@
-"""The ROS services that run and stop this robot, by the driver's session; option `services`.
+"""The ROS services that run and reset this robot, by the driver's session; option `services`.
 
-Each service has the type std_srvs/Trigger, whose request is empty. A middleware's client calls a
-service by a Zenoh query. Anyone on the robot's ROS graph may call.
+`CommandServices` also publishes the answers to stops that came on topics. Each service has the type
+std_srvs/Trigger, whose request is empty. A middleware's client calls a service by a Zenoh query.
+Anyone on the robot's ROS graph may call.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 import zenoh
 from zenoh.handlers import Callback
@@ -24,16 +24,17 @@ from swarmd.core.finding import Finding
 from swarmd.core.messages import Code, Reply
 from swarmd.core.threads import hand_over
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.driver_api.command_source import DriverCommand, TakeCommand
+from swarmd.driver_api.command_source import DriverCommand
+from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros.messages import String
 from swarmd.drivers.ros.options import RosOptions
-from swarmd.drivers.ros.service_options import ESTOP, RESET, RUN, STOP
-from swarmd.drivers.ros2.key_scheme import KeyScheme
+from swarmd.drivers.ros.service_options import RESET, RUN
+from swarmd.drivers.ros.stop_topics import CALL_BURST, CALL_RATE, StopTopics
+from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.drivers.ros2.request_age import MAX_STAMP_AGE, SETTLE_TIME, RequestAge, by_stamp
 from swarmd.drivers.ros2.session import ask_hub, linked_hubs
 
-CALL_RATE, CALL_BURST = 10.0, 10.0
-"""Calls per second of one service, and at once; further calls get no answer."""
 MAX_MESSAGE = 500
 """Characters of the field `message`."""
 
@@ -44,59 +45,53 @@ The bridge reads the header of a request as rmw_cyclonedds writes it, and drops 
 """
 _HEADER = b"\0\1\0\0"  # CDR, little-endian
 _MAX_REQUEST = 8  # bytes of an empty request: the header, a byte that stands for no field, padding
-_VERBS: dict[str, Literal["stop", "estop", "reset"]] = {
-    STOP: "stop",
-    ESTOP: "estop",
-    RESET: "reset",
-}
 _DOUBT = (
     "the age of this call is unknown: the hub did not answer all the time in the last"
     f" {SETTLE_TIME:g} s; call again"
 )
 
 
-class CommandServices:
-    """Serves the services of one robot; does nothing without the option `services`."""
+class CommandServices(StopTopics):
+    """Serves the services of one robot, if it has the option `services`, and answers stops."""
 
     def __init__(self, scheme: KeyScheme, options: RosOptions, is_lost: Callable[[], bool]) -> None:
         """Not open yet. `is_lost`: whether the base is lost."""
         self._scheme, self._options = scheme, options.services
+        operator = "" if self._options is None else self._options.operator
+        super().__init__(options, self._publish, operator)
         self._is_lost = is_lost
         self._names = {
             name: options.topic(name)
             for name in (() if self._options is None else self._options.names)
         }
-        self._take: TakeCommand | None = None
         self._lock = threading.Lock()  # guards `_limits` and `_refused` (threads of Zenoh)
         self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._names}
         self._refused = 0
         self._session: zenoh.Session | None = None
         self._declared: list[object] = []
+        self._state_token = ""
         self._age = RequestAge()
 
-    @property
-    def is_on(self) -> bool:
-        """True with the option `services`."""
-        return self._options is not None
-
-    def findings(self, nodes: Iterable[Endpoint]) -> tuple[Finding, ...]:
-        """The finding of `swarmd --check` on option `services`; `nodes`: those of bridges."""
+    def findings(self, nodes: Iterable[Endpoint] = ()) -> tuple[Finding, ...]:
+        """The findings of `swarmd --check` on stops and services; `nodes`: those of bridges."""
+        stops = super().findings()
         if self._options is None:
-            return ()
+            return stops
         if fast := sorted({one.node for one in nodes if one.process.startswith(_FAST_DDS)}):
-            text = f"the bridge drops calls by Fast DDS, also of stop and estop: {', '.join(fast)}"
-            return (
-                Finding("services", False, text, "use rmw_cyclonedds_cpp, or stop by swarmctl"),
-            )
+            text = f"the bridge drops calls by Fast DDS: {', '.join(fast)}"
+            hint = "use rmw_cyclonedds_cpp, or swarmctl"
+            return (*stops, Finding("services", False, text, hint))
         role = f"{self._options.operator}, {self._options.role}"
-        return (Finding("services", True, f"serves {', '.join(self._names.values())} ({role})"),)
+        text = f"serves {', '.join(self._names.values())} ({role})"
+        return (*stops, Finding("services", True, text))
 
     @property
     def runs(self) -> Mapping[str, DriverCommand]:
-        """The commands of the services that run a pattern, by the key of their option."""
+        """The commands of runs and stops that options declare, by the key of their option."""
         options = self._options
         names = () if options is None else options.runs
-        return {f"services.runs.{name}": self._command(f"{RUN}/{name}") for name in names}
+        runs = {f"services.runs.{name}": self._command(f"{RUN}/{name}") for name in names}
+        return {**super().runs, **runs}
 
     def _command(self, name: str) -> DriverCommand:
         """The command of a call of the service `name`; its age is not known yet."""
@@ -104,7 +99,7 @@ class CommandServices:
         assert options is not None
         run = options.runs.get(name.removeprefix(f"{RUN}/"))
         return DriverCommand(
-            verb=_VERBS.get(name, "run"),
+            verb="reset" if name == RESET else "run",
             operator=options.operator,
             is_viewer=options.role == "viewer",
             source=f"ROS service {self._names[name]}",
@@ -112,26 +107,29 @@ class CommandServices:
             resets_others=options.reset == "all",
         )
 
-    def serve(self, take: TakeCommand) -> None:
-        """Hand the commands to `take`; without it calls get no answer."""
-        self._take = take
-
     def open(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
-        """Declare the services on a new session; without the option nothing is declared."""
-        if not self.is_on:
-            return
+        """Declare the services on a new session, and announce them and the ends of stops."""
         self._session, self._age = session, RequestAge()
         for name, service in self._names.items():
             on_query = Callback(partial(self._on_query, loop, name), indirect=False)
             key = self._scheme.service_key(service)
             self._declared.append(session.declare_queryable(key, on_query, complete=True))
-        tokens = self._scheme.service_tokens(str(session.info.zid()), tuple(self._names.values()))
+        ends = {**self.topics, self.state_topic: String}.items()
+        tokens = self._scheme.service_tokens(
+            str(session.info.zid()),
+            tuple(self._names.values()),
+            [
+                TopicEnd(topic, kind, topic == self.state_topic, is_reliable=True, depth=10)
+                for topic, kind in ends
+            ],
+        )
+        self._state_token = tokens[-1] if tokens else ""
         self._declared += map(session.liveliness().declare_token, tokens)
 
     def advance(self, dropped: Callable[[str], None]) -> None:
         """Probe the hub, and count refused calls; the driver's task calls this."""
         loop = asyncio.get_running_loop()
-        if self._session is None:
+        if self._session is None or not self._names:
             return
         if not linked_hubs(self._session):
             self._age = RequestAge()  # a probe without a hub ends at once, and is no answer
@@ -150,6 +148,13 @@ class CommandServices:
         """Forget the session."""
         self._session, self._age = None, RequestAge()
         self._declared.clear()
+
+    def _publish(self, text: str) -> None:
+        """Publish the answer to a stop."""
+        if self._session is not None:
+            key = self._scheme.key(self.state_topic, String)
+            attachment = self._scheme.attachment(self._state_token)
+            self._session.put(key, cdr.encode(String(text)), attachment=attachment)
 
     def _on_query(self, loop: asyncio.AbstractEventLoop, name: str, query: zenoh.Query) -> None:
         """Check a query on a thread of Zenoh; hand a call of the service `name` to the loop.

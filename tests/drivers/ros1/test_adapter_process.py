@@ -37,7 +37,12 @@ CONFIG: dict[str, Any] = {
     "kept_topics": [],
     "command_topics": ["/cmd_vel", "/cmd_vel_joy"],
     "command_types": ["geometry_msgs/Twist"],
-    "definitions": {"geometry_msgs/Twist": ["0", ""], "geometry_msgs/TwistStamped": ["9", ""]},
+    "state_topic": "/swarmd/state",
+    "definitions": {
+        "geometry_msgs/Twist": ["0", ""],
+        "geometry_msgs/TwistStamped": ["9", ""],
+        "std_msgs/String": ["5", ""],
+    },
     "frame_id": "",
     "is_check": False,
     "holds": False,
@@ -53,6 +58,7 @@ class AnyMsg:
 
 class Publisher:
     def __init__(self, *args, **kwargs):
+        self.data_class = args[1]
         self.impl = SimpleNamespace(set_queue_size=lambda size: None)
     def get_num_connections(self):
         return 1
@@ -112,6 +118,32 @@ def test_a_frozen_daemon_gets_the_state_when_it_reads_again(
     events = [json.loads(frame[1:])["event"] for frame in frames if frame[:1] == EVENT]
     assert events == ["state"]
     assert frames[-1][:1] == DATA
+
+
+@pytest.mark.parametrize(
+    ("md5sum", "content"), [("5", b"\0" * 4096), ("7", b"")], ids=["a long text", "another type"]
+)
+def test_a_stop_reaches_a_driver_that_reads_again(md5sum: str, content: bytes) -> None:
+    """Its packet is kept while the socket is full, and cut: a packet of megabytes has no room."""
+    mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with mine, theirs:
+        mine.setblocking(False)
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)
+        stop = len(CONFIG["topics"]) + 1
+        config = {**CONFIG, "command_topics": ["/cmd_vel", "/stop"], "kept_topics": [stop]}
+        adapter = Adapter(config, theirs, SimpleNamespace(), SimpleNamespace(caller="/r_1"))
+        for _ in range(100):
+            adapter._on_message(message(), 0)
+        header = {"callerid": "/rostopic", "type": "std_msgs/String", "md5sum": md5sum}
+        text = SimpleNamespace(_connection_header=header, _buff=bytes(1 << 22))
+        adapter._on_other_command(text, 1)
+        taken(mine)
+        for kept in adapter._kept.values():
+            kept.send_again()
+            kept.report_end()  # its publisher may have left
+        (frame,) = taken(mine)
+        assert DATA_HEAD.unpack_from(frame)[:2] == (DATA, stop)
+        assert frame[DATA_HEAD.size :] == content
 
 
 def test_a_message_of_another_type_is_reported_by_its_publisher_only(
