@@ -62,7 +62,7 @@ _WRITE_TIMEOUT = struct.pack("@ll", 0, 100_000)  # s and us that writing a comma
 _HANDSHAKE_TIMEOUT = 1.0  # s within which a connected node has to send its header
 _LEAVE_TIMEOUT = 1.0  # s for unregistering this node from the master
 _MAX_MEMORY = 512 << 20  # bytes; rospy allocates whatever length a message announces
-_MAX_TEXT = 4096  # bytes of a stop that the driver gets: a longer packet would not fit
+_MAX_TEXT = 4096  # bytes of a command or stop; the socket has no room for megabytes
 _TWIST = struct.Struct("<6d")
 
 
@@ -183,9 +183,8 @@ class Adapter:
         rospy.on_shutdown(self._on_shutdown)  # called before topics close, as on `rosnode kill`
         if not config["is_check"]:
             # Latched: a node that subscribes later gets the last answer, too.
-            message = self._class_of("std_msgs/String")
             self._answers = rospy.Publisher(
-                config["state_topic"], message, latch=True, queue_size=1
+                config["state_topic"], self._class_of("std_msgs/String"), latch=True, queue_size=1
             )
         if len(config["command_types"]) == 1:
             self._advertise(config["command_types"][0])
@@ -340,13 +339,8 @@ class Adapter:
         header, arrival = message._connection_header, time.monotonic()
         if header.get("callerid") != self._master.caller:
             known = [md5sum for md5sum, _ in self._config["definitions"].values()]
-            topic = len(self._config["topics"]) + index
-            head = DATA_HEAD.pack(DATA, topic, arrival)
-            content = message._buff if header.get("md5sum") in known else b""
-            if topic in self._kept:  # a stop: a driver that does not read now gets it later
-                self._kept[topic].take(header, head, content[:_MAX_TEXT])
-            else:
-                self.send(head, content)
+            head = DATA_HEAD.pack(DATA, len(self._config["topics"]) + index, arrival)
+            self.send(head, message._buff[:_MAX_TEXT] if header.get("md5sum") in known else b"")
 
     def _state(self) -> Any:
         """The event `state`: what the master knows of the driver's topics (adapter.MasterState).

@@ -149,7 +149,7 @@ class Ros1Driver:
             return (Finding("adapter", False, ended),)
         if report is None:
             return (Finding("adapter", False, f"not ready within {seconds:g} s; give it longer"),)
-        return (*report.findings(), *self.command_source.findings())
+        return report.findings()
 
     def _begin(self) -> None:
         """Reset all that was received, for a new adapter process."""
@@ -234,14 +234,14 @@ class Ros1Driver:
             serialization.type_name(kind): serialization.definition(kind)[::-1]
             for kind in (TwistMessage, TwistStamped, String)
         }
+        command_topics = [*foreign.topics, *self.command_source.topics]
         kept_topics = [
             index
-            for index, (topic, _) in enumerate(types_by_topic)
-            if topic in subscriptions.kept_topics
+            for index, topic in enumerate(
+                (*(topic for topic, _ in types_by_topic), *command_topics)
+            )
+            if topic in subscriptions.kept_topics or topic in self.command_source.topics
         ]
-        command_topics = [*foreign.topics, *self.command_source.topics]
-        end = len(types_by_topic) + len(command_topics)
-        kept_topics += range(end - len(self.command_source.topics), end)
         return {
             "master": options.master_uri,
             "name": self._node,
@@ -302,12 +302,12 @@ class Ros1Driver:
 
         `index`: in the list of actions and then command topics of the adapter's configuration.
         """
-        foreign, stops = self._foreign, self.command_source
-        names = [*foreign.actions, *foreign.topics, *stops.topics]
+        foreign = self._foreign
+        names = [*foreign.actions, *foreign.topics, *self.command_source.topics]
         if index >= len(names):
             self.on_dropped("garbage")
-        elif names[index] in stops.topics:
-            if not stops.hear(names[index], data, serialization.decode, now):
+        elif names[index] in self.command_source.topics:
+            if not self.command_source.hear(names[index], data, serialization.decode, now):
                 self.on_dropped(names[index])
         elif index >= len(foreign.actions):
             self._on_foreign_command(names[index], data, now)

@@ -29,8 +29,7 @@ from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.messages import String
 from swarmd.drivers.ros.options import RosOptions
-from swarmd.drivers.ros.service_options import RESET, RUN
-from swarmd.drivers.ros.stop_topics import CALL_BURST, CALL_RATE, StopTopics
+from swarmd.drivers.ros.stop_topics import CALL_BURST, CALL_RATE, STOP_TYPES, StopTopics
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.drivers.ros2.request_age import MAX_STAMP_AGE, SETTLE_TIME, RequestAge, by_stamp
 from swarmd.drivers.ros2.session import ask_hub, linked_hubs
@@ -57,79 +56,66 @@ class CommandServices(StopTopics):
     def __init__(self, scheme: KeyScheme, options: RosOptions, is_lost: Callable[[], bool]) -> None:
         """Not open yet. `is_lost`: whether the base is lost."""
         self._scheme, self._options = scheme, options.services
-        operator = "" if self._options is None else self._options.operator
-        super().__init__(options, self._publish, operator)
+        super().__init__(
+            options, self._publish, "" if not options.services else options.services.operator
+        )
         self._is_lost = is_lost
-        self._names = {
-            name: options.topic(name)
-            for name in (() if self._options is None else self._options.names)
-        }
+        self._commands = {} if not options.services else options.services.commands(options.topic)
         self._lock = threading.Lock()  # guards `_limits` and `_refused` (threads of Zenoh)
-        self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._names}
+        self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._commands}
         self._refused = 0
         self._session: zenoh.Session | None = None
         self._declared: list[object] = []
-        self._state_token = ""
         self._age = RequestAge()
 
-    def findings(self, nodes: Iterable[Endpoint] = ()) -> tuple[Finding, ...]:
-        """The findings of `swarmd --check` on stops and services; `nodes`: those of bridges."""
-        stops = super().findings()
+    def findings(self, nodes: Iterable[Endpoint]) -> tuple[Finding, ...]:
+        """The finding of `swarmd --check` on option `services`; `nodes`: those of bridges."""
         if self._options is None:
-            return stops
+            return ()
         if fast := sorted({one.node for one in nodes if one.process.startswith(_FAST_DDS)}):
             text = f"the bridge drops calls by Fast DDS: {', '.join(fast)}"
-            hint = "use rmw_cyclonedds_cpp, or swarmctl"
-            return (*stops, Finding("services", False, text, hint))
-        role = f"{self._options.operator}, {self._options.role}"
-        text = f"serves {', '.join(self._names.values())} ({role})"
-        return (*stops, Finding("services", True, text))
+            return (Finding("services", False, text, "use rmw_cyclonedds_cpp, or swarmctl"),)
+        text = (
+            f"serves {', '.join(self._commands)} ({self._options.operator}, {self._options.role})"
+        )
+        return (Finding("services", True, text),)
 
     @property
     def runs(self) -> Mapping[str, DriverCommand]:
         """The commands of runs and stops that options declare, by the key of their option."""
-        options = self._options
-        names = () if options is None else options.runs
-        runs = {f"services.runs.{name}": self._command(f"{RUN}/{name}") for name in names}
-        return {**super().runs, **runs}
-
-    def _command(self, name: str) -> DriverCommand:
-        """The command of a call of the service `name`; its age is not known yet."""
-        options = self._options
-        assert options is not None
-        run = options.runs.get(name.removeprefix(f"{RUN}/"))
-        return DriverCommand(
-            verb="reset" if name == RESET else "run",
-            operator=options.operator,
-            is_viewer=options.role == "viewer",
-            source=f"ROS service {self._names[name]}",
-            run=None if run is None else run.declared(),
-            resets_others=options.reset == "all",
-        )
+        return {
+            **super().runs,
+            **{
+                f"services.runs.{name.rpartition('/')[2]}": command
+                for name, command in self._commands.items()
+                if command.run is not None
+            },
+        }
 
     def open(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
         """Declare the services on a new session, and announce them and the ends of stops."""
         self._session, self._age = session, RequestAge()
-        for name, service in self._names.items():
-            on_query = Callback(partial(self._on_query, loop, name), indirect=False)
+        for service in self._commands:
+            on_query = Callback(partial(self._on_query, loop, service), indirect=False)
             key = self._scheme.service_key(service)
             self._declared.append(session.declare_queryable(key, on_query, complete=True))
-        ends = {**self.topics, self.state_topic: String}.items()
         tokens = self._scheme.service_tokens(
             str(session.info.zid()),
-            tuple(self._names.values()),
+            tuple(self._commands),
             [
                 TopicEnd(topic, kind, topic == self.state_topic, is_reliable=True, depth=10)
-                for topic, kind in ends
+                for topic, kind in (
+                    *zip(self.topics, STOP_TYPES.values(), strict=True),
+                    (self.state_topic, String),
+                )
             ],
         )
-        self._state_token = tokens[-1] if tokens else ""
         self._declared += map(session.liveliness().declare_token, tokens)
 
     def advance(self, dropped: Callable[[str], None]) -> None:
         """Probe the hub, and count refused calls; the driver's task calls this."""
         loop = asyncio.get_running_loop()
-        if self._session is None or not self._names:
+        if self._session is None or not self._commands:
             return
         if not linked_hubs(self._session):
             self._age = RequestAge()  # a probe without a hub ends at once, and is no answer
@@ -152,9 +138,11 @@ class CommandServices(StopTopics):
     def _publish(self, text: str) -> None:
         """Publish the answer to a stop."""
         if self._session is not None:
-            key = self._scheme.key(self.state_topic, String)
-            attachment = self._scheme.attachment(self._state_token)
-            self._session.put(key, cdr.encode(String(text)), attachment=attachment)
+            self._session.put(
+                self._scheme.key(self.state_topic, String),
+                cdr.encode(String(text)),
+                attachment=self._scheme.attachment(),
+            )
 
     def _on_query(self, loop: asyncio.AbstractEventLoop, name: str, query: zenoh.Query) -> None:
         """Check a query on a thread of Zenoh; hand a call of the service `name` to the loop.
@@ -186,7 +174,7 @@ class CommandServices(StopTopics):
             query.drop()
             return
         age, doubt = self._age_of(stamp)
-        command = replace(self._command(name), age=age, doubt=doubt)
+        command = replace(self._commands[name], age=age, doubt=doubt)
         take(command, partial(self._answer, query, attachment, command.verb == "run"))
 
     def _age_of(self, stamp: float | None) -> tuple[float | None, str]:

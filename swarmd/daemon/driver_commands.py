@@ -110,8 +110,9 @@ class DriverCommands:
 
         def on_reply(reply: Reply) -> None:
             if reply.code is Code.APPLIED and reply.is_moving:
-                loop = asyncio.get_running_loop()
-                loop.call_later(REPEAT_PERIOD, partial(self._stop, copy, source, answer))
+                asyncio.get_running_loop().call_later(
+                    REPEAT_PERIOD, partial(self._stop, copy, source, answer)
+                )
             else:
                 answer(reply)
 
@@ -119,8 +120,8 @@ class DriverCommands:
 
     def _answer_stop(self, answer: Answer, reply: Reply) -> None:
         """Answer with the state that results, before the text of the reply or of the refusal."""
-        texts = self._robot.state, reply.refusal, reply.text
-        answer(replace(reply, text=": ".join(filter(None, texts))))
+        texts = filter(None, (self._robot.state, reply.refusal, reply.text))
+        answer(replace(reply, text=": ".join(texts)))
 
     def _request_of(self, command: DriverCommand, now: float) -> verbs.Request:
         """The request of a command, with the epoch of the robot when the command was issued."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 from rosbags.typesys.stores import ros1_noetic as noetic
 
 from swarmd.core.messages import Code, Reply
+from swarmd.core.values import Value
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
+from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.serialization import encode
 from swarmd.testing.driver_contract import DriverHarness
-from tests.drivers.ros1.rig import RosRobot, ros_robot
+from tests.drivers.ros1.rig import PLATFORM, RosRobot, ros_robot
 from tests.support.stories import story
 
 
@@ -25,6 +27,15 @@ def served(harness: DriverHarness, texts: list[str]) -> list[DriverCommand]:
     assert source is not None
     source.serve(take)
     return commands
+
+
+def test_a_stop_counts_however_long_it_waited() -> None:
+    """The adapter drops messages that waited for 0.5 s, except those of kept topics."""
+    options: dict[str, Value] = {"namespace": "r", "other_commands": ["joy"], "imu": "imu"}
+    config = Ros1Driver(swarm="s", robot="r", platform=PLATFORM, options=options)._config(False)
+    names = [*config["topics"], *config["command_topics"]]
+    kept = [names[index] for index in config["kept_topics"]]
+    assert kept == ["/r/swarmd/stop", "/r/swarmd/estop"]
 
 
 @story(ros_robot)

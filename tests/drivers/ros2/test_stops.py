@@ -6,7 +6,6 @@ import pytest
 import zenoh
 
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness
-from tests.drivers.ros2.harness import check
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.drivers.ros2.stops import ESTOP, STATE, STOP, Empty, served
 from tests.support import ros2_types as dds
@@ -119,10 +118,3 @@ async def test_a_flood_is_cut_and_delays_no_emergency_stop(
     await harness.until(lambda: "estop" in verbs(), publishing=True)
     assert verbs().count("estop") == 1
     assert 1 <= verbs().count("stop") < 200
-
-
-def test_a_check_names_the_topics_and_stops_nothing() -> None:
-    robot = BridgedRobot()
-    finding = check(robot, robot.publish, namespace="tb3_01")["stop topics"]
-    assert "/tb3_01/swarmd/stop (std_msgs/Empty)" in finding.text
-    assert finding.is_well
