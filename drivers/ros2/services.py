@@ -72,13 +72,14 @@ class CommandServices(StopTopics):
         """The finding of `swarmd --check` on option `services`; `nodes`: those of bridges."""
         if self._options is None:
             return ()
-        if fast := sorted({one.node for one in nodes if one.process.startswith(_FAST_DDS)}):
-            text = f"the bridge drops calls by Fast DDS: {', '.join(fast)}"
-            return (Finding("services", False, text, "use rmw_cyclonedds_cpp, or swarmctl"),)
+        fast = sorted({one.node for one in nodes if one.process.startswith(_FAST_DDS)})
         text = (
-            f"serves {', '.join(self._commands)} ({self._options.operator}, {self._options.role})"
+            f"the bridge drops calls by Fast DDS: {', '.join(fast)}"
+            if fast
+            else f"serves {', '.join(self._commands)} ({self._options.operator},"
+            f" {self._options.role})"
         )
-        return (Finding("services", True, text),)
+        return (Finding("services", not fast, text, "use rmw_cyclonedds_cpp" if fast else ""),)
 
     @property
     def runs(self) -> Mapping[str, DriverCommand]:
@@ -97,20 +98,19 @@ class CommandServices(StopTopics):
         self._session, self._age = session, RequestAge()
         for service in self._commands:
             on_query = Callback(partial(self._on_query, loop, service), indirect=False)
-            key = self._scheme.service_key(service)
+            key = self._scheme.subscription_key(service)
             self._declared.append(session.declare_queryable(key, on_query, complete=True))
-        tokens = self._scheme.service_tokens(
-            str(session.info.zid()),
-            tuple(self._commands),
-            [
-                TopicEnd(topic, kind, topic == self.state_topic, is_reliable=True, depth=10)
-                for topic, kind in (
-                    *zip(self.topics, STOP_TYPES.values(), strict=True),
-                    (self.state_topic, String),
-                )
-            ],
-        )
-        self._declared += map(session.liveliness().declare_token, tokens)
+        if self._scheme.is_node:
+            # From now on, not only while a base is there: a stop counts in any case.
+            kinds = dict(zip(self.topics, STOP_TYPES.values(), strict=True))
+            ends = [
+                TopicEnd(topic, kind, topic not in kinds, is_reliable=True, depth=10)
+                for topic, kind in {**kinds, self.state_topic: String}.items()
+            ]
+            self._declared += map(
+                session.liveliness().declare_token,
+                self._scheme.tokens(str(session.info.zid()), ends, tuple(self._commands)),
+            )
 
     def advance(self, dropped: Callable[[str], None]) -> None:
         """Probe the hub, and count refused calls; the driver's task calls this."""
@@ -182,15 +182,14 @@ class CommandServices(StopTopics):
         age = self._age.bound(asyncio.get_running_loop().time())
         if age is None:
             return None, _DOUBT
-        if stamp is None:
-            return age, ""
-        stamp_age = by_stamp(stamp, wall := time.time())
+        wall = time.time()
+        sent = wall if stamp is None else stamp
+        stamp_age = by_stamp(sent, wall)
         if stamp_age is None:
-            text = (
-                f"by its stamp this call was sent {wall - stamp:.1f} s ago; at most"
+            return None, (
+                f"by its stamp this call was sent {wall - sent:.1f} s ago; at most"
                 f" {MAX_STAMP_AGE:g} s count: call again, or set the clocks of both computers"
             )
-            return None, text
         return max(age, stamp_age), ""
 
     def _answer(

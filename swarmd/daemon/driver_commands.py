@@ -120,8 +120,12 @@ class DriverCommands:
 
     def _answer_stop(self, answer: Answer, reply: Reply) -> None:
         """Answer with the state that results, before the text of the reply or of the refusal."""
-        texts = filter(None, (self._robot.state, reply.refusal, reply.text))
-        answer(replace(reply, text=": ".join(texts)))
+        answer(
+            replace(
+                reply,
+                text=": ".join(filter(None, (self._robot.state, reply.refusal, reply.text))),
+            )
+        )
 
     def _request_of(self, command: DriverCommand, now: float) -> verbs.Request:
         """The request of a command, with the epoch of the robot when the command was issued."""
