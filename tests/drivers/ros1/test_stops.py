@@ -43,10 +43,11 @@ async def test_a_node_in_rospy_stops_the_robot_and_gets_its_state(
     harness: DriverHarness, robot: RosRobot
 ) -> None:
     commands = served(harness, ["stopped: commanded zero", "estopped: commanded zero"])
-    robot.do("follow", topic="swarmd/state")
     # As `rostopic pub` does: latched, so that a subscriber that connects later gets the message.
     robot.do("latch", topic="swarmd/stop", kind="Empty")
     await harness.until(lambda: len(commands) == 1)
+    robot.do("follow", topic="swarmd/state")  # a late subscriber gets the last answer
+    await harness.until(lambda: len(robot.texts()) == 1)
     robot.do("latch", topic="swarmd/estop", kind="String", text="smoke")
     await harness.until(lambda: len(commands) == 2)
     assert [one.verb for one in commands] == ["stop", "estop"]
