@@ -52,8 +52,9 @@ DECIDES = {
     "swarmd/network": "access datagram peer signature",
     "swarmd/client": "ask_robots canary goals run_lease runs stops targets waits",
     "drivers/crazyflie": "driver flight link sensors",
-    "drivers/ros": """absence cdr command_type foreign_commands from_ros messages subscriptions
-        to_ros topic_detections topic_hazards topic_inputs topic_readings zero_answers""",
+    "drivers/ros": """absence cdr command_type foreign_commands from_ros messages stop_topics
+        subscriptions to_ros topic_detections topic_hazards topic_inputs topic_readings
+        zero_answers""",
     "drivers/ros1": "adapter adapter_process driver",
     "drivers/ros2": """command_credit dds_bridge driver request_age rmw_zenoh services
         zero_sender""",

@@ -11,7 +11,9 @@ from rosbags.typesys.stores import ros2_jazzy
 
 Time: TypeAlias = ros2_jazzy.builtin_interfaces__msg__Time
 Header: TypeAlias = ros2_jazzy.std_msgs__msg__Header
+Empty: TypeAlias = ros2_jazzy.std_msgs__msg__Empty
 Float64: TypeAlias = ros2_jazzy.std_msgs__msg__Float64
+String: TypeAlias = ros2_jazzy.std_msgs__msg__String
 Vector3: TypeAlias = ros2_jazzy.geometry_msgs__msg__Vector3
 Quaternion: TypeAlias = ros2_jazzy.geometry_msgs__msg__Quaternion
 Point: TypeAlias = ros2_jazzy.geometry_msgs__msg__Point

@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta, Struct
 from rosbags.typesys import Stores
 
+from swarmd.core.bounds import Id
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros import command_type, messages
@@ -74,6 +75,8 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `readings`: numbers in messages of any topics, by name.
     - `hazards`: numbers in messages that mean a hazard, by name.
     - `detections`: topics with the objects that the robot recognises, by name.
+    - `stop_operator`: the operator of a stop on `swarmd/stop` or `swarmd/estop`. Without it only a
+      swarm without keys accepts these stops, unless the option `services` has an operator.
     - `message_path`: folders with the packages of a vendor's message types, as `.msg` files.
     """
 
@@ -104,6 +107,7 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     readings: dict[str, ReadingOptions] = {}
     hazards: dict[str, HazardOptions] = {}
     detections: dict[str, DetectionOptions] = {}
+    stop_operator: Id | None = None
     message_path: str | tuple[str, ...] = ()
 
     @property
@@ -165,7 +169,7 @@ class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=
     - `endpoint`: the address at which the bridge or router listens.
     - `publish_state`: publish the robot's state on `swarmd/pose`, `swarmd/markers` and
       `diagnostics`.
-    - `services`: the services by which ROS runs and stops this robot.
+    - `services`: the services by which ROS runs and resets this robot.
     """
 
     endpoint: str = DEFAULT_ENDPOINT

@@ -1,19 +1,19 @@
-"""The option `services`: the services by which ROS commands this robot."""
+"""The option `services`: the services by which ROS runs and resets this robot."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Id, ParamValues, Word
 from swarmd.core.errors import ConfigError
-from swarmd.driver_api.command_source import DeclaredRun
+from swarmd.driver_api.command_source import DeclaredRun, DriverCommand
 
 MAX_RUNS = 32
-STOP, ESTOP, RESET, RUN = "swarmd/stop", "swarmd/estop", "swarmd/reset", "swarmd/run"
+RESET, RUN = "swarmd/reset", "swarmd/run"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -24,10 +24,6 @@ class RunOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     params: ParamValues = {}
     seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
     until: tuple[Word, ...] = ()
-
-    def declared(self) -> DeclaredRun:
-        """The run as the daemon takes it."""
-        return DeclaredRun(self.pattern, self.params, self.seconds, self.until)
 
 
 class ServiceOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -44,10 +40,23 @@ class ServiceOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     runs: Annotated[dict[str, RunOptions], Meta(max_length=MAX_RUNS)] = {}
     reset: Literal["own", "all"] = "own"
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the services in the robot's namespace."""
-        return (STOP, ESTOP, RESET, *(f"{RUN}/{name}" for name in self.runs))
+    def commands(self, topic: Callable[[str], str]) -> dict[str, DriverCommand]:
+        """The command of each service by its full name, which `topic` gives; ages are not known."""
+        runs = {
+            f"{RUN}/{name}": DeclaredRun(run.pattern, run.params, run.seconds, run.until)
+            for name, run in self.runs.items()
+        }
+        return {
+            (service := topic(name)): DriverCommand(
+                verb="reset" if run is None else "run",
+                operator=self.operator,
+                is_viewer=self.role == "viewer",
+                source=f"ROS service {service}",
+                run=run,
+                resets_others=self.reset == "all",
+            )
+            for name, run in {RESET: None, **runs}.items()
+        }
 
     def faults(self) -> Iterator[str]:
         """The texts of the faults of the names of runs, and of their conditions."""

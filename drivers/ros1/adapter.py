@@ -134,13 +134,10 @@ class AdapterProcess:
         pid: int = self._process.pid
         return pid
 
-    def send(self, command: bytes) -> None:
-        """Send a serialised command; never blocks, dropped if the socket is full."""
+    def send(self, command: bytes, kind: bytes = adapter_process.COMMAND) -> None:
+        """Send a serialised command, or state; never blocks, dropped if the socket is full."""
         with contextlib.suppress(OSError):
-            self._socket.send(
-                adapter_process.COMMAND_HEAD.pack(adapter_process.COMMAND, time.monotonic())
-                + command
-            )
+            self._socket.send(adapter_process.COMMAND_HEAD.pack(kind, time.monotonic()) + command)
 
     async def until_end(self, seconds: float) -> bool:
         """Wait at most `seconds`; True once the process has ended, or was killed as silent."""

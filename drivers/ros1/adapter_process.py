@@ -7,11 +7,13 @@ for the layout of the packets:
 
     to the driver   D topic arrival bytes  a message; arrival: s on CLOCK_MONOTONIC; topic: an index
                                            in the list of `topics` and then `command_topics`. A
-                                           message on `command_topics` is a command of another node;
-                                           its bytes are empty unless a Twist or TwistStamped
+                                           message on `command_topics` is a command of another node
+                                           or a stop; its bytes are empty unless its type is one of
+                                           `definitions`
                     J {...}                an event as JSON: state, foreign, gone, end
                     H                      a sign of life
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
+                    S time bytes           a std_msgs/String for the topic `state_topic`
                     B                      farewell: send zero and leave
 
 The adapter is the base's watchdog and outlives the daemon:
@@ -41,7 +43,7 @@ from glob import glob
 from typing import Any, Dict, List, Optional  # noqa: UP035  (Python 3.8)
 
 DATA, EVENT, ALIVE = b"D", b"J", b"H"
-COMMAND, FAREWELL = b"C", b"B"
+COMMAND, STATE, FAREWELL = b"C", b"S", b"B"
 DATA_HEAD = struct.Struct("<cId")
 COMMAND_HEAD = struct.Struct("<cd")
 
@@ -60,6 +62,7 @@ _WRITE_TIMEOUT = struct.pack("@ll", 0, 100_000)  # s and us that writing a comma
 _HANDSHAKE_TIMEOUT = 1.0  # s within which a connected node has to send its header
 _LEAVE_TIMEOUT = 1.0  # s for unregistering this node from the master
 _MAX_MEMORY = 512 << 20  # bytes; rospy allocates whatever length a message announces
+_MAX_TEXT = 4096  # bytes of a command or stop; the socket has no room for megabytes
 _TWIST = struct.Struct("<6d")
 
 
@@ -127,6 +130,7 @@ class Adapter:
         # of the daemon become zeros (rule 2).
         self._commanded_at = self._moved_at = self._stops_until = -COMMAND_TIMEOUT
         self._reported: Any = None  # the last event `state` that the driver has taken
+        self._answers: Any = None  # the publisher of the topic `state_topic`
         self._others: Any = None  # the subscription to other nodes' commands
         self._kept: Dict[int, KeptTopic] = {  # noqa: UP006
             index: KeptTopic(index, self) for index in config["kept_topics"]
@@ -177,6 +181,11 @@ class Adapter:
         self._master.caller = rospy.get_name()
         self._configure_bases(rospy.impl.tcpros_base)
         rospy.on_shutdown(self._on_shutdown)  # called before topics close, as on `rosnode kill`
+        if not config["is_check"]:
+            # Latched: a node that subscribes later gets the last answer, too.
+            self._answers = rospy.Publisher(
+                config["state_topic"], self._class_of("std_msgs/String"), latch=True, queue_size=1
+            )
         if len(config["command_types"]) == 1:
             self._advertise(config["command_types"][0])
         for index, topic in enumerate(config["topics"]):
@@ -194,14 +203,17 @@ class Adapter:
         self._command_type = kind
         if self._config["is_check"]:
             return
-        rospy, (md5sum, text) = self._rospy, self._config["definitions"][kind]
-        fields = {"_type": kind, "_md5sum": md5sum, "_full_text": text}
-        self._message = type("Command", (rospy.AnyMsg,), fields)
-        self._publisher = rospy.Publisher(
-            self._config["command_topics"][0], self._message, subscriber_listener=self,
+        self._publisher = self._rospy.Publisher(
+            self._config["command_topics"][0], self._class_of(kind), subscriber_listener=self,
             tcp_nodelay=True, queue_size=1,
         )  # fmt: skip
         self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
+
+    def _class_of(self, kind: str) -> Any:
+        """A class of messages that are given as their bytes."""
+        md5sum, text = self._config["definitions"][kind]
+        fields = {"_type": kind, "_md5sum": md5sum, "_full_text": text}
+        return type("Message", (self._rospy.AnyMsg,), fields)
 
     def _follow_type(self, wanted: Any, connected: int) -> None:
         """Publish commands in the type to which all listeners subscribe.
@@ -243,15 +255,17 @@ class Adapter:
 
         server.inbound_handler = configured
 
-    def _publish(self, payload: bytes) -> None:
-        if self._publisher is None:
+    def _publish(self, payload: bytes, publisher: Any = None) -> None:
+        """Publish a command, or a message of another publisher."""
+        publisher = publisher or self._publisher
+        if publisher is None:
             return
-        message = self._message()
+        message = publisher.data_class()
         message._buff = payload
         try:
-            self._publisher.publish(message)
+            publisher.publish(message)
         except Exception as error:  # rospy may be closing its topics
-            sys.stderr.write(f"a command could not be sent: {error}\n")
+            sys.stderr.write(f"a message could not be sent: {error}\n")
 
     def _zero_bytes(self) -> bytes:
         if not self._command_type.endswith("Stamped"):
@@ -273,7 +287,7 @@ class Adapter:
         if self._holds:
             self._is_armed, self._holds_until = True, time.monotonic() + ZERO_TIME
         if self._publisher is not None and self._commanded_at > 0.0:
-            message = self._message()
+            message = self._publisher.data_class()
             message._buff = self._zero_bytes()
             self._publisher.impl.acquire()
             try:
@@ -315,7 +329,7 @@ class Adapter:
             self._others = None
 
     def _hear_commands(self, index: int) -> Any:
-        """Subscribe to a topic of commands, whatever its type."""
+        """Subscribe to a topic of commands or stops, whatever its type."""
         return self._rospy.Subscriber(
             self._config["command_topics"][index], self._rospy.AnyMsg, self._on_other_command,
             index, queue_size=1, tcp_nodelay=True,
@@ -326,7 +340,7 @@ class Adapter:
         if header.get("callerid") != self._master.caller:
             known = [md5sum for md5sum, _ in self._config["definitions"].values()]
             head = DATA_HEAD.pack(DATA, len(self._config["topics"]) + index, arrival)
-            self.send(head, message._buff if header.get("md5sum") in known else b"")
+            self.send(head, message._buff[:_MAX_TEXT] if header.get("md5sum") in known else b"")
 
     def _state(self) -> Any:
         """The event `state`: what the master knows of the driver's topics (adapter.MasterState).
@@ -453,6 +467,8 @@ class Adapter:
                 return self.end(ZERO_TIME)
             if kind == FAREWELL:
                 return self.end(0.0)
+            if kind == STATE and self._answers is not None:
+                self._publish(frame[COMMAND_HEAD.size :], self._answers)
             if kind == COMMAND and len(frame) > COMMAND_HEAD.size and self._ends_at is None:
                 now = time.monotonic()
                 if now - COMMAND_HEAD.unpack_from(frame)[1] < _MAX_COMMAND_AGE:

@@ -25,9 +25,10 @@ from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Sink, ZeroSenderSpec
 from swarmd.drivers.ros import diagnosis
 from swarmd.drivers.ros.foreign_commands import ROS1_ACTIONS, ForeignCommands
+from swarmd.drivers.ros.messages import String, TwistStamped
 from swarmd.drivers.ros.messages import Twist as TwistMessage
-from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import Ros1Options, read_options
+from swarmd.drivers.ros.stop_topics import StopTopics
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.zero_answers import ZeroAnswers
 from swarmd.drivers.ros1 import adapter_process, serialization
@@ -78,6 +79,7 @@ class Ros1Driver:
         self._logged = ""
         self._gate = CommandGate()
         self._zeros = ZeroAnswers(self._gate, partial(self._put, ZERO))
+        self.command_source = StopTopics(self._options, self._put_state)
         self._count = 0
         self._begin()
 
@@ -215,10 +217,11 @@ class Ros1Driver:
         """The configuration of an adapter process, as JSON values.
 
         The messages of the socket name a topic by its index in `topics`: first the topics of the
-        subscriptions, then those of the states of actions. `definitions`: md5sum and definition of
-        each message class of commands. `kept_topics`: indices of topics whose last message counts
-        until the next message. `holds`: this adapter begins with zeros, since an earlier adapter
-        has driven the robot.
+        subscriptions, then those of the states of actions, and behind them those of
+        `command_topics`: of commands, then of stops. `definitions`: md5sum and definition of each
+        message class of commands and stops. `kept_topics`: indices of topics whose last message
+        counts until the next message, and of stops, which count at any age. `holds`: this adapter
+        begins with zeros, since an earlier adapter has driven the robot.
         """
         options, foreign = self._options, self._foreign
         subscriptions = self._subscriptions
@@ -229,12 +232,15 @@ class Ros1Driver:
         definitions = {
             # `definition` gives (definition, md5sum), and the adapter takes (md5sum, definition).
             serialization.type_name(kind): serialization.definition(kind)[::-1]
-            for kind in (TwistMessage, TwistStamped)
+            for kind in (TwistMessage, TwistStamped, String)
         }
+        command_topics = [*foreign.topics, *self.command_source.topics]
         kept_topics = [
             index
-            for index, (topic, _) in enumerate(types_by_topic)
-            if topic in subscriptions.kept_topics
+            for index, topic in enumerate(
+                (*(topic for topic, _ in types_by_topic), *command_topics)
+            )
+            if topic in subscriptions.kept_topics or topic in self.command_source.topics
         ]
         return {
             "master": options.master_uri,
@@ -242,7 +248,8 @@ class Ros1Driver:
             "topics": [topic for topic, _ in types_by_topic],
             "types": [serialization.type_name(kind) for _, kind in types_by_topic],
             "md5sums": [serialization.definition(kind)[1] for _, kind in types_by_topic],
-            "command_topics": foreign.topics,
+            "command_topics": command_topics,
+            "state_topic": self.command_source.state_topic,
             "command_types": [serialization.type_name(kind) for kind in options.command_types],
             "definitions": definitions,
             "frame_id": options.cmd_vel_frame,
@@ -291,14 +298,17 @@ class Ros1Driver:
             deliver(self._sink)  # also while another node drives: a stop reports the speed
 
     def _on_foreign(self, index: int, data: bytes, now: float) -> None:
-        """Take the states of an action's goals, or another node's command.
+        """Take the states of an action's goals, or another node's command or stop.
 
         `index`: in the list of actions and then command topics of the adapter's configuration.
         """
         foreign = self._foreign
-        names = [*foreign.actions, *foreign.topics]
+        names = [*foreign.actions, *foreign.topics, *self.command_source.topics]
         if index >= len(names):
             self.on_dropped("garbage")
+        elif names[index] in self.command_source.topics:
+            if not self.command_source.hear(names[index], data, serialization.decode, now):
+                self.on_dropped(names[index])
         elif index >= len(foreign.actions):
             self._on_foreign_command(names[index], data, now)
         else:
@@ -384,6 +394,10 @@ class Ros1Driver:
             frame = self._options.cmd_vel_frame
             command = serialization.encode_twist_stamped(twist, self._count, time.time_ns(), frame)
         self._child.send(command)
+
+    def _put_state(self, text: str) -> None:
+        if self._child is not None:
+            self._child.send(serialization.encode(String(text)), adapter_process.STATE)
 
     def _report_state(self, is_up: bool, text: str) -> None:
         """Set the gate, with a zero when it closes, and report and log a change of the state."""

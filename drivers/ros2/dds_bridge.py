@@ -70,7 +70,7 @@ class Ros2Dds(Ros2Middleware):
     domain: int | None = None
 
     def subscription_key(self, topic: str) -> str:
-        """The one key of the topic."""
+        """The one key of the topic or service."""
         return topic.removeprefix("/")
 
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
@@ -103,8 +103,10 @@ class Ros2Dds(Ros2Middleware):
         """The one key of the topic."""
         return (self.subscription_key(topic),)
 
-    def tokens(self, zid: str, ends: Sequence[TopicEnd]) -> tuple[str, ...]:
-        """The tokens of a bridge, one for each end."""
+    def tokens(
+        self, zid: str, ends: Sequence[TopicEnd], services: Sequence[str] | None = None
+    ) -> tuple[str, ...]:
+        """The tokens of a bridge, one for each end; emulated bridges have no services."""
         found = []
         for end in ends:
             direction = "MP" if end.is_publisher else "MS"
@@ -117,14 +119,6 @@ class Ros2Dds(Ros2Middleware):
     def attachment(self, token: str = "") -> bytes | None:
         """None: the bridge uses no attachments."""
         return None
-
-    def service_key(self, service: str) -> str:
-        """The one key of the service."""
-        return self.subscription_key(service)
-
-    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
-        """None: the bridge offers a service to each client that it finds in DDS."""
-        return ()
 
     def call_stamp(self, key: str, attachment: bytes | None) -> None:
         """None: the bridge hands on no time. CodecError without the header of a DDS request."""

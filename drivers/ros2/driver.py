@@ -29,6 +29,7 @@ from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, diagnosis, from_ros
 from swarmd.drivers.ros.endpoints import Endpoint, with_nodes
 from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
+from swarmd.drivers.ros.messages import String
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Deliver, Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
@@ -97,10 +98,12 @@ class RosDriver:
         self._sensor_timeout = max(SENSOR_TIMEOUT, _MIN_TIMEOUT_SCANS / platform.scan.rate)
         self._subscriptions = Subscriptions(options, platform)
         sensed_types = [stats.message_type for stats in self._subscriptions.topics.values()]
-        cdr.build_codecs(*options.command_types, *sensed_types)  # else the first message is late
+        cdr.build_codecs(
+            String, *options.command_types, *sensed_types
+        )  # else the first message is late
         self._state = StateTopics(scheme, platform, options)
         self._services = CommandServices(scheme, options, lambda: not self._gate.is_open)
-        self.command_source = self._services if self._services.is_on else None
+        self.command_source = self._services
         self._reset()
 
     async def run(self, sink: Sink) -> None:
@@ -299,7 +302,7 @@ class RosDriver:
         for stats in self._subscriptions.topics.values():
             on_sample = _receiver(self._scheme, inbox, stats.name, stats.topic, stats.message_type)
             session.declare_subscriber(key_of(stats.topic), on_sample, allowed_origin=remote)
-        for topic in self._foreign.topics:
+        for topic in (*self._foreign.topics, *self._services.topics):
             on_sample = _command_receiver(inbox, topic)
             session.declare_subscriber(key_of(topic), on_sample, allowed_origin=remote)
         for topic in self._foreign.actions:
@@ -432,11 +435,18 @@ class RosDriver:
         self._release(now)  # the held command, unless the message has led to a newer command
 
     def _accept(self, sink: Sink, is_check: bool, name: str, payload: bytes, now: float) -> None:
-        """Take a message by its name: foreign command, action state, wrong key, or sensor topic."""
+        """Take a message by its name.
+
+        It is of a foreign command, an action state, a stop, a wrong key, or a sensor.
+        """
         if name in self._foreign.topics:
             self._on_command(sink, name, payload, now)
         elif name in self._foreign.actions:
             self._on_status(sink, name, payload, now)
+        elif name in self._services.topics:
+            # Without bytes it came on a wildcard key, and is no message of ROS.
+            if not (payload and self._services.hear(name, payload, cdr.decode, now)):
+                sink.dropped(f"{name}:refused")
         elif name.endswith(_KEY_FAULT):
             name = name.removesuffix(_KEY_FAULT).removesuffix(KEPT)
             stats = self._subscriptions.topics[name]

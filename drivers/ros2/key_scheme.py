@@ -45,7 +45,7 @@ class KeyScheme(Middleware, Protocol):
     is_node: bool  # the driver declares tokens of its own; with a bridge only the bridge does
 
     def subscription_key(self, topic: str) -> str:
-        """The key expression to subscribe to for a topic."""
+        """The key expression on which the messages of a topic, or calls of a service, arrive."""
 
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
         """The fault of a sample's key; empty if the key is of that topic and type."""
@@ -59,22 +59,21 @@ class KeyScheme(Middleware, Protocol):
     def command_keys(self, topic: str, message_type: type) -> tuple[str, ...]:
         """All keys on which a robot may subscribe to commands."""
 
-    def tokens(self, zid: str, ends: Sequence[TopicEnd]) -> tuple[str, ...]:
-        """The tokens that announce a node with these ends; those of the ends come last."""
+    def tokens(
+        self, zid: str, ends: Sequence[TopicEnd], services: Sequence[str] | None = None
+    ) -> tuple[str, ...]:
+        """The tokens that announce a node with these ends; those of the ends come last.
+
+        With `services`, of type std_srvs/Trigger, the node is a further node of this process.
+        """
 
     def attachment(self, token: str = "") -> bytes | None:
         """The attachment of the next message of the publisher that this token announces."""
 
-    def service_key(self, service: str) -> str:
-        """The key expression on which calls of a service of type std_srvs/Trigger arrive."""
-
-    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
-        """The tokens that announce a node with these services; empty behind a bridge."""
-
     def call_stamp(self, key: str, attachment: bytes | None) -> float | None:
         """When a call was sent, in s since 1970 by the caller's clock; None: not known.
 
-        CodecError if key or attachment are not those of a call.
+        CodecError if key or attachment are not those of a call of a std_srvs/Trigger.
         """
 
     def reply_attachment(self, attachment: bytes | None) -> bytes | None:

@@ -7,6 +7,7 @@ exact key. `make_robots` makes simulated robots of this middleware, with the has
 
 from __future__ import annotations
 
+import itertools
 import struct
 import time
 from collections import Counter
@@ -110,7 +111,7 @@ class RmwZenoh(Ros2Middleware):
         self._sent: Counter[str] = Counter()
 
     def subscription_key(self, topic: str) -> str:
-        """The key expression for any type and hash of this topic, without longer topic names."""
+        """The key expression for any type and hash of this name, without longer names."""
         return f"{self.domain}{topic}/*/*"
 
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
@@ -160,17 +161,26 @@ class RmwZenoh(Ros2Middleware):
             self._key(topic, message_type, hashed) for hashed in (type_hash(message_type), NO_HASH)
         )
 
-    def tokens(self, zid: str, ends: Sequence[TopicEnd]) -> tuple[str, ...]:
-        """The node's token, and a token for each end; default qualities are left out of tokens."""
-        first = 100 * self._index
-        context = f"@ros2_lv/{self.domain}/{zid}/{self._index}"
-        found = [f"{context}/{first}/NN/{self._node}"]
-        for number, end in enumerate(ends, start=first + 1):
-            direction = "MP" if end.is_publisher else "MS"
-            qos = f"{'' if end.is_reliable else _BEST_EFFORT}::,{end.depth}:,:,:,,"
+    def tokens(
+        self, zid: str, ends: Sequence[TopicEnd], services: Sequence[str] | None = None
+    ) -> tuple[str, ...]:
+        """The node's token, and a token for each service and end.
+
+        Default qualities are left out of tokens. A node with `services` is `<node>_services`.
+        """
+        index = self._index + (services is not None)
+        node = self._node if services is None else f"{self._node}_services"
+        context, numbers = f"@ros2_lv/{self.domain}/{zid}/{index}", itertools.count(100 * index)
+        found = [f"{context}/{next(numbers)}/NN/{node}"]
+        for service in services or ():
+            end = f"{_mangled(service)}/{TRIGGER}/{TRIGGER_HASH}/::,10:,:,:,,"
+            found.append(f"{context}/{next(numbers)}/SS/{node}/{end}")
+        for one in ends:
+            qos = f"{'' if one.is_reliable else _BEST_EFFORT}::,{one.depth}:,:,:,,"
             found.append(
-                f"{context}/{number}/{direction}/{self._node}/{_mangled(end.topic)}"
-                f"/{dds_name(name_of(end.message_type))}/{self._hash_of(end.message_type)}/{qos}"
+                f"{context}/{next(numbers)}/{'MP' if one.is_publisher else 'MS'}/{node}"
+                f"/{_mangled(one.topic)}/{dds_name(name_of(one.message_type))}"
+                f"/{self._hash_of(one.message_type)}/{qos}"
             )
         return tuple(found)
 
@@ -180,24 +190,9 @@ class RmwZenoh(Ros2Middleware):
         gid = gid_of(token) if token else bytes(16)
         return _ATTACHMENT.pack(self._sent[token], time.time_ns(), 16, gid)
 
-    def service_key(self, service: str) -> str:
-        """The key expression of the service with any hash, for Humble's placeholder, too."""
-        return f"{self.domain}{service}/{TRIGGER}/*"
-
-    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
-        """The token of a node of its own, and a token for each service."""
-        number = self._index + 1
-        context, node = f"@ros2_lv/{self.domain}/{zid}/{number}", f"{self._node}_services"
-        tokens = [f"{context}/{100 * number}/NN/{node}"]
-        for entity, service in enumerate(services, start=100 * number + 1):
-            end = f"{_mangled(service)}/{TRIGGER}/{TRIGGER_HASH}/::,10:,:,:,,"
-            tokens.append(f"{context}/{entity}/SS/{node}/{end}")
-        return tuple(tokens)
-
     def call_stamp(self, key: str, attachment: bytes | None) -> float | None:
-        """The stamp of the caller. CodecError for a wildcard, a foreign hash or attachment."""
-        hashed = key.rpartition("/")[2]
-        if "*" in key or hashed not in (TRIGGER_HASH, NO_HASH):
+        """The stamp of the caller. CodecError for a wildcard, a foreign type or attachment."""
+        if "*" in key or not key.endswith((f"/{TRIGGER}/{TRIGGER_HASH}", f"/{TRIGGER}/{NO_HASH}")):
             raise CodecError("no call of a client")
         _, stamp, _ = _unpacked(attachment)
         return stamp * 1e-9

@@ -1,7 +1,8 @@
-"""The ROS services that run and stop this robot, by the driver's session; option `services`.
+"""The ROS services that run and reset this robot, by the driver's session; option `services`.
 
-Each service has the type std_srvs/Trigger, whose request is empty. A middleware's client calls a
-service by a Zenoh query. Anyone on the robot's ROS graph may call.
+`CommandServices` also publishes the answers to stops that came on topics. Each service has the type
+std_srvs/Trigger, whose request is empty. A middleware's client calls a service by a Zenoh query.
+Anyone on the robot's ROS graph may call.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 import zenoh
 from zenoh.handlers import Callback
@@ -24,16 +24,16 @@ from swarmd.core.finding import Finding
 from swarmd.core.messages import Code, Reply
 from swarmd.core.threads import hand_over
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.driver_api.command_source import DriverCommand, TakeCommand
+from swarmd.driver_api.command_source import DriverCommand
+from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros.messages import String
 from swarmd.drivers.ros.options import RosOptions
-from swarmd.drivers.ros.service_options import ESTOP, RESET, RUN, STOP
-from swarmd.drivers.ros2.key_scheme import KeyScheme
+from swarmd.drivers.ros.stop_topics import CALL_BURST, CALL_RATE, STOP_TYPES, StopTopics
+from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.drivers.ros2.request_age import MAX_STAMP_AGE, SETTLE_TIME, RequestAge, by_stamp
 from swarmd.drivers.ros2.session import ask_hub, linked_hubs
 
-CALL_RATE, CALL_BURST = 10.0, 10.0
-"""Calls per second of one service, and at once; further calls get no answer."""
 MAX_MESSAGE = 500
 """Characters of the field `message`."""
 
@@ -44,94 +44,78 @@ The bridge reads the header of a request as rmw_cyclonedds writes it, and drops 
 """
 _HEADER = b"\0\1\0\0"  # CDR, little-endian
 _MAX_REQUEST = 8  # bytes of an empty request: the header, a byte that stands for no field, padding
-_VERBS: dict[str, Literal["stop", "estop", "reset"]] = {
-    STOP: "stop",
-    ESTOP: "estop",
-    RESET: "reset",
-}
 _DOUBT = (
     "the age of this call is unknown: the hub did not answer all the time in the last"
     f" {SETTLE_TIME:g} s; call again"
 )
 
 
-class CommandServices:
-    """Serves the services of one robot; does nothing without the option `services`."""
+class CommandServices(StopTopics):
+    """Serves the services of one robot, if it has the option `services`, and answers stops."""
 
     def __init__(self, scheme: KeyScheme, options: RosOptions, is_lost: Callable[[], bool]) -> None:
         """Not open yet. `is_lost`: whether the base is lost."""
         self._scheme, self._options = scheme, options.services
+        super().__init__(
+            options, self._publish, "" if not options.services else options.services.operator
+        )
         self._is_lost = is_lost
-        self._names = {
-            name: options.topic(name)
-            for name in (() if self._options is None else self._options.names)
-        }
-        self._take: TakeCommand | None = None
+        self._commands = {} if not options.services else options.services.commands(options.topic)
         self._lock = threading.Lock()  # guards `_limits` and `_refused` (threads of Zenoh)
-        self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._names}
+        self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._commands}
         self._refused = 0
         self._session: zenoh.Session | None = None
         self._declared: list[object] = []
         self._age = RequestAge()
 
-    @property
-    def is_on(self) -> bool:
-        """True with the option `services`."""
-        return self._options is not None
-
     def findings(self, nodes: Iterable[Endpoint]) -> tuple[Finding, ...]:
         """The finding of `swarmd --check` on option `services`; `nodes`: those of bridges."""
         if self._options is None:
             return ()
-        if fast := sorted({one.node for one in nodes if one.process.startswith(_FAST_DDS)}):
-            text = f"the bridge drops calls by Fast DDS, also of stop and estop: {', '.join(fast)}"
-            return (
-                Finding("services", False, text, "use rmw_cyclonedds_cpp, or stop by swarmctl"),
-            )
-        role = f"{self._options.operator}, {self._options.role}"
-        return (Finding("services", True, f"serves {', '.join(self._names.values())} ({role})"),)
+        fast = sorted({one.node for one in nodes if one.process.startswith(_FAST_DDS)})
+        text = (
+            f"the bridge drops calls by Fast DDS: {', '.join(fast)}"
+            if fast
+            else f"serves {', '.join(self._commands)} ({self._options.operator},"
+            f" {self._options.role})"
+        )
+        return (Finding("services", not fast, text, "use rmw_cyclonedds_cpp" if fast else ""),)
 
     @property
     def runs(self) -> Mapping[str, DriverCommand]:
-        """The commands of the services that run a pattern, by the key of their option."""
-        options = self._options
-        names = () if options is None else options.runs
-        return {f"services.runs.{name}": self._command(f"{RUN}/{name}") for name in names}
-
-    def _command(self, name: str) -> DriverCommand:
-        """The command of a call of the service `name`; its age is not known yet."""
-        options = self._options
-        assert options is not None
-        run = options.runs.get(name.removeprefix(f"{RUN}/"))
-        return DriverCommand(
-            verb=_VERBS.get(name, "run"),
-            operator=options.operator,
-            is_viewer=options.role == "viewer",
-            source=f"ROS service {self._names[name]}",
-            run=None if run is None else run.declared(),
-            resets_others=options.reset == "all",
-        )
-
-    def serve(self, take: TakeCommand) -> None:
-        """Hand the commands to `take`; without it calls get no answer."""
-        self._take = take
+        """The commands of runs and stops that options declare, by the key of their option."""
+        return {
+            **super().runs,
+            **{
+                f"services.runs.{name.rpartition('/')[2]}": command
+                for name, command in self._commands.items()
+                if command.run is not None
+            },
+        }
 
     def open(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
-        """Declare the services on a new session; without the option nothing is declared."""
-        if not self.is_on:
-            return
+        """Declare the services on a new session, and announce them and the ends of stops."""
         self._session, self._age = session, RequestAge()
-        for name, service in self._names.items():
-            on_query = Callback(partial(self._on_query, loop, name), indirect=False)
-            key = self._scheme.service_key(service)
+        for service in self._commands:
+            on_query = Callback(partial(self._on_query, loop, service), indirect=False)
+            key = self._scheme.subscription_key(service)
             self._declared.append(session.declare_queryable(key, on_query, complete=True))
-        tokens = self._scheme.service_tokens(str(session.info.zid()), tuple(self._names.values()))
-        self._declared += map(session.liveliness().declare_token, tokens)
+        if self._scheme.is_node:
+            # From now on, not only while a base is there: a stop counts in any case.
+            kinds = dict(zip(self.topics, STOP_TYPES.values(), strict=True))
+            ends = [
+                TopicEnd(topic, kind, topic not in kinds, is_reliable=True, depth=10)
+                for topic, kind in {**kinds, self.state_topic: String}.items()
+            ]
+            self._declared += map(
+                session.liveliness().declare_token,
+                self._scheme.tokens(str(session.info.zid()), ends, tuple(self._commands)),
+            )
 
     def advance(self, dropped: Callable[[str], None]) -> None:
         """Probe the hub, and count refused calls; the driver's task calls this."""
         loop = asyncio.get_running_loop()
-        if self._session is None:
+        if self._session is None or not self._commands:
             return
         if not linked_hubs(self._session):
             self._age = RequestAge()  # a probe without a hub ends at once, and is no answer
@@ -150,6 +134,15 @@ class CommandServices:
         """Forget the session."""
         self._session, self._age = None, RequestAge()
         self._declared.clear()
+
+    def _publish(self, text: str) -> None:
+        """Publish the answer to a stop."""
+        if self._session is not None:
+            self._session.put(
+                self._scheme.key(self.state_topic, String),
+                cdr.encode(String(text)),
+                attachment=self._scheme.attachment(),
+            )
 
     def _on_query(self, loop: asyncio.AbstractEventLoop, name: str, query: zenoh.Query) -> None:
         """Check a query on a thread of Zenoh; hand a call of the service `name` to the loop.
@@ -181,7 +174,7 @@ class CommandServices:
             query.drop()
             return
         age, doubt = self._age_of(stamp)
-        command = replace(self._command(name), age=age, doubt=doubt)
+        command = replace(self._commands[name], age=age, doubt=doubt)
         take(command, partial(self._answer, query, attachment, command.verb == "run"))
 
     def _age_of(self, stamp: float | None) -> tuple[float | None, str]:
@@ -189,15 +182,14 @@ class CommandServices:
         age = self._age.bound(asyncio.get_running_loop().time())
         if age is None:
             return None, _DOUBT
-        if stamp is None:
-            return age, ""
-        stamp_age = by_stamp(stamp, wall := time.time())
+        wall = time.time()
+        sent = wall if stamp is None else stamp
+        stamp_age = by_stamp(sent, wall)
         if stamp_age is None:
-            text = (
-                f"by its stamp this call was sent {wall - stamp:.1f} s ago; at most"
+            return None, (
+                f"by its stamp this call was sent {wall - sent:.1f} s ago; at most"
                 f" {MAX_STAMP_AGE:g} s count: call again, or set the clocks of both computers"
             )
-            return None, text
         return max(age, stamp_age), ""
 
     def _answer(

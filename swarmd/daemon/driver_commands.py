@@ -22,7 +22,7 @@ from msgspec.structs import replace
 
 from swarmd.core import verbs
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, Epoch, Latch, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Latch, Refusal, Reply, State
 from swarmd.daemon.requests import RequestServer
 from swarmd.driver_api.command_source import Answer, DriverCommand
 from swarmd.security.identity import Identity
@@ -40,6 +40,10 @@ class CommandedRobot(Protocol):
     @property
     def id(self) -> str:
         """The name of the robot."""
+
+    @property
+    def state(self) -> State:
+        """The present state."""
 
     @property
     def epoch(self) -> Epoch:
@@ -83,6 +87,8 @@ class DriverCommands:
         """Carry out or refuse a command; `answer` gets the reply, also later."""
         now = self._clock()
         self.note_epoch(now)
+        if command.verb in ("stop", "estop"):
+            answer = partial(self._answer_stop, answer)
         request = self._request_of(command, now)
         refusal = self._refusal_of(command)
         if refusal is not None:
@@ -104,12 +110,22 @@ class DriverCommands:
 
         def on_reply(reply: Reply) -> None:
             if reply.code is Code.APPLIED and reply.is_moving:
-                loop = asyncio.get_running_loop()
-                loop.call_later(REPEAT_PERIOD, partial(self._stop, copy, source, answer))
+                asyncio.get_running_loop().call_later(
+                    REPEAT_PERIOD, partial(self._stop, copy, source, answer)
+                )
             else:
                 answer(reply)
 
         self._requests.take(request, source, on_reply)
+
+    def _answer_stop(self, answer: Answer, reply: Reply) -> None:
+        """Answer with the state that results, before the text of the reply or of the refusal."""
+        answer(
+            replace(
+                reply,
+                text=": ".join(filter(None, (self._robot.state, reply.refusal, reply.text))),
+            )
+        )
 
     def _request_of(self, command: DriverCommand, now: float) -> verbs.Request:
         """The request of a command, with the epoch of the robot when the command was issued."""
@@ -122,7 +138,7 @@ class DriverCommands:
             case "stop":
                 return verbs.StopRequest(id=id, operator=operator, targets=targets)
             case "estop":
-                reason = command.source
+                reason = command.reason or command.source
                 return verbs.EstopRequest(
                     id=id, operator=operator, targets=targets, scope="robots", reason=reason
                 )
@@ -174,5 +190,8 @@ def permission_fault(operator: str, is_viewer: bool, identity: Identity | None) 
     if is_viewer:
         return f"{operator} is a viewer: viewers command nothing"
     if identity is not None and identity.roster.role_of(operator) is not Role.OPERATOR:
-        return f"{operator} is no operator of roster {identity.roster.generation}"
+        return (
+            f"{operator} is no operator of roster {identity.roster.generation}; name an operator in"
+            " driver_options"
+        )
     return ""

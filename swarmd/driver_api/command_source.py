@@ -34,7 +34,9 @@ class DriverCommand:
     is_viewer: bool = False
     """The options declare a viewer, whose commands the daemon refuses"""
     source: str
-    """For the audit log, such as `ROS service /tb3_01/swarmd/stop`"""
+    """For the audit log, such as `ROS topic /tb3_01/swarmd/stop`"""
+    reason: str = ""
+    """Of an emergency stop"""
     run: DeclaredRun | None = None
     """Only with verb `run`"""
     resets_others: bool = False
@@ -47,7 +49,10 @@ class DriverCommand:
 
 Answer: TypeAlias = Callable[[Reply], None]
 TakeCommand: TypeAlias = Callable[[DriverCommand, Answer], None]
-"""Takes a command on the loop, and calls `Answer` once, at once or later, on the loop."""
+"""Takes a command on the loop, and calls `Answer` once, at once or later, on the loop.
+
+The text of the answer to a stop begins with the state of the robot, such as `stopped: `.
+"""
 
 
 class CommandSource(Protocol):
@@ -55,7 +60,7 @@ class CommandSource(Protocol):
 
     @property
     def runs(self) -> Mapping[str, DriverCommand]:
-        """The runs that the options declare, by a name for `swarmd --check`."""
+        """The commands that the options declare, by a name for `swarmd --check`."""
 
     def serve(self, take: TakeCommand) -> None:
         """Hand each command to `take` from now on."""

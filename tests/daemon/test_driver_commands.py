@@ -114,6 +114,32 @@ def test_a_stop_counts_at_any_age(verb: str, age: float | None) -> None:
     assert rig.harness.status.state is (State.STOPPED if verb == "stop" else State.ESTOPPED)
 
 
+def test_the_answer_to_a_stop_begins_with_the_state_that_results() -> None:
+    rig = Rig(idle())
+    rig.advance(5.0)
+    assert rig.reply("stop").text.startswith("stopped: commanded zero")
+    assert rig.reply("estop", reason="smoke").text.startswith("estopped: commanded zero")
+    assert rig.reply("stop").text.startswith("estopped: ")  # an emergency stop holds
+    (latch,) = rig.harness.robot.latches.values()
+    assert (latch.issuer, latch.reason) == ("ros", "smoke")
+
+
+def test_the_answer_to_a_refused_stop_has_the_state_and_the_reason() -> None:
+    rig = Rig(idle(), {"ros": Role.OPERATOR})
+    refused = rig.reply("stop", operator="ROS")
+    assert refused.refusal is Refusal.NOT_PERMITTED
+    assert refused.text.startswith("idle: not_permitted: ROS is no operator of roster 3")
+
+
+def test_a_stop_ends_a_run_that_was_issued_before_it_and_no_later_one() -> None:
+    rig = Rig(idle())
+    rig.advance(5.0)
+    rig.replies("stop", age=None)
+    assert rig.reply("run", age=0.5).refusal is Refusal.STALE_EPOCH
+    rig.advance(0.6)
+    assert rig.reply("run", age=0.5).code is Code.APPLIED
+
+
 def test_a_run_that_was_issued_before_a_change_is_refused() -> None:
     """The run waited 1 s: the robot then had the epoch before the operator's stop."""
     rig = Rig(idle())

@@ -76,6 +76,7 @@ _NAMES = {
     "Float32": "std_msgs/msg/Float32",
     "Float32MultiArray": "std_msgs/msg/Float32MultiArray",
     "Bool": "std_msgs/msg/Bool",
+    "String": "std_msgs/msg/String",
     "Int32": "std_msgs/msg/Int32",
     "Byte": "std_msgs/msg/Byte",
     "ByteMultiArray": "std_msgs/msg/ByteMultiArray",

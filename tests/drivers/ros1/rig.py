@@ -61,9 +61,9 @@ class RosRobot:
             stderr=subprocess.DEVNULL,
         )
         # A queue of this process's own, without late lines of the process before.
-        self._lines, ready = list[str](), threading.Event()
+        self._lines, self._texts, ready = list[str](), list[str](), threading.Event()
         self._thread = threading.Thread(
-            target=_read, args=(self._process, self._lines, ready), daemon=True
+            target=_read, args=(self._process, self._lines, self._texts, ready), daemon=True
         )
         self._thread.start()
         try:
@@ -97,6 +97,10 @@ class RosRobot:
         lines = self._lines[:]
         del self._lines[: len(lines)]
         return [_twist(line) for line in lines]
+
+    def texts(self) -> Sequence[str]:
+        """All messages of the topic that its node follows."""
+        return self._texts[:]
 
     def publish_scan(self, scan: Scan) -> None:
         first, ranges = float(scan.bearings[0]), scan.ranges.tolist()
@@ -185,11 +189,15 @@ def ros_robot(roscore: RosCore) -> RosRobot:
     return RosRobot(roscore)
 
 
-def _read(process: subprocess.Popen[bytes], lines: list[str], ready: threading.Event) -> None:
+def _read(
+    process: subprocess.Popen[bytes], lines: list[str], texts: list[str], ready: threading.Event
+) -> None:
     assert process.stdout is not None
     for line in process.stdout:
         if line == b"ready\n":
             ready.set()
+        elif line.startswith(b"text "):
+            texts.append(line.decode().rstrip("\n").removeprefix("text "))
         else:
             lines.append(line.decode())
 

@@ -4,7 +4,7 @@ Its namespace is ROS_NAMESPACE. Each line is a JSON object: `{"do": "publish"}` 
 an odometry with the next stamp, `{"do": "ranges", "ranges": [...]}` the same with these ranges, and
 `{"do": "rate", "hz": 5}` publishes at this rate; `Robot.obey` has the other orders. With --latch
 the dock is a latched topic. It prints `ready`, and each command that arrives as `linear angular
-lateral`.
+lateral`. Each message of a topic that it follows is a line `text` and the text.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import rospy
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, Imu, LaserScan, Range
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Empty, String
 
 RAYS = 360
 CLOCKS_APART = rospy.Duration(1000)  # stamps advance by count, so no delay is to be measured
@@ -82,6 +82,10 @@ class Robot:
             if topic not in self._raws:
                 self._raws[topic] = raw_publisher(topic, type("Kind", (), order["kind"]))
             send(self._raws[topic], bytes.fromhex(order["bytes"]))
+        elif order["do"] == "latch":
+            self._latch(order["topic"], order["kind"], order.get("text", ""))
+        elif order["do"] == "follow":
+            rospy.Subscriber(order["topic"], String, self._on_text)
         elif order["do"] == "dock":
             self._dock.publish(Bool(order["docked"]))
 
@@ -133,6 +137,17 @@ class Robot:
         imu.orientation.z, imu.orientation.w = math.sin(0.25), math.cos(0.25)
         self._imu.publish(imu)
         self._battery.publish(BatteryState(voltage=12.0, percentage=0.75))
+
+    def _latch(self, topic: str, kind: str, text: str) -> None:
+        """Publish a message that each later subscriber gets, too, as `rostopic pub` does."""
+        if topic not in self._raws:
+            types = {"Empty": Empty, "String": String}
+            self._raws[topic] = rospy.Publisher(topic, types[kind], queue_size=5, latch=True)
+        self._raws[topic].publish(Empty() if kind == "Empty" else String(text))
+
+    def _on_text(self, message: Any) -> None:
+        with self._lock:
+            print(f"text {message.data}", flush=True)
 
     def _on_command(self, message: Any) -> None:
         twist = getattr(message, "twist", message)

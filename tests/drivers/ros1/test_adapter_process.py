@@ -37,7 +37,12 @@ CONFIG: dict[str, Any] = {
     "kept_topics": [],
     "command_topics": ["/cmd_vel", "/cmd_vel_joy"],
     "command_types": ["geometry_msgs/Twist"],
-    "definitions": {"geometry_msgs/Twist": ["0", ""], "geometry_msgs/TwistStamped": ["9", ""]},
+    "state_topic": "/swarmd/state",
+    "definitions": {
+        "geometry_msgs/Twist": ["0", ""],
+        "geometry_msgs/TwistStamped": ["9", ""],
+        "std_msgs/String": ["5", ""],
+    },
     "frame_id": "",
     "is_check": False,
     "holds": False,
@@ -53,6 +58,7 @@ class AnyMsg:
 
 class Publisher:
     def __init__(self, *args, **kwargs):
+        self.data_class = args[1]
         self.impl = SimpleNamespace(set_queue_size=lambda size: None)
     def get_num_connections(self):
         return 1
@@ -112,6 +118,21 @@ def test_a_frozen_daemon_gets_the_state_when_it_reads_again(
     events = [json.loads(frame[1:])["event"] for frame in frames if frame[:1] == EVENT]
     assert events == ["state"]
     assert frames[-1][:1] == DATA
+
+
+@pytest.mark.parametrize(
+    ("md5sum", "content"), [("5", bytes(4096)), ("7", b"")], ids=["a long text", "another type"]
+)
+def test_a_stop_of_megabytes_has_room_in_the_socket(
+    ends: tuple[Adapter, socket.socket], md5sum: str, content: bytes
+) -> None:
+    adapter, mine = ends
+    adapter._master.caller = "/r_1"
+    header = {"callerid": "/rostopic", "type": "std_msgs/String", "md5sum": md5sum}
+    adapter._on_other_command(SimpleNamespace(_connection_header=header, _buff=bytes(1 << 22)), 1)
+    (frame,) = taken(mine)
+    assert DATA_HEAD.unpack_from(frame)[:2] == (DATA, len(CONFIG["topics"]) + 1)
+    assert frame[DATA_HEAD.size :] == content
 
 
 def test_a_message_of_another_type_is_reported_by_its_publisher_only(

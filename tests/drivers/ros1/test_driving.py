@@ -221,7 +221,7 @@ async def test_unreadable_messages_and_other_types_are_counted_and_no_sign_of_li
     listener = scene.adapter.listener
     listener.on_event(ForeignMessage("/odom", "/base", "nav_msgs/Odometry", "0" * 32))
     listener.on_message(0, scan(1.0)[:-1])
-    listener.on_message(3, odometry())
+    listener.on_message(5, odometry())  # behind the commands, stop and estop
     assert scene.sink.lost == ["ros1/type", "ros1/scan", "ros1/garbage"]
     assert not scene.sink.is_up
 
@@ -249,14 +249,14 @@ def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
 
     async def run() -> None:
         child = ros1_child.AdapterProcess(
-            "-", "/bin/cat", {"kept_topics": []}, os.environ, listener
+            "-", "/bin/cat", {"kept_topics": [5]}, os.environ, listener
         )
         monkeypatch.setattr(ros1_child, "time", SimpleNamespace(monotonic=lambda: now))
         near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         near.setblocking(False)
         for topic, age, data in (
             (1, 0.3, b"first"), (1, 0.1, b"newest"), (2, 0.49, b"late"), (3, 0.5, b"history"),
-            (4, -0.5, b"of a clock to come"),
+            (4, -0.5, b"of a clock to come"), (5, 9.0, b"a stop"),
         ):  # fmt: skip
             far.send(ros1_adapter.DATA_HEAD.pack(ros1_adapter.DATA, topic, now - age) + data)
         with near, far:
@@ -266,7 +266,7 @@ def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
         await child.close(politely=False)
 
     asyncio.run(run())
-    assert received == [(1, b"newest"), (2, b"late")]
+    assert received == [(1, b"newest"), (2, b"late"), (5, b"a stop")]
     assert dropped == ["overtaken"] * 3
 
 

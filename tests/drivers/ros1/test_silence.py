@@ -51,7 +51,8 @@ class Scene:
         given = {"master": "http://127.0.0.1:9", "name": "swarmd_r", "topics": [], "types": [],
                  "md5sums": [], "kept_topics": [], "command_topics": ["/cmd_vel"],
                  "command_types": KINDS[:1],
-                 "definitions": {kind: ["", ""] for kind in KINDS}, "frame_id": "",
+                 "definitions": {kind: ["", ""] for kind in (*KINDS, "std_msgs/String")},
+                 "state_topic": "/swarmd/state", "frame_id": "",
                  "is_check": False, "holds": False, **config}  # fmt: skip
         sock: Any = self
         offered = {
@@ -69,7 +70,10 @@ class Scene:
         impl = SimpleNamespace(
             set_queue_size=lambda size: None, acquire=lambda: None, release=lambda: None
         )
-        publisher = SimpleNamespace(publish=self._publish, impl=impl)
+
+        def publisher(topic: str, kind: type, **_: Any) -> Any:
+            return SimpleNamespace(publish=self._publish, impl=impl, data_class=kind)
+
         server = SimpleNamespace(tcp_ros_server=SimpleNamespace(inbound_handler=None))
         tcpros = SimpleNamespace(start_tcpros_server=lambda: None, _tcpros_server=server)
         return SimpleNamespace(
@@ -78,7 +82,7 @@ class Scene:
             get_name=lambda: "/swarmd_r_1",
             on_shutdown=lambda hook: None,
             is_shutdown=lambda: False,
-            Publisher=lambda *_, **__: publisher,
+            Publisher=publisher,
             impl=SimpleNamespace(tcpros_base=tcpros),
         )
 

@@ -228,6 +228,9 @@ HASHES = {  # published: the reference of rmw_zenoh, and REP 2016
 PACKAGES = {
     "GoalStatusArray": "action_msgs",
     "Bool": "std_msgs",
+    "Empty": "std_msgs",
+    "Float64": "std_msgs",
+    "String": "std_msgs",
     "Odometry": "nav_msgs",
     "Twist": "geometry_msgs",
     "TwistStamped": "geometry_msgs",

@@ -11,9 +11,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from swarmd.core.messages import Code, Reply
 from swarmd.core.values import ZERO, Twist, Value
-from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.driver import RosDriver
@@ -23,6 +21,7 @@ from tests.drivers.ros.contract import DOCKED, RosContract, docked
 from tests.drivers.ros2.dds_rig import SENSES, DdsRobot
 from tests.drivers.ros2.harness import check, drive_on, freeze, reported
 from tests.drivers.ros2.robots import open_session
+from tests.drivers.ros2.stops import ESTOP, STATE, STOP, Empty, served
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.processes import wait_until
@@ -213,8 +212,39 @@ async def test_a_latched_message_reaches_the_second_subscriber_of_a_bridge(
     dock.close()
 
 
+@story(DdsRobot)
+async def test_a_node_on_dds_stops_the_robot_and_gets_the_answer(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
+    """`ros2 topic pub` publishes with durability TRANSIENT_LOCAL, and waits for a subscription."""
+    commands = served(harness)
+    kinds = {f"/{STOP}": Empty, f"/{ESTOP}": dds.String}
+    state = f"/{STATE}"
+    node = DdsNode(robot.domain, "caller", kinds, {state: dds.String}, latched=[*kinds])
+
+    async def told(topic: str, message: Any) -> str:
+        await harness.until(lambda: node.is_heard(topic), publishing=True)
+        node.publish(topic, message)
+        texts: list[str] = []
+
+        def is_answered() -> bool:
+            texts.extend(one.data for one in node.take(state))
+            return bool(texts)
+
+        await harness.until(is_answered, publishing=True)
+        return texts[0]
+
+    await told(f"/{STOP}", Empty())
+    assert await told(f"/{ESTOP}", dds.String("smoke")) == "estop done"
+    assert [(one.verb, one.reason) for one in commands] == [("stop", ""), ("estop", "smoke")]
+    # The writer keeps its messages, and the robot gets neither of them again.
+    assert await told(f"/{STOP}", Empty()) == "stop done"
+    assert [one.verb for one in commands] == ["stop", "estop", "stop"]
+    node.close()
+
+
 SERVICES: dict[str, Value] = {"operator": "ros", "runs": {"go": {"pattern": "drive"}}}
-STOP, GO = "/swarmd/stop", "/swarmd/run/go"
+RESET, GO = "/swarmd/reset", "/swarmd/run/go"
 
 
 @story(DdsRobot, services=SERVICES)
@@ -222,16 +252,8 @@ async def test_services_are_called_over_dds_and_not_late(
     harness: DriverHarness, robot: DdsRobot
 ) -> None:
     """A call that waited in a frozen bridge has no known age, so that the daemon refuses a run."""
-    commands: list[DriverCommand] = []
-
-    def take(command: DriverCommand, answer: Answer) -> None:
-        commands.append(command)
-        answer(Reply(id="i", robot="r", code=Code.APPLIED, text=f"{command.verb} done"))
-
-    source = command_source(harness.driver)
-    assert source is not None
-    source.serve(take)
-    caller = DdsNode(robot.domain, "caller", clients=[STOP, GO])
+    commands = served(harness)
+    caller = DdsNode(robot.domain, "caller", clients=[RESET, GO])
     answers: dict[int, Any] = {}
     count = itertools.count(1)
 
@@ -241,9 +263,9 @@ async def test_services_are_called_over_dds_and_not_late(
         answers.update(caller.answers(service))
         return bool(answers)
 
-    await harness.until(lambda: is_served(STOP), publishing=True)
+    await harness.until(lambda: is_served(RESET), publishing=True)
     answer = answers.popitem()[1]
-    assert (answer.success, answer.message, commands[-1].verb) == (True, "stop done", "stop")
+    assert (answer.success, answer.message, commands[-1].verb) == (True, "reset done", "reset")
 
     async def settle() -> None:
         while not (commands and commands[-1].age is not None):

@@ -11,11 +11,12 @@ import struct
 import pytest
 from zenoh.ext import Int64, z_serialize
 
+from swarmd.core.errors import CodecError
 from swarmd.drivers.ros import messages
 from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.key_scheme import TopicEnd
-from swarmd.drivers.ros2.rmw_zenoh import NO_HASH, RmwZenoh, gid_of
+from swarmd.drivers.ros2.rmw_zenoh import NO_HASH, TRIGGER_HASH, RmwZenoh, gid_of
 from tests.drivers.ros2.robots import HASHES
 
 STRING = "std_msgs::msg::dds_::String_"
@@ -181,3 +182,14 @@ def test_commands_have_the_form_of_the_base_beside_a_lidar_of_another_distributi
         assert not made.key_fault(odometry, "/odom", messages.Odometry)
         assert not made.key_fault(laser, "/scan", messages.LaserScan)
         assert made.key("/cmd_vel", messages.Twist).rpartition("/")[2] == wanted
+
+
+@pytest.mark.parametrize("hashed", [TRIGGER_HASH, NO_HASH])
+@pytest.mark.parametrize("kind", ["std_srvs::srv::dds_::Empty_", "x::Trigger_", "*"])
+def test_a_call_of_another_type_is_none_of_a_trigger(hashed: str, kind: str) -> None:
+    """Humble's placeholder is the same for each type, so that the type itself decides."""
+    attachment = struct.pack("<qqB16s", 7, 2_000_000_000, 16, b"c" * 16)
+    key = f"0/swarmd/reset/std_srvs::srv::dds_::Trigger_/{hashed}"
+    assert RmwZenoh(0, "/cmd_vel").call_stamp(key, attachment) == 2.0
+    with pytest.raises(CodecError):
+        RmwZenoh(0, "/cmd_vel").call_stamp(f"0/swarmd/reset/{kind}/{hashed}", attachment)

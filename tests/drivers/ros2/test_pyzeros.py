@@ -126,9 +126,9 @@ async def test_a_client_calls_a_service(harness: DriverHarness, robot: PyzerosRo
         answer(Reply(id="i", robot="r", code=Code.APPLIED, text="done"))
 
     source.serve(take)
-    client = pyzeros.Client(SERVICES.Trigger, "swarmd/stop", session=robot.node)
+    client = pyzeros.Client(SERVICES.Trigger, "swarmd/reset", session=robot.node)
     await client.wait_for_service()
     call = asyncio.create_task(client.call_async(SERVICES.Trigger.Request()))
     await harness.until(call.done, publishing=True)
     answer = call.result()
-    assert (answer.success, answer.message, commands[0].verb) == (True, "done", "stop")
+    assert (answer.success, answer.message, commands[0].verb) == (True, "done", "reset")

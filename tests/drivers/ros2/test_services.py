@@ -1,4 +1,4 @@
-"""The services by which ROS runs and stops a robot, called as each middleware's clients call."""
+"""The services by which ROS runs and resets a robot, called as each middleware's clients call."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import zenoh
+import zenoh.ext
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Code, Refusal, Reply, State, Status
@@ -19,15 +20,18 @@ from swarmd.daemon.driver_commands import MAX_COMMAND_AGE
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
 from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, read_options
+from swarmd.drivers.ros.stop_topics import CALL_BURST, CALL_RATE
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.request_age import SETTLE_TIME
-from swarmd.drivers.ros2.services import CALL_BURST, CALL_RATE, MAX_MESSAGE, CommandServices
+from swarmd.drivers.ros2.services import MAX_MESSAGE, CommandServices
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.harness import check
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot, scan
 from tests.drivers.ros2.service_calls import CALL, EMPTY, Call
+from tests.drivers.ros2.stops import ESTOP, STATE, STOP, Empty
+from tests.support import ros2_types as dds
 from tests.support.drive_daemon import ROBOT
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 from tests.support.ros2_types import TriggerResponse
@@ -86,7 +90,7 @@ async def test_each_service_is_a_command_and_its_reply_the_answer(
 ) -> None:
     door = Door(harness)
     await settled(harness, robot, door)
-    for service in ("swarmd/stop", "swarmd/estop", "swarmd/reset", "swarmd/run/go"):
+    for service in ("swarmd/reset", "swarmd/run/go"):
         call = await called(harness, robot, service)
         assert [(one.success, one.message) for one in call.answers] == [(True, "so")]
         command = door.commands.pop()
@@ -114,7 +118,7 @@ async def test_a_refusal_is_no_success_and_a_long_text_is_cut(
     harness: DriverHarness, robot: Robot
 ) -> None:
     Door(harness, Code.REFUSED, "ö" * 3000)
-    call = await called(harness, robot, "swarmd/stop")
+    call = await called(harness, robot, "swarmd/reset")
     (answer,) = call.answers
     assert not answer.success
     assert answer.message.startswith("busy: ö")
@@ -142,8 +146,6 @@ async def test_the_node_announces_its_services(harness: DriverHarness, robot: Ze
 
     await harness.until(lambda: bool(tokens()), publishing=True)
     assert {parts[9].replace("%", "/") for parts in tokens()} == {
-        "/swarmd/stop",
-        "/swarmd/estop",
         "/swarmd/reset",
         "/swarmd/run/go",
     }
@@ -211,38 +213,37 @@ async def test_what_is_no_call_of_a_client_is_no_command(
     assert not call.answers
     await harness.until(lambda: "services:refused" in harness.sink.lost, publishing=True)
     assert not door.commands
-    await called(harness, robot, "swarmd/stop")
+    await called(harness, robot, "swarmd/reset")
     assert len(door.commands) == 1
 
 
 @story(BridgedRobot, services=SERVICES)
-async def test_a_flood_of_calls_is_cut_and_delays_no_stop(
+async def test_a_flood_of_calls_is_cut_and_delays_no_other_call(
     harness: DriverHarness, robot: Robot
 ) -> None:
     door = Door(harness)
     calls = [Call(robot, "swarmd/run/go") for _ in range(300)]
-    stop = Call(robot, "swarmd/stop")
-    await harness.until(lambda: all(call.has_ended for call in (*calls, stop)), publishing=True)
+    reset = Call(robot, "swarmd/reset")
+    await harness.until(lambda: all(call.has_ended for call in (*calls, reset)), publishing=True)
     runs = [command for command in door.commands if command.verb == "run"]
-    assert stop.answer().success
+    assert reset.answer().success
     assert CALL_BURST <= len(runs) < 150
 
 
 @story(BridgedRobot, ZenohRobot, services=SERVICES)
-async def test_a_flood_of_what_is_no_call_delays_no_stop(
+async def test_a_flood_of_what_is_no_call_delays_no_call(
     harness: DriverHarness, robot: Robot
 ) -> None:
     Door(harness)
-    calls = [Call(robot, "swarmd/stop", payload=b"stop") for _ in range(300)]
-    stop = Call(robot, "swarmd/stop")
-    await harness.until(lambda: all(call.has_ended for call in (*calls, stop)), publishing=True)
-    assert stop.answer().success
+    calls = [Call(robot, "swarmd/reset", payload=b"stop") for _ in range(300)]
+    reset = Call(robot, "swarmd/reset")
+    await harness.until(lambda: all(call.has_ended for call in (*calls, reset)), publishing=True)
+    assert reset.answer().success
 
 
 @story(BridgedRobot, ZenohRobot)
 async def test_without_the_option_no_service_exists(harness: DriverHarness, robot: Robot) -> None:
-    assert command_source(harness.driver) is None
-    call = await called(harness, robot, "swarmd/stop")
+    call = await called(harness, robot, "swarmd/reset")
     assert not call.answers
 
 
@@ -292,7 +293,9 @@ def test_a_check_warns_of_nodes_whose_calls_the_bridge_drops() -> None:
 
 @pytest.mark.integration
 @pytest.mark.parametrize("make", [BridgedRobot, ZenohRobot])
-def test_a_daemon_is_run_and_stopped_by_services(make: Callable[[], Robot], tmp_path: Path) -> None:
+def test_a_daemon_is_run_by_services_and_stopped_by_topics(
+    make: Callable[[], Robot], tmp_path: Path
+) -> None:
     robot = make()
     driver = "rmw_zenoh" if isinstance(robot, ZenohRobot) else "ros2dds"
     given = dict(robot.options({"services": SERVICES}))
@@ -328,6 +331,18 @@ def test_a_daemon_is_run_and_stopped_by_services(make: Callable[[], Robot], tmp_
         wait_until(is_other, service)
         return answers[-1]
 
+    shown = list[zenoh.Sample]()
+    keys = {
+        topic: robot.key(topic, "String") if isinstance(robot, ZenohRobot) else topic
+        for topic in (ESTOP, STATE)
+    }
+    robot.hub.declare_subscriber(keys[STATE], shown.append)
+    cache = zenoh.ext.CacheConfig(1)
+    retained = zenoh.ext.declare_advanced_publisher(robot.hub, keys[ESTOP], cache=cache)
+
+    def text() -> str:
+        return str(dds.String.deserialize(shown[-1].payload.to_bytes()).data)
+
     daemon = DaemonProcess(
         tmp_path, swarm=swarm, robot=ROBOT, endpoint="", platform="burger", options=options
     )
@@ -348,13 +363,21 @@ def test_a_daemon_is_run_and_stopped_by_services(make: Callable[[], Robot], tmp_
                 return (now.state, now.pattern) == (State.RUNNING, "drive")
 
             wait_until(is_running, "it runs")
-            stopped = later_answer("swarmd/stop")
-            assert stopped.success, stopped
-            assert "commanded zero" in stopped.message
+            robot.put(STOP, Empty())
+            wait_until(lambda: len(shown) == 1, "it has told that it stands")
+            assert text().startswith("stopped: commanded zero")
             now = told()
             assert (now.state, now.detail) == (State.STOPPED, "by ros")
 
-            assert later_answer("swarmd/estop").success
+            # A publisher that keeps its message for later subscribers: it stops once.
+            retained.put(dds.String("smoke").serialize())
+            wait_until(lambda: len(shown) == 2, "it has told of the emergency stop")
+            assert text().startswith("estopped: commanded zero")
+            assert "by ros: smoke" in told().detail
+            assert later_answer("swarmd/reset").success
+            wait_until(is_running, "it runs again")
+            robot.put(ESTOP, dds.String("fire"))
+            wait_until(lambda: len(shown) == 3, "it has told of the second emergency stop")
             # A run that may have been issued before the stop is refused for that at first.
             refused = later_answer("swarmd/run/go")
             assert not refused.success
@@ -371,8 +394,10 @@ def test_a_daemon_is_run_and_stopped_by_services(make: Callable[[], Robot], tmp_
         entries = [json.loads(line) for line in log]
         by_ros = [entry for entry in entries if entry["operator"] == "ros"]
         assert {entry["source"] for entry in by_ros} == {
-            f"ROS service /swarmd/{name}" for name in ("run/go", "stop", "estop", "reset")
+            *(f"ROS service /swarmd/{name}" for name in ("run/go", "reset")),
+            *(f"ROS topic /swarmd/{name}" for name in ("stop", "estop")),
         }
+        assert [entry["verb"] for entry in by_ros].count("estop") == 2
         assert {entry["verb"] for entry in by_ros} == {"run", "stop", "estop", "reset"}
     finally:
         is_done.set()
