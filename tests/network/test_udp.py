@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
+import signal
 import socket
 import subprocess
 import sys
@@ -387,10 +388,14 @@ def test_beacons_and_a_stop_arrive_in_a_flood(peers: Peers, name: str) -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
         a.attach(loop, lambda payload, source, _: found.append(payload) if source == of(b) else 0)
-        for number in range(35 if sources > 1 else 5):  # it is known after a while
-            b.send(beacon(number))
-            await asyncio.sleep(0.1)
-        found.clear()
+
+        async def become_known() -> None:
+            for number in range(35 if sources > 1 else 5):  # it is known after a while
+                b.send(beacon(number))
+                await asyncio.sleep(0.1)
+            found.clear()
+
+        await become_known()
         words = [payload.hex(), str(a.port), str(sources), "50000", "60"]
         with subprocess.Popen(
             [sys.executable, "-m", "tests.support.flood", *words],
@@ -416,6 +421,10 @@ def test_beacons_and_a_stop_arrive_in_a_flood(peers: Peers, name: str) -> None:
                     )
                     if heard == len(said):
                         break
+                    # A reader that stood still has forgotten it, and learns no name in a flood.
+                    flood.send_signal(signal.SIGSTOP)
+                    await become_known()
+                    flood.send_signal(signal.SIGCONT)
             finally:
                 flood.kill()
         assert heard == len(said)

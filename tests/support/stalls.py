@@ -32,7 +32,12 @@ GAP = (0.5, 4.0)
 _ALONE = 0.7
 """How often one process stands still; else all of its kind do, or all with the length SHORT."""
 _LONG_PROGRAMS = ("python", "zenoh", "ros2-router", "rosmaster", "roscore")
-_DAEMON_MODULES = ("swarmd.cli.daemon", "swarmd.pattern_host", "swarmd.driver_api.watchdog")
+_DAEMON_MODULES = (
+    "swarmd.cli.daemon",
+    "swarmd.pattern_host",
+    "swarmd.driver_api.watchdog",
+    "ros1/adapter_process.py",
+)
 _OPERATORS = ("swarmctl", "python", "pt_main_thread", "test-forks")
 _FORK_SERVER = "multiprocessing.forkserver"
 

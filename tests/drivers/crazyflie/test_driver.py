@@ -290,11 +290,15 @@ def test_a_check_says_whether_the_drone_can_fly(
         setattr(drone.robots.firmware("cf"), name, value)
 
     async def checked() -> Finding:
-        checking = asyncio.create_task(drone.make({}).check(30.0 if speed == 0.0 else 4.0))
-        while not checking.done():
-            drone.publish()
-            await asyncio.sleep(0.05)
-        return next(row for row in checking.result() if row.subject == subject)
+        for seconds in (4.0, 10.0, 30.0):  # a drone that stands still meanwhile is not heard
+            checking = asyncio.create_task(drone.make({}).check(seconds))
+            while not checking.done():
+                drone.publish()
+                await asyncio.sleep(0.05)
+            found = next(row for row in checking.result() if row.subject == subject)
+            if "not heard" not in found.text:
+                break
+        return found
 
     try:
         finding = asyncio.run(checked())
@@ -305,23 +309,33 @@ def test_a_check_says_whether_the_drone_can_fly(
 
 
 def test_a_drone_flies_on_over_a_link_that_loses_and_delays() -> None:
-    drone = Drone()
+    """It lands without commands for 0.5 s: a flight of a test that stood still is flown again."""
+    flights, lates = list[float](), list[float]()
 
     async def story(harness: DriverHarness) -> None:
         await flying(harness, drone)
         drone.robots.loss, drone.robots.delay = 0.2, 0.05
-        seen = heights(drone)
+        seen, turns = heights(drone), [time.monotonic()]
 
         def has_flown() -> bool:
+            turns.append(time.monotonic())
             harness.driver.send(TWIST, 2, 2)
             return len(seen) > 150
 
         await harness.until(has_flown, publishing=True)
-        assert min(height for height, _, _ in seen) > 0.4
-        assert all(is_on for _, is_on, _ in seen)
+        lates.append(max(after - before for before, after in itertools.pairwise(turns)))
         drone.robots.loss = 0.0
+        lowest = min(height for height, _, _ in seen)
+        if lates[-1] > 0.3 and lowest <= 0.4:
+            return
+        flights.append(lowest)
+        assert lowest > 0.4
+        assert all(is_on for _, is_on, _ in seen)
 
-    play(drone, story)
+    while not flights:
+        assert len(lates) < 5
+        drone = Drone()
+        play(drone, story)
 
 
 def test_the_driver_hands_over_what_the_drone_measures() -> None:
