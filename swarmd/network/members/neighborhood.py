@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from msgspec import structs
 
+from swarmd.core.relative_place import PLACE_TIMEOUT
 from swarmd.core.values import Neighbor, PeerPlace, SharedPose
 from swarmd.network.members.neighbor_settings import NeighborSettings
 
@@ -21,7 +22,6 @@ from swarmd.network.members.neighbor_settings import NeighborSettings
 # margins below the limits of quality (share of beacons) and of signal (dB).
 RANGE_MARGIN = 1.1
 QUALITY_MARGIN, SIGNAL_MARGIN = 0.2, 6.0
-PLACE_TIMEOUT = 1.0  # s after which the place of a peer is too old
 
 
 class Link(NamedTuple):
