@@ -12,7 +12,7 @@ from msgspec import Meta, Struct, structs
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Array, Neighbor, Platform
+from swarmd.core.values import PLACES_BY_POSE, Array, Neighbor, Platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import Indices
@@ -33,7 +33,6 @@ _BEARINGS_RATE = 10.0  # the same with range-and-bearing boards, which measure 1
 _DISTANCE_SD = 0.02  # m
 _DISTANCE_SHARE = 0.02
 _ANGLE_SD = math.radians(2.0)
-_BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
 
 
 class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -84,7 +83,7 @@ def neighbors_rate(settings: RadioSettings) -> float:
 
 def with_bearings(platform: Platform) -> Platform:
     """The platform with range-and-bearing hardware on it."""
-    return replace(platform, provides=platform.provides | frozenset(_BEARINGS))
+    return replace(platform, provides=platform.provides | PLACES_BY_POSE)
 
 
 class Radio:

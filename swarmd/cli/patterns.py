@@ -124,11 +124,11 @@ def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | 
 def _about(row: Record) -> list[tuple[str, str]]:
     channels = (f"{name} ({kind})" for name, kind in row["channels"].items())
     units = [f"{name} in {unit}" for name, unit in row["report_units"].items()]
-    lacking = f" (lacking: {', '.join(row['missing'])})" if row["missing"] else ""
     return [
         ("kind", row["kind"]),
         ("from", row["source"]),
-        ("needs", (", ".join(row["needs"]) or NOTHING) + lacking),
+        ("needs", ", ".join(row["needs"]) or NOTHING),
+        *([("refused", row["lacks"])] if row["lacks"] else []),
         ("sends", ", ".join(channels) or NOTHING),
         ("rate", f"{row['rate']:g} Hz"),
         *([("reports", ", ".join(units))] if units else []),
