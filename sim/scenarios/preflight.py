@@ -180,9 +180,10 @@ def check_compatibility(
             # The user knows from `lidar_visibility` that lidars see whole bodies: no note on that.
             if is_faster or not has_whole_bodies:
                 notes.append(f"{platform}: {finding.text}")
-        elif file.radio.range_and_bearing and not is_faster:
+        elif file.radio.has_places and not is_faster:
             text = finding.text.partition(";")[0]  # without the advice to accept the peer
-            notes.append(f"{platform}: {text}; told by range and bearing")
+            how = "range and bearing" if file.radio.range_and_bearing else "shared poses"
+            notes.append(f"{platform}: {text}; told by {how}")
         else:
             held.append((platform, finding))
     if held:
