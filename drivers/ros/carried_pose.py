@@ -10,18 +10,31 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 from msgspec import structs
 
+from swarmd.core.events import PoseInput
 from swarmd.core.values import Odometry, Pose, SharedPose
+from swarmd.protection.settings import ODOMETRY_SHARE
 
 HISTORY = 200  # readings of odometry: 4 s at 50 Hz, above the delay of a localisation
 SILENCE = 0.25  # s without a pose before odometry carries it; a faster source is never carried
-PERIOD = 0.04  # s between two carried poses, at least
-ODOMETRY_SHARE = 0.05  # of way and turn, the bound of the error of odometry, as of the fence
-MAX_WAY, MAX_TURN = 2.0, 2.0 * math.pi  # m and rad without a pose: the localisation has ended
+MAX_WAY = 2.0  # m without a pose: the localisation has ended
 UNSEEN_WAY, UNSEEN_TURN = 0.25, 0.2  # m and rad without a pose before the driver has started
-_STEP, _TURN = 0.01, 0.02  # m and rad: less is noise of odometry at rest
+_NOISE = 0.01, 0.02  # m and rad: less motion is noise of odometry at rest
+
+
+class _Reading(NamedTuple):
+    """A reading of odometry, with the way in m and the turn in rad up to it.
+
+    `mark`: the pose up to which they are summed.
+    """
+
+    odometry: Odometry
+    mark: Pose
+    way: float = 0.0
+    turned: float = 0.0
 
 
 class CarriedPose:
@@ -32,72 +45,56 @@ class CarriedPose:
     """
 
     def __init__(self) -> None:
-        self._readings: deque[Odometry] = deque(maxlen=HISTORY)
-        self._anchor: tuple[SharedPose, Odometry] | None = None  # a pose, the odometry at its time
+        self._readings: deque[_Reading] = deque(maxlen=HISTORY)
+        self._anchor: tuple[SharedPose, _Reading] | None = None  # a pose, the reading at its time
         self._kept: SharedPose | None = None  # from before the first reading
-        self._way = self._turned = 0.0  # m and rad since the anchor
-        self._mark: Odometry | None = None  # the reading up to which way and turn are summed
-        self._sent = -math.inf
 
-    def on_pose(self, pose: SharedPose, *, is_kept: bool = False) -> None:
-        """Take in a pose; `is_kept`: from the publisher's cache, so the robot may have moved."""
-        if is_kept and self._anchor is None:
-            error, yaw_error = pose.error + UNSEEN_WAY, min(pose.yaw_error + UNSEEN_TURN, math.pi)
-            self._kept = structs.replace(pose, error=error, yaw_error=yaw_error)
-        if is_kept:
-            return
+    def on_pose(self, pose: SharedPose) -> None:
+        """Take in a pose."""
         self._anchor = self._kept = None
-        readings = self._readings
-        if not readings or not readings[0].stamp <= pose.stamp <= readings[-1].stamp + SILENCE:
-            return
-        nearest = min(readings, key=lambda reading: abs(reading.stamp - pose.stamp))
-        self._begin(pose, nearest)
-        for reading in readings:
-            if reading.stamp > nearest.stamp:
-                self._measure(reading)
+        stamps = [reading.odometry.stamp for reading in self._readings]
+        if stamps and stamps[0] <= pose.stamp <= stamps[-1] + SILENCE:
+            nearest = min(self._readings, key=lambda one: abs(one.odometry.stamp - pose.stamp))
+            self._anchor = pose, nearest
 
-    def on_odometry(self, odometry: Odometry) -> SharedPose | None:
-        """Take in a reading; returns the carried pose if one is due."""
-        last = self._readings[-1] if self._readings else None
-        if last is not None and (odometry.stamp < last.stamp or odometry.jumps_from(last)):
+    def on_kept_pose(self, pose: SharedPose) -> None:
+        """Take in a pose of the publisher's cache; the robot may have moved since."""
+        if self._anchor is None:
+            yaw_error = min(pose.yaw_error + UNSEEN_TURN, math.pi)
+            self._kept = structs.replace(pose, error=pose.error + UNSEEN_WAY, yaw_error=yaw_error)
+
+    def on_odometry(self, odometry: Odometry) -> tuple[PoseInput, ...]:
+        """Take in a reading; returns the carried pose as input, if there is one."""
+        last = self._readings[-1] if self._readings else _Reading(odometry, odometry.pose)
+        if odometry.stamp < last.odometry.stamp or odometry.jumps_from(last.odometry):
             self._readings.clear()
             self._anchor = None
-        self._readings.append(odometry)
+            last = _Reading(odometry, odometry.pose)
+        here, mark = odometry.pose, last.mark
+        way = math.hypot(here.x - mark.x, here.y - mark.y)
+        turn = abs(math.remainder(here.yaw - mark.yaw, 2.0 * math.pi))
+        if way > _NOISE[0] or turn > _NOISE[1]:
+            reading = _Reading(odometry, here, last.way + way, last.turned + turn)
+        else:
+            reading = last._replace(odometry=odometry)
+        self._readings.append(reading)
         if self._kept is not None:
-            self._begin(self._kept, odometry)
-            self._kept = None
-        self._measure(odometry)
-        return self._carried(odometry)
+            self._anchor, self._kept = (self._kept, reading), None
+        return self._carried(reading)
 
-    def _begin(self, pose: SharedPose, at: Odometry) -> None:
-        self._anchor, self._mark = (pose, at), at
-        self._way = self._turned = 0.0
-        self._sent = -math.inf
-
-    def _measure(self, odometry: Odometry) -> None:
-        """Add the motion since `_mark`, unless it is too small to tell from noise."""
-        if self._mark is None:
-            return
-        here, there = odometry.pose, self._mark.pose
-        way = math.hypot(here.x - there.x, here.y - there.y)
-        turn = abs(math.remainder(here.yaw - there.yaw, 2.0 * math.pi))
-        if way > _STEP or turn > _TURN:
-            self._mark = odometry
-            self._way += way
-            self._turned += turn
-
-    def _carried(self, odometry: Odometry) -> SharedPose | None:
-        if self._anchor is None or self._way > MAX_WAY or self._turned > MAX_TURN:
-            return None
+    def _carried(self, reading: _Reading) -> tuple[PoseInput, ...]:
+        if self._anchor is None:
+            return ()
         pose, at = self._anchor
-        if odometry.stamp - max(at.stamp + SILENCE - PERIOD, self._sent) < PERIOD:
-            return None
-        self._sent = odometry.stamp
-        dx, dy = odometry.pose.x - at.pose.x, odometry.pose.y - at.pose.y
-        turn = pose.pose.yaw - at.pose.yaw  # from the frame of odometry to the shared frame
+        here, there = reading.odometry, at.odometry
+        way = reading.way - at.way
+        if way > MAX_WAY or here.stamp - there.stamp < SILENCE:
+            return ()
+        turn = pose.pose.yaw - there.pose.yaw  # from the frame of odometry to the shared frame
+        dx, dy = here.pose.x - there.pose.x, here.pose.y - there.pose.y
         cos, sin = math.cos(turn), math.sin(turn)
         x, y = pose.pose.x + cos * dx - sin * dy, pose.pose.y + sin * dx + cos * dy
-        error = pose.error + (ODOMETRY_SHARE + pose.yaw_error) * self._way
-        yaw_error = min(pose.yaw_error + ODOMETRY_SHARE * self._turned, math.pi)
-        carried = Pose(x, y, odometry.pose.yaw + turn)
-        return SharedPose(odometry.stamp, carried, error, yaw_error, pose.frame)
+        error = pose.error + (ODOMETRY_SHARE + pose.yaw_error) * way
+        yaw_error = min(pose.yaw_error + ODOMETRY_SHARE * (reading.turned - at.turned), math.pi)
+        carried = Pose(x, y, here.pose.yaw + turn)
+        return (PoseInput(SharedPose(here.stamp, carried, error, yaw_error, pose.frame)),)

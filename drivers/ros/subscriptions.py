@@ -52,8 +52,7 @@ class Subscriptions:
         self._yaw = math.radians(options.scan_yaw_deg)
         self._is_upside_down = options.scan_upside_down
         self._pose_errors = options.shared_pose_error, math.radians(options.shared_pose_error_deg)
-        is_carried = options.pose_type is messages.PoseWithCovarianceStamped
-        self._carried_pose = CarriedPose() if is_carried else None
+        self._carried_pose = CarriedPose()
         self._battery = options.battery_volts, options.battery_percentage
         self._scan_seq = 0
         self._laser: messages.LaserScan | None = None  # the last
@@ -130,9 +129,9 @@ class Subscriptions:
             summary = entries_text or stats.summary  # a copy that no entry takes has no text
             stats.record(now, measured_at, summary)
             return deliver_entries
-        if is_kept and stats.name == "shared_pose" and self._carried_pose is not None:
+        if is_kept and stats.message_type is messages.PoseWithCovarianceStamped:
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
-            self._carried_pose.on_pose(pose, is_kept=True)
+            self._carried_pose.on_kept_pose(pose)
         if is_kept:  # only the entries of a standard topic, such as odometry, take a kept message
             return deliver_entries
         deliver, value_text = self._value(stats, message, now)
@@ -164,7 +163,7 @@ class Subscriptions:
         return {
             stats.topic: stats
             for stats in self.topics.values()
-            if (self._carried_pose is not None and stats.name == "shared_pose")
+            if stats.message_type is messages.PoseWithCovarianceStamped
             or any(entry.is_never_stale for _, entry in self._entries_of.get(stats.topic, ()))
         }
 
@@ -226,14 +225,11 @@ class Subscriptions:
             return self._range_value(stats, message), f"{message.range:.3g} m"
         if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
-            carried = (
-                None if self._carried_pose is None else self._carried_pose.on_odometry(odometry)
-            )
-            poses = () if carried is None else (PoseInput(carried),)
-            return partial(_deliver, (OdometryInput(odometry), *poses)), ""
+            carried = self._carried_pose.on_odometry(odometry)
+            return partial(_deliver, (OdometryInput(odometry), *carried)), ""
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
-            if self._carried_pose is not None:
+            if stats.message_type is messages.PoseWithCovarianceStamped:
                 self._carried_pose.on_pose(pose)
             return partial(_deliver, (PoseInput(pose),)), f"frame {pose.frame}"
         if stats.message_type is messages.Imu:

@@ -125,8 +125,7 @@ class TopicDetections(TopicEntry):
         given = self._word(item, self.kind)
         kinds = self.options.kinds
         kind = kinds.get(own) or kinds.get(given) or given or OBJECT
-        robots = self.options.robots
-        if robot := robots.get(own) or robots.get(given):
+        if robot := self.options.robots.get(own) or self.options.robots.get(given):
             return Detection(ROBOT, wrap(bearing), distance, robot)
         return Detection(kind[:MAX_WORD], wrap(bearing), distance, own[:MAX_WORD])
 

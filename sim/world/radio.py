@@ -15,7 +15,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import PLACES_BY_POSE, Array, Neighbor, Platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
-from swarmd.sim.world.exchanged_poses import POSES_RATE, ExchangedPoses
+from swarmd.sim.world.exchanged_poses import ExchangedPoses
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.line_of_sight import LineOfSight
 from swarmd.sim.world.seeding import generator
@@ -28,7 +28,7 @@ and value of any type. Of messages that arrive at one instant, those of lower ra
 
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors without range and bearing."""
-_BEARINGS_RATE = 10.0  # the same with range-and-bearing boards, which measure 10 times a second
+_BEARINGS_RATE = 10.0  # the same with range-and-bearing boards, or with poses in a shared frame
 
 # Errors of range-and-bearing boards: our choice, of the order that their makers report.
 _DISTANCE_SD = 0.02  # m
@@ -92,9 +92,7 @@ def needs_radio(settings: RadioSettings) -> bool:
 
 def neighbors_rate(settings: RadioSettings) -> float:
     """Hz at which a robot learns its neighbors."""
-    if settings.places is not None:
-        return POSES_RATE
-    return _BEARINGS_RATE if settings.range_and_bearing else NEIGHBORS_RATE
+    return _BEARINGS_RATE if settings.has_places else NEIGHBORS_RATE
 
 
 def with_bearings(platform: Platform) -> Platform:

@@ -471,11 +471,10 @@ class Platform:
         return f"{_READING}height" in self.provides
 
 
-_DISTANCE, _BEARING, _HEADING = (f"neighbors.{one}" for one in ("distance", "bearing", "heading"))
-PLACES_BY_POSE = frozenset({_DISTANCE, _BEARING, _HEADING})
-"""What patterns get of each peer whose pose, as the own one, is known in one shared frame."""
-PLACES_BY_SIGHT = frozenset({_DISTANCE, _BEARING})
+PLACES_BY_SIGHT = frozenset({"neighbors.distance", "neighbors.bearing"})
 """What patterns get of each peer that the robot detects."""
+PLACES_BY_POSE = PLACES_BY_SIGHT | {"neighbors.heading"}
+"""What patterns get of each peer whose pose, as the own one, is known in one shared frame."""
 
 OPTION_INPUTS = ("detections",)
 """Inputs of patterns that a driver gives if it has an option of that name.
@@ -490,9 +489,9 @@ _INPUTS = (
     *OPTION_INPUTS,
     "pose",
     "neighbors",
-    _DISTANCE,
-    _BEARING,
-    _HEADING,
+    "neighbors.distance",
+    "neighbors.bearing",
+    "neighbors.heading",
     "gripper",
 )
 _READING = "reading:"
@@ -508,15 +507,12 @@ def input_fault(word: str) -> str:
 def lacks_text(needs: frozenset[str], platform: Platform) -> str:
     """What `platform` lacks of `needs`, and both ways to the places of peers; empty if nothing."""
     missing = sorted(needs - platform.provides)
-    if not missing:
-        return ""
+    ways = (
+        "; a pose in a shared frame (driver option shared_pose, in a scenario radio.places: shared)"
+        " gives it, or hardware that measures it (radio.range_and_bearing: true)"
+    )
     text = f"needs {', '.join(missing)}, which {platform.name} does not provide"
-    if PLACES_BY_POSE.isdisjoint(missing):
-        return text
-    return f"{text}; a pose in a shared frame (driver option shared_pose) gives it, or {_HARDWARE}"
-
-
-_HARDWARE = "hardware that measures range and bearing (in a scenario: radio)"
+    return f"{text}{ways if PLACES_BY_POSE.intersection(missing) else ''}" if missing else ""
 
 
 def sensor_names(name: str, count: int) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from swarmd.core.events import DetectionsInput, SensorInput, tag_of
 from swarmd.core.hazard import Hazard
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, PeerFinding, Reason
+from swarmd.core.neighbor_places import NeighborPlaces
 from swarmd.core.values import (
     OPTION_INPUTS,
     PLACES_BY_POSE,
@@ -39,7 +40,6 @@ from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, barrier_setti
 from swarmd.protection.decision import PoseAnchors, ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
-from swarmd.robot.neighbor_places import NeighborPlaces
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.sensing.rays import unit_vectors
@@ -97,8 +97,8 @@ class Sensors(InputAges):
         self._given: tuple[Neighbor, ...] = ()  # neighbours as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
-        has_places = not PLACES_BY_POSE.isdisjoint(platform.provides)
-        self._places = NeighborPlaces() if has_places else None
+        self._known_places = NeighborPlaces()
+        self._places = self._known_places if PLACES_BY_POSE & platform.provides else None
         self._anchors = anchors
         if anchors is not None:  # else `_anchor_due` stays inf
             self._anchor_due = anchors.until
@@ -194,8 +194,7 @@ class Sensors(InputAges):
         at = self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
         if at is not None:
             self.pose, self.pose_until = pose.pose, at + POSE_TIMEOUT
-            if self._places is not None:
-                self._places.on_pose(pose, at)
+            self._known_places.on_pose(pose, at)
             if self._anchors is not None:
                 self._anchors.on_pose(pose, at, self.peers.pose_errors, self._odometry_at)
                 self._context, self._anchor_due = None, self._anchors.until
@@ -206,8 +205,7 @@ class Sensors(InputAges):
 
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in the place that a peer reports in a shared frame."""
-        if self._places is not None:
-            self._places.on_place(place, now)
+        self._known_places.on_place(place, now)
         if self.peers.on_place(place, now):
             self._look_at_peers()
 
@@ -277,8 +275,8 @@ class Sensors(InputAges):
         """Keep an input of OPTION_INPUTS, which is handed to patterns unchanged."""
         (value,) = astuple(input)
         setattr(self, tag_of(input), value)
-        if self._places is not None and isinstance(input, DetectionsInput):
-            self._places.on_detections(input.detections, now)
+        if isinstance(input, DetectionsInput):
+            self._known_places.on_detections(input.detections, now)
 
     def _forget_option_inputs(self) -> None:
         for name in OPTION_INPUTS:

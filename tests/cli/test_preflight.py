@@ -176,7 +176,7 @@ def test_a_driver_with_a_pose_makes_patterns_of_neighbors_fit(
         for name, given in needs.items()
     ]
     monkeypatch.setattr(preflight, "describe_patterns", lambda *_: described)
-    posed = {"driver": "ros2dds", "driver_options": {"shared_pose": "/pose"}}
+    posed: dict[str, Any] = {"driver": "ros2dds", "driver_options": {"shared_pose": "/pose"}}
     for values, misfits in ((posed, "foraging"), ({}, "lloyd_coverage, foraging")):
         found = check_patterns(settings_of(tmp_path, **values))
         (text,) = (one.text for one in found if one.subject == "patterns")

@@ -7,12 +7,12 @@ import math
 import pytest
 from msgspec import structs
 
+from swarmd.core import neighbor_places
 from swarmd.core.events import DetectionsInput
-from swarmd.core.values import Detection, Neighbor, PeerPlace, Pose, SharedPose, lacks_text
+from swarmd.core.neighbor_places import NeighborPlaces
+from swarmd.core.values import Detection, Neighbor, PeerPlace, Pose, SharedPose, Value, lacks_text
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names, places_of
-from swarmd.robot import neighbor_places
-from swarmd.robot.neighbor_places import NeighborPlaces
 from swarmd.robot.peers import FASTEST_POSE
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform
@@ -59,7 +59,8 @@ def test_a_peer_has_its_place_in_the_base_frame(
     at: PeerPlace, distance: float, bearing: float, heading: float | None
 ) -> None:
     peer = completed(at)
-    assert (peer.id, peer.distance) == ("b", pytest.approx(distance))
+    assert peer.id == "b"
+    assert peer.distance == pytest.approx(distance)
     assert peer.bearing == pytest.approx(bearing)
     assert peer.heading == (None if heading is None else pytest.approx(heading))
 
@@ -99,7 +100,7 @@ def test_a_measured_field_precedes_the_place() -> None:
     assert completed(place(1.0, 5.0, 1.0), heard=measured) == measured
     ranged = completed(place(1.0, 5.0, math.pi / 2), heard=Neighbor("b", 0.2, 2.5))
     assert (ranged.distance, ranged.age) == (2.5, 0.2)
-    assert (ranged.bearing, ranged.heading) == (pytest.approx(0.0), pytest.approx(0.0))
+    assert [ranged.bearing, ranged.heading] == pytest.approx([0.0, 0.0])
 
 
 def seen(*detections: Detection, after: float = 0.1, at: PeerPlace | None = None) -> Neighbor:
@@ -178,7 +179,7 @@ def test_protection_does_not_take_a_computed_place_for_a_measured_one() -> None:
 
 
 def test_a_robot_with_a_table_of_tags_hands_the_place_of_a_seen_peer_to_its_pattern() -> None:
-    options = {"detections": {"front": {"robots": {"7": "b"}}}}
+    options: dict[str, Value] = {"detections": {"front": {"robots": {"7": "b"}}}}
     robot = Sensors(with_options(load_platform("burger"), options))
     robot.on_neighbors((HEARD,), 10.0)
     robot.on_option_input(DetectionsInput((Detection("robot", 0.4, 1.5, "b"),)), 10.0)
