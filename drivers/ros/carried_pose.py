@@ -8,6 +8,7 @@ pose, not the robot: odometry has the motion.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections import deque
 from typing import NamedTuple
@@ -68,15 +69,14 @@ class CarriedPose:
         last = self._readings[-1] if self._readings else _Reading(odometry, odometry.pose)
         if odometry.stamp < last.odometry.stamp or odometry.jumps_from(last.odometry):
             self._readings.clear()
-            self._anchor = None
-            last = _Reading(odometry, odometry.pose)
-        here, mark = odometry.pose, last.mark
-        way = math.hypot(here.x - mark.x, here.y - mark.y)
-        turn = abs(math.remainder(here.yaw - mark.yaw, 2.0 * math.pi))
-        if way > _NOISE[0] or turn > _NOISE[1]:
-            reading = _Reading(odometry, here, last.way + way, last.turned + turn)
-        else:
-            reading = last._replace(odometry=odometry)
+            self._anchor, last = None, _Reading(odometry, odometry.pose)
+        way = math.dist((odometry.pose.x, odometry.pose.y), (last.mark.x, last.mark.y))
+        turn = abs(math.remainder(odometry.pose.yaw - last.mark.yaw, math.tau))
+        reading = (
+            _Reading(odometry, odometry.pose, last.way + way, last.turned + turn)
+            if way > _NOISE[0] or turn > _NOISE[1]
+            else last._replace(odometry=odometry)
+        )
         self._readings.append(reading)
         if self._kept is not None:
             self._anchor, self._kept = (self._kept, reading), None
@@ -91,10 +91,13 @@ class CarriedPose:
         if way > MAX_WAY or here.stamp - there.stamp < SILENCE:
             return ()
         turn = pose.pose.yaw - there.pose.yaw  # from the frame of odometry to the shared frame
-        dx, dy = here.pose.x - there.pose.x, here.pose.y - there.pose.y
-        cos, sin = math.cos(turn), math.sin(turn)
-        x, y = pose.pose.x + cos * dx - sin * dy, pose.pose.y + sin * dx + cos * dy
-        error = pose.error + (ODOMETRY_SHARE + pose.yaw_error) * way
-        yaw_error = min(pose.yaw_error + ODOMETRY_SHARE * (reading.turned - at.turned), math.pi)
-        carried = Pose(x, y, here.pose.yaw + turn)
-        return (PoseInput(SharedPose(here.stamp, carried, error, yaw_error, pose.frame)),)
+        moved = complex(here.pose.x - there.pose.x, here.pose.y - there.pose.y)
+        place = complex(pose.pose.x, pose.pose.y) + moved * cmath.rect(1.0, turn)
+        carried = SharedPose(
+            here.stamp,
+            Pose(place.real, place.imag, here.pose.yaw + turn),
+            pose.error + (ODOMETRY_SHARE + pose.yaw_error) * way,
+            min(pose.yaw_error + ODOMETRY_SHARE * (reading.turned - at.turned), math.pi),
+            pose.frame,
+        )
+        return (PoseInput(carried),)

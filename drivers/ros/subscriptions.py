@@ -225,8 +225,8 @@ class Subscriptions:
             return self._range_value(stats, message), f"{message.range:.3g} m"
         if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
-            carried = self._carried_pose.on_odometry(odometry)
-            return partial(_deliver, (OdometryInput(odometry), *carried)), ""
+            poses = self._carried_pose.on_odometry(odometry)
+            return partial(_deliver, (OdometryInput(odometry), *poses)), ""
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
             if stats.message_type is messages.PoseWithCovarianceStamped:

@@ -181,9 +181,9 @@ def check_compatibility(
             if is_faster or not has_whole_bodies:
                 notes.append(f"{platform}: {finding.text}")
         elif file.radio.has_places and not is_faster:
-            text = finding.text.partition(";")[0]  # without the advice to accept the peer
-            how = "range and bearing" if file.radio.range_and_bearing else "shared poses"
-            notes.append(f"{platform}: {text}; told by {how}")
+            told_by = "shared poses" if file.radio.places else "range and bearing"
+            # Without the advice to accept the peer.
+            notes.append(f"{platform}: {finding.text.partition(';')[0]}; told by {told_by}")
         else:
             held.append((platform, finding))
     if held:

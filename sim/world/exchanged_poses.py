@@ -23,7 +23,7 @@ class ExchangedPoses:
     """The last measured pose of each robot, and the places of its neighbors that follow."""
 
     def __init__(self, ids: Sequence[str], *, seed: int) -> None:
-        self._ids = tuple(ids)
+        self._heard = [Neighbor(robot, 0.0) for robot in ids]
         self._rngs = [generator(seed, "poses", robot) for robot in ids]
         self._gap_phases = [rng.uniform(0.0, _GAP_PERIOD) for rng in self._rngs]
         self._known = [NeighborPlaces() for _ in ids]  # by row, what a robot knows
@@ -33,13 +33,13 @@ class ExchangedPoses:
         for row in rows:
             x, y, yaw = (poses[row] + self._rngs[row].normal(0.0, (_SD, _SD, _YAW_SD))).tolist()
             if (now + self._gap_phases[row]) % _GAP_PERIOD >= _GAP:
-                pose = SharedPose(now, Pose(x, y, yaw), _ERROR, _YAW_ERROR, _FRAME)
-                self._known[row].on_pose(pose, now)
-                place = PeerPlace(self._ids[row], _FRAME, x, y, _ERROR, 0.0, yaw)
+                self._known[row].on_pose(
+                    SharedPose(now, Pose(x, y, yaw), _ERROR, _YAW_ERROR, _FRAME), now
+                )
+                place = PeerPlace(self._heard[row].id, _FRAME, x, y, _ERROR, 0.0, yaw)
                 for known in self._known:
                     known.on_place(place, now)
 
     def neighbors(self, row: int, neighbors: Iterable[int], now: float) -> tuple[Neighbor, ...]:
         """The robots `neighbors` (rows) with their places as robot `row` computes them at `now`."""
-        heard = tuple([Neighbor(self._ids[other], 0.0) for other in neighbors])
-        return self._known[row].complete(heard, now)
+        return self._known[row].complete(tuple([self._heard[other] for other in neighbors]), now)

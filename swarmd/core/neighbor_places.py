@@ -68,16 +68,13 @@ class NeighborPlaces:
         place, at = self._places.get(neighbor.id, (None, now))
         if place is None or self._own is None:
             return neighbor
-        own, own_at = self._own
-        age = now - min(own_at, at)
+        own = self._own[0]
+        age = now - min(self._own[1], at)
         if age > PLACE_TIMEOUT or place.frame != own.frame:
             return neighbor
         dx, dy = place.x - own.pose.x, place.y - own.pose.y  # m, from own to peer
-        bearing, heading = neighbor.bearing, neighbor.heading
-        if bearing is None:
-            bearing = math.remainder(math.atan2(dy, dx) - own.pose.yaw, math.tau)
-        if heading is None and place.heading is not None:
-            heading = math.remainder(place.heading - own.pose.yaw, math.tau)
+        bearing = _known(neighbor.bearing, math.atan2(dy, dx), own)
+        heading = _known(neighbor.heading, place.heading, own)
         if neighbor.distance is not None:
             return structs.replace(neighbor, bearing=bearing, heading=heading)
         distance = math.hypot(dx, dy)
@@ -85,6 +82,13 @@ class NeighborPlaces:
         return Neighbor(
             neighbor.id, max(age, 0.0), distance, bearing, heading, neighbor.in_reach, error
         )
+
+
+def _known(measured: float | None, angle: float | None, own: SharedPose) -> float | None:
+    """The measured angle in rad, else `angle` of the shared frame in the base frame; None: none."""
+    if measured is not None or angle is None:
+        return measured
+    return math.remainder(angle - own.pose.yaw, math.tau)
 
 
 def _keep(by_robot: dict[str, V], robot: str, value: V) -> None:

@@ -510,9 +510,11 @@ def lacks_text(needs: frozenset[str], platform: Platform) -> str:
     ways = (
         "; a pose in a shared frame (driver option shared_pose, in a scenario radio.places: shared)"
         " gives it, or hardware that measures it (radio.range_and_bearing: true)"
+        if PLACES_BY_POSE.intersection(missing)
+        else ""
     )
-    text = f"needs {', '.join(missing)}, which {platform.name} does not provide"
-    return f"{text}{ways if PLACES_BY_POSE.intersection(missing) else ''}" if missing else ""
+    lack = f"needs {', '.join(missing)}, which {platform.name} does not provide{ways}"
+    return lack if missing else ""
 
 
 def sensor_names(name: str, count: int) -> tuple[str, ...]:

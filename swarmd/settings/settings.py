@@ -176,8 +176,9 @@ def with_options(platform: Platform, options: Mapping[str, Value]) -> Platform:
     With a pose in a shared frame the robot computes the places of its peers.
     """
     provides = platform.provides | _inputs_of(options)
-    places = PLACES_BY_POSE if "pose" in provides else frozenset()
-    return replace(platform, provides=provides | places)
+    return replace(
+        platform, provides=provides | ({*PLACES_BY_POSE} if "pose" in provides else set())
+    )
 
 
 def _inputs_of(options: Mapping[str, Value]) -> set[str]:

@@ -13,6 +13,7 @@ from swarmd.core.neighbor_places import NeighborPlaces
 from swarmd.core.values import Detection, Neighbor, PeerPlace, Pose, SharedPose, Value, lacks_text
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names, places_of
+from swarmd.protection.compatibility import body_of
 from swarmd.robot.peers import FASTEST_POSE
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform
@@ -219,3 +220,18 @@ def test_the_patterns_of_neighbors_are_made_on_a_robot_with_a_pose_and_refused_w
         assert not lacks_text(find(name).needs, posed), name
         assert "shared_pose" in lacks_text(find(name).needs, load_platform("burger")), name
     assert "reading:ground" in lacks_text(find("shelter_choice").needs, posed)
+
+
+@pytest.mark.parametrize(
+    ("told", "radius"),
+    [(None, math.hypot(0.06 + 0.06 * 2.0, math.radians(6.0) * 2.0)), (0.4, 0.4)],
+)
+def test_protection_takes_the_told_error_of_a_place_if_it_has_one(
+    told: float | None, radius: float
+) -> None:
+    burger = body_of(load_platform("burger"))
+    jackal = Sensors(load_platform("jackal"))  # its lidar misses a Burger
+    jackal.on_peers({"b": burger})
+    jackal.on_neighbors((Neighbor("b", 0.0, 2.0, 0.0, error=told),), 10.0)
+    (disc,) = jackal.peers.told(10.0)
+    assert disc.radius == pytest.approx(burger.radius + radius)
