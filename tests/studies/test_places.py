@@ -24,7 +24,7 @@ SOURCES = BOARD, SHARED, STILL = "boards", "shared poses", "at rest"
 _SHARED_SET = {"radio.range_and_bearing": False, "radio.places": "shared"}
 ENOUGH = 0.8
 """The share of the boards' figure that shared poses have to reach."""
-SEEDS = {"chain_formation": 4, "shepherding": 4, "hexagonal_lattice": 6}
+SEEDS = {"vicsek_alignment": 20, "hexagonal_lattice": 6, "shepherding": 4, "chain_formation": 4}
 """Runs of each source; ten of the patterns that are not named."""
 _LATE = 1.0 / 3.0  # of a run, over which the polarisation is averaged
 
@@ -45,11 +45,11 @@ def _polarisation(trace: Trace) -> float:
 
 
 def _joined(trace: Trace) -> float:
-    return float((trace.report["leads"][:, 0] > 0.0).any())  # of the nest
+    return float((trace.report["leads"][:, trace.ids.index("nest-01")] > 0.0).any())
 
 
 def _arrived(trace: Trace) -> float:
-    return float((trace.words["state"][:, 1] == "arrived").any())  # of the shepherd
+    return float((trace.words["state"][:, trace.ids.index("shepherd-01")] == "arrived").any())
 
 
 FIGURES = {
