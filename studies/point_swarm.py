@@ -24,6 +24,7 @@ from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
 from swarmd.core.host_messages import Load, Loaded, LoadRefused, Step, Stepped
 from swarmd.core.values import (
+    PLACES_BY_POSE,
     Array,
     Inputs,
     Message,
@@ -57,7 +58,7 @@ Until = Callable[[Sequence[Mapping[str, Scalar]]], bool]
 CLEAR = Air()
 """The default radio: a delay of 20 ms, without loss."""
 
-_PROVIDES = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
+_PROVIDES = PLACES_BY_POSE | {"neighbors"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,7 +279,7 @@ def obeyed(pattern: str, twist: Twist | None, limits: tuple[float, float]) -> tu
 def _load(pattern: str, name: str, params: Mapping[str, Value], seed: int) -> _Point:
     loader, platform = _loader_and_platform()
     needs = loader(pattern).needs
-    platform = replace(platform, provides=platform.provides | needs | frozenset(_PROVIDES))
+    platform = replace(platform, provides=platform.provides | needs | _PROVIDES)
     executor = PatternExecutor(loader)
     loaded = executor.handle(Load(1, pattern, (("study", params),), name, platform, seed))
     if isinstance(loaded, LoadRefused):

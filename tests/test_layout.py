@@ -50,11 +50,11 @@ EXCEPTIONS: dict[tuple[str, str], str] = {
     ("sim/live/link.py", "zenoh"): "the world's own session, for viewers of real-time mode",
 }
 # Executable statements of the sources. A part that needs more names the part that goes.
-MOST_STATEMENTS = 66_050
+MOST_STATEMENTS = 66_200
 # Modules in the import closure of each module, and keys of all files; SLACK above them is a fault.
 CLOSURES = {
     "swarmd.protection.protection": 47,
-    "swarmd.robot.robot": 101,
+    "swarmd.robot.robot": 102,
     "swarmd.network.peer": 35,
     "swarmd.api": 34,  # what the author of a pattern imports
 }

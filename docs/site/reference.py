@@ -40,9 +40,11 @@ from swarmd.core.values import (
     Neighbor,
     Odometry,
     Outputs,
+    Platform,
     Pose,
     Scan,
     Twist,
+    Value,
 )
 from swarmd.core.verbs import VERBS
 from swarmd.kit.behavior import Context
@@ -59,6 +61,7 @@ from swarmd.settings.platforms import (
     platform_names,
     platform_sources,
 )
+from swarmd.settings.settings import with_options
 from swarmd.sim.experiments.benchmark import (
     Candidate,
     MetricSection,
@@ -172,6 +175,37 @@ def comparison() -> Iterator[str]:
     yield _table(("pattern", "what", "wanted", "reached", "from"), outcomes)
     yield "### What breaks it"
     yield _table(("pattern", "first of its failures"), breaks)
+
+
+def runs_on() -> Iterator[str]:
+    """The platforms that provide what each pattern and mission needs, by their drivers' options."""
+    platforms = [load_platform(name) for name in platform_names()]
+    shipped = {one.name: _provided(one) for one in platforms}
+    shared = {one.name: _provided(one, shared_pose="pose") for one in platforms}
+    rows = []
+    for row in describe_patterns((), None, _PLATFORM):
+        needs = frozenset(row["needs"])
+        as_shipped = [name for name, provides in shipped.items() if needs <= provides]
+        others = [name for name, has in shared.items() if needs <= has and name not in as_shipped]
+        words = [_all_or(as_shipped, platforms)] if as_shipped else []
+        words += [f"with a shared frame: {_all_or(others, platforms)}"] if others else []
+        fewest = min((sorted(needs - has) for has in shared.values()), key=len)
+        lacking = ", ".join(f"`{need}`" for need in fewest)
+        alone = f"in simulation alone: no platform has {lacking}"
+        rows.append((f"`{row['name']}`", "; ".join(words) or alone))
+    yield _table(("pattern or mission", "runs on"), rows)
+
+
+def _provided(platform: Platform, **more: Value) -> frozenset[str]:
+    """What a robot of the platform provides with the options of its drivers, and with `more`."""
+    by_driver = platform.drivers.values() or ({},)
+    return frozenset().union(
+        *(with_options(platform, {**options, **more}).provides for options in by_driver)
+    )
+
+
+def _all_or(names: Sequence[str], platforms: Sequence[Platform]) -> str:
+    return f"all {len(names)}" if len(names) == len(platforms) else ", ".join(names)
 
 
 def _first_outcome(text: str) -> tuple[str, str, str, str]:
@@ -616,6 +650,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "patterns": patterns,
     "comparison": comparison,
     "films": films,
+    "runs_on": runs_on,
     "platforms": platforms,
     "mixed": mixed,
     "rules": rules,

@@ -19,6 +19,7 @@ from swarmd.core.finding import Finding
 from swarmd.core.values import Platform, Scan
 from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros import cdr, from_ros, messages
+from swarmd.drivers.ros.carried_pose import CarriedPose
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
 from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
@@ -51,6 +52,7 @@ class Subscriptions:
         self._yaw = math.radians(options.scan_yaw_deg)
         self._is_upside_down = options.scan_upside_down
         self._pose_errors = options.shared_pose_error, math.radians(options.shared_pose_error_deg)
+        self._carried_pose = CarriedPose()
         self._battery = options.battery_volts, options.battery_percentage
         self._scan_seq = 0
         self._laser: messages.LaserScan | None = None  # the last
@@ -127,6 +129,9 @@ class Subscriptions:
             summary = entries_text or stats.summary  # a copy that no entry takes has no text
             stats.record(now, measured_at, summary)
             return deliver_entries
+        if is_kept and stats.message_type is messages.PoseWithCovarianceStamped:
+            pose = from_ros.shared_pose_of(message, *self._pose_errors)
+            self._carried_pose.on_kept_pose(pose)
         if is_kept:  # only the entries of a standard topic, such as odometry, take a kept message
             return deliver_entries
         deliver, value_text = self._value(stats, message, now)
@@ -158,7 +163,8 @@ class Subscriptions:
         return {
             stats.topic: stats
             for stats in self.topics.values()
-            if any(entry.is_never_stale for _, entry in self._entries_of.get(stats.topic, ()))
+            if stats.message_type is messages.PoseWithCovarianceStamped
+            or any(entry.is_never_stale for _, entry in self._entries_of.get(stats.topic, ()))
         }
 
     def forget(self, topic: str | None = None) -> None:
@@ -219,9 +225,12 @@ class Subscriptions:
             return self._range_value(stats, message), f"{message.range:.3g} m"
         if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
-            return partial(_deliver, (OdometryInput(odometry),)), ""
+            poses = self._carried_pose.on_odometry(odometry)
+            return partial(_deliver, (OdometryInput(odometry), *poses)), ""
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
+            if stats.message_type is messages.PoseWithCovarianceStamped:
+                self._carried_pose.on_pose(pose)
             return partial(_deliver, (PoseInput(pose),)), f"frame {pose.frame}"
         if stats.message_type is messages.Imu:
             values, missing = self._take_imu(message), from_ros.no_yaw(message)

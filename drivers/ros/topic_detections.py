@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import DetectionsInput
-from swarmd.core.values import MAX_DETECTIONS, MAX_WORD, Detection
+from swarmd.core.values import MAX_DETECTIONS, MAX_WORD, ROBOT, Detection
 from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs, faults_of
@@ -42,6 +42,8 @@ class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     - `image_width`, `field_of_view_deg`: pixels, and the horizontal angle, of images without
       distortion.
     - `size`: m, the side of the tags or the height of the objects; the distance follows from it.
+    - `robots`: maps the class or id of an object to the robot that carries it, such as a tag on a
+      peer; the robot's patterns then have the place of that neighbour.
     - `kinds`: maps the class or id of an object to its kind; else the kind is the class.
     - `stale_after`: s without a message after which the objects are not known.
     """
@@ -54,6 +56,7 @@ class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     image_width: Annotated[float, Meta(ge=1.0, le=100_000.0)] | None = None
     field_of_view_deg: Annotated[float, Meta(ge=1.0, le=175.0)] | None = None
     size: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
+    robots: dict[str, Kind] = {}
     kinds: dict[str, Kind] = {}
     stale_after: Annotated[float, Meta(ge=0.1, le=3600.0)] = 1.0
 
@@ -122,6 +125,8 @@ class TopicDetections(TopicEntry):
         given = self._word(item, self.kind)
         kinds = self.options.kinds
         kind = kinds.get(own) or kinds.get(given) or given or OBJECT
+        if robot := self.options.robots.get(own) or self.options.robots.get(given):
+            return Detection(ROBOT, wrap(bearing), distance, robot)
         return Detection(kind[:MAX_WORD], wrap(bearing), distance, own[:MAX_WORD])
 
     def _from_camera(self, item: Any) -> tuple[float, float | None]:

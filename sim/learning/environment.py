@@ -27,7 +27,7 @@ from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, PluginError, unknown
-from swarmd.core.values import Array
+from swarmd.core.values import Array, lacks_text
 from swarmd.kit.observation import Observation, PolicySpec, check_spec, default_spec
 from swarmd.sim.experiments.plan import check_seeds
 from swarmd.sim.learning.agents import (
@@ -122,13 +122,8 @@ def _scenario(scenario: str | Path | Scenario, overrides: Mapping[str, Any] | No
 def _check_needs(spec: PolicySpec, scenario: Scenario, learners: Sequence[str]) -> None:
     """ConfigError if a robot that learns does not provide what the spec needs."""
     for robot in learners:
-        platform = scenario.robots[robot]
-        missing = sorted(spec.needs - platform.provides)
-        if missing:
-            raise ConfigError(
-                f"spec needs {', '.join(missing)}, which {robot} ({platform.name})"
-                " does not provide; leave these parts out"
-            )
+        if lack := lacks_text(spec.needs, scenario.robots[robot]):
+            raise ConfigError(f"{robot}: spec {lack}; or leave these parts out")
 
 
 @dataclass(slots=True)

@@ -180,8 +180,9 @@ class RealTimeWorld:
             for wire in messages:
                 row = self._rows[wire.robot]
                 radio.carry(radio.send(row, wire.channel, wire.payload, world.time, poses, boxes))
+            radio.measure_poses(due_rows.tolist(), poses, world.time)
             for row in due_rows.tolist():
-                neighbors = radio.neighbors(row, poses, boxes)
+                neighbors = radio.neighbors(row, poses, boxes, now=world.time)
                 commanded = tuple(n for n in neighbors if is_commanded[self._rows[n.id]])
                 self._transport.send(ids[row], NeighborsInput(commanded))
 

@@ -416,6 +416,7 @@ class Lockstep:
         self._update_neighbors(self._neighbors_due.due(now))
 
     def _update_neighbors(self, rows: Sequence[int]) -> None:
+        self._radio.measure_poses(rows, self.world.poses(), self.world.time)
         shells = self._present(rows)
         if not shells:
             return
@@ -424,7 +425,7 @@ class Lockstep:
         if self._absent_count:
             there.update(compress(world.ids, self.has_daemon))
         for shell in shells:
-            neighbors = self._radio.neighbors(shell.row, poses, boxes)
+            neighbors = self._radio.neighbors(shell.row, poses, boxes, now=world.time)
             if self._absent_count:
                 neighbors = tuple(neighbor for neighbor in neighbors if neighbor.id in there)
             shell.step(events.NeighborsInput(neighbors), world.time)

@@ -98,7 +98,7 @@ def _group_of(layers: Layered, groups: Mapping[str, tuple[str, ...]]) -> dict[st
 def _equipped(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:
     """The platform with the sensors that the simulation adds for radio, fields and items."""
     with_radio = replace(platform, provides=platform.provides | {"neighbors"})
-    if file.radio.range_and_bearing:
+    if file.radio.has_places:
         with_radio = with_bearings(with_radio)
     return with_items(with_readings(with_radio, fields), file.items)
 

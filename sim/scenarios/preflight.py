@@ -180,9 +180,10 @@ def check_compatibility(
             # The user knows from `lidar_visibility` that lidars see whole bodies: no note on that.
             if is_faster or not has_whole_bodies:
                 notes.append(f"{platform}: {finding.text}")
-        elif file.radio.range_and_bearing and not is_faster:
-            text = finding.text.partition(";")[0]  # without the advice to accept the peer
-            notes.append(f"{platform}: {text}; told by range and bearing")
+        elif file.radio.has_places and not is_faster:
+            told_by = "shared poses" if file.radio.places else "range and bearing"
+            # Without the advice to accept the peer.
+            notes.append(f"{platform}: {finding.text.partition(';')[0]}; told by {told_by}")
         else:
             held.append((platform, finding))
     if held:

@@ -12,9 +12,10 @@ from msgspec import Meta, Struct, structs
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Array, Neighbor, Platform
+from swarmd.core.values import PLACES_BY_POSE, Array, Neighbor, Platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
+from swarmd.sim.world.exchanged_poses import ExchangedPoses
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.line_of_sight import LineOfSight
 from swarmd.sim.world.seeding import generator
@@ -27,13 +28,12 @@ and value of any type. Of messages that arrive at one instant, those of lower ra
 
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors without range and bearing."""
-_BEARINGS_RATE = 10.0  # the same with range-and-bearing boards, which measure 10 times a second
+_BEARINGS_RATE = 10.0  # the same with range-and-bearing boards, or with poses in a shared frame
 
 # Errors of range-and-bearing boards: our choice, of the order that their makers report.
 _DISTANCE_SD = 0.02  # m
 _DISTANCE_SHARE = 0.02
 _ANGLE_SD = math.radians(2.0)
-_BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
 
 
 class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,6 +45,8 @@ class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     - `delay`: s from sending to receiving.
     - `jitter`: the delay varies uniformly by up to this time in s, up and down.
     - `range_and_bearing`: the hardware also senses where the neighbors are.
+    - `places`: `shared`: robots compute where their neighbors are, from poses in a shared frame
+      that they send each other.
     """
 
     neighborhood: Literal["all", "range"] = "all"
@@ -54,6 +56,12 @@ class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     delay: Seconds = 0.0
     jitter: Seconds = 0.0
     range_and_bearing: bool = False
+    places: Literal["shared"] | None = None
+
+    @property
+    def has_places(self) -> bool:
+        """True if robots know where their neighbors are."""
+        return self.range_and_bearing or self.places is not None
 
 
 def check_radio(settings: RadioSettings) -> None:
@@ -65,6 +73,11 @@ def check_radio(settings: RadioSettings) -> None:
             f"radio.range is {settings.range:g}, but radio.neighborhood is all, which has none;"
             " set neighborhood: range, or range: null"
         )
+    if settings.range_and_bearing and settings.places is not None:
+        raise ConfigError(
+            "radio.places is shared beside radio.range_and_bearing, which precedes it; set one of"
+            " them (range_and_bearing: false, or places: null)"
+        )
     if settings.jitter > settings.delay:
         raise ConfigError(
             f"radio.jitter is {settings.jitter:g}; expected at most radio.delay"
@@ -74,17 +87,17 @@ def check_radio(settings: RadioSettings) -> None:
 
 def needs_radio(settings: RadioSettings) -> bool:
     """True if messages may be lost, delayed or out of range, so that a radio must be simulated."""
-    return structs.replace(settings, range_and_bearing=False) != RadioSettings()
+    return structs.replace(settings, range_and_bearing=False, places=None) != RadioSettings()
 
 
 def neighbors_rate(settings: RadioSettings) -> float:
     """Hz at which a robot learns its neighbors."""
-    return _BEARINGS_RATE if settings.range_and_bearing else NEIGHBORS_RATE
+    return _BEARINGS_RATE if settings.has_places else NEIGHBORS_RATE
 
 
 def with_bearings(platform: Platform) -> Platform:
-    """The platform with range-and-bearing hardware on it."""
-    return replace(platform, provides=platform.provides | frozenset(_BEARINGS))
+    """The platform of a robot that knows where its neighbors are."""
+    return replace(platform, provides=platform.provides | PLACES_BY_POSE)
 
 
 class Radio:
@@ -107,18 +120,29 @@ class Radio:
         self._ranks: dict[int, tuple[float, float]] = {}  # by row: s of the last sending, its rank
         self._loss_rngs = [generator(seed, "radio", robot) for robot in ids]
         self._bearing_rngs = [generator(seed, "bearings", robot) for robot in ids]
+        self._poses = None if settings.places is None else ExchangedPoses(ids, seed=seed)
         self._plain = [Neighbor(robot, 0.0) for robot in ids]
         self._in_flight: DelayQueue[tuple[list[int], int, str, Any]] = DelayQueue()
         self._all_others: dict[int, tuple[Neighbor, ...]] = {}
 
+    def measure_poses(self, rows: Iterable[int], poses: Array, now: float) -> None:
+        """With `places`, measure the poses of robots `rows` in the shared frame at `now` s."""
+        if self._poses is not None:
+            self._poses.measure(rows, poses, now)
+
     def neighbors(
-        self, row: int, poses: Array, movable_boxes: Array | None = None
+        self, row: int, poses: Array, movable_boxes: Array | None = None, *, now: float = 0.0
     ) -> tuple[Neighbor, ...]:
-        """The neighbors of robot `row`; with range_and_bearing also their measured positions."""
+        """The neighbors of robot `row`, with their positions as the settings say.
+
+        `now`: s, from which the ages of poses in a shared frame count (`measure_poses`).
+        """
         hears_all = math.isinf(self._reach) and self._sight is None
-        if hears_all and not self.settings.range_and_bearing:
+        if hears_all and not self.settings.has_places:
             return self._others(row)
         neighbors = self.hearers(row, poses, movable_boxes)
+        if self._poses is not None:
+            return self._poses.neighbors(row, neighbors.tolist(), now)
         if not self.settings.range_and_bearing:
             return tuple(self._plain[i] for i in neighbors.tolist())
         sensed = self._sense(row, neighbors, poses).tolist()

@@ -130,11 +130,11 @@ def report_mission(file: Path, faults: Collection[str], platform: str, *, is_jso
 def _about(row: Record) -> list[tuple[str, str]]:
     channels = (f"{name} ({kind})" for name, kind in row["channels"].items())
     units = [f"{name} in {unit}" for name, unit in row["report_units"].items()]
-    lacking = f" (lacking: {', '.join(row['missing'])})" if row["missing"] else ""
     return [
         ("kind", row["kind"]),
         ("from", row["source"]),
-        ("needs", (", ".join(row["needs"]) or NOTHING) + lacking),
+        ("needs", ", ".join(row["needs"]) or NOTHING),
+        *([("refused", row["lacks"])] if row["lacks"] else []),
         ("sends", ", ".join(channels) or NOTHING),
         ("rate", f"{row['rate']:g} Hz"),
         *([("reports", ", ".join(units))] if units else []),

@@ -206,6 +206,8 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     misfits: list[str] = []
     for row in rows:
         name = row["name"]
+        # As the options of the driver add inputs to those of the platform.
+        row["missing"] = sorted({*row.get("needs", ())} - settings.platform.provides)
         fault = _pattern_fault(row, origins[name], is_in_plugin_dir=name in in_plugin_dir)
         if fault is not None:
             yield Finding(f"pattern {name}", False, fault)

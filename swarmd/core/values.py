@@ -194,6 +194,7 @@ class PeerPlace(Struct, frozen=True, array_like=True):
     """The place that the peer `robot` reports: `x`, `y` in m in the shared frame `frame`.
 
     `error` in m bounds the error of the place. `age`: s from its measurement to its arrival.
+    `heading`: rad, of the peer in that frame; None from an older version.
     """
 
     robot: str
@@ -202,16 +203,20 @@ class PeerPlace(Struct, frozen=True, array_like=True):
     y: float
     error: float
     age: float
+    heading: float | None = None
 
 
 class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     """A robot nearby that is heard or sensed.
 
-    - `age`: s since the robot was last heard or sensed, to within 0.5 s.
-    - `distance` in m, `bearing`, `heading` in rad: relative to the own robot; None: not sensed.
+    - `age`: s since the robot was last heard or sensed, to within 0.5 s; of a place in a shared
+      frame, the age of the older of both poses.
+    - `distance` in m, `bearing`, `heading` in rad: relative to the own robot, measured or computed
+      from poses in a shared frame; None: not known.
     - `in_reach`: the robot is within the range or link quality of the settings
       (`NeighborSettings`). Patterns get only neighbors in reach. Protection uses every sensed
       robot.
+    - `error`: m, a bound of the error of a place in a shared frame; None: measured, or not known.
     """
 
     id: str
@@ -220,6 +225,7 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     bearing: float | None = None
     heading: float | None = None
     in_reach: bool = True
+    error: float | None = None
 
     @property
     def is_valid(self) -> bool:
@@ -231,6 +237,10 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
             and 0.0 <= (self.distance or 0.0) <= MAX_TOLD_DISTANCE
             and abs(angles) < math.inf
         )
+
+
+ROBOT = "robot"
+"""The kind of a detection of a robot, whose id is that of the robot."""
 
 
 class Detection(Struct, frozen=True, array_like=True, gc=False):
@@ -462,6 +472,11 @@ class Platform:
         return f"{_READING}height" in self.provides
 
 
+PLACES_BY_SIGHT = frozenset({"neighbors.distance", "neighbors.bearing"})
+"""What patterns get of each peer that the robot detects."""
+PLACES_BY_POSE = PLACES_BY_SIGHT | {"neighbors.heading"}
+"""What patterns get of each peer whose pose, as the own one, is known in one shared frame."""
+
 OPTION_INPUTS = ("detections",)
 """Inputs of patterns that a driver gives if it has an option of that name.
 
@@ -488,6 +503,19 @@ def input_fault(word: str) -> str:
     is_reading = word.startswith(_READING) and word.removeprefix(_READING).isidentifier()
     known = word in _INPUTS or is_reading
     return "" if known else unknown("input", word, (*_INPUTS, f"{_READING}<name>"))
+
+
+def lacks_text(needs: frozenset[str], platform: Platform) -> str:
+    """What `platform` lacks of `needs`, and both ways to the places of peers; empty if nothing."""
+    missing = sorted(needs - platform.provides)
+    ways = (
+        "; a pose in a shared frame (driver option shared_pose, in a scenario radio.places: shared)"
+        " gives it, or hardware that measures it (radio.range_and_bearing: true)"
+        if PLACES_BY_POSE.intersection(missing)
+        else ""
+    )
+    lack = f"needs {', '.join(missing)}, which {platform.name} does not provide{ways}"
+    return lack if missing else ""
 
 
 def sensor_names(name: str, count: int) -> tuple[str, ...]:

@@ -445,7 +445,7 @@ class Daemon:
         robot = self._robot
         held, goal, state = set(robot.latches), robot.goal, robot.state
         if isinstance(input, events.PlaceInput):
-            self._neighborhood.on_place(input.place, boottime())
+            self._neighborhood.places.on_place(input.place, boottime())
         elif isinstance(input, events.DuplicateInput) and input.holder is not None:
             log.error("id %s is also held by %s", robot.id, input.holder)
         self.step(input)

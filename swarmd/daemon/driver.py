@@ -182,7 +182,7 @@ class DriverSink:
             selected = self._neighborhood.select(input.neighbors, boottime())
             input = events.NeighborsInput(selected)
         elif isinstance(input, events.PoseInput):
-            self._neighborhood.on_pose(input.pose)
+            self._neighborhood.places.on_pose(input.pose, boottime())
         self._step(input)
 
     def take_late(self, input: events.OdometryInput, age: float) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from swarmd.core.values import Neighbor, PeerPlace, SharedPose
+from swarmd.core.values import Neighbor
 from swarmd.network.members.neighbor_settings import NeighborSettings
 from swarmd.network.members.neighborhood import Link, Neighborhood
 
@@ -102,17 +102,10 @@ class NeighborSelection:
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._neighborhood = Neighborhood(settings)
+        self.places = self._neighborhood.places
         self._heard = heard
         self._needs_links = settings.neighborhood == "link"
         self._signal = None if settings.signal is None else RadioSignal(loop, interface)
-
-    def on_pose(self, pose: SharedPose) -> None:
-        """Take in the own pose in a shared frame."""
-        self._neighborhood.on_pose(pose)
-
-    def on_place(self, place: PeerPlace, now: float) -> None:
-        """Take in the place that a peer reports."""
-        self._neighborhood.on_place(place, now)
 
     def select(self, candidates: Collection[Neighbor], now: float) -> tuple[Neighbor, ...]:
         """The candidates, each marked as in reach or not."""

@@ -35,8 +35,9 @@ def make_robot(
         version=version("swarmd"),
         kernels=describe_kernels(),
         labels=settings.labels,
-        # Peers whose neighborhood is "range" need the pose, to compute the distance.
-        tells_pose=settings.file.neighbors.neighborhood == "range",
+        # Peers need the pose for their neighborhood "range", and for patterns that use places.
+        tells_pose=settings.file.neighbors.neighborhood == "range"
+        or "pose" in settings.platform.provides,
         parameters=settings.parameters,
         settings=settings.robot,
     )

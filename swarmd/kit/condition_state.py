@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from swarmd.core.errors import MissingSensorError
 from swarmd.core.numbers import read_number
-from swarmd.core.values import Inputs, Neighbor, Outputs, Platform, Scalar, Scan
+from swarmd.core.values import Inputs, Neighbor, Outputs, Platform, Scalar, Scan, lacks_text
 from swarmd.kit import conditions
 
 _ROUNDING = 1e-9
@@ -83,11 +83,8 @@ def until_conditions(until: Sequence[str], platform: Platform) -> UntilCondition
     if not until:
         return None
     condition = conditions.parse_conditions(until)
-    missing = sorted(conditions.needs_of(condition) - platform.provides)
-    if missing:
-        raise MissingSensorError(
-            f"the condition needs {', '.join(missing)}, which {platform.name} does not provide"
-        )
+    if lack := lacks_text(conditions.needs_of(condition), platform):
+        raise MissingSensorError(f"the condition {lack}")
     return UntilConditions(condition)
 
 

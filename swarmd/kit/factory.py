@@ -11,7 +11,7 @@ from numpy.random import Generator
 from swarmd.core.errors import MissingSensorError, PluginError
 from swarmd.core.host_messages import MAX_SCAN_DELAY, Layers
 from swarmd.core.keys import check_id
-from swarmd.core.values import Platform, Scalar, Value, input_fault
+from swarmd.core.values import Platform, Scalar, Value, input_fault, lacks_text
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import build
 from swarmd.kit.touch import check_zone
@@ -107,11 +107,7 @@ def _check_needs(name: str, needs: frozenset[str], platform: Platform) -> None:
         fault = input_fault(need)
         if fault:
             raise PluginError(f"`needs` of {name!r}: {fault}; to hear messages needs no entry")
-    missing = sorted(needs - platform.provides)
-    if missing:
-        text = (
-            f"pattern {name!r} needs {', '.join(missing)}, which {platform.name} does not provide"
-        )
-        if missing == ["neighbors"]:
-            text += "; to hear messages it needs nothing, so leave neighbors out if that is all"
-        raise MissingSensorError(text)
+    if lack := lacks_text(needs, platform):
+        if needs - platform.provides == {"neighbors"}:
+            lack += "; to hear messages it needs nothing, so leave neighbors out if that is all"
+        raise MissingSensorError(f"pattern {name!r} {lack}")

@@ -16,7 +16,18 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 import numpy as np
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import ZERO, Array, Inputs, Platform, Pose, Scalar, Scan, Twist
+from swarmd.core.values import (
+    PLACES_BY_SIGHT,
+    ZERO,
+    Array,
+    Inputs,
+    Platform,
+    Pose,
+    Scalar,
+    Scan,
+    Twist,
+    lacks_text,
+)
 from swarmd.kit.behavior import Context, MovementPattern
 from swarmd.kit.formation_geometry import (
     NeighborTracker,
@@ -38,7 +49,6 @@ from swarmd.kit.params import (
 from swarmd.kit.steering import NearPoints, polar_from_base
 from swarmd.sensing.rays import closest_points
 
-_BEARINGS = frozenset({"neighbors.distance", "neighbors.bearing"})
 # Share of `tolerance` within which a moving robot has arrived.
 _ARRIVAL_SHARE = 0.4
 # s: time constant of the low-pass filter of its place.
@@ -138,7 +148,7 @@ class FormationPattern(MovementPattern[F]):
         super().__init__(params, context)
         self._by_lidar = _is_by_lidar(params, context.platform)
         if not self._by_lidar:
-            self.needs = self.needs | _BEARINGS
+            self.needs = self.needs | PLACES_BY_SIGHT
         self._tracker = NeighborTracker()
         self._seq: int | None = None  # of the scan that was looked at last
         self._points = NearPoints(())
@@ -151,12 +161,8 @@ class FormationPattern(MovementPattern[F]):
         """Apply changed parameters; ConfigError if the platform cannot satisfy them."""
         check_spacing(params, self.context.platform)
         by_lidar = _is_by_lidar(params, self.context.platform)
-        lacking = _lacking(self.context.platform)
-        if not by_lidar and lacking:
-            name = self.context.platform.name
-            raise ConfigError(
-                f"parameter sensing is neighbors, which needs {lacking}; {name} lacks that"
-            )
+        if not by_lidar and (lack := lacks_text(PLACES_BY_SIGHT, self.context.platform)):
+            raise ConfigError(f"parameter sensing is neighbors, which {lack}")
         self._by_lidar = by_lidar
         self._seq = None
         self._goal = None
@@ -276,10 +282,6 @@ def _kept_free(platform: Platform) -> float:
     return threshold(platform) + math.hypot(*platform.scan.offset)
 
 
-def _lacking(platform: Platform) -> str:
-    return ", ".join(sorted(_BEARINGS - platform.provides))
-
-
 def _is_by_lidar(params: FormationParams, platform: Platform) -> bool:
     kind: Any = params.sensing
-    return kind == "lidar" or (kind == "auto" and bool(_lacking(platform)))
+    return kind == "lidar" or (kind == "auto" and not platform.provides >= PLACES_BY_SIGHT)

@@ -54,6 +54,7 @@ Nanoseconds = Annotated[int, Meta(ge=0, le=2**62)]
 Millimetres = Annotated[int, Meta(ge=0, le=100_000)]
 Coordinate = Annotated[int, Meta(ge=-1_000_000_000, le=1_000_000_000)]
 """Millimetres in a shared frame."""
+Milliradians = Annotated[int, Meta(ge=-3142, le=3142)]
 Number = Annotated[int, Meta(ge=0, le=2**53)]
 Hops = Annotated[int, Meta(ge=0, le=MAX_HOPS)]
 Host = Annotated[str, Meta(max_length=64)]
@@ -312,6 +313,7 @@ class Place(_Datagram, frozen=True, kw_only=True):
     x: Coordinate
     y: Coordinate
     error: Millimetres  # bound of the distance to the true position
+    heading: Milliradians | None = None  # in the shared frame; None from an older version
 
 
 class ClockQuery(_Datagram, frozen=True, kw_only=True):

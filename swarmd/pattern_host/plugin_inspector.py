@@ -33,7 +33,7 @@ from swarmd.core.files import read_regular
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import is_id
 from swarmd.core.processes import die_with_parent, limit_files, limit_growth
-from swarmd.core.values import Outputs, Platform, Twist, Value
+from swarmd.core.values import Outputs, Platform, Twist, Value, lacks_text
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.condition_state import until_conditions
@@ -199,6 +199,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         "source": source,
         "needs": sorted(pattern.needs),
         "missing": sorted(pattern.needs - platform.provides),
+        "lacks": lacks_text(pattern.needs, platform),
         "channels": {channel: type_.__name__ for channel, type_ in dict(pattern.channels).items()},
         "rate": pattern.rate,
         "report_units": dict(pattern.report_units),
@@ -557,9 +558,8 @@ def _check_parts(document: Document, platform: Platform, find: Find) -> None:
     build_setters(builder, parts)
     check_reports(builder, parts)
     for keys, condition in conditions(document.root):
-        for need in sorted(needs_of(condition) - platform.provides):
-            text = f"needs {need}, which {platform.name} does not provide"
-            document.faults.append(fault_at(keys, text))
+        if lack := lacks_text(needs_of(condition), platform):
+            document.faults.append(fault_at(keys, lack))
 
 
 def _check_whole(document: Document, platform: Platform, find: Find) -> None:

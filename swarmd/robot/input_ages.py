@@ -43,6 +43,7 @@ class InputAges:
     - `_anchor_due`: after this time the pose for layers is too old, which holds the robot.
     - `_teller`: the `Peers` object while the place of any peer is known; such places are obstacles.
     - `_ring`: the `RangeRing` of a robot with such sensors.
+    - `_places`: the `NeighborPlaces` of a robot that computes where its neighbours are.
     - `_anchors`: the `PoseAnchors` of a robot whose layers need its pose in a shared frame.
 
     An object that the robot does not have is None.
@@ -69,6 +70,7 @@ class InputAges:
     _problem = cython.declare(object, visibility="public")
     _ring = cython.declare(object, visibility="public")
     _peers_due = cython.declare(cython.double, visibility="public")
+    _places = cython.declare(object, visibility="public")
     _anchors = cython.declare(object, visibility="public")
     _anchor_due = cython.declare(cython.double, visibility="public")
     _teller = cython.declare(object, visibility="public")
@@ -108,7 +110,10 @@ class InputAges:
 
     @cython.ccall
     def neighbors(self, now: cython.double) -> tuple:
-        """The neighbours; each age is exact to 0.5 s. Empty after 3 s without an update."""
+        """The neighbours; each age is exact to 0.5 s. Empty after 3 s without an update.
+
+        `_places` adds the places that the base does not measure.
+        """
         past: cython.double = now - self._neighbors_at
         if past > _NEIGHBOR_TIMEOUT:
             return ()
@@ -117,11 +122,11 @@ class InputAges:
             self._renewals, past = renewals, renewals * _AGE_UPDATE_PERIOD
             self._aged = tuple(
                 [
-                    Neighbor(n.id, n.age + past, n.distance, n.bearing, n.heading)
+                    Neighbor(n.id, n.age + past, n.distance, n.bearing, n.heading, True, n.error)
                     for n in self._neighbors
                 ]
             )
-        return self._aged
+        return self._aged if self._places is None else self._places.complete(self._aged, now)
 
     @cython.ccall
     def inputs(self, now: cython.double, dt: cython.double):

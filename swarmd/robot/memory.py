@@ -63,7 +63,15 @@ _VALUES = frozenset(
     f"swarmd.core.{name}"
     for name in (
         *("arrival_delay", "avoided", "events", "goal", "hazard", "host_messages", "messages"),
-        *("message_limits", "pattern_manifest", "record", "token_bucket", "values", "verbs"),
+        *(
+            "message_limits",
+            "neighbor_places",
+            "pattern_manifest",
+            "record",
+            "token_bucket",
+            "values",
+            "verbs",
+        ),
     )
 )
 """Modules of the core that contain only values and pure classes."""

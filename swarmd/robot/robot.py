@@ -443,7 +443,7 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.PoseInput: lambda robot, one, now: robot._sensors.on_pose(one.pose, now),
     events.ReadingsInput: Robot._on_readings,
     **{
-        kind: lambda robot, one, now: robot._sensors.on_option_input(one)
+        kind: lambda robot, one, now: robot._sensors.on_option_input(one, now)
         for kind in get_args(events.SensorInput)
         if kind.__struct_config__.tag in OPTION_INPUTS
     },

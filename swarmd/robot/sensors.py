@@ -17,12 +17,14 @@ from msgspec import Struct
 from msgspec.structs import astuple
 
 from swarmd.core.codec import encode_value
-from swarmd.core.events import SensorInput, tag_of
+from swarmd.core.events import DetectionsInput, SensorInput, tag_of
 from swarmd.core.hazard import Hazard
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, PeerFinding, Reason
+from swarmd.core.neighbor_places import NeighborPlaces
 from swarmd.core.values import (
     OPTION_INPUTS,
+    PLACES_BY_POSE,
     Message,
     Neighbor,
     Odometry,
@@ -95,6 +97,8 @@ class Sensors(InputAges):
         self._given: tuple[Neighbor, ...] = ()  # neighbours as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
+        self._known_places = NeighborPlaces()
+        self._places = self._known_places if PLACES_BY_POSE & platform.provides else None
         self._anchors = anchors
         if anchors is not None:  # else `_anchor_due` stays inf
             self._anchor_due = anchors.until
@@ -190,6 +194,7 @@ class Sensors(InputAges):
         at = self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
         if at is not None:
             self.pose, self.pose_until = pose.pose, at + POSE_TIMEOUT
+            self._known_places.on_pose(pose, at)
             if self._anchors is not None:
                 self._anchors.on_pose(pose, at, self.peers.pose_errors, self._odometry_at)
                 self._context, self._anchor_due = None, self._anchors.until
@@ -200,6 +205,7 @@ class Sensors(InputAges):
 
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in the place that a peer reports in a shared frame."""
+        self._known_places.on_place(place, now)
         if self.peers.on_place(place, now):
             self._look_at_peers()
 
@@ -265,10 +271,12 @@ class Sensors(InputAges):
         self.readings = {name: v for name, v in values.items() if math.isfinite(v)}
         self.stale_readings = tuple(sorted(values.keys() - self.readings.keys()))
 
-    def on_option_input(self, input: SensorInput) -> None:
+    def on_option_input(self, input: SensorInput, now: float) -> None:
         """Keep an input of OPTION_INPUTS, which is handed to patterns unchanged."""
         (value,) = astuple(input)
         setattr(self, tag_of(input), value)
+        if isinstance(input, DetectionsInput):
+            self._known_places.on_detections(input.detections, now)
 
     def _forget_option_inputs(self) -> None:
         for name in OPTION_INPUTS:

@@ -17,8 +17,8 @@ class RobotSetup(Struct, frozen=True, kw_only=True):
 
     - `labels`: those of the swarm file.
     - `base`: a digest of the options of the driver, which hold the address of the base, if any.
-    - `tells_pose`: the robot sends its pose in a shared frame to its peers, which compute its range
-      and bearing from the pose.
+    - `tells_pose`: the robot sends its pose in a shared frame to its peers, which compute
+      distance, bearing and heading from the pose.
     """
 
     driver: str

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import msgspec
 from msgspec import structs
@@ -19,7 +19,14 @@ from msgspec import structs
 from swarmd.core.errors import ConfigError
 from swarmd.core.files import user_path
 from swarmd.core.keys import check_id
-from swarmd.core.values import OPTION_INPUTS, Platform, Value, sensor_names
+from swarmd.core.values import (
+    OPTION_INPUTS,
+    PLACES_BY_POSE,
+    PLACES_BY_SIGHT,
+    Platform,
+    Value,
+    sensor_names,
+)
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
@@ -96,8 +103,7 @@ def load_daemon_settings(
     configured_recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config)
     recordings = configured_recordings or state_dir / file.swarm / robot / "recordings"
     options = _driver_options(platform, file)
-    # The options of the driver add inputs, such as the readings of topics.
-    platform = replace(platform, provides=platform.provides | _inputs_of(options))
+    platform = with_options(platform, options)
     return DaemonSettings(
         id=robot,
         file=file,
@@ -164,23 +170,40 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
     return options.data
 
 
+def with_options(platform: Platform, options: Mapping[str, Value]) -> Platform:
+    """The platform with all inputs that a robot whose driver has these options gives to patterns.
+
+    With a pose in a shared frame the robot computes the places of its peers.
+    """
+    provides = platform.provides | _inputs_of(options)
+    return replace(
+        platform, provides=provides | ({*PLACES_BY_POSE} if "pose" in provides else set())
+    )
+
+
 def _inputs_of(options: Mapping[str, Value]) -> set[str]:
     """The inputs for patterns that a driver with these options adds to those of the platform.
 
     An entry of `readings` with a list of topics, or with a `count`, gives several sensors.
     """
-    readings = options.get("readings")
     inputs = {name for name in OPTION_INPUTS if options.get(name)}
     if options.get("shared_pose"):
         inputs.add("pose")
-    for name, entry in readings.items() if isinstance(readings, dict) else ():
-        reading = entry if isinstance(entry, dict) else {}
+    if any("robots" in camera for _, camera in _entries_of(options, "detections")):
+        inputs |= PLACES_BY_SIGHT
+    for name, reading in _entries_of(options, "readings"):
         topic, count = reading.get("topic"), reading.get("count")
         sensors = len(topic) if isinstance(topic, list) else 0
         if isinstance(count, int):
             sensors = count * max(sensors, 1)
         inputs |= {f"reading:{sensor}" for sensor in sensor_names(name, sensors)}
     return inputs
+
+
+def _entries_of(options: Mapping[str, Value], option: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    entries = options.get(option)
+    for name, entry in entries.items() if isinstance(entries, dict) else ():
+        yield name, entry if isinstance(entry, dict) else {}
 
 
 def state_folder(environ: Mapping[str, str]) -> Path:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from swarmd.cli import preflight
 from swarmd.cli.effective_config import effective_config
 from swarmd.cli.preflight import (
     _check_commands,
@@ -164,6 +165,22 @@ def test_touch_zones_are_compared_with_what_patterns_ask_for(tmp_path: Path) -> 
     assert "20 deg" in granted.text
     assert not unknown.is_well
     assert "'push'" in unknown.text
+
+
+def test_a_driver_with_a_pose_makes_patterns_of_neighbors_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    needs = {"lloyd_coverage": ["neighbors.bearing", "scan"], "foraging": ["gripper"]}
+    described = [
+        {"name": name, "needs": given, "missing": given, "refused": "", "params": []}
+        for name, given in needs.items()
+    ]
+    monkeypatch.setattr(preflight, "describe_patterns", lambda *_: described)
+    posed: dict[str, Any] = {"driver": "ros2dds", "driver_options": {"shared_pose": "/pose"}}
+    for values, misfits in ((posed, "foraging"), ({}, "lloyd_coverage, foraging")):
+        found = check_patterns(settings_of(tmp_path, **values))
+        (text,) = (one.text for one in found if one.subject == "patterns")
+        assert text.partition("not for this platform: ")[2].partition(";")[0] == misfits
 
 
 @pytest.mark.integration

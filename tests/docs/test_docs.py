@@ -348,6 +348,23 @@ def test_names_of_the_library_are_there() -> None:
     assert wrong == []
 
 
+@pytest.mark.parametrize(
+    ("pattern", "where"),
+    [
+        ("dispersion", "all 11"),
+        ("vicsek_alignment", "with a shared frame: all 11"),
+        ("phototaxis", "epuck2"),
+        ("shelter_choice", "in simulation alone: no platform has `reading:ground`"),
+        ("foraging", "gripper"),
+    ],
+)
+def test_the_list_of_patterns_says_on_which_platforms_each_runs(pattern: str, where: str) -> None:
+    text = (ROOT / "patterns/README.md").read_text().partition("runs_on`, from")[2]
+    text = text.partition("<!-- end of")[0]
+    (row,) = re.findall(rf"^\| `{pattern}` \| (.*) \|$", text, re.MULTILINE)
+    assert where in row
+
+
 def test_the_readme_shows_the_verbs_of_every_day() -> None:
     shown = {words[0] for words in commands(ROOT / "README.md")}
     assert {"members", "run", "stop", "estop", "reset", "describe", "demo", "sim", "exp"} <= shown

@@ -161,13 +161,27 @@ def test_lists_of_many_members_are_cut_into_datagrams_that_fit() -> None:
 def test_a_place_has_at_most_sixty_bytes_and_is_read_back() -> None:
     place = datagram.Place(
         robot="tb3-01", instance=b"abcdef", sent=10**9, age=105, frame="mocap", x=-3_500,
-        y=12_000, error=51,
+        y=12_000, error=51, heading=-3_142,
     )  # fmt: skip
     payload = pack(TAG, place)
     assert 40 <= len(payload) <= 60
     assert unpack(TAG, payload) == place
     head = ("r1", b"abcdef", 1, 1)
     assert unpack(TAG, body(Kind.PLACE, *head, "map", 0, 0, 0)) is not None
-    for wrong in (("", 0, 0, 0), ("map", 2**40, 0, 0), ("map", 0.5, 0, 0), ("map", 0, 0, -1)):
+    for wrong in (("", 0, 0, 0), ("map", 2**40, 0, 0), ("map", 0.5, 0, 0), ("map", 0, 0, -1),
+                  ("map", 0, 0, 0, 3_143), ("map", 0, 0, 0, 0.5)):  # fmt: skip
         with pytest.raises(CodecError):
             unpack(TAG, body(Kind.PLACE, *head, *wrong))
+
+
+def test_places_without_and_with_a_heading_are_read_by_both_versions() -> None:
+    head = ("r1", b"abcdef", 1, 1)
+    older = unpack(TAG, body(Kind.PLACE, *head, "map", 0, 0, 0))
+    assert isinstance(older, datagram.Place)
+    assert older.heading is None
+    newer = datagram.Place(
+        robot="r1", instance=b"abcdef", sent=1, age=1, frame="map", x=2, y=3, error=4, heading=500
+    )
+    fields = msgspec.msgpack.decode(pack(TAG, newer)[15:])  # behind the head
+    # A version without headings reads the first eight fields, in this order, and ignores the rest.
+    assert fields == ["r1", b"abcdef", 1, 1, "map", 2, 3, 4, 500]

@@ -542,6 +542,7 @@ def test_a_place_arrives_with_its_error_and_with_the_delay_on_the_way() -> None:
     (told,) = effects.places
     assert (told.robot, told.frame) == ("r1", "mocap")
     assert math.hypot(told.x - 1.2345, told.y + 2.0) + 0.05 <= told.error <= 0.052
+    assert told.heading == pytest.approx(0.5, abs=5e-4)
 
 
 def test_places_of_strangers_and_of_the_own_id_are_ignored() -> None:

@@ -138,6 +138,22 @@ def test_patterns_may_need_what_a_driver_reads(folder: Path) -> None:
     assert "reading:temperature" in load(text).platform.provides
 
 
+def test_patterns_may_need_places_of_peers_from_shared_poses_or_detected_tags(
+    folder: Path,
+) -> None:
+    distance, bearing, heading = (f"neighbors.{one}" for one in ("distance", "bearing", "heading"))
+    posed = load("driver: ros2dds\ndriver_options: {shared_pose: /pose}").platform.provides
+    assert posed >= {"pose", distance, bearing, heading}
+    camera = "{topic: /tags, type: apriltag_msgs/AprilTagDetectionArray, robots: {'7': r2}}"
+    seen = load(f"driver: ros2dds\ndriver_options: {{detections: {{front: {camera}}}}}")
+    assert seen.platform.provides >= {"detections", distance, bearing}
+    assert heading not in seen.platform.provides
+    assert not load("driver: ros2dds").platform.provides & {distance, bearing, heading}
+    typed = "extends: burger\nprovides: [scan, odometry, pose]"  # as of a drone
+    (folder / "mine.yaml").write_text(typed)
+    assert load("id: r1\nplatform: mine.yaml").platform.provides >= {distance, bearing, heading}
+
+
 def test_patterns_may_need_each_sensor_of_an_entry_and_their_mean(folder: Path) -> None:
     array = "{topic: x, type: std_msgs/Float32MultiArray, field: data.*, count: 2}"
     topics = "{topic: [a, b, c], type: std_msgs/Float32}"

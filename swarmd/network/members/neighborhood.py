@@ -8,20 +8,19 @@ robot at the limit into a neighbor and back with each measurement.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from msgspec import structs
 
-from swarmd.core.values import Neighbor, PeerPlace, SharedPose
+from swarmd.core.neighbor_places import NeighborPlaces
+from swarmd.core.values import Neighbor
 from swarmd.network.members.neighbor_settings import NeighborSettings
 
 # Hysteresis: a neighbor stays a neighbor up to RANGE_MARGIN times the range, and down to these
 # margins below the limits of quality (share of beacons) and of signal (dB).
 RANGE_MARGIN = 1.1
 QUALITY_MARGIN, SIGNAL_MARGIN = 0.2, 6.0
-PLACE_TIMEOUT = 1.0  # s after which the place of a peer is too old
 
 
 class Link(NamedTuple):
@@ -36,22 +35,8 @@ class Neighborhood:
 
     def __init__(self, settings: NeighborSettings) -> None:
         self.settings = settings
-        self._own: SharedPose | None = None
-        self._places: dict[str, tuple[float, float]] = {}  # distance in m, and until when it counts
+        self.places = NeighborPlaces()  # by own and peers' poses, which the caller hands to it
         self._ids: frozenset[str] = frozenset()
-
-    def on_pose(self, pose: SharedPose) -> None:
-        """Take the own pose in a shared frame; an invalid pose is ignored."""
-        if pose.is_valid:
-            self._own = pose
-
-    def on_place(self, place: PeerPlace, now: float) -> None:
-        """Take the place that a peer reports; ignored without an own pose in the same frame."""
-        if self._own is None or place.frame != self._own.frame:
-            return
-        own = self._own.pose
-        distance = math.hypot(place.x - own.x, place.y - own.y)
-        self._places[place.robot] = distance, now - place.age + PLACE_TIMEOUT
 
     def select(
         self,
@@ -69,22 +54,19 @@ class Neighborhood:
         """
         if self.settings.neighborhood == "all":
             return tuple(candidates)
-        is_near = [self._is_near(candidate, now, links or {}) for candidate in candidates]
+        placed = self.places.complete(tuple(candidates), now)
+        is_near = [self._is_near(candidate, links or {}) for candidate in placed]
         marked = [
             candidate if near else structs.replace(candidate, in_reach=False)
             for candidate, near in zip(candidates, is_near, strict=True)
         ]
         self._ids = frozenset(neighbor.id for neighbor in marked if neighbor.in_reach)
-        self._places = {robot: place for robot, place in self._places.items() if now <= place[1]}
         return tuple(marked)
 
-    def _is_near(self, candidate: Neighbor, now: float, links: Mapping[str, Link]) -> bool:
+    def _is_near(self, candidate: Neighbor, links: Mapping[str, Link]) -> bool:
         was_near = candidate.id in self._ids
         if self.settings.neighborhood == "range":
-            distance = candidate.distance
-            if distance is None:
-                distance = self._reported_distance(candidate.id, now)
-            limit = self.settings.range or 0.0
+            distance, limit = candidate.distance, self.settings.range or 0.0
             return distance is not None and distance <= limit * (RANGE_MARGIN if was_near else 1.0)
         link, signal = links.get(candidate.id), self.settings.signal
         if link is None:
@@ -96,8 +78,3 @@ class Neighborhood:
         )
         least = self.settings.quality - (QUALITY_MARGIN if was_near else 0.0)
         return is_strong and link.quality >= least
-
-    def _reported_distance(self, robot: str, now: float) -> float | None:
-        """The distance in m to the place that a robot reported; None if unknown or too old."""
-        distance, until = self._places.get(robot, (math.inf, -math.inf))
-        return distance if now <= until else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from swarmd.core.angles import wrap
 from swarmd.core.arrival_delay import ArrivalDelay
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.datagram import Place
@@ -36,6 +37,7 @@ class PeerPlaces:
             x=round(1000.0 * pose.pose.x),
             y=round(1000.0 * pose.pose.y),
             error=math.ceil(1000.0 * pose.error) + 1,  # mm; 1 mm covers the rounding of x and y
+            heading=round(1000.0 * wrap(pose.pose.yaw)),
         )
 
     def take(self, place: Place, now: float) -> PeerPlace | None:
@@ -53,4 +55,5 @@ class PeerPlaces:
         x, y = place.x / 1000.0, place.y / 1000.0
         error = place.error / 1000.0
         age = place.age / 1000.0 + delay_s + FASTEST_DATAGRAM
-        return PeerPlace(place.robot, place.frame, x, y, error, age)
+        heading = None if place.heading is None else place.heading / 1000.0
+        return PeerPlace(place.robot, place.frame, x, y, error, age, heading)

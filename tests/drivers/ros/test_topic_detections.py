@@ -155,6 +155,14 @@ def test_the_place_of_the_camera_counts(topics: Topics) -> None:
     assert found == [Detection("door", round(bearing, 6), round(distance, 6), "5")]
 
 
+def test_a_tag_of_the_table_is_the_robot_that_carries_it(topics: Topics) -> None:
+    camera: dict[str, Value] = {**TAGS, "robots": {"5": "tb3-02"}}
+    found = told(
+        topics.options(one=camera), {"one": topics.tags((5, 320.0, 32.0), (6, 320.0, 32.0))}
+    )
+    assert found == [Detection("robot", 0.0, 1.0, "tb3-02"), Detection("36h11", 0.0, 1.0, "6")]
+
+
 def test_a_box_of_an_image_has_a_distance_if_its_height_is_known(topics: Topics) -> None:
     payload = topics.boxes("person", 640.0, 16.0)
     found = told(topics.options(one=BOXES), {"one": payload})

@@ -219,7 +219,10 @@ def test_a_base_that_moves_sideways_has_a_third_action() -> None:
         (lambda: make(reward={"no_such_metric": 1.0}), "no metric"),
         (lambda: make(reward={"gather_time": 1.0}), "no value at an instant"),
         (lambda: make(agents="tb4"), "agents: "),
-        (lambda: make(spec=PolicySpec((ReadingPart("light"),))), "reading:light, which tb3-01"),
+        (
+            lambda: make(spec=PolicySpec((ReadingPart("light"),))),
+            "tb3-01: spec needs reading:light",
+        ),
         (lambda: swarmd.env("drive"), "reward: scenario drive"),
         (lambda: make().step({}), "call reset first"),
         (lambda: make(seed=-1), "-1 is no seed"),

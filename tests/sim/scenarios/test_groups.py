@@ -34,8 +34,9 @@ def test_a_platform_gets_the_sensors_of_the_scenario(load: Load) -> None:
     robot = load().robots["red-01"]
     assert robot.limits == load_platform("burger").limits
     assert robot.provides == {"scan", "odometry", "neighbors", "reading:light"}
-    near = load({"radio": {"range_and_bearing": True}}).robots["red-01"].provides
-    assert near >= {"neighbors.distance", "neighbors.bearing", "neighbors.heading"}
+    for radio in ({"range_and_bearing": True}, {"places": "shared"}):
+        near = load({"radio": radio}).robots["red-01"].provides
+        assert near >= {"neighbors.distance", "neighbors.bearing", "neighbors.heading"}
 
 
 def test_values_of_a_platform_can_be_changed_for_one_scenario(load: Load) -> None:

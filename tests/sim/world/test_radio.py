@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -194,6 +195,47 @@ def test_bearings_noise_has_the_stated_size() -> None:
     assert np.std([n.heading or 0.0 for n in many]) == pytest.approx(math.radians(2), rel=accuracy)
 
 
+def posed(poses: Array, seconds: float = 0.0, **values: Any) -> Iterator[tuple[float, Neighbor]]:
+    """The time and robot r-1 as r-0 knows it, ten times a second, of a swarm that stands."""
+    air = radio(len(poses), places="shared", **values)
+    for tick in range(round(10.0 * seconds) + 1):
+        air.measure_poses(range(len(poses)), poses, 0.1 * tick)
+        yield 0.1 * tick, air.neighbors(0, poses, now=0.1 * tick)[0]
+
+
+def test_places_by_shared_poses_have_the_noise_of_two_poses() -> None:
+    # r-0 looks along +y, and r-1 is 3 m to its left and looks back along +x.
+    poses = np.array([[1.0, 1.0, math.pi / 2.0], [-2.0, 1.0, 0.0]])
+    known = [near for _, near in posed(poses, 400.0) if near.distance is not None]
+    assert np.mean([n.distance or 0.0 for n in known]) == pytest.approx(3.0, abs=0.003)
+    assert np.std([n.distance or 0.0 for n in known]) == pytest.approx(0.02 * 2**0.5, rel=0.07)
+    assert np.mean([n.bearing or 0.0 for n in known]) == pytest.approx(math.pi / 2.0, abs=0.004)
+    yaw_sd = math.radians(2.0)
+    across = math.hypot(yaw_sd, 0.02 * 2**0.5 / 3.0)
+    assert np.std([n.bearing or 0.0 for n in known]) == pytest.approx(across, rel=0.07)
+    assert np.mean([n.heading or 0.0 for n in known]) == pytest.approx(-math.pi / 2.0, abs=0.005)
+    assert np.std([n.heading or 0.0 for n in known]) == pytest.approx(yaw_sd * 2**0.5, rel=0.07)
+    assert known[0].error == pytest.approx(2 * 0.06 + math.radians(6.0) * 3.0, rel=0.05)
+
+
+def test_places_by_shared_poses_have_gaps_of_half_a_second_in_five() -> None:
+    poses = np.zeros((2, 3))
+    poses[1, 0] = 2.0
+    ages = np.array([near.age for _, near in posed(poses, 100.0)])
+    assert ages.max() == pytest.approx(0.5)
+    # Each of the two robots has no new pose in a tenth of the time.
+    assert 0.1 <= np.mean(ages > 0.05) <= 0.2
+
+
+def test_places_of_robots_that_never_measured_their_pose_are_not_known() -> None:
+    air, poses = radio(3, places="shared"), np.zeros((3, 3))
+    for tick in range(6):  # longer than a gap
+        air.measure_poses([0, 2], poses, 0.1 * tick)
+    one, two = air.neighbors(0, poses, now=0.5)
+    assert (one.id, one.distance, two.distance is None) == ("r-1", None, False)
+    assert air.neighbors(0, poses, now=2.0)[1].distance is None  # too old
+
+
 def test_bearings_stay_within_half_a_turn_and_distances_above_zero() -> None:
     air = radio(2, range_and_bearing=True)
     poses = np.array([[0.0, 0.0, 9.0], [-0.01, 0.0, 9.0 + math.pi]])
@@ -211,6 +253,7 @@ def test_bearings_stay_within_half_a_turn_and_distances_above_zero() -> None:
     ("values", "key"),
     [
         ({"neighborhood": "range"}, "radio.range"),
+        ({"places": "shared", "range_and_bearing": True}, "radio.places"),
         ({"range": 5.0}, "radio.range"),
         ({"delay": 0.1, "jitter": 0.2}, "radio.jitter"),
     ],
