@@ -31,7 +31,7 @@ def check_time(name: str, value: T) -> T:
         raise ConfigError(
             f"{name} is {value!r}; expected a number of seconds above 0, at most {MAX_TIME:.0e}"
         )
-    return plain if plain is None else float(plain)  # type: ignore[no-any-return]  # numpy's too
+    return plain if plain is None else float(plain)  # type: ignore[return-value]  # mypy: a union
 
 
 def check_words(words: Words, what: str) -> tuple[str, ...]:
