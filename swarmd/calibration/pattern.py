@@ -237,7 +237,7 @@ class Calibration(Pattern[CalibrationParams]):
                 headings.append((arrival, guess.yaw + error))
         scan_delay, turn_scale = self._of_turns(headings, track)
         sweep = None
-        if self._spec.measures_sweep:
+        if self._spec.is_sweep_unknown:
             sweep = yield from self._sweep(seen, scan_delay, turn_scale, track)
         self._finish(stops, scales, scan_delay, turn_scale)
         if sweep is not None:

@@ -95,7 +95,7 @@ def settings(
         chosen.append(Setting("scan.latency", value, scan_delay.assumed, text, is_safe))
     if sweep is not None and sweep.value:
         text = f"measured in {sweep.samples} scans"
-        chosen.append(Setting("scan.sweep", sweep.value, "measured", text, True))
+        chosen.append(Setting("scan.sweep", sweep.value, "unknown", text, True))
 
     # 3. The margin of protection.
     if margin.is_measured and margin.value > margin.assumed:

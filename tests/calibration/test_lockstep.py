@@ -132,7 +132,7 @@ def test_a_sweep_that_the_platform_does_not_know_is_found_and_written(tmp_path: 
     """The lidar of a Burger turns clockwise once in 0.2 s, and its last ray lies at -1 degree."""
     sim = simulated(realism=NOISE)
     own = sim._platforms[0]
-    scan = replace(own.scan, sweep=None, measures_sweep=True)
+    scan = replace(own.scan, sweep=None, is_sweep_unknown=True)
     sim._platforms[0] = replace(own, scan=scan)
     report = calibrated(sim)
     delay = Figure.parse(report["scan_delay"])

@@ -78,11 +78,11 @@ def test_what_is_less_careful_is_left_to_the_user(tmp_path: Path) -> None:
 def test_measured_sweep_is_written(
     tmp_path: Path, found: SweepFigure, sweep: Sweep | None, is_unknown: bool
 ) -> None:
-    (tmp_path / "open.yaml").write_text("description: x\nextends: burger\nscan: {sweep: measured}\n")
+    (tmp_path / "open.yaml").write_text("description: x\nextends: burger\nscan: {sweep: unknown}\n")
     text = platform_file("r01", "./open.yaml", "2026-01-01", GOOD, settings(GOOD, DROVE, found))
     (tmp_path / "mine.yaml").write_text(text)
     scan = load_platform(str(tmp_path / "mine.yaml")).scan
-    assert (scan.sweep, scan.measures_sweep) == (sweep, is_unknown)
+    assert (scan.sweep, scan.is_sweep_unknown) == (sweep, is_unknown)
 
 
 def test_what_is_more_careful_is_set(tmp_path: Path) -> None:
