@@ -47,8 +47,8 @@ def scan_of(
 ) -> Scan:
     """The scan of a LaserScan, with bearings in the base frame.
 
-    The scan has ages of its rays only if the robot measures the sweep (`spec.measures_sweep`), and
-    if the message gives a possible `time_increment`. Otherwise the platform's `scan.sweep` gives
+    The scan has ages of its rays only if its sweep is unknown (`spec.is_sweep_unknown`), and if the
+    message gives a possible `time_increment`. Otherwise the platform's `scan.sweep` gives
     the ages. Raises CodecError for more than MAX_RAYS rays, and if the angles span more than one
     turn.
 
@@ -72,8 +72,8 @@ def scan_of(
     # `time_increment` is not reliable: both drivers of TurtleBot3's lidars, rplidar_ros and
     # sllidar_ros2 give a positive value for rays in falling order of time, and hls_lfcd_lds_driver
     # gives a value 18 times too short. So the platform's `scan.sweep` is used where it is declared,
-    # and a robot that measures the sweep takes from these ages only the duration of a scan.
-    ages = _ages(message.time_increment, count, 1.0 / spec.rate) if spec.measures_sweep else None
+    # and a robot that does not know its sweep takes from these ages only the duration of a scan.
+    ages = _ages(message.time_increment, count, 1.0 / spec.rate) if spec.is_sweep_unknown else None
     stamp = stamp_of(message.header.stamp)
     return Scan(seq, stamp, ranges, bearings, spec.range_min, spec.range_max, ages)
 
@@ -118,11 +118,11 @@ def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: boo
         message_text = f"time_increment of {step:g} s is impossible at {spec.rate:g} Hz"
     is_good = claim is not None or step == 0.0  # 0: the driver does not say
     sweep = spec.sweep
-    if spec.measures_sweep:
+    if spec.is_sweep_unknown:
         doubt = "" if claim is None else ", but many drivers reverse their rays"
         text = (
-            f"direction not known: {message_text}{doubt}; the robot measures it while it turns, and"
-            " each ray counts as old as the oldest until then; or give the platform's scan.sweep"
+            f"direction not known: {message_text}{doubt}; each ray counts as old as the"
+            " oldest: give the platform's scan.sweep, which `swarmctl calibrate` measures"
         )
         return Finding("scan sweep", is_good, text, is_measured=False)
     if sweep is None:

@@ -158,7 +158,7 @@ def configured(platform: Platform, realism: Realism) -> Platform:
         platform.scan,
         is_noisy=platform.scan.is_noisy and lidar.differs_each_time,
         sweep=platform.scan.sweep if lidar.rolling else None,
-        measures_sweep=False,
+        is_sweep_unknown=False,
     )
     ring = platform.ranges
     if ring is not None:

@@ -306,7 +306,7 @@ class World:
         spec = self.platforms[robot].scan
         seq = self._seq[robot]
         self._seq[robot] += 1
-        is_rolling = spec.sweep is not None or spec.measures_sweep  # by the platform
+        is_rolling = spec.sweep is not None or spec.is_sweep_unknown  # by the platform
         if ages is None and is_rolling:
             ages = self._at_once[robot]
         return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max, ages)

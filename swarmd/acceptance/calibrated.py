@@ -98,25 +98,31 @@ def scan_delay(calibrated: str) -> Judge:
     return judge
 
 
-def ages(evidence: Evidence) -> Verdict:
-    """Whether the rays of a scan are as old as its stamp says, by the turns of a calibration."""
-    status, bound = evidence.status, _AGE_SHARE / evidence.platform.scan.rate
-    summary = None if status is None else status.scan_delay
-    figures = {one.method: one for one in summary.figures} if summary is not None else {}
-    delays = [one.delay for one in figures.values() if one.delay is not None]
-    if len(delays) < 2:
-        lacking = "; ".join(one.text for one in figures.values() if one.delay is None)
-        return not_shown(f"stamps and turns do not both give a delay: {lacking or 'no figures'}")
-    apart = max(delays) - min(delays)
-    figure = ", ".join(f"{one.delay:.3f} s by {name}" for name, one in figures.items())
-    if apart > bound:
-        return failed(
+def ages(calibrated: str) -> Judge:
+    """A judge of the stamps of scans: rays are as old as the turns of a calibration show."""
+
+    def judge(evidence: Evidence) -> Verdict:
+        bound = _AGE_SHARE / evidence.platform.scan.rate
+        summary = None if evidence.status is None else evidence.status.scan_delay
+        figures = () if summary is None else summary.figures
+        by_stamps = next((one for one in figures if one.method == "stamps"), None)
+        if by_stamps is None or by_stamps.delay is None:
+            why = "no figure" if by_stamps is None else by_stamps.text
+            return not_shown(f"stamps give no delay: {why}")
+        stamped = by_stamps.delay
+
+        def result(figure: Figure) -> Result:
+            apart = abs(figure.value - stamped)
+            return Result.FAIL if apart > bound else Result.PASS
+
+        cause = (
             "rays are not as old as their stamp says: two lidars are joined into one scan of parts"
-            " that differ in age, or the stamp is not that of the oldest ray",
-            figure,
-            f"{bound:.3f} s apart",
+            " that differ in age, or the stamp is not that of the oldest ray"
         )
-    return passed("rays are as old as their stamp says", figure, f"{bound:.3f} s apart")
+        text = f"{stamped:.3f} s by stamps, +- {bound:.3f} s"
+        return _figures(calibrated, ("scan_delay",), result, cause, text)(evidence)
+
+    return judge
 
 
 def low_speed(speed: float, seconds: float) -> Judge:

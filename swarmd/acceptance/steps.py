@@ -423,7 +423,7 @@ def _part_c(platform: Platform) -> tuple[Step, ...]:
             "C10",
             "age of rays",
             "Protection moves each ray by the way since its measurement.",
-            calibrated.ages,
+            calibrated.ages("C2"),
             **figures,
         ),
     )

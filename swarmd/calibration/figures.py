@@ -57,6 +57,28 @@ class Figure(NamedTuple):
         return cls(float(value), float(spread), int(samples), float(assumed))
 
 
+class SweepFigure(NamedTuple):
+    """The measured order of a sensor's rays, or the reason why it could not be measured."""
+
+    value: str = ""  # of `scan.sweep` of a platform file, as YAML; empty: not measured
+    samples: int = 0  # scans
+    why: str = ""
+
+    @property
+    def text(self) -> str:
+        """The figure as a text of a report; `parse` reads this text."""
+        return f"{self.samples} {self.value or self.why}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """The figure in a text of `text`; ValueError if the text is no figure."""
+        samples, _, words = text.partition(" ")
+        return cls(words, int(samples)) if int(samples) else cls(why=words)
+
+
+SWEEP = "sweep"
+"""The name of the `SweepFigure` in a report, which only a platform with an unknown sweep gets."""
+
 AXES = ("linear", "angular", "lateral")
 """The fields of a Twist that drives measure; lateral only for a base that moves sideways."""
 NAMES: Mapping[str, tuple[str, str]] = {

@@ -20,6 +20,7 @@ from swarmd.calibration.estimators import (
 )
 from swarmd.calibration.figures import AXES, Figure
 from swarmd.calibration.floor import needed_floor, tolerance, top_speeds, travel
+from swarmd.calibration.ray_order import RayOrder
 from swarmd.calibration.scan_matching import Located, Reference, points_of
 from swarmd.core.values import ZERO, Array, Inputs, Outputs, Pose, Scalar, Scan, Twist
 from swarmd.kit.behavior import Context, Pattern
@@ -223,21 +224,50 @@ class Calibration(Pattern[CalibrationParams]):
             stops[axis], scales[axis] = [], []
             yield from self._stops(axis, stops[axis], scales[axis])
         self._step_name = "swings"
-        arrivals, seen, track = yield from self._swing()
+        seen, track = yield from self._swing()
         self._step_name = "matches scans"
         headings: list[tuple[float, float]] = []
-        for arrival, points in zip(arrivals, seen, strict=True):
+        for arrival, scan in seen:
             yield ZERO  # only one scan is matched in each step, to keep the step short
+            points = points_of(scan, self._spec.offset)
             guess = self._relative(self._pose_at(arrival - self._spec.latency - self._late))
             located = self._locate(points, guess, _mirrored(guess))
             if located is not None and located.binds_yaw:
                 error = math.remainder(located.pose.yaw - guess.yaw, 2.0 * math.pi)
                 headings.append((arrival, guess.yaw + error))
-        self._finish(stops, scales, headings, track)
+        scan_delay, turn_scale = self._of_turns(headings, track)
+        sweep = None
+        if self._spec.is_sweep_unknown:
+            sweep = yield from self._sweep(seen, scan_delay, turn_scale, track)
+        self._finish(stops, scales, scan_delay, turn_scale)
+        if sweep is not None:
+            self._report[figures.SWEEP] = sweep.text
+
+    def _sweep(
+        self,
+        seen: Sequence[tuple[float, Scan]],
+        scan_delay: Figure,
+        turn_scale: Figure,
+        track: Array,
+    ) -> Generator[Twist, Inputs, figures.SweepFigure]:
+        """The order of the rays by the scans of the turns; compares one scan in each step.
+
+        `seen`: arrival in s and scan. `scan_delay`, `turn_scale`: see `_of_turns`. `track`: (n, 4)
+        odometry: s, x, y, yaw.
+        """
+        if not scan_delay.is_measured:
+            return figures.SweepFigure(why=f"no scan delay: {scan_delay.why}")
+        yaws = (track[:, 3] - self._start.yaw) / turn_scale.value
+        headings = np.column_stack((track[:, 0], yaws))
+        order = RayOrder(self._looks, self._spec.offset, 1.0 / self._spec.rate, headings)
+        for arrival, scan in seen:
+            yield ZERO
+            order.add(scan, arrival - scan_delay.value)
+        return order.figure()
 
     def _look(self) -> _Drives:
         """Take scans of the floor and check it, before the robot moves."""
-        looks: list[Array] = []
+        looks: list[Scan] = []
         arrivals: list[tuple[float, float]] = []
         begin, count = None, 0
         while len(looks) < _LOOKS:
@@ -245,7 +275,7 @@ class Calibration(Pattern[CalibrationParams]):
             begin = self._now if begin is None else begin
             if self._scan_count != count and self._scan is not None:
                 count = self._scan_count
-                looks.append(points_of(self._scan, self._spec.offset))
+                looks.append(self._scan)
                 arrivals.append((self._scan_at, self._scan.stamp))
             if self._now - begin > _LOOK_TIME:
                 what = "odometry" if looks else "scans"
@@ -255,10 +285,11 @@ class Calibration(Pattern[CalibrationParams]):
         self._check_size(arrivals, self._scan)
         _, x, y, yaw = self._odometry[-1]
         self._start = Pose(x, y, yaw)
-        for points in looks:
-            self._check_floor(points, Pose())
-        whole = np.concatenate(looks)
-        self._reference = Reference(looks) if len(whole) else None
+        self._looks = looks
+        points = [points_of(look, self._spec.offset) for look in looks]
+        for of_look in points:
+            self._check_floor(of_look, Pose())
+        self._reference = Reference(points) if any(map(len, points)) else None
 
     def _check_size(self, arrivals: list[tuple[float, float]], scan: Scan | None) -> None:
         """End if the floor is too small for the scan delay that the stamps show."""
@@ -483,25 +514,23 @@ class Calibration(Pattern[CalibrationParams]):
             )
         return math.hypot(*way), distance
 
-    def _swing(self) -> Generator[Twist, Inputs, tuple[list[float], list[Array], Array]]:
+    def _swing(self) -> Generator[Twist, Inputs, tuple[list[tuple[float, Scan]], Array]]:
         """Turn to and fro at a changing rate.
 
-        Returns the arrivals of the scans in s, the points of each scan, and odometry as `_track`.
+        Returns the arrival in s and each scan, and odometry as `_track`.
         """
         begin, last_scan = self._now, self._scan
-        arrivals: list[float] = []
-        points: list[Array] = []
+        seen: list[tuple[float, Scan]] = []
         top_rate = _SWING_SHARE * self._speeds["angular"]
         while self._now - begin < _SWINGS * _SWING_PERIOD:
             phase = 2.0 * math.pi * (self._now - begin) / _SWING_PERIOD
             yield Twist(angular=top_rate * math.sin(phase))
             if self._scan is not last_scan and self._scan is not None:
                 last_scan = self._scan
-                arrivals.append(self._scan_at)
-                points.append(points_of(last_scan, self._spec.offset))
+                seen.append((self._scan_at, last_scan))
         yield from self._stand()
         self._check_rest(self._rest())
-        return arrivals, points, self._track(begin - 2.0)
+        return seen, self._track(begin - 2.0)
 
     # Figures
 
@@ -509,16 +538,14 @@ class Calibration(Pattern[CalibrationParams]):
         self,
         stops: Mapping[str, Sequence[tuple[float, Braking]]],
         scales: Mapping[str, Sequence[_Distances]],
-        headings: Sequence[tuple[float, float]],
-        track: Array,
+        scan_delay: Figure,
+        turn_scale: Figure,
     ) -> None:
         """Compute all figures from the samples of the drives, and set the report.
 
         `stops`: by axis, pairs of commanded speed and stop. `scales`: by axis, pairs of distances
-        in m by odometry and by scans. `headings`: arrival in s and heading in rad of each matched
-        scan of the turns. `track`: (n, 4) odometry of the turns: s, x, y, yaw.
+        in m by odometry and by scans. `scan_delay`, `turn_scale`: see `_of_turns`.
         """
-        scan_delay, turn_scale = self._of_turns(headings, track)
         why = "what stands around does not show the way: too little of it, or a bare corridor"
         measured: dict[str, Figure] = {}
         for axis, pairs in stops.items():

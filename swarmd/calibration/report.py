@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from swarmd.calibration.figures import AXES, NAMES, Figure, names_of
-from swarmd.core.messages import DecisionSummary, SweepFigure
+from swarmd.calibration.figures import AXES, NAMES, SWEEP, Figure, SweepFigure, names_of
+from swarmd.core.messages import DecisionSummary
 
 # A limit is lowered if the base drives slower than commanded by more than this share.
 _SLOWER = 0.03
@@ -34,6 +34,11 @@ def figures_of(report: Mapping[str, object]) -> dict[str, Figure]:
     if missing:
         raise ValueError(f"the report has no {missing[0]}")
     return {name: Figure.parse(str(report[name])) for name in names}
+
+
+def sweep_of(report: Mapping[str, object]) -> SweepFigure | None:
+    """The order of the rays in a pattern's report; None if the platform declares it."""
+    return SweepFigure.parse(str(report[SWEEP])) if SWEEP in report else None
 
 
 def usable_report(
@@ -63,7 +68,7 @@ def settings(
 
     Values lie two standard deviations to the safe side. `drove`: the fastest commanded speeds in
     m/s and rad/s, in the order of AXES; lateral only for a base that moves sideways. `sweep`: the
-    measured order and duration of the rays of a scan; None if the present file declares the sweep.
+    measured order of the rays; None if the present file declares the sweep.
     """
     chosen = []
 
@@ -88,10 +93,9 @@ def settings(
         text = f"{_text(scan_delay)}, and 2 sd"
         is_safe = value >= scan_delay.assumed  # a longer latency makes the robot more careful
         chosen.append(Setting("scan.latency", value, scan_delay.assumed, text, is_safe))
-    if sweep is not None and sweep.direction:  # empty: the order is not known
-        text = f"measured in {sweep.samples} pairs of scans"
-        # "measured" for the present value: without the key the daemon measures the sweep itself.
-        chosen.append(Setting("scan.sweep", _sweep_yaml(sweep), "measured", text, True))
+    if sweep is not None and sweep.value:
+        text = f"measured in {sweep.samples} scans"
+        chosen.append(Setting("scan.sweep", sweep.value, "unknown", text, True))
 
     # 3. The margin of protection.
     if margin.is_measured and margin.value > margin.assumed:
@@ -101,16 +105,6 @@ def settings(
             Setting("protection.barrier.margin", _up(margin.value), margin.assumed, text, True)
         )
     return chosen
-
-
-def _sweep_yaml(sweep: SweepFigure) -> str:
-    """The value of `scan.sweep` as YAML; null if all rays are measured at one time."""
-    if not sweep.duration:
-        return "null"
-    return (
-        f"{{start_deg: {sweep.start_deg:g}, direction: {sweep.direction},"
-        f" duration: {sweep.duration:.3g}}}"
-    )
 
 
 def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:

@@ -22,7 +22,6 @@ from swarmd.acceptance.step import End, Step, Work
 from swarmd.acceptance.stops import LEASE
 from swarmd.acceptance.verdict import Verdict, not_shown
 from swarmd.calibration.figures import PATTERN
-from swarmd.calibration.report import figures_of
 from swarmd.cli.calibrate import platform_text
 from swarmd.cli.doctor import LISTEN_TIME, findings_of_robot
 from swarmd.client.ask_robots import ASK_TIME
@@ -352,11 +351,8 @@ class TestedRobot:
         status = self.status()
         if status is None:
             return unknown("platform file", "the robot does not answer")
-        report = verdicts["C2"].values
-        speeds = tuple(map(float, str(report["drove"]).split()))
-        text = platform_text(self.robot, status, figures_of(report), speeds)
         path = self._folder / f"{self.robot}.yaml"
-        path.write_text(text)
+        path.write_text(platform_text(self.robot, status, verdicts["C2"].values))
         return Finding("platform file", True, f"written: {path}")
 
 

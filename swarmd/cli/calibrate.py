@@ -347,19 +347,20 @@ def _show(
     `report`: the report of the calibration pattern after its drives. `write`: the file to write;
     None: the platform file is printed. Failure if another version of swarmd made the report.
     """
-    from swarmd.calibration.report import figures_of
+    from swarmd.calibration.report import figures_of, sweep_of
 
     try:
-        figures = figures_of(report)
-        fastest_speeds = tuple(map(float, str(report.get("drove")).split()))  # m/s, rad/s
+        figures, sweep = figures_of(report), sweep_of(report)
+        file_text = platform_text(robot, status, report)
     except ValueError as error:
         raise Failure(f"{robot} has another version of the calibration: {error}", FAILED) from None
-    file_text = platform_text(robot, status, figures, fastest_speeds)
     if options.is_json:
         figures_json = {name: _figure_json(figure) for name, figure in figures.items()}
         print_json("Calibration", {"robot": robot, "figures": figures_json, "file": file_text})
     else:
         _print_figures(figures)
+        if sweep is not None:
+            click.echo(f"scan.sweep: {sweep.value or f'not measured: {sweep.why}'}")
         if write is None:
             heading = "A platform file that follows (--write FILE writes it):"
             click.echo(f"\n{heading}\n\n{file_text}", nl=False)
@@ -368,16 +369,17 @@ def _show(
         warn(f"wrote {write}; use it as `platform: {write.name}` in the robot's file")
 
 
-def platform_text(
-    robot: str, status: Status, figures: Mapping[str, Figure], fastest_speeds: tuple[float, ...]
-) -> str:
-    """A platform file with the measured figures, which extends the present file of the robot."""
-    from swarmd.calibration.report import platform_file, settings
+def platform_text(robot: str, status: Status, report: Mapping[str, object]) -> str:
+    """A platform file with the figures of a report, which extends the present file of the robot.
+
+    ValueError if another version of swarmd made the report.
+    """
+    from swarmd.calibration.report import figures_of, platform_file, settings, sweep_of
     from swarmd.settings.platforms import platform_names
 
-    platform, delay = status.platform, status.scan_delay
-    sweep = None if delay is None else delay.sweep  # order and duration of the rays of a scan
-    new_values = settings(figures, fastest_speeds, sweep)
+    platform, figures = status.platform, figures_of(report)
+    fastest_speeds = tuple(map(float, str(report.get("drove")).split()))  # m/s, rad/s
+    new_values = settings(figures, fastest_speeds, sweep_of(report))
     extends = platform if platform in platform_names() else f"./{platform}.yaml"
     today = datetime.date.today().isoformat()
     return platform_file(robot, extends, today, figures, new_values)

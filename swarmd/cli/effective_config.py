@@ -77,7 +77,7 @@ def _scan(scan: ScanSpec) -> Mapping[str, Any]:
         "noisy": scan.is_noisy,
         "near": scan.near,
         "latency": scan.latency,
-        "sweep": "measured" if scan.measures_sweep else _sweep(scan.sweep),
+        "sweep": "unknown" if scan.is_sweep_unknown else _sweep(scan.sweep),
         "mask": [[round(math.degrees(edge), 6) for edge in sector] for sector in scan.mask],
     }
 

@@ -249,32 +249,6 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
         )
 
 
-class SweepFigure(Struct, frozen=True, kw_only=True):
-    """The order in which a sensor measures its rays, measured in `samples` pairs of scans.
-
-    - `direction`: `ccw` or `cw`: the sensor measures ray after ray counter-clockwise or clockwise.
-      `at once`: all rays have the same time. Empty: unknown, for the reason in `text`.
-    - `start_deg`: the bearing of the first ray. `duration`: of one revolution in s.
-    """
-
-    direction: Word = ""
-    start_deg: float = 0.0
-    duration: Seconds = 0.0
-    samples: Count = 0
-    text: Line = ""
-
-    @property
-    def line(self) -> str:
-        """The sweep with its samples in one line, or why the sweep is unknown."""
-        pairs = f"measured in {self.samples} pairs of scans"
-        if not self.direction:
-            return f"direction not known: {self.text}; returns are not de-skewed"
-        if not self.duration:
-            return f"all rays at once, {pairs}" if self.samples else "all rays at once, by driver"
-        way = f"{self.direction} from {self.start_deg:g} deg in {self.duration:.3g} s"
-        return f"{way}, {pairs}"
-
-
 class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.
 
@@ -282,14 +256,12 @@ class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     - `added`: the measured delay beyond `declared`. Protection assumes `declared` plus `added` as
       the delay of a scan.
     - `bound`: the robot is held while `added` exceeds this bound.
-    - `sweep`: None if the platform declares the sweep.
     """
 
     declared: Seconds
     added: Seconds
     bound: Seconds
     figures: tuple[DelayFigure, ...] = ()
-    sweep: SweepFigure | None = None
 
 
 class NarrowestPassage(Struct, frozen=True):

@@ -338,10 +338,10 @@ class ScanSpec:
     - `near`: a return nearer than `range_min` is `reported`, or `lost` as if nothing were there.
     - `latency`: mean age of the rays in s when a scan arrives.
     - `sweep`: the order in which a rotating sensor measures the rays of a turn. None if all rays
-      are measured at the same time, or if the robot finds the order itself (`measures_sweep`).
-    - `measures_sweep`: the robot finds the order of the rays itself, while it turns. Of the ages
-      that the driver gives the rays, it then uses only the duration of a scan, and whether all rays
-      are measured at the same time.
+      are measured at the same time, or if the order is not known (`is_sweep_unknown`).
+    - `is_sweep_unknown`: the order of the rays is not known. Of the ages that the driver gives the
+      rays, the robot then uses only the duration of a scan, and whether all rays are measured at
+      the same time.
     - `mask`: sectors in which the sensor sees its own robot, each from a bearing counter-clockwise
       to another one, in rad. Their rays are unknown.
     """
@@ -357,7 +357,7 @@ class ScanSpec:
     near: Literal["reported", "lost"] = "reported"
     latency: float = 0.0
     sweep: Sweep | None = None
-    measures_sweep: bool = False
+    is_sweep_unknown: bool = False
     cone: float = 0.0
     mask: tuple[tuple[float, float], ...] = ()
 

@@ -120,7 +120,7 @@ class Sensors(InputAges):
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self.scan_delay = ScanDelay(platform.scan)
         self._history = OdometryHistory(self.scan_delay)
-        self._deskewer = Deskewer(platform.scan, self._history, self.scan_delay.sweep)
+        self._deskewer = Deskewer(platform.scan, self._history)
         # The arrival times of scans, for the scan rate.
         self._scan_times: deque[float] = deque(maxlen=SCAN_TIMES)
 

@@ -111,11 +111,6 @@ class DelayByStamps:
         return is_set
 
     @cython.cfunc
-    def forget_scans(self) -> cython.int:
-        """Drop the ages of earlier scans."""
-        self._age_count = 0
-
-    @cython.cfunc
     def goes_back(self, stamp: cython.double, now: cython.double) -> cython.bint:
         """Take in the stamp of a scan; true if its clock was set back."""
         is_back: cython.bint = stamp < self._scan_stamp

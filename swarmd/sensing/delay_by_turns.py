@@ -17,7 +17,6 @@ import numpy as np
 from swarmd.core.messages import DelayFigure
 from swarmd.sensing.angles import TURN
 from swarmd.sensing.buffers import new_doubles, view_of
-from swarmd.sensing.measured_sweep import Headings
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -107,9 +106,8 @@ class DelayByTurns:
     at: cython.double  # when the last pair of scans was compared
     pairs: cython.Py_ssize_t  # of scans compared
     why: object  # text: why the delay is not known
-    pose: object  # the last one by odometry
+    _pose: object  # the last one by odometry
     # The headings kept: places `_first` to `_end` of the arrays.
-    _headings: object
     _times: cython.double[::1]
     _yaws: cython.double[::1]  # turned since the start, not wrapped
     _first: cython.Py_ssize_t
@@ -145,8 +143,7 @@ class DelayByTurns:
 
     def __init__(self):
         self.delay, self.why = NAN, "it has not turned at a changing rate yet"
-        self._headings = np.empty((2, 4 * _HISTORY))
-        self._times, self._yaws = map(memoryview, self._headings)
+        self._times, self._yaws = new_doubles(4 * _HISTORY), new_doubles(4 * _HISTORY)
         self._stamp = self._changed_at = -INFINITY
         self._relief = self._old_relief = new_doubles(0)
 
@@ -188,17 +185,12 @@ class DelayByTurns:
         self._stamp, self._has_last = -INFINITY, False
 
     @cython.cfunc
-    def headings(self):
-        """A copy of the headings kept."""
-        return Headings(*self._headings[:, self._first : self._end].copy())
-
-    @cython.cfunc
     def read(self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose):
         """Take in a reading of odometry: its heading, and whether the rate of turn changes."""
         self._mean_rate += _MEAN_WEIGHT * (rate - self._mean_rate)
         if fabs(rate - self._mean_rate) > _MIN_RATE_CHANGE:
             self._changed_at = stamp
-        self.pose = pose
+        self._pose = pose
         if stamp - self._stamp < _SPACING:
             return
         if self._end == 4 * _HISTORY:
@@ -248,7 +240,7 @@ class DelayByTurns:
         previous_y: cython.double = self._y
         self._store_ranges(scan)
         self._scan_at, self._has_last = arrival, True
-        self._x, self._y = self.pose.x, self.pose.y
+        self._x, self._y = self._pose.x, self._pose.y
         if is_first:
             return
         if arrival - previous_arrival > _MAX_SCAN_PERIOD or self._end == self._first:

@@ -21,7 +21,6 @@ import numpy as np
 from swarmd.core.values import Array, Scan, ScanSpec, Sweep
 from swarmd.sensing.angles import TURN
 from swarmd.sensing.buffers import view_of
-from swarmd.sensing.measured_sweep import MeasuredSweep
 from swarmd.sensing.odometry_history import OdometryHistory
 from swarmd.sensing.ray_motion import move_rays, rays_in_sector
 
@@ -89,12 +88,13 @@ class Deskewer:
     """De-skews the conditioned scans of one sensor. Times in s.
 
     The returned scan has the ages of its rays, and the age of its newest ray (`newest_age`). The
-    ages come from the first source that exists: the measured sweep (`measured`), the driver, the
-    platform's `sweep`. Rays are moved except in these cases:
+    ages come from the driver, or else from the platform's `sweep`. Rays are moved except in these
+    cases:
 
     - Without ages, the scan is returned unchanged.
-    - While `measured` does not know the order of the rays, the scan counts as measured at the time
-      of its mean ray. Each ray then has the greatest age against the mean ray that is possible.
+    - If the platform's sweep is unknown, the scan counts as measured at the time of its mean ray,
+      unless the driver gives all rays one age. Each ray then has the greatest age against the mean
+      ray that is possible: half of the scan period, or of the time that the driver gives a scan.
     - Without odometry that reaches back over the whole scan, rays have ages, but are not moved.
     - At rest, the scan keeps its bearings (the same object).
     """
@@ -102,7 +102,8 @@ class Deskewer:
     _sweep: object
     _latency: cython.double
     _stale_after: cython.double
-    _measured_sweep: object
+    _unknown_span: cython.double  # s, the scan period if the sweep is unknown, else 0
+    _bounds: object  # (n,) s: the ages of a scan whose sweep is unknown
     _history: OdometryHistory
     _limits: cython.double[::1]  # m: x, y of the sensor in the base frame, range_min, range_max
     _sector_args: cython.double[::1]  # rad: `sector` of `rays_in_sector`: start, direction, width
@@ -123,10 +124,9 @@ class Deskewer:
     _last_at: cython.double  # the time of its newest ray
     _filled_count: cython.Py_ssize_t  # its first rays, which are those of the scan before it
 
-    def __init__(
-        self, spec: ScanSpec, history: OdometryHistory, measured: MeasuredSweep | None = None
-    ) -> None:
-        self._sweep, self._measured_sweep = spec.sweep, measured
+    def __init__(self, spec: ScanSpec, history: OdometryHistory) -> None:
+        self._sweep, self._bounds = spec.sweep, np.empty(0)
+        self._unknown_span = 1.0 / spec.rate if spec.is_sweep_unknown else 0.0
         self._latency, self._stale_after = spec.latency, spec.stale_after
         self._history, self._last_at = history, -INFINITY
         self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
@@ -146,17 +146,13 @@ class Deskewer:
             odometry_age: s since the last reading arrived; None without a fresh reading.
             delay: s by which the scan is older than the platform's `latency` says.
         """
-        # 1. The ages of the rays: None if neither the measured sweep nor the driver gives them.
+        # 1. The ages of the rays: None if the driver does not give them.
         ages = scan.ages
-        if self._measured_sweep is not None:
-            ages = self._measured_sweep.ages(scan)
-            if self._measured_sweep.order is None:
-                # The order of the rays is not known: no ray is moved, and the platform's latency is
-                # the age of the mean ray, for which the whole scan counts.
-                scan = _scan_with(scan, scan.ranges, scan.bearings, ages, self._latency)
-                self._last_scan, self._last_at = scan, now - self._latency - delay
-                self._filled_count = 0
-                return scan
+        if self._unknown_span > 0.0 and not _are_at_once(ages):
+            # The order of the rays is not known: no ray is moved, and the platform's latency is the
+            # age of the mean ray, for which the whole scan counts.
+            bounds = self._bounds_of(len(scan.ranges), ages)
+            return _scan_with(scan, scan.ranges, scan.bearings, bounds, self._latency)
         if ages is None and self._sweep is None:
             return scan
         ranges, bearings = scan.ranges, scan.bearings
@@ -183,6 +179,20 @@ class Deskewer:
             self._filled_count = len(result.ranges) - len(ranges)
         self._last_scan, self._last_at = result, newest_at
         return result
+
+    @cython.cfunc
+    def _bounds_of(self, count: cython.Py_ssize_t, ages):
+        """(count,) half of the longest time that a scan may take; the same object if it is equal.
+
+        `ages`: as the driver gives them, from which only the time between first and last is taken.
+        """
+        longest: cython.double = self._unknown_span
+        if ages is not None:
+            longest = max(longest, ages.max(initial=0.0))
+        if len(self._bounds) != count or (count and self._bounds[0] != 0.5 * longest):
+            self._bounds = np.full(count, 0.5 * longest)
+            self._bounds.flags.writeable = False
+        return self._bounds
 
     @cython.cfunc
     def _set_rays(self, bearings, ages):
@@ -308,6 +318,12 @@ class Deskewer:
         for i in range(self._ages.shape[0]):
             ages[count + i] = self._ages[i]
         return count
+
+
+@cython.cfunc
+def _are_at_once(ages) -> cython.bint:
+    """True if the driver gives all rays one age; `ages` may be None."""
+    return ages is not None and len(ages) > 1 and ages.max() == 0.0
 
 
 # The latest objects: simulated robots of one kind share them, which saves memory.

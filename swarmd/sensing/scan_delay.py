@@ -8,22 +8,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msgspec.structs import replace
-
 from swarmd.core.messages import ScanDelaySummary
 from swarmd.core.values import Scan, ScanSpec
 from swarmd.sensing.delay_by_stamps import DelayByStamps
 from swarmd.sensing.delay_by_turns import DelayByTurns
-from swarmd.sensing.measured_sweep import MeasuredSweep
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, isnan
+    from cython.cimports.libc.math import INFINITY
 else:
-    from swarmd.core.cython_shadow import INFINITY, isnan
+    from swarmd.core.cython_shadow import INFINITY
 
 TOLERANCE = 0.01
 """Seconds: a smaller delay beyond the declared latency counts as 0, as clocks resolve no less."""
@@ -51,8 +48,6 @@ class ScanDelay:
     restarts = cython.declare(cython.Py_ssize_t, visibility="readonly")
     # True if scans are late now, and were in time when stamps jumped last.
     is_clock_set = cython.declare(cython.bint, visibility="readonly")
-    # Measures the order of the rays; None if the platform declares it (`scan.sweep`).
-    sweep = cython.declare(object, visibility="readonly")
     _latency: cython.double
     _bound: cython.double
     _added_before: cython.double
@@ -62,7 +57,6 @@ class ScanDelay:
     def __init__(self, spec: ScanSpec) -> None:
         self._latency, self._bound = spec.latency, spec.max_scan_delay
         self._stamps, self._turns = DelayByStamps(spec), DelayByTurns()
-        self.sweep = MeasuredSweep(spec) if spec.measures_sweep else None
 
     @cython.cfunc
     def read(
@@ -83,8 +77,6 @@ class ScanDelay:
         offset: cython.double = self._stamps.offset
         if self._stamps.goes_back(scan.stamp, now):
             self._restart()
-        if self.sweep is not None:
-            scan = self._swept(scan, now, offset)
         stamps: cython.double = self._stamps.take(scan, now)
         turns: DelayByTurns = self._turns
         if offset < INFINITY:
@@ -104,28 +96,11 @@ class ScanDelay:
         self.is_clock_set = self.is_clock_set and (self.is_late or self._stamps.is_restarting)
 
     @cython.cfunc
-    def _swept(self, scan, now: cython.double, offset: cython.double):
-        """The scan with the ages of the measured sweep; the scan itself while that is not known."""
-        sweep = self.sweep
-        headings = self._turns.headings()
-        if offset < INFINITY and len(headings.times):
-            has_turns = not isnan(self._turns.delay)
-            measured = self._turns.delay if has_turns else self._stamps.figure(now).delay
-            delay = self._latency if measured is None else measured
-            before = sweep.order
-            sweep.on_scan(scan, now - offset, delay, headings, self._turns.pose)
-            if sweep.order != before:
-                self._stamps.forget_scans()  # the time from a stamp to the mean ray changes
-        return scan if sweep.order is None else replace(scan, ages=sweep.ages(scan))
-
-    @cython.cfunc
     def _restart(self):
         self.restarts += 1
         self._added_before = self.added
         self.is_clock_set = self.is_clock_set or not self.is_late
         self._turns.forget_headings()
-        if self.sweep is not None:
-            self.sweep.forget_scans()
 
     def summary(self, now: cython.double) -> ScanDelaySummary:
         """The figures of both methods, for the status."""
@@ -134,5 +109,4 @@ class ScanDelay:
             added=self.added,
             bound=self._bound,
             figures=(self._stamps.figure(now), self._turns.figure(now)),
-            sweep=None if self.sweep is None else self.sweep.figure(),
         )

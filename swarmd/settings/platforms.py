@@ -76,9 +76,8 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `near`: `lost` if an object nearer than `range_min` looks like no object.
     - `latency`: mean age of the rays in s when a scan arrives. None: half a scan period, as of a
       rotating lidar. With too low a value protection acts on earlier places of obstacles.
-    - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`: the
-      robot measures the sweep while turning. Before the sweep is measured, each ray counts as old
-      as the oldest ray.
+    - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `unknown`: each
+      ray counts as old as the oldest ray; `swarmctl calibrate` measures the sweep and writes it.
     - `mask`: sectors in which the sensor sees parts of its own robot, such as `[[55, 61]]`: each
       from a bearing in degrees counter-clockwise to another one. Their rays are unknown, so that an
       object that stands within such a sector alone is not seen.
@@ -97,7 +96,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     max_gap_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 12.0
     near: Literal["reported", "lost"] = "reported"
     latency: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
-    sweep: SweepSection | Literal["measured"] | None = "measured"
+    sweep: SweepSection | Literal["unknown", "measured"] | None = "unknown"
     mask: Annotated[list[tuple[Bearing, Bearing]], Meta(max_length=64)] = []
 
 
@@ -287,6 +286,12 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
         text = f"{fault}; expected a convex polygon in m, counter-clockwise seen from above"
         yield fault_at(("footprint",), text)
         return
+    if file.scan.sweep == "measured":
+        text = (
+            "is measured, but no robot measures it while it drives; give unknown, run `swarmctl"
+            " calibrate`, and use the file that it writes"
+        )
+        yield fault_at(("scan", "sweep"), text)
     yield from _check_ranges(file)
     yield from _check_ring(file)
     if file.protection.mode == "barrier":
@@ -510,7 +515,7 @@ def _spec(scan: ScanSection) -> ScanSpec:
         near=scan.near,
         latency=0.5 / scan.rate if scan.latency is None else scan.latency,
         sweep=_sweep(scan.sweep, scan.rate) if isinstance(scan.sweep, SweepSection) else None,
-        measures_sweep=scan.sweep == "measured",
+        is_sweep_unknown=scan.sweep == "unknown",
         cone=math.radians(scan.cone_deg),
         mask=tuple((math.radians(first), math.radians(last)) for first, last in scan.mask),
     )
@@ -536,7 +541,7 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         drivers=cast(Mapping[str, Mapping[str, Value]], file.drivers),
         heights=file.heights,
         body=file.body,
-        ranges=None if file.ranges is None else replace(_spec(file.ranges), measures_sweep=False),
+        ranges=None if file.ranges is None else replace(_spec(file.ranges), is_sweep_unknown=False),
         sensors={name: _sensors(some) for name, some in file.sensors.items()},
         words=file.words,
     )

@@ -194,8 +194,7 @@ def _scan_delay(delay: ScanDelaySummary | None) -> list[tuple[str, str]]:
     used = seconds(delay.declared + delay.added)
     most = seconds(delay.declared + delay.bound)
     text = f"declared {seconds(delay.declared)}, used {used}, hold beyond {most}"
-    sweep = [] if delay.sweep is None else [("scan sweep", delay.sweep.line)]
-    return [("scan delay", text), *(("", figure.line) for figure in delay.figures), *sweep]
+    return [("scan delay", text), *(("", figure.line) for figure in delay.figures)]
 
 
 def _parameters(status: Status, described: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.verdict import Verdict, passed
 from swarmd.calibration.figures import DONE, REFUSED, Figure
 from swarmd.core.finding import Finding
-from swarmd.core.messages import DecisionSummary
+from swarmd.core.messages import DecisionSummary, DelayFigure, ScanDelaySummary
 from swarmd.settings.platforms import load_platform
 from tests.support.statuses import status
 
@@ -61,6 +61,34 @@ def test_scales_must_be_within_five_percent(value: float, spread: float, result:
 @pytest.mark.parametrize(("value", "result"), [(0.03, "pass"), (0.05, "fail")])
 def test_the_margin_must_cover_the_response(value: float, result: str) -> None:
     assert judged(calibrated.margin("C2"), margin=Figure(value, 0.0, 8, 0.03)).result == result
+
+
+@pytest.mark.parametrize(
+    ("stamped", "turned", "result"),
+    [
+        (0.1, Figure(0.13, 0.01, 45, 0.1), "pass"),  # a Burger has 5 scans a second
+        (0.1, Figure(0.15, 0.01, 45, 0.1), "fail"),
+        (0.2, Figure(0.15, 0.01, 45, 0.1), "fail"),
+        (0.1, Figure(assumed=0.1, why="a round room"), "not shown"),
+        (None, Figure(0.1, 0.01, 45, 0.1), "not shown"),
+    ],
+)
+def test_stamps_and_turns_must_agree_within_a_fifth_of_a_scan_period(
+    stamped: float | None, turned: Figure, result: str
+) -> None:
+    by_stamps = DelayFigure(method="stamps", delay=stamped, text="two clocks")
+    by_turns = DelayFigure(method="turns", delay=0.9)
+    figures = by_turns, by_stamps
+    summary = ScanDelaySummary(declared=0.1, added=0.0, bound=0.4, figures=figures)
+    found = calibrated.ages("C2")(
+        Evidence(
+            BURGER,
+            status=replace(status("r"), scan_delay=summary),
+            earlier={"C2": passed("", scan_delay=turned.text)},
+        )
+    )
+    assert found.result == result
+    assert ("two clocks" in found.reason) is (stamped is None)
 
 
 def test_one_wrong_figure_fails_and_is_named_alone() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,12 +17,14 @@ from msgspec.structs import replace as replace_scan
 from swarmd.calibration.figures import DONE, REFUSED, Figure, names_of
 from swarmd.calibration.floor import needed_floor
 from swarmd.calibration.report import figures_of, settings
+from swarmd.cli.calibrate import platform_text
 from swarmd.core.messages import Reason, State
-from swarmd.core.values import Platform, Scan
+from swarmd.core.values import Platform, Scan, Sweep
 from swarmd.protection.assumption_monitor import axis_of
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import scenario_of
+from tests.support.statuses import status as make_status
 
 ROOM: dict[str, Any] = {
     "size": [2.8, 2.3],
@@ -121,6 +125,22 @@ def test_brakes_and_delays_are_found_within_five_percent(
     for name in ("braking_linear", "braking_angular", "scan_delay"):
         assert 0.0 < figures[name].spread < 0.2 * figures[name].value
         assert figures[name].samples >= 8
+
+
+@pytest.mark.long
+def test_a_sweep_that_the_platform_does_not_know_is_found_and_written(tmp_path: Path) -> None:
+    """The lidar of a Burger turns clockwise once in 0.2 s, and its last ray lies at -1 degree."""
+    sim = simulated(realism=NOISE)
+    own = sim._platforms[0]
+    scan = replace(own.scan, sweep=None, is_sweep_unknown=True)
+    sim._platforms[0] = replace(own, scan=scan)
+    report = calibrated(sim)
+    delay = Figure.parse(report["scan_delay"])
+    assert delay.value == pytest.approx(0.1, abs=0.02)
+    file = tmp_path / "mine.yaml"
+    status = make_status("r", platform="burger")
+    file.write_text(platform_text("r", status, report))
+    assert load_platform(str(file)).scan.sweep == Sweep(math.radians(-1.0), -1.0, 0.2)
 
 
 @pytest.mark.long

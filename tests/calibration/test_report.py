@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.calibration.figures import Figure, names_of
+from swarmd.calibration.figures import Figure, SweepFigure, names_of
 from swarmd.calibration.report import figures_of, platform_file, rows, settings
-from swarmd.core.messages import SweepFigure
 from swarmd.core.values import Sweep
 from swarmd.settings.settings import load_platform
 
@@ -65,27 +64,25 @@ def test_what_is_less_careful_is_left_to_the_user(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("found", "sweep", "measures"),
+    ("found", "sweep", "is_unknown"),
     [
-        (SweepFigure(text="too few turns"), None, True),
-        (SweepFigure(direction="at once", samples=20), None, False),
+        (SweepFigure(why="too few turns"), None, True),
+        (SweepFigure("null", 20), None, False),
         (
-            SweepFigure(direction="cw", start_deg=-90.0, duration=0.1, samples=20),
+            SweepFigure("{start_deg: -90, direction: cw, duration: 0.1}", 20),
             Sweep(-0.5 * math.pi, -1.0, 0.1),
             False,
         ),
     ],
 )
 def test_measured_sweep_is_written(
-    tmp_path: Path, found: SweepFigure, sweep: Sweep | None, measures: bool
+    tmp_path: Path, found: SweepFigure, sweep: Sweep | None, is_unknown: bool
 ) -> None:
-    (tmp_path / "open.yaml").write_text(
-        "description: x\nextends: burger\nscan: {sweep: measured}\n"
-    )
+    (tmp_path / "open.yaml").write_text("description: x\nextends: burger\nscan: {sweep: unknown}\n")
     text = platform_file("r01", "./open.yaml", "2026-01-01", GOOD, settings(GOOD, DROVE, found))
     (tmp_path / "mine.yaml").write_text(text)
     scan = load_platform(str(tmp_path / "mine.yaml")).scan
-    assert (scan.sweep, scan.measures_sweep) == (sweep, measures)
+    assert (scan.sweep, scan.is_sweep_unknown) == (sweep, is_unknown)
 
 
 def test_what_is_more_careful_is_set(tmp_path: Path) -> None:

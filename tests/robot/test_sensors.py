@@ -110,7 +110,7 @@ def test_zeros_beside_near_rays_count_as_near_unless_in_barrier(mode: Mode) -> N
 def test_rays_count_as_old_as_the_oldest_while_their_order_is_not_known(has_claim: bool) -> None:
     """A Waffle Pi without its sweep: latency 0.1 s, and half of a scan of 0.2 s."""
     platform = load_platform("waffle_pi")
-    scan = replace(platform.scan, sweep=None, measures_sweep=True)
+    scan = replace(platform.scan, sweep=None, is_sweep_unknown=True)
     senses = Sensors(replace(platform, scan=scan))
     count = len(scan.bearings)
     ages = np.linspace(0.2, 0.0, count) if has_claim else None

@@ -88,7 +88,7 @@ def sensed(module: Any, spec: ScanSpec, seed: int, bearings: Array) -> list[Any]
     rng, kept = np.random.default_rng(seed), list[Any]()
     delay, conditioner = module.ScanDelay(spec), module.ScanConditioner(spec)
     history = module.OdometryHistory(delay)
-    deskewer = module.Deskewer(spec, history, delay.sweep)
+    deskewer = module.Deskewer(spec, history)
     rates = rng.uniform(-2.0, 2.0, 12)
     yaw, clock, at, odometry, ranges = 0.0, 0.0, -math.inf, Odometry(0.0, Pose(), Twist()), None
     ages = None if rng.random() < 0.5 else np.sort(rng.choice(12, len(bearings))) / 60.0
@@ -129,10 +129,10 @@ def sensed(module: Any, spec: ScanSpec, seed: int, bearings: Array) -> list[Any]
 @given(layouts(), st.sampled_from(SPECS), st.sampled_from(ZEROS), st.booleans(), SEEDS)
 @settings(max_examples=examples(24), deadline=None)
 def test_any_drive_gives_the_same_compiled_and_interpreted(
-    odd: Array, spec: ScanSpec, zero: str, measures_sweep: bool, seed: int
+    odd: Array, spec: ScanSpec, zero: str, is_sweep_unknown: bool, seed: int
 ) -> None:
-    sweep = None if measures_sweep else spec.sweep
-    spec = replace(spec, zero=zero, sweep=sweep, measures_sweep=measures_sweep, max_gap=7.0)
+    sweep = None if is_sweep_unknown else spec.sweep
+    spec = replace(spec, zero=zero, sweep=sweep, is_sweep_unknown=is_sweep_unknown, max_gap=7.0)
     bearings = odd if seed % 3 == 0 else spec.bearings
     expected, got = (sensed(module, spec, seed, bearings) for module in FORMS)
     assert repr(got) == repr(expected)

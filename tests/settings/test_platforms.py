@@ -330,15 +330,22 @@ def test_drivers_accept_the_options_of_shipped_platforms(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scan", "is_measured"),
-    [({}, True), ({"sweep": "measured"}, True), ({"sweep": None}, False), ({"sweep": {}}, False)],
+    ("scan", "is_unknown"),
+    [({}, True), ({"sweep": "unknown"}, True), ({"sweep": None}, False), ({"sweep": {}}, False)],
 )
-def test_sweep_that_the_platform_does_not_tell_is_measured(
-    folder: Path, scan: dict[str, Any], is_measured: bool
+def test_sweep_that_the_platform_does_not_tell_is_unknown(
+    folder: Path, scan: dict[str, Any], is_unknown: bool
 ) -> None:
     spec = load_platform(write(folder, {**GOOD, "scan": {**GOOD["scan"], **scan}})).scan
-    assert spec.measures_sweep is is_measured
+    assert spec.is_sweep_unknown is is_unknown
     assert (spec.sweep is None) is (scan != {"sweep": {}})
+
+
+def test_a_file_that_leaves_the_sweep_to_the_robot_says_what_to_run(folder: Path) -> None:
+    """Versions before measured it while the robot drove."""
+    bad = {**GOOD, "scan": {**GOOD["scan"], "sweep": "measured"}}
+    with pytest.raises(ConfigError, match=r"scan\.sweep is measured.*unknown.*swarmctl calibrate"):
+        load_platform(write(folder, bad))
 
 
 def test_bearings_may_be_given_one_by_one(folder: Path) -> None:

@@ -28,7 +28,7 @@ LONGEST = (
     *("drivers/ros2/test_rmw_zenoh", "drivers/ros2/test_dds_bridge", "drivers/ros2/test_services"),
     *("network_faults/test_links", "faults/test_storage", "faults/test_pattern_host"),
     *("drivers/ros2/test_faults", "faults/test_watchdog", "sim/experiments/test_pool"),
-    *("sim/test_portable", "drivers/ros2/test_bridge_commands", "sensing/test_measured_sweep"),
+    *("sim/test_portable", "drivers/ros2/test_bridge_commands"),
     *("swarm/test_estop", "faults/test_daemon", "examples/test_notebooks", "sim/view/test_pages"),
     *("cli/test_swarmctl", "security/test_files_of_others", "protection/test_barrier_closed_loop"),
     *("network_faults/test_strangers", "sim/live/test_demo", "faults/test_scans"),

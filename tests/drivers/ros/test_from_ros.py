@@ -299,7 +299,7 @@ def test_a_header_that_contradicts_its_rays_is_named_with_both_figures(
         assert f"end at {first + step * (count - 1):.4g} rad" in fault
 
 
-WITHOUT_SWEEP = replace(SPEC, rate=5.0, sweep=None, measures_sweep=True)
+WITHOUT_SWEEP = replace(SPEC, rate=5.0, sweep=None, is_sweep_unknown=True)
 SWEEP = Sweep(start=0.0, direction=-1.0, duration=0.2)
 STEP = 0.05  # s, of four rays in 0.2 s
 
@@ -332,7 +332,7 @@ def test_time_increment_gives_the_ages_of_the_rays(step: float, ages: list[float
 
 def test_the_sweep_of_the_platform_counts_more_than_time_increment() -> None:
     for sweep in SWEEP, None:
-        spec = replace(WITHOUT_SWEEP, sweep=sweep, measures_sweep=False)
+        spec = replace(WITHOUT_SWEEP, sweep=sweep, is_sweep_unknown=False)
         assert conversion.scan_of(laser(STEP), 7, spec).ages is None
 
 
@@ -352,7 +352,7 @@ def test_the_sweep_of_the_platform_counts_more_than_time_increment() -> None:
 def test_check_compares_time_increment_with_the_sweep_of_the_platform(
     step: float, increment: float, sweep: Sweep | None, is_well: bool, text: str
 ) -> None:
-    spec = replace(WITHOUT_SWEEP, sweep=sweep, measures_sweep=False)
+    spec = replace(WITHOUT_SWEEP, sweep=sweep, is_sweep_unknown=False)
     finding = conversion.sweep_finding(laser(step, increment), spec, is_upside_down=False)
     assert finding.is_well is is_well
     assert text in finding.text
