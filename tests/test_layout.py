@@ -49,12 +49,13 @@ FORBIDDEN = {
 EXCEPTIONS: dict[tuple[str, str], str] = {
     ("sim/live/link.py", "zenoh"): "the world's own session, for viewers of real-time mode",
 }
-# Executable statements of the sources. A part that needs more names the part that goes.
-MOST_STATEMENTS = 66_200
+# Executable statements of the sources, studies and benchmarks: what moves still counts. A part that
+# needs more names the part that goes.
+MOST_STATEMENTS = 74_850
 # Modules in the import closure of each module, and keys of all files; SLACK above them is a fault.
 CLOSURES = {
     "swarmd.protection.protection": 47,
-    "swarmd.robot.robot": 102,
+    "swarmd.robot.robot": 101,
     "swarmd.network.peer": 35,
     "swarmd.api": 34,  # what the author of a pattern imports
 }
@@ -166,7 +167,8 @@ def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
 
 
 def test_executable_statements_stay_below_their_ceiling() -> None:
-    number = sum(facts_of(path)[1] for path in source_files())
+    others = [path for name in ("studies", "benchmarks") for path in (ROOT / name).rglob("*.py")]
+    number = sum(facts_of(path)[1] for path in (*source_files(), *others))
     assert 0.5 < number / MOST_STATEMENTS <= 1.0
 
 

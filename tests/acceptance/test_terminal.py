@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -155,23 +155,50 @@ def talk(robot: FakeRobot, folder: Path, *steps: Step) -> verb._Talk:
     return verb._Talk(dialogue, robot, folder, RECORD, [one.id for one in steps])  # type: ignore[arg-type]
 
 
-def later(seconds: float, keyboard: int, *texts: bytes) -> None:
-    """Type texts one after the other, each so many s after the one before."""
+class Person:
+    """Answers each question by the next of `lines`, or the last, and stops the robot that moves."""
 
-    def type_all() -> None:
-        for text in texts:
-            time.sleep(seconds)
-            os.write(keyboard, text)
+    def __init__(self, keyboard: int, one: verb._Talk, robot: FakeRobot, *lines: bytes) -> None:
+        self._keyboard, self._one, self._robot, self._lines = keyboard, one, robot, list(lines)
+        self._asked = threading.Event()
+        discard = one._terminal.discard
 
-    threading.Thread(target=type_all, daemon=True).start()
+        def discard_and_tell() -> None:  # what was typed before a question is discarded
+            discard()
+            self._asked.set()
+
+        one._terminal.discard = discard_and_tell  # type: ignore[method-assign]
+        threading.Thread(target=self._answer, daemon=True).start()
+
+    def _answer(self) -> None:
+        while not self._robot.is_moving.is_set():
+            self._asked.wait(2.0)
+            self._asked.clear()
+            time.sleep(1.5)  # an answer within the first second is none
+            if self._one._is_asked:
+                os.write(self._keyboard, self._lines[0])
+                self._lines = self._lines[1:] or self._lines
+
+    def stops(self, stop: Callable[[], object]) -> None:
+        """Call `stop` once the robot moves and single keys are read, until it stands."""
+
+        def stop_moving() -> None:
+            self._robot.is_moving.wait(CAP)
+            while self._robot.is_moving.is_set():
+                if not self._one._terminal._gives_lines:
+                    time.sleep(0.3)
+                    stop()
+                    time.sleep(3.0)
+
+        threading.Thread(target=stop_moving, daemon=True).start()
 
 
 @pytest.mark.long
 def test_a_drive_on_40_columns_that_a_key_stops(
     keyboard: int, robot: FakeRobot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    later(1.6, keyboard, b"what?\n", b"y\n", b"x")
     one = talk(robot, tmp_path, LOOK, DRIVE)
+    Person(keyboard, one, robot, b"what?\n", b"y\n").stops(lambda: os.write(keyboard, b"x"))
     one.run()
     assert robot.did[:3] == ["begin A1", "begin B1", "stop"]
     assert one.record.is_whole
@@ -209,10 +236,8 @@ def test_a_pass_of_days_ago_lets_nothing_move_in_a_dialogue_left_open(
 def test_ctrl_c_stops_and_waits_for_the_stop(
     keyboard: int, robot: FakeRobot, tmp_path: Path
 ) -> None:
-    later(1.6, keyboard, b"y\n")
-    timer = threading.Timer(3.5, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
     one = talk(robot, tmp_path, DRIVE)
+    Person(keyboard, one, robot, b"y\n").stops(lambda: os.kill(os.getpid(), signal.SIGINT))
     one.run()
     assert robot.did == ["begin B1", "stop", "waited"]
     assert read_record(tmp_path).verdicts == {}
@@ -224,9 +249,10 @@ def test_an_error_stops_the_robot_and_is_raised(
     keyboard: int, robot: FakeRobot, tmp_path: Path
 ) -> None:
     robot.fault = RuntimeError("a fault of the program")
-    later(1.6, keyboard, b"y\n")
+    one = talk(robot, tmp_path, DRIVE)
+    Person(keyboard, one, robot, b"y\n")
     with pytest.raises(RuntimeError):
-        talk(robot, tmp_path, DRIVE).run()
+        one.run()
     assert robot.did == ["begin B1", "stop", "waited"]
 
 

@@ -16,6 +16,7 @@ import zenoh
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
+from swarmd.core.errors import RequestError
 from swarmd.core.keys import build
 from swarmd.core.messages import Code, Epoch, Reason, Reply, State, Status
 from swarmd.core.values import Twist, Value
@@ -199,7 +200,12 @@ class Bench:
         """It runs and moves: the first command that did. On a starved machine asks again."""
         for _ in attempts(f"{pattern} is loaded"):
             asked = boottime()
-            reply = self.run(pattern)
+            try:
+                reply = self.run(pattern)
+            except RequestError as error:
+                if STALLED.search(str(error)):
+                    continue
+                raise
             if reply.code is Code.APPLIED:
                 return self.body.wait_moving(asked)
             print(f"not loaded: {reply.text}")

@@ -126,7 +126,7 @@ async def test_keys_hold_type_and_hash_and_the_node_announces_the_topics(
     replies = robot.hub.liveliness().get("@ros2_lv/**")
     found = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
     announced = {part[9].replace("%", "/") for part in found if part[5] == "MP"}
-    assert announced == {"/cmd_vel", *(f"/{topic}" for topic in TYPES)}
+    assert announced == {"/cmd_vel", "/swarmd/state", *(f"/{topic}" for topic in TYPES)}
 
 
 @story(BridgedRobot, publish_state=True)
