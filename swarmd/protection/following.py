@@ -11,7 +11,9 @@ node that drives look alike.
 A base is blocked if it stands, and has moved less than half of the way that is demanded. The way is
 summed over some BLOCKED_TIME s, so that commands that come and go count, too. The demanded speed is
 that of the slow base, or the command if it is slower. It is zero while the command reverses the
-slow base. Motion in the other direction does not count: most bases reverse faster than that.
+slow base or the base moves in the other direction, and then rises as the speed of the slow base:
+most bases reverse faster than the slow base, and need time to reverse again. Motion in the other
+direction does not count.
 
 Odometry contradicts itself if the ways by the pose and by the twist differ, over some AGREE_TIME s,
 by more than a tolerance and a share of the path, or if the pose jumps again and again. Such
@@ -97,6 +99,7 @@ class _Axis:
     contradiction = cython.declare(object, visibility="readonly")
     _demanded_way: cython.double
     _moved_way: cython.double
+    _most_demanded: cython.double  # m/s or rad/s; rises from zero after a reversal
     _pose_way: cython.double
     _twist_way: cython.double
     _path: cython.double  # like the greater of both ways, without the signs
@@ -140,6 +143,7 @@ class _Axis:
         self._add(command, stamp)
         self._begun_at = stamp
         self._demanded_way = self._moved_way = self.blocked = 0.0
+        self._most_demanded = _inf
         self._pose_way = self._twist_way = self._path = self._jumps = 0.0
         self.contradiction = ""
         self._follow()
@@ -208,14 +212,14 @@ class _Axis:
         self, period: cython.double, by_twist: cython.double, by_pose: cython.double
     ) -> cython.int:
         """Add a period to the demanded and the moved way, and set `blocked`; see `on_reading`."""
-        demanded: cython.double = self._slow_speed
-        if demanded * self._command < 0.0:  # it shall reverse: no way is demanded meanwhile
-            demanded = 0.0
-        elif fabs(self._command) < fabs(demanded):
-            demanded = self._command
+        slow: cython.double = self._slow_speed
+        sign: cython.double = copysign(1.0, slow)
         # Of the two measured speeds, the one that is further in the demanded direction.
-        sign: cython.double = copysign(1.0, demanded)
         moved: cython.double = sign * max(sign * by_twist, sign * by_pose)
+        self._most_demanded += self._acceleration * period
+        if sign * self._command < 0.0 or sign * moved < -self._least:
+            self._most_demanded = 0.0
+        demanded: cython.double = sign * min(fabs(slow), fabs(self._command), self._most_demanded)
         kept: cython.double = 1.0 - period / BLOCKED_TIME
         self._demanded_way = kept * self._demanded_way + period * demanded
         # Motion against the demanded direction ends a command before, faster than the slow base.

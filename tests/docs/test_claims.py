@@ -23,6 +23,7 @@ MEASURED = {
 KEPT = {name: kept for name, kept in outcome.kept_outcomes().items() if kept.outcomes}
 """Of the patterns whose page has a table that a study wrote."""
 README = (ROOT / "README.md").read_text()
+PATTERNS_README = (ROOT / "patterns/README.md").read_text()
 KNOWN_AS_MISSED: dict[str, list[str]] = {}
 """Outcomes with "no" in the table of their page."""
 FEW = "fewer than twenty"
@@ -197,3 +198,22 @@ def test_each_difference_names_its_control() -> None:
     rows = {row[0]: row[1] for row in re.findall(r"(?m)^\| \[(\w+)\](.*)$", section)}
     assert rows.keys() == CONTROLS.keys()
     assert [name for name, control in CONTROLS.items() if control not in rows[name]] == []
+
+
+STILL = [
+    cells_of(line)
+    for line in PATTERNS_README.partition("## Robots that never move")[2].splitlines()
+    if line.startswith("| `")
+]
+
+
+@pytest.mark.parametrize("pattern", sorted({name.strip("`") for name, *_ in STILL}))
+def test_a_page_has_the_rows_that_robots_reach_which_never_move(pattern: str) -> None:
+    """And its first row, which stands beside those of other patterns, is a row that they miss."""
+    rows = [row for name, *row in STILL if name == f"`{pattern}`"]
+    text = PATTERNS[pattern].read_text()
+    of_page = text.partition("| robots that never move reach | wanted | with |\n|---|---|---|\n")[2]
+    assert [cells_of(line) for line in of_page.partition("\n\n")[0].splitlines()] == rows
+    lines = MEASURED[pattern].splitlines()
+    first = lines[next(i for i, line in enumerate(lines) if line.startswith("|---")) + 1]
+    assert cells_of(first)[0] not in [what for what, *_ in rows]

@@ -28,9 +28,9 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     speed = metric(found, "mean_speed_late_share")
     near = metric(found, "nearest_neighbor_median_late")
     return [
+        at_most(NAME, "late distance to the centroid [m]", MDC, mdc, _PAPER),
         at_least(NAME, "one cluster at the end", 1.0, one, _PAPER),
         at_least(NAME, "share of late time in one cluster", SHARE, share, _PAPER),
-        at_most(NAME, "late distance to the centroid [m]", MDC, mdc, _PAPER),
         at_most(NAME, "late speed / limit", SPEED, speed, _PAPER),
         at_least(NAME, "late distance to the nearest [m]", NEAR, near, _PAPER),
         no_contacts(NAME, found),

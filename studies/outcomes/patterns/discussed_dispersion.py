@@ -50,13 +50,13 @@ def _of_seven(seeds: Sequence[int], jobs: int, seconds: float) -> list[Outcome]:
     excess = [course.least - course.wanted for course in courses]
     stand = "ours: the robots stand, but for corrections"
     return [
+        at_least(_NAME, "least range from 40 s on, over f(opinion) [m]", -TOLERANCE,
+                 excess, _PAPER),
+        at_most(_NAME, "the same, of that opinion [m]", FARTHER, excess, _OURS),
         at_least(_NAME, "all hold one opinion from 20 s on", 1.0,
                  [float(course.opinion >= 0) for course in courses], _PAPER),
         at_most(_NAME, "farthest before 20 s [m]", 0.02,
                 [course.moved for course in courses], _PAPER),
-        at_least(_NAME, "least range from 40 s on, over f(opinion) [m]", -TOLERANCE,
-                 excess, _PAPER),
-        at_most(_NAME, "the same, of that opinion [m]", FARTHER, excess, _OURS),
         at_most(_NAME, "farthest from 40 to 70 s [m]", STRAYED,
                 [course.strayed for course in courses], stand),
         at_most(_NAME, "share of that time in which one moves", MOVING,

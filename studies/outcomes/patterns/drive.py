@@ -44,8 +44,8 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
             else np.inf
         )
     return [
-        at_most(NAME, "most aside of its line [m]", 0.05, aside, "geometry"),
         at_most(NAME, "relative error of the speed", 0.05, off, _SPEEDS),
+        at_most(NAME, "most aside of its line [m]", 0.05, aside, "geometry"),
         at_most(NAME, "path in the last 5 s [m]", 0.1, still, _SAFE),
         at_least(NAME, "footprint from the wall [m]", 0.02, left, _SAFE),
         no_contacts(NAME, results),

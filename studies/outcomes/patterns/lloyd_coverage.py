@@ -50,10 +50,10 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     gains = [start / end for start, end in zip(starts, ends, strict=True)]
     speed = metric(burgers, "mean_speed_late_share")
     return [
-        at_most(NAME, "points: largest rise of the cost in a step, share", RISE, rises, _CORTES),
         at_most(
             NAME, "points: way to the own centroid at the end [m]", 0.05, to_centroid_m, _CENTROID
         ),
+        at_most(NAME, "points: largest rise of the cost in a step, share", RISE, rises, _CORTES),
         at_most(NAME, "points: cost at the end / least", 1.15, end_ratios, _LLOYD),
         at_most(NAME, "Burgers: cost at the end / least", 1.3, body_ratios, _LLOYD),
         at_least(NAME, "Burgers: cost at the start / at the end", 2.0, gains, "ours"),

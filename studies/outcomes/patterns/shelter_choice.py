@@ -64,8 +64,8 @@ def outcomes(
     larger = [choice.larger for choice in choices]
     resting = [choice.resting for choice in choices]
     main_outcomes = [
-        at_least(NAME, f"{label}, mean", 0.8, mean_of(larger), _AME),
         at_least(NAME, "share of the robots at rest", 0.6, resting, "ours"),
+        at_least(NAME, f"{label}, mean", 0.8, mean_of(larger), _AME),
     ]
     if not has_controls:
         return main_outcomes
