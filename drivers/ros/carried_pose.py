@@ -15,13 +15,16 @@ from typing import NamedTuple
 
 from msgspec import structs
 
+from swarmd.core.angles import wrap
 from swarmd.core.events import PoseInput
 from swarmd.core.values import Odometry, Pose, SharedPose
 from swarmd.protection.settings import ODOMETRY_SHARE
 
 HISTORY = 200  # readings of odometry: 4 s at 50 Hz, above the delay of a localisation
 SILENCE = 0.25  # s without a pose before odometry carries it; a faster source is never carried
-MAX_WAY = 2.0  # m without a pose: the localisation has ended
+MAX_WAY, MAX_TURN = 2.0, math.tau  # m and rad without a pose: the localisation has ended
+MAX_GAP = 0.5  # s between two readings: the base may have begun anew
+SHIFT = 0.1, 0.2  # m and rad between two readings that are motion, beside 1.5 times the twist
 UNSEEN_WAY, UNSEEN_TURN = 0.25, 0.2  # m and rad without a pose before the driver has started
 _NOISE = 0.01, 0.02  # m and rad: less motion is noise of odometry at rest
 
@@ -49,25 +52,36 @@ class CarriedPose:
         self._readings: deque[_Reading] = deque(maxlen=HISTORY)
         self._anchor: tuple[SharedPose, _Reading] | None = None  # a pose, the reading at its time
         self._kept: SharedPose | None = None  # from before the first reading
+        self._begins = True  # no pose was known so far
+
+    def forget(self) -> None:
+        """The localisation has ended, or tells that it is lost."""
+        self._anchor = self._kept = None
+        self._begins = False
 
     def on_pose(self, pose: SharedPose) -> None:
         """Take in a pose."""
-        self._anchor = self._kept = None
+        if self._anchor is not None and pose.stamp == self._anchor[0].stamp:
+            return  # delivered again, by a new connection
+        self.forget()
         stamps = [reading.odometry.stamp for reading in self._readings]
         if stamps and stamps[0] <= pose.stamp <= stamps[-1] + SILENCE:
             nearest = min(self._readings, key=lambda one: abs(one.odometry.stamp - pose.stamp))
             self._anchor = pose, nearest
 
     def on_kept_pose(self, pose: SharedPose) -> None:
-        """Take in a pose of the publisher's cache; the robot may have moved since."""
-        if self._anchor is None:
+        """Take in a pose of the publisher's cache; the robot may have moved since.
+
+        It counts before any other pose alone.
+        """
+        if self._begins:
             yaw_error = min(pose.yaw_error + UNSEEN_TURN, math.pi)
             self._kept = structs.replace(pose, error=pose.error + UNSEEN_WAY, yaw_error=yaw_error)
 
     def on_odometry(self, odometry: Odometry) -> tuple[PoseInput, ...]:
         """Take in a reading; returns the carried pose as input, if there is one."""
         last = self._readings[-1] if self._readings else _Reading(odometry, odometry.pose)
-        if odometry.stamp < last.odometry.stamp or odometry.jumps_from(last.odometry):
+        if _begins_anew(odometry, last.odometry):
             self._readings.clear()
             self._anchor, last = None, _Reading(odometry, odometry.pose)
         way = math.dist((odometry.pose.x, odometry.pose.y), (last.mark.x, last.mark.y))
@@ -79,7 +93,7 @@ class CarriedPose:
         )
         self._readings.append(reading)
         if self._kept is not None:
-            self._anchor, self._kept = (self._kept, reading), None
+            self._anchor, self._kept, self._begins = (self._kept, reading), None, False
         return self._carried(reading)
 
     def _carried(self, reading: _Reading) -> tuple[PoseInput, ...]:
@@ -87,17 +101,32 @@ class CarriedPose:
             return ()
         pose, at = self._anchor
         here, there = reading.odometry, at.odometry
-        way = reading.way - at.way
-        if way > MAX_WAY or here.stamp - there.stamp < SILENCE:
+        way, turned = reading.way - at.way, reading.turned - at.turned
+        if way > MAX_WAY or turned > MAX_TURN or here.stamp - there.stamp < SILENCE:
             return ()
+        yaw_error = min(pose.yaw_error + ODOMETRY_SHARE * turned, math.pi)
         turn = pose.pose.yaw - there.pose.yaw  # from the frame of odometry to the shared frame
         moved = complex(here.pose.x - there.pose.x, here.pose.y - there.pose.y)
         place = complex(pose.pose.x, pose.pose.y) + moved * cmath.rect(1.0, turn)
         carried = SharedPose(
             here.stamp,
-            Pose(place.real, place.imag, here.pose.yaw + turn),
-            pose.error + (ODOMETRY_SHARE + pose.yaw_error) * way,
-            min(pose.yaw_error + ODOMETRY_SHARE * (reading.turned - at.turned), math.pi),
+            Pose(place.real, place.imag, wrap(here.pose.yaw + turn)),
+            pose.error + (ODOMETRY_SHARE + yaw_error) * way,
+            yaw_error,
             pose.frame,
         )
         return (PoseInput(carried),)
+
+
+def _begins_anew(here: Odometry, last: Odometry) -> bool:
+    """True if the pose of odometry may have moved without the robot: a reset, or a gap."""
+    seconds = here.stamp - last.stamp
+    way = math.dist((here.pose.x, here.pose.y), (last.pose.x, last.pose.y))
+    turn = abs(math.remainder(here.pose.yaw - last.pose.yaw, math.tau))
+    speed = max(math.hypot(one.twist.linear, one.twist.lateral) for one in (here, last))
+    rate = max(abs(one.twist.angular) for one in (here, last))
+    return (
+        not 0.0 <= seconds <= MAX_GAP
+        or way > SHIFT[0] + 1.5 * speed * seconds
+        or turn > SHIFT[1] + 1.5 * rate * seconds
+    )

@@ -8,6 +8,7 @@ from functools import partial
 from itertools import chain
 from typing import Any
 
+from swarmd.core.errors import CodecError
 from swarmd.core.events import (
     OdometryInput,
     PoseInput,
@@ -174,6 +175,13 @@ class Subscriptions:
         """
         for inputs in self._inputs.values():
             inputs.forget(topic)
+        localised = messages.PoseWithCovarianceStamped
+        if topic is None:
+            self._carried_pose = CarriedPose()
+        elif any(
+            one.topic == topic and one.message_type is localised for one in self.topics.values()
+        ):
+            self._carried_pose.forget()
 
     def deliver_inputs(self, sink: Sink, now: float, *, again: bool = False) -> None:
         """Deliver the inputs whose values have changed or have become stale.
@@ -228,7 +236,11 @@ class Subscriptions:
             poses = self._carried_pose.on_odometry(odometry)
             return partial(_deliver, (OdometryInput(odometry), *poses)), ""
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
-            pose = from_ros.shared_pose_of(message, *self._pose_errors)
+            try:
+                pose = from_ros.shared_pose_of(message, *self._pose_errors)
+            except CodecError:  # such as the error of a localisation that is lost
+                self._carried_pose.forget()
+                raise
             if stats.message_type is messages.PoseWithCovarianceStamped:
                 self._carried_pose.on_pose(pose)
             return partial(_deliver, (PoseInput(pose),)), f"frame {pose.frame}"

@@ -35,13 +35,16 @@ class NeighborPlaces:
             self._own = pose, at
 
     def on_place(self, place: PeerPlace, now: float) -> None:
-        """Take in the place that a peer reports."""
-        _keep(self._places, place.robot, (place, now - place.age))
+        """Take in the place that a peer reports, unless a newer one is known."""
+        at = now - place.age
+        if at >= self._places.get(place.robot, (None, -math.inf))[1]:
+            _keep(self._places, place.robot, (place, at))
 
     def on_detections(self, detections: tuple[Detection, ...] | None, now: float) -> None:
-        """Take in the recognised objects, of which robots with a distance count."""
-        for seen in detections or ():
-            if seen.kind == ROBOT and seen.distance is not None:
+        """Take in the recognised objects: robots with a distance, of each the nearest."""
+        found = [one for one in detections or () if one.kind == ROBOT]
+        for seen in sorted(found, key=lambda one: one.distance or 0.0, reverse=True):
+            if seen.distance is not None:
                 _keep(self._seen, seen.id, (seen, now))
 
     def complete(self, neighbors: tuple[Neighbor, ...], now: float) -> tuple[Neighbor, ...]:
@@ -61,7 +64,9 @@ class NeighborPlaces:
         is_measured = None not in (neighbor.distance, neighbor.bearing)
         if seen is None or is_measured or now - at > PLACE_TIMEOUT:
             return neighbor
-        return Neighbor(neighbor.id, now - at, seen.distance, seen.bearing, neighbor.heading)
+        distance = seen.distance if neighbor.distance is None else neighbor.distance
+        bearing = seen.bearing if neighbor.bearing is None else neighbor.bearing
+        return Neighbor(neighbor.id, now - at, distance, bearing, neighbor.heading)
 
     def _located(self, neighbor: Neighbor, now: float) -> Neighbor:
         """The neighbor with the fields that are not known by the poses in the shared frame."""

@@ -235,6 +235,7 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
             0 < len(self.id) <= MAX_WORD
             and 0.0 <= self.age < math.inf
             and 0.0 <= (self.distance or 0.0) <= MAX_TOLD_DISTANCE
+            and 0.0 <= (self.error or 0.0) < math.inf
             and abs(angles) < math.inf
         )
 

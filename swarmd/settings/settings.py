@@ -189,7 +189,10 @@ def _inputs_of(options: Mapping[str, Value]) -> set[str]:
     inputs = {name for name in OPTION_INPUTS if options.get(name)}
     if options.get("shared_pose"):
         inputs.add("pose")
-    if any("robots" in camera for _, camera in _entries_of(options, "detections")):
+    if any(
+        camera.get("robots") and ("size" in camera or "Detection3D" in str(camera.get("type")))
+        for _, camera in _entries_of(options, "detections")
+    ):
         inputs |= PLACES_BY_SIGHT
     for name, reading in _entries_of(options, "readings"):
         topic, count = reading.get("topic"), reading.get("count")

@@ -180,7 +180,7 @@ def test_protection_does_not_take_a_computed_place_for_a_measured_one() -> None:
 
 
 def test_a_robot_with_a_table_of_tags_hands_the_place_of_a_seen_peer_to_its_pattern() -> None:
-    options: dict[str, Value] = {"detections": {"front": {"robots": {"7": "b"}}}}
+    options: dict[str, Value] = {"detections": {"front": {"robots": {"7": "b"}, "size": 0.2}}}
     robot = Sensors(with_options(load_platform("burger"), options))
     robot.on_neighbors((HEARD,), 10.0)
     robot.on_option_input(DetectionsInput((Detection("robot", 0.4, 1.5, "b"),)), 10.0)
@@ -235,3 +235,29 @@ def test_protection_takes_the_told_error_of_a_place_if_it_has_one(
     jackal.on_neighbors((Neighbor("b", 0.0, 2.0, 0.0, error=told),), 10.0)
     (disc,) = jackal.peers.told(10.0)
     assert disc.radius == pytest.approx(burger.radius + radius)
+
+
+def test_the_nearest_of_two_tags_of_one_robot_counts_and_a_measured_distance_precedes_it() -> None:
+    known = NeighborPlaces()
+    near, far = Detection("robot", 0.2, 0.5, "b"), Detection("robot", 3.0, 9.0, "b")
+    for both in ((near, far), (far, near)):
+        known.on_detections(both, 10.0)
+        (peer,) = known.complete((HEARD,), 10.1)
+        assert (peer.distance, peer.bearing) == (0.5, 0.2)
+    (peer,) = known.complete((Neighbor("b", 0.2, 1.0),), 10.1)
+    assert (peer.distance, peer.bearing) == (1.0, 0.2)
+
+
+def test_an_older_place_that_comes_late_replaces_no_newer_one() -> None:
+    known = NeighborPlaces()
+    known.on_pose(SharedPose(10.0, Pose(), 0.1, 0.05, place(1.0, 0.0).frame), 10.0)
+    known.on_place(place(1.0, 0.0, age=0.05), 10.0)
+    known.on_place(place(2.0, 0.0, age=0.9), 10.0)
+    (peer,) = known.complete((HEARD,), 10.0)
+    assert peer.distance == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("error", [-5.0, math.nan, math.inf])
+def test_an_error_that_is_none_makes_a_neighbor_invalid(error: float) -> None:
+    assert not Neighbor("b", 0.0, 2.0, 0.0, error=error).is_valid
+    assert Neighbor("b", 0.0, 2.0, 0.0, error=0.3).is_valid

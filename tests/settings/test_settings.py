@@ -144,8 +144,10 @@ def test_patterns_may_need_places_of_peers_from_shared_poses_or_detected_tags(
     distance, bearing, heading = (f"neighbors.{one}" for one in ("distance", "bearing", "heading"))
     posed = load("driver: ros2dds\ndriver_options: {shared_pose: /pose}").platform.provides
     assert posed >= {"pose", distance, bearing, heading}
-    camera = "{topic: /tags, type: apriltag_msgs/AprilTagDetectionArray, robots: {'7': r2}}"
-    seen = load(f"driver: ros2dds\ndriver_options: {{detections: {{front: {camera}}}}}")
+    camera = "topic: /tags, type: apriltag_msgs/AprilTagDetectionArray, robots: {'7': r2}"
+    near = "driver: ros2dds\ndriver_options: {detections: {front: {%s}}}"
+    assert distance not in load(near % camera).platform.provides  # that follows from the size
+    seen = load(near % f"{camera}, size: 0.2")
     assert seen.platform.provides >= {"detections", distance, bearing}
     assert heading not in seen.platform.provides
     assert not load("driver: ros2dds").platform.provides & {distance, bearing, heading}

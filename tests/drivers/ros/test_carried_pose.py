@@ -132,3 +132,65 @@ def test_a_kept_pose_counts_from_the_first_reading_with_the_motion_that_it_may_h
     carried.on_pose(located(1.0, 7.0, 1.0, 0.0))
     carried.on_kept_pose(located(-500.0, 5.0, 1.0, 0.0))
     assert drive(carried, 1.05, 2.0, speed=0.0)[-1].pose.x == 7.0
+
+
+@pytest.mark.parametrize(
+    ("moved", "after", "is_kept"),
+    [
+        ((0.0, 0.0, 0.0), 0.05, True),
+        ((0.3, 0.0, 0.0), 0.05, False),  # a base at rest, whose odometry begins anew
+        ((0.0, 0.0, 0.9), 0.05, False),
+        ((0.0, 0.0, 0.0), 3.0, False),  # what happened meanwhile is not known
+    ],
+)
+def test_odometry_that_may_have_begun_anew_carries_nothing(
+    moved: tuple[float, float, float], after: float, is_kept: bool
+) -> None:
+    carried = CarriedPose()
+    drive(carried, 0.0, 1.0, speed=0.0)
+    carried.on_pose(located(0.9, 1.5, 0.5, 2.0))
+    assert drive(carried, 1.05, 4.0, speed=0.0)
+    assert (step(carried, odometry(4.0 + after, *moved)) is not None) is is_kept
+
+
+def test_the_error_of_yaw_that_a_turn_adds_counts_for_the_way_behind_it() -> None:
+    """0.9 turns with 5 % of error in yaw, then 1.9 m: 0.28 rad, some 0.53 m beside."""
+    carried = CarriedPose()
+    step(carried, odometry(0.0))
+    carried.on_pose(located(0.0, 0.0, 0.0, 0.0))
+    turn = 0.9 * math.tau
+    readings = [odometry(0.05 * n, yaw=min(0.1 * n, turn)) for n in range(1, 60)]
+    way = [odometry(3.0 + 0.05 * n, x=0.05 * n, yaw=turn) for n in range(39)]
+    poses = [step(carried, one) for one in (*readings, *way)]
+    assert poses[-1] is not None
+    assert poses[-1].error >= 0.1 + 1.9 * (0.05 + 0.05 * turn)
+    assert abs(poses[-1].pose.yaw) <= math.pi
+
+
+def test_a_turn_without_a_pose_ends_it() -> None:
+    carried = CarriedPose()
+    step(carried, odometry(0.0))
+    carried.on_pose(located(0.0, 0.0, 0.0, 0.0))
+    poses = [step(carried, odometry(0.05 * n, yaw=0.1 * n)) for n in range(1, 80)]
+    assert poses[60] is not None
+    assert poses[-1] is None
+
+
+def test_a_pose_that_is_delivered_again_changes_nothing() -> None:
+    carried = CarriedPose()
+    drive(carried, 0.0, 1.0, speed=0.0)
+    carried.on_pose(located(0.9, 1.5, 0.5, 2.0))
+    drive(carried, 1.05, 40.0, speed=0.0)
+    carried.on_pose(located(0.9, 1.5, 0.5, 2.0))
+    assert drive(carried, 40.05, 41.0, speed=0.0)
+
+
+def test_a_localisation_that_has_ended_gives_no_pose_before_its_next_one() -> None:
+    carried = CarriedPose()
+    drive(carried, 0.0, 1.0, speed=0.0)
+    carried.on_pose(located(0.9, 1.5, 0.5, 2.0))
+    carried.forget()
+    carried.on_kept_pose(located(0.9, 1.5, 0.5, 2.0))
+    assert not drive(carried, 1.05, 3.0, speed=0.0)
+    carried.on_pose(located(2.9, 1.5, 0.5, 2.0))
+    assert drive(carried, 3.05, 4.0, speed=0.0)

@@ -201,3 +201,27 @@ def test_a_signalling_nan_of_a_scan_is_unknown() -> None:
     sink = CollectingSink()
     subscriptions.read("scan", signalling, 1.0)(sink)
     np.testing.assert_array_equal(sink.scans[-1].ranges, [2.0, math.nan, 3.0])
+
+
+@pytest.mark.parametrize("end", ["uncertain", "gone", "another topic"])
+def test_a_pose_ends_with_its_localisation(end: str) -> None:
+    """A base at rest, at 2.5 s; the localisation says then that it is lost, or its node ends."""
+    subscriptions, sink = Subscriptions(COVARIANT, robots.PLATFORM), CollectingSink()
+
+    def rest(stamp: float) -> int:
+        """The number of poses after one more reading of odometry."""
+        odometry = dds.Odometry(header=dds.stamped(stamp, "odom")).serialize()
+        subscriptions.read("odometry", odometry, stamp)(sink)
+        return len(sink.taken["pose"])
+
+    for tick in range(60):
+        rest(0.05 * tick)
+    subscriptions.read("shared_pose", covariant(), 3.0)(sink)
+    before = rest(3.0)
+    assert rest(3.05) == before + 1
+    if end == "uncertain":
+        with pytest.raises(CodecError):
+            subscriptions.read("shared_pose", covariant(x=1e9), 3.1)
+    else:
+        subscriptions.forget("/mocap/pose" if end == "gone" else "/bumper")
+    assert rest(3.1) == before + (2 if end == "another topic" else 1)
