@@ -54,7 +54,7 @@ def test_a_robot_of_unknown_distance_is_out_of_reach() -> None:
 
 def test_told_places_give_the_distance_while_they_are_fresh() -> None:
     robot = by_range(1.0)
-    robot.places.on_place(place(0.8), 10.0)
+    robot.places.on_place(place(0.8, age=0.3), 10.0)
     assert near(robot, at(None), now=10.0) == []  # without an own pose
     robot.places.on_pose(own_pose(), 10.0)
     robot.places.on_place(place(0.8, age=0.2), 10.0)
