@@ -7,8 +7,6 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 
-import zenoh
-
 from swarmd.core.threads import hand_over
 
 
@@ -16,9 +14,8 @@ class LatestSamples:
     """Calls `take(name, payload)` on the loop with the newest sample of each name.
 
     A waiting sample is dropped when a newer sample of the same name arrives: after a stall of the
-    loop a queue of outdated samples would delay the newest. A sample on another key than the key
-    of its receiver is dropped, too. For each dropped sample `dropped(what)` is called on the loop,
-    with `<name>:overtaken` or `<name>:key`.
+    loop a queue of outdated samples would delay the newest. For each dropped sample `dropped(what)`
+    is called on the loop, with `<name>:overtaken`, or with the `what` that `drop` gets.
     """
 
     def __init__(
@@ -37,17 +34,6 @@ class LatestSamples:
         """Deliver nothing from now on, not even samples on their way."""
         self._is_closed = True
 
-    def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
-        """A Zenoh callback for one name; samples on other keys than `key` are dropped."""
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            if str(sample.key_expr) == key:
-                self.put(name, sample.payload.to_bytes())
-            else:
-                self._drop(f"{name}:key")
-
-        return on_sample
-
     def put(self, name: str, payload: bytes) -> None:
         """Take in a sample, on any thread."""
         with self._lock:
@@ -56,7 +42,7 @@ class LatestSamples:
         if is_first:
             hand_over(self._loop, self._deliver, name)
         else:
-            self._drop(f"{name}:overtaken")
+            self.drop(f"{name}:overtaken")
 
     def _deliver(self, name: str) -> None:
         with self._lock:
@@ -64,7 +50,8 @@ class LatestSamples:
         if not self._is_closed:
             self._take(name, payload)
 
-    def _drop(self, what: str) -> None:
+    def drop(self, what: str) -> None:
+        """Count a sample that is not taken in, on any thread."""
         with self._lock:
             is_first = not self._dropped_counts
             self._dropped_counts[what] += 1

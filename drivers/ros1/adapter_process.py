@@ -73,6 +73,8 @@ class KeptTopic:
     the publisher. The connection object does not show this end, since rospy uses the object again
     for the next connection. Each connection has a header object of its own: once no open connection
     has the header of the message, the publisher of the message has ended.
+
+    A stop counts without its publisher: its topic has no `subscriber` here, and reports no end.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:
@@ -307,15 +309,19 @@ class Adapter:
         arrival = time.monotonic()
         header = message._connection_header
         if header.get("md5sum") == self._config["md5sums"][index]:
-            packet = DATA_HEAD.pack(DATA, index, arrival), message._buff
-            if index in self._kept:
-                self._kept[index].take(header, *packet)
-            else:
-                self.send(*packet)
+            self._send_message(header, index, arrival, message._buff)
         else:
             names = {"node": "callerid", "type": "type", "md5sum": "md5sum"}
             fields = {name: header.get(key, "") for name, key in names.items()}
             self.event({"event": "foreign", "topic": self._config["topics"][index], **fields})
+
+    def _send_message(self, header: Any, topic: int, arrival: float, content: bytes) -> None:
+        """Send a message; on a kept topic until the driver takes it. `topic`: as in packet D."""
+        packet = DATA_HEAD.pack(DATA, topic, arrival), content
+        if topic in self._kept:
+            self._kept[topic].take(header, *packet)
+        else:
+            self.send(*packet)
 
     def _listen_to_others(self, is_wanted: bool) -> None:
         """Subscribe to the topic of commands while other nodes publish there.
@@ -339,8 +345,8 @@ class Adapter:
         header, arrival = message._connection_header, time.monotonic()
         if header.get("callerid") != self._master.caller:
             known = [md5sum for md5sum, _ in self._config["definitions"].values()]
-            head = DATA_HEAD.pack(DATA, len(self._config["topics"]) + index, arrival)
-            self.send(head, message._buff[:_MAX_TEXT] if header.get("md5sum") in known else b"")
+            content = message._buff[:_MAX_TEXT] if header.get("md5sum") in known else b""
+            self._send_message(header, len(self._config["topics"]) + index, arrival, content)
 
     def _state(self) -> Any:
         """The event `state`: what the master knows of the driver's topics (adapter.MasterState).

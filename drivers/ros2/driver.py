@@ -303,7 +303,9 @@ class RosDriver:
             on_sample = _receiver(self._scheme, inbox, stats.name, stats.topic, stats.message_type)
             session.declare_subscriber(key_of(stats.topic), on_sample, allowed_origin=remote)
         for topic in (*self._foreign.topics, *self._services.topics):
-            on_sample = _command_receiver(inbox, topic)
+            # Empty bytes as a command are unreadable, and an unreadable command may move the base.
+            is_command = topic in self._foreign.topics
+            on_sample = _command_receiver(inbox, topic, takes_empty=is_command)
             session.declare_subscriber(key_of(topic), on_sample, allowed_origin=remote)
         for topic in self._foreign.actions:
             subscribe_with_history(session, key_of(topic), _command_receiver(inbox, topic))
@@ -444,8 +446,7 @@ class RosDriver:
         elif name in self._foreign.actions:
             self._on_status(sink, name, payload, now)
         elif name in self._services.topics:
-            # Without bytes it came on a wildcard key, and is no message of ROS.
-            if not (payload and self._services.hear(name, payload, cdr.decode, now)):
+            if not self._services.hear(name, payload, cdr.decode, now):
                 sink.dropped(f"{name}:refused")
         elif name.endswith(_KEY_FAULT):
             name = name.removesuffix(_KEY_FAULT).removesuffix(KEPT)
@@ -696,12 +697,21 @@ def _subscribed_end(stats: TopicStats, graph: diagnosis.Graph) -> TopicEnd:
     )
 
 
-def _command_receiver(inbox: LatestSamples, topic: str) -> Callable[[zenoh.Sample], None]:
-    """A callback that puts the samples of a topic of commands into the inbox."""
+def _command_receiver(
+    inbox: LatestSamples, topic: str, *, takes_empty: bool = False
+) -> Callable[[zenoh.Sample], None]:
+    """A callback that puts the samples of a topic of commands, stops or states into the inbox.
+
+    A sample on a wildcard key may have any type, and counts as empty bytes. Without `takes_empty`
+    empty bytes are dropped here: in the inbox they would replace a stop that waits.
+    """
 
     def on_sample(sample: zenoh.Sample) -> None:
-        # A sample on a wildcard key may have any type: as empty bytes it counts as unreadable.
-        inbox.put(topic, b"" if "*" in str(sample.key_expr) else sample.payload.to_bytes())
+        payload = b"" if "*" in str(sample.key_expr) else sample.payload.to_bytes()
+        if payload or takes_empty:
+            inbox.put(topic, payload)
+        else:
+            inbox.drop(f"{topic}:refused")
 
     return on_sample
 

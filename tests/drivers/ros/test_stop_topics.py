@@ -9,6 +9,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Code, Reply
+from swarmd.core.values import Value
 from swarmd.driver_api.command_source import Answer, DriverCommand
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, read_options
@@ -137,9 +138,11 @@ def test_an_operator_is_a_name_of_a_roster(operator: str) -> None:
 def test_the_operator_of_the_services_counts_without_the_option(
     given: dict[str, Any], wanted: str
 ) -> None:
-    options = read_options(RosOptions, {"services": {"operator": "anna"}, **given}, "ros2dds", "r")
+    # The role is of the services alone.
+    services_given: dict[str, Value] = {"operator": "anna", "role": "viewer"}
+    options = read_options(RosOptions, {"services": services_given, **given}, "ros2dds", "r")
     commands: list[DriverCommand] = []
     services = CommandServices(Ros2Dds(), options, lambda: False)
     services.serve(lambda command, answer: commands.append(command))
     services.hear("/swarmd/stop", HEAD, cdr.decode, 0.0)
-    assert commands[0].operator == wanted
+    assert (commands[0].operator, commands[0].is_viewer) == (wanted, False)

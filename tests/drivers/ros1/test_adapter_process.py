@@ -19,12 +19,14 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from swarmd.drivers.ros1.adapter_process import (
+    ALIVE,
     COMMAND,
     COMMAND_HEAD,
     DATA,
     DATA_HEAD,
     EVENT,
     Adapter,
+    KeptTopic,
 )
 from tests.support.processes import CAP, wait_until
 
@@ -133,6 +135,27 @@ def test_a_stop_of_megabytes_has_room_in_the_socket(
     (frame,) = taken(mine)
     assert DATA_HEAD.unpack_from(frame)[:2] == (DATA, len(CONFIG["topics"]) + 1)
     assert frame[DATA_HEAD.size :] == content
+
+
+def test_a_stop_that_finds_the_socket_full_is_sent_until_it_has_room(
+    ends: tuple[Adapter, socket.socket],
+) -> None:
+    adapter, mine = ends
+    adapter._master.caller = "/r_1"
+    number = len(CONFIG["topics"]) + 1
+    kept = adapter._kept[number] = KeptTopic(number, adapter)
+    while adapter.send(ALIVE):
+        pass
+    header = {"callerid": "/rostopic", "type": "std_msgs/String", "md5sum": "5"}
+    adapter._on_other_command(SimpleNamespace(_connection_header=header, _buff=b"smoke"), 1)
+    kept.send_again()
+    assert set(taken(mine)) == {ALIVE}
+    for _ in range(2):
+        kept.report_end()  # a stop holds without its publisher
+        kept.send_again()
+    (frame,) = taken(mine)
+    assert DATA_HEAD.unpack_from(frame)[:2] == (DATA, number)
+    assert frame[DATA_HEAD.size :] == b"smoke"
 
 
 def test_a_message_of_another_type_is_reported_by_its_publisher_only(

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.values import Platform, Twist, Value
+from swarmd.driver_api.command_source import DriverCommand
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.command_credit import MAX_HELD_TIME
@@ -56,6 +57,10 @@ class Session:
     ) -> None:
         self._subscribers[key] = take
         self.origins.append(allowed_origin)
+
+    def subscribe_with_history(self, key: str, take: Callable[[Any], None]) -> None:
+        """No publisher has kept a message."""
+        self._subscribers[key] = take
 
     def liveliness(self) -> Any:
         return SimpleNamespace(
@@ -128,14 +133,17 @@ class Scene:
 def playing(tell: Tell) -> Test:
     """A test of a story with a driver; the story takes `scene` and fixtures.
 
-    The scans come at the `rate` of a parameter, or as often as the platform's do.
+    The scans come at the `rate` of a parameter, or as often as the platform's do. A parameter
+    `actions` is the option `other_actions`.
     """
 
     def run(told: Tell, given: Mapping[str, Any]) -> None:
         session = Session()
-        given["monkeypatch"].setattr(ros_driver, "open_session", lambda endpoint, within: session)
+        patch = given["monkeypatch"].setattr
+        patch(ros_driver, "open_session", lambda endpoint, within: session)
+        patch(ros_driver, "subscribe_with_history", Session.subscribe_with_history)
         platform = slow(given["rate"]) if "rate" in given else robots.PLATFORM
-        handclock.run(_played(told, make(platform), session))
+        handclock.run(_played(told, make(platform, given.get("actions", [])), session))
 
     return as_test(tell, run, ("scene",), ("monkeypatch",))
 
@@ -150,8 +158,8 @@ async def _played(told: Tell, driver: RosDriver, session: Session) -> None:
     assert session.is_closed
 
 
-def make(platform: Platform) -> RosDriver:
-    given: Mapping[str, Value] = {"cmd_vel_type": "twist"}
+def make(platform: Platform, actions: list[Value]) -> RosDriver:
+    given: Mapping[str, Value] = {"cmd_vel_type": "twist", "other_actions": actions}
     return ros2dds.make_driver(swarm="s", robot="r", platform=platform, options=given)
 
 
@@ -290,3 +298,48 @@ async def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life
     assert sorted(scene.sink.lost) == ["odometry:type", "scan"]
     assert not scene.is_up
     assert scene.sink.order.count("odometry") == 0
+
+
+@pytest.mark.parametrize("later", [("**", b"x"), ("swarmd/estop", b"")], ids=["every key", "empty"])
+@playing
+async def test_a_stop_that_waits_outlasts_samples_that_are_no_stop(
+    scene: Scene, later: tuple[str, bytes]
+) -> None:
+    """Neither do these samples use up the ten stops that a topic takes at once."""
+    commands: list[DriverCommand] = []
+    scene.driver.command_source.serve(lambda command, answer: commands.append(command))
+    key, payload = later
+    for reason in ("smoke", "fire"):
+        for k in range(50):  # the loop does not run meanwhile
+            scene.session.publish("swarmd/estop", payload, key)
+            if k == 25:
+                scene.session.publish("swarmd/estop", dds.String(reason))
+        await handclock.settle()
+    assert [(one.verb, one.reason) for one in commands] == [("estop", "smoke"), ("estop", "fire")]
+    assert scene.sink.lost.count("/swarmd/estop:refused") == 100
+
+
+@pytest.mark.parametrize("actions", [["dock"]])
+@playing
+async def test_the_state_of_a_goal_that_waits_outlasts_a_sample_on_every_key(
+    scene: Scene, actions: list[Value]
+) -> None:
+    await scene.move()
+    assert actions == ["dock"]
+    topic = "dock/_action/status"
+    scene.session.publish(topic, dds.GoalStatusArray([dds.GoalStatus(status=2)]))
+    scene.session.publish(topic, b"x", "**")
+    await handclock.settle()
+    assert not scene.is_up
+    assert "action" in scene.sink.states[-1][1]
+
+
+@playing
+async def test_a_stop_that_waits_before_any_bytes_still_stops(scene: Scene) -> None:
+    commands: list[DriverCommand] = []
+    scene.driver.command_source.serve(lambda command, answer: commands.append(command))
+    for verb in ("stop", "estop"):
+        scene.session.publish(f"swarmd/{verb}", dds.String("smoke"))
+        scene.session.publish(f"swarmd/{verb}", b"\xff")
+    await handclock.settle()
+    assert [one.verb for one in commands] == ["stop", "estop"]
