@@ -23,7 +23,7 @@ from swarmd.protection.settings import ODOMETRY_SHARE
 HISTORY = 200  # readings of odometry: 4 s at 50 Hz, above the delay of a localisation
 SILENCE = 0.25  # s without a pose before odometry carries it; a faster source is never carried
 MAX_WAY, MAX_TURN = 2.0, math.tau  # m and rad without a pose: the localisation has ended
-MAX_GAP = 0.5  # s between two readings: the base may have begun anew
+MAX_GAP = 0.5  # s of a gap between two readings in which the twist explains motion
 SHIFT = 0.1, 0.2  # m and rad between two readings that are motion, beside 1.5 times the twist
 UNSEEN_WAY, UNSEEN_TURN = 0.25, 0.2  # m and rad without a pose before the driver has started
 _NOISE = 0.01, 0.02  # m and rad: less motion is noise of odometry at rest
@@ -119,14 +119,14 @@ class CarriedPose:
 
 
 def _begins_anew(here: Odometry, last: Odometry) -> bool:
-    """True if the pose of odometry may have moved without the robot: a reset, or a gap."""
-    seconds = here.stamp - last.stamp
+    """True if the pose of odometry may have moved without the robot: a reset, or motion in a gap."""
+    seconds = min(here.stamp - last.stamp, MAX_GAP)
     way = math.dist((here.pose.x, here.pose.y), (last.pose.x, last.pose.y))
     turn = abs(math.remainder(here.pose.yaw - last.pose.yaw, math.tau))
     speed = max(math.hypot(one.twist.linear, one.twist.lateral) for one in (here, last))
     rate = max(abs(one.twist.angular) for one in (here, last))
     return (
-        not 0.0 <= seconds <= MAX_GAP
+        seconds < 0.0
         or way > SHIFT[0] + 1.5 * speed * seconds
         or turn > SHIFT[1] + 1.5 * rate * seconds
     )

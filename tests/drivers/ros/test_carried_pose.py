@@ -140,7 +140,8 @@ def test_a_kept_pose_counts_from_the_first_reading_with_the_motion_that_it_may_h
         ((0.0, 0.0, 0.0), 0.05, True),
         ((0.3, 0.0, 0.0), 0.05, False),  # a base at rest, whose odometry begins anew
         ((0.0, 0.0, 0.9), 0.05, False),
-        ((0.0, 0.0, 0.0), 3.0, False),  # what happened meanwhile is not known
+        ((0.0, 0.0, 0.0), 3.0, True),  # a late reading of a base at rest
+        ((0.3, 0.0, 0.0), 3.0, False),
     ],
 )
 def test_odometry_that_may_have_begun_anew_carries_nothing(
