@@ -119,7 +119,7 @@ class CarriedPose:
 
 
 def _begins_anew(here: Odometry, last: Odometry) -> bool:
-    """True if the pose of odometry may have moved without the robot: a reset, or motion in a gap."""
+    """True if the pose of odometry may have moved without the robot, as by a reset."""
     seconds = min(here.stamp - last.stamp, MAX_GAP)
     way = math.dist((here.pose.x, here.pose.y), (last.pose.x, last.pose.y))
     turn = abs(math.remainder(here.pose.yaw - last.pose.yaw, math.tau))
