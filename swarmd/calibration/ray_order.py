@@ -119,7 +119,7 @@ class RayOrder:
         self._sides.append(end - begin)
 
     def figure(self) -> SweepFigure:
-        """The sweep that fits all scans, or why there is none."""
+        """The sweep that fits all scans, or the reason why no sweep fits."""
         if self._why:
             return SweepFigure(why=self._why)
         is_left = np.array(self._sides) > 0.0

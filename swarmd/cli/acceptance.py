@@ -267,12 +267,12 @@ class _Talk:
         _say(step.why, "  ")
 
     def _begin(self, step: Step) -> None:
-        """Begin a step, unless a pass that it needs has grown too old since the program's start."""
+        """Begin a step, unless a pass that it needs is not of the last day any more."""
         known = self.record.verdicts_on(self._dialogue.steps, time.time())
         if old := [id for id in step.needs if id not in known]:
             from swarmd.acceptance.dialogue import Refused
 
-            why = f"the pass of {old[0]} is older than a day: the same command asks it again"
+            why = f"the pass of {old[0]} is not of the last day: the same command asks it again"
             self._robot.inputs.put(Refused(why))
             return
         self._robot.begin(step)

@@ -174,7 +174,7 @@ class Person:
         while not self._robot.is_moving.is_set():
             self._asked.wait(2.0)
             self._asked.clear()
-            time.sleep(1.5)  # an answer within the first second is none
+            time.sleep(1.5)  # the dialogue refuses an answer within the first second
             if self._one._is_asked:
                 os.write(self._keyboard, self._lines[0])
                 self._lines = self._lines[1:] or self._lines
