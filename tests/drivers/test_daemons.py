@@ -190,7 +190,8 @@ def test_the_robot_of_a_frozen_daemon_stops(moving: tuple[Course, DaemonProcess]
     daemon.freeze()
     try:
         zero = course.stands(frozen, 1.5)  # more than the 1 s after which a run ends
-        assert 0.3 < zero - frozen < 0.6 + course.setup.slack
+        # Not before 0.4 s of silence: tests/driver_api/test_watchdog.py, to the tick.
+        assert zero - frozen < 0.6 + course.setup.slack
         thawed = boottime()
     finally:
         daemon.thaw()
