@@ -22,7 +22,7 @@ from tests.support.swarmctl import swarmctl
 pytestmark = pytest.mark.integration
 ROBOT = "r01"
 TRIES = 4
-"""On a busy machine a run may begin too late, or the robot may be held: not shown, then."""
+"""On a busy machine a run may begin too late, or the robot be held or slow: shown again, then."""
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_a_stop_is_measured_although_the_first_answers_are_none(swarm: str, tmp_
             one.press(b"y\n")
             one.end()
         found = read_record(folder).verdicts["B1"]
-        if found.result is Result.PASS:
+        if found.result is Result.PASS and found.values["speed"] > 0.05:
             break
     assert found.result is Result.PASS, found
     assert 0.05 < float(found.values["speed"]) < 0.15

@@ -83,13 +83,18 @@ class Course:
         """When the zeros began that come for `seconds` at least, more than 5 for each of these.
 
         A command to move may follow a zero in one reading: a late decision gives one zero, too.
+        The adapter of ROS 1 ends after 2 s of zeros, which a stall squeezes into one reading: no
+        command to move follows them for `seconds`, then.
         """
         zeros: list[float] = []
+        has_end = self.setup.driver == "ros1"
 
         def have_come() -> bool:
             after = [(t, twist) for t, twist in self.commands if t > since]
             zeros[:] = [t for t, _ in takewhile(lambda one: one[1].is_zero, reversed(after))]
-            return len(zeros) > 5.0 * seconds and zeros[0] - zeros[-1] > seconds
+            if len(zeros) <= 5.0 * seconds:
+                return False
+            return (boottime() if has_end else zeros[0]) - zeros[-1] > seconds
 
         wait_until(have_come, "zeros for long enough")
         return zeros[-1]
