@@ -162,11 +162,13 @@ class Body:
     def ran_since(self, moving: Commanded) -> bool:
         """True if from then on every command was of a running pattern, held up or not.
 
-        `moving` is one that moves and was requested for a scan: see `wait_stepped`.
+        `moving` is one that moves and was requested for a scan: see `wait_stepped`. If this process
+        stood still, the driver has lost its base, whose zeros have neither scan.
         """
         with self._changed:
             return all(
                 min(one.scan_seq, one.requested_scan_seq) >= 0
+                or (one.scan_seq == one.requested_scan_seq and self._late_at > moving.at)
                 for one in self.commands
                 if one.at >= moving.at
             )

@@ -23,6 +23,7 @@ import click
 import pytest
 
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.core.errors import RequestError
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.messages import Code, Status
 from swarmd.network.operator.exit_codes import APPLIED, UNREACHABLE
@@ -100,6 +101,17 @@ def ask_in_time(ask: Callable[[], Finished], *, late: tuple[int, ...] = ()) -> F
         is_late = STALLED.search(done.out + done.err) or done.code in late
         if done.code == APPLIED or not is_late or time.monotonic() > deadline:
             return done
+
+
+def typed_in_time(ask: Callable[[], Outcome]) -> Outcome:
+    """The outcome of a start; asked again if this process stood still, so that nothing was sent."""
+    deadline = time.monotonic() + CAP
+    while True:
+        try:
+            return ask()
+        except RequestError as error:
+            if not STALLED.search(str(error)) or time.monotonic() > deadline:
+                raise
 
 
 def await_applied(ask: Callable[[], Outcome], what: str) -> None:
