@@ -39,6 +39,7 @@ from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import EstopRequest, LabelRequest, ParamRequest, StopRequest
 from swarmd.daemon import store
 from swarmd.daemon.daemon import Daemon
+from swarmd.daemon.goal_service import STORE_TIME
 from swarmd.daemon.store import LatchFile
 from swarmd.driver_api.driver import Sink, TakeLate
 from swarmd.network.datagram import Stop, pack, tag_of
@@ -516,14 +517,17 @@ async def test_a_stop_is_acked_when_a_restart_would_not_forget_it(
         is_open.set()
         while not replies:
             await asyncio.sleep(0.01)
+        took.append(boottime() - began)
         stop.set()
 
     asked: list[asyncio.Task[None]] = []
+    began, took = boottime(), list[float]()
     await run(daemon, stop, lambda: asked.append(asyncio.create_task(ask())))
     await asked[0]
     assert early == [0]
     assert [reply.code for reply in replies] == [Code.APPLIED]
-    assert ("not on disk" in replies[0].text) is not is_written
+    is_late = took[0] > STORE_TIME  # as on a disk that takes longer
+    assert ("not on disk" in replies[0].text) is not is_written or is_late
 
 
 @pytest.mark.parametrize("ends", [False, True])

@@ -14,6 +14,7 @@ from swarmd.core.values import Value
 from swarmd.network.operator.exit_codes import NO_TARGET, REFUSED, TIMEOUT
 from tests.support.fake_body import Body
 from tests.support.processes import wait_until
+from tests.support.swarmctl import Finished, ask_in_time
 from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -115,10 +116,15 @@ def test_after_a_canary_that_runs_well_all_run(swarm: Swarm) -> None:
 def test_a_robot_that_is_stopped_while_the_canary_runs_is_not_started_after_it(
     swarm: Swarm,
 ) -> None:
-    with swarm.begin("run", "drive", "--all", "--canary", "r1", "--canary-time", "6s") as process:
-        swarm.await_state("r1", State.RUNNING)
-        assert swarm.ctl("stop", "r2", user="bob").code == 0
-        done = process.finish()
+    def stopped() -> Finished:
+        swarm.ctl("stop")
+        words = ("run", "drive", "--all", "--canary", "r1", "--canary-time", "6s")
+        with swarm.begin(*words) as process:
+            swarm.await_state("r1", State.RUNNING)
+            assert swarm.ctl("stop", "r2", user="bob").code == 0
+            return process.finish()
+
+    done = ask_in_time(stopped)  # a stall of that process ends it before all are asked
     assert done.outcome == (3, "2 targeted, 1 applied, 1 refused (r2)")
     assert [swarm.status(name).state for name in NAMES] == [State.RUNNING, State.STOPPED]
 

@@ -85,8 +85,13 @@ def test_commands_to_500_robots_are_counted(page: Page, capsys: pytest.CaptureFi
         page.click("#estop")
         page.until(f"{ESTOP}.className === 'good' || {ESTOP}.className === 'bad'", "acknowledged")
         assert set(swarm.states.values()) == {State.ESTOPPED}
-        page.click("#reset")
-        page.click("#reset")
+
+        def is_confirmed() -> bool:
+            """A first click waits for a second, for a few seconds alone."""
+            page.click("#reset")
+            return not page.evaluate("document.querySelector('#reset').matches('.armed')")
+
+        wait_until(is_confirmed, "confirmed")
         page.until(f"{ANSWER}.startsWith('reset: 500 targeted')", "reset")
         assert page.errors == []
 
