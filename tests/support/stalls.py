@@ -23,7 +23,10 @@ from pathlib import Path
 from typing import TextIO
 
 LONG = (0.3, 1.5)
-"""s, of a stall of pytest, a world, a bridge, a hub or an operator."""
+"""s, of a stall of pytest, a world, a bridge or a hub."""
+COMMAND = (0.3, 0.9)
+"""s, of a stall of a `swarmctl`: one that stands still for 1 s starts nothing, and says so. A test
+of that stops it itself."""
 SHORT = (0.05, 0.25)
 """s, of a stall of a daemon and its processes. A robot whose daemon stands still for longer must
 hold: a test of that stops its daemon itself."""
@@ -114,7 +117,7 @@ def tree(root: int) -> dict[int, int]:
 
 
 def kinds(root: int) -> dict[int, tuple[float, float]]:
-    """LONG or SHORT for each process of the tree that may stand still.
+    """LONG, COMMAND or SHORT for each process of the tree that may stand still.
 
     What descends from a daemon is SHORT, too. A fork of the server has the command line of the
     server and, if it is a daemon, the name of its robot.
@@ -129,6 +132,8 @@ def kinds(root: int) -> dict[int, tuple[float, float]]:
         is_fork = _FORK_SERVER in line and not name.startswith(_OPERATORS)
         if found.get(parent) == SHORT or is_fork or any(one in line for one in _DAEMON_MODULES):
             found[pid] = SHORT
+        elif name.startswith("swarmctl"):
+            found[pid] = COMMAND
         elif any(one in Path(line.split("\0")[0]).name for one in _LONG_PROGRAMS):
             found[pid] = LONG
     return found
