@@ -27,20 +27,37 @@ else:
 _ODOMETRY_TIMEOUT = cython.declare(cython.double, timeouts.ODOMETRY_TIMEOUT)
 _NEIGHBOR_TIMEOUT = cython.declare(cython.double, timeouts.NEIGHBOR_TIMEOUT)
 _AGE_UPDATE_PERIOD = cython.declare(cython.double, timeouts.AGE_UPDATE_PERIOD)
-# A name of C is found at once, one of the module in a dict.
-HAZARD = cython.declare(object, Reason.HAZARD)
 _Context = cython.declare(object, DecisionContext)
 _Inputs = cython.declare(object, Inputs)
+
+
+@cython.final
+@cython.cclass
+class Hold:
+    """A row of the holds: from `begins` until `until` the input of the row forbids motion.
+
+    Both are times in s, which the input sets when it arrives: `begins` of -inf is a hold that is
+    present. `reason`: what the robot gives as the cause. `ends_run`: the run ends at once.
+    """
+
+    reason = cython.declare(object, visibility="public")
+    begins = cython.declare(cython.double, visibility="public")
+    until = cython.declare(cython.double, visibility="public")
+    ends_run = cython.declare(cython.bint, visibility="public")
+
+    def __init__(self, reason: Reason | None, begins: cython.double = INFINITY) -> None:
+        self.reason, self.begins, self.until = reason, begins, INFINITY
 
 
 @cython.cclass
 class InputAges:
     """The arrival times of inputs, the holds that follow, and the context of decisions.
 
-    - `_problem`: why the last scan is not usable; None for a usable scan.
-    - `_hazards_until`: a hazard holds the robot until this time.
-    - `_peers_due`: after this time the place of a peer is too old, which holds the robot.
-    - `_anchor_due`: after this time the pose for layers is too old, which holds the robot.
+    - `holds`: the rows in the order in which `hold` looks at them; the eight names below are rows.
+    - `lost_hold`: the driver has no base. `base_hold`: the driver forbids motion itself.
+    - `hazard_hold`: until the last hazard is over. `delay_hold`: scans come later than permitted.
+    - `scan_hold`, `ring_hold`, `odometry_hold`: an input is too old, or none has come.
+    - `peers_hold`, `pose_hold`: the place of a peer, or the pose for layers, is too old.
     - `_teller`: the `Peers` object while the place of any peer is known; such places are obstacles.
     - `_ring`: the `RangeRing` of a robot with such sensors.
     - `_places`: the `NeighborPlaces` of a robot that computes where its neighbours are.
@@ -57,25 +74,27 @@ class InputAges:
     pose_until = cython.declare(cython.double, visibility="public")
     scan_delay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
-    driver_hold = cython.declare(object, visibility="public")
+    holds = cython.declare(tuple, visibility="public")
+    lost_hold = cython.declare(Hold, visibility="public")
+    base_hold = cython.declare(Hold, visibility="public")
+    hazard_hold = cython.declare(Hold, visibility="public")
+    delay_hold = cython.declare(Hold, visibility="public")
+    scan_hold = cython.declare(Hold, visibility="public")
+    ring_hold = cython.declare(Hold, visibility="public")
+    odometry_hold = cython.declare(Hold, visibility="public")
+    peers_hold = cython.declare(Hold, visibility="public")
+    pose_hold = cython.declare(Hold, visibility="public")
     permitted_delay = cython.declare(cython.double, visibility="public")
     _scan_at = cython.declare(cython.double, visibility="public")
     _odometry_at = cython.declare(cython.double, visibility="public")
     _added = cython.declare(cython.double, visibility="public")
     _is_late = cython.declare(cython.bint, visibility="public")
-    _is_clock_set = cython.declare(cython.bint, visibility="public")
     _stale_after = cython.declare(cython.double, visibility="public")
     _max_delay = cython.declare(cython.double, visibility="public")
-    _needs_odometry = cython.declare(cython.bint, visibility="public")
-    _problem = cython.declare(object, visibility="public")
     _ring = cython.declare(object, visibility="public")
-    _peers_due = cython.declare(cython.double, visibility="public")
     _places = cython.declare(object, visibility="public")
     _anchors = cython.declare(object, visibility="public")
-    _anchor_due = cython.declare(cython.double, visibility="public")
     _teller = cython.declare(object, visibility="public")
-    _hazards_until = cython.declare(cython.double, visibility="public")
-    _ends_run = cython.declare(cython.bint, visibility="public")
     _is_new_scan = cython.declare(cython.bint, visibility="public")
     _history = cython.declare(object, visibility="public")
     _inbox = cython.declare(object, visibility="public")
@@ -88,8 +107,28 @@ class InputAges:
     _context_at: cython.double
 
     def __init__(self) -> None:
-        self._scan_at = self._odometry_at = self._hazards_until = -INFINITY
-        self._peers_due = self._anchor_due = INFINITY
+        self._scan_at = self._odometry_at = -INFINITY
+        self.lost_hold = Hold(Reason.DRIVER_LOST, -INFINITY)
+        self.base_hold = Hold(None)  # the driver gives the reason
+        self.hazard_hold = Hold(Reason.HAZARD, -INFINITY)
+        self.hazard_hold.until = -INFINITY
+        self.delay_hold = Hold(Reason.LATE_SCAN)
+        self.scan_hold = Hold(Reason.NO_SCAN, -INFINITY)
+        self.ring_hold = Hold(Reason.NO_SCAN)
+        self.odometry_hold = Hold(Reason.STALE_ODOMETRY)
+        self.peers_hold = Hold(Reason.INCOMPATIBLE_PEER)
+        self.pose_hold = Hold(Reason.NO_POSE)
+        self.holds = (
+            self.lost_hold,
+            self.base_hold,
+            self.hazard_hold,
+            self.delay_hold,
+            self.scan_hold,
+            self.ring_hold,
+            self.odometry_hold,
+            self.peers_hold,
+            self.pose_hold,
+        )
         self._neighbors = self._aged = ()
 
     @cython.ccall
@@ -104,9 +143,11 @@ class InputAges:
         self._context, self.odometry = None, odometry
         if is_new:
             self._odometry_at = now
+            if self.odometry_hold.begins < INFINITY:  # the platform provides odometry
+                self.odometry_hold.begins = now + _ODOMETRY_TIMEOUT
             if self._anchors is not None:
                 self._anchors.on_odometry(odometry)
-                self._anchor_due = self._anchors.until
+                self.pose_hold.begins = self._anchors.until
 
     @cython.ccall
     def neighbors(self, now: cython.double) -> tuple:
@@ -170,41 +211,20 @@ class InputAges:
     @cython.ccall
     def hold(self, now: cython.double) -> Reason | None:
         """The reason why the inputs forbid motion; None if they permit motion."""
-        if not self.is_driver_up:
-            return Reason.DRIVER_LOST
-        if self.driver_hold is not None:
-            return self.driver_hold
-        if now < self._hazards_until:
-            return HAZARD
-        if self._scan_at == -INFINITY:
-            return self._problem or Reason.NO_SCAN
-        age: cython.double = now - self._scan_at
-        if self._is_late and self._added > self.permitted_delay and age <= self._stale_after:
-            return Reason.CLOCK_SET if self._is_clock_set else Reason.LATE_SCAN
-        if age > self._longest_age():
-            return self._problem or Reason.STALE_SCAN
-        if self._ring is not None:
-            reason = self._ring.hold(now)
-            if reason is not None:
-                return reason
-        if self._needs_odometry and now - self._odometry_at > _ODOMETRY_TIMEOUT:
-            return Reason.STALE_ODOMETRY
-        if now > self._peers_due:
-            return Reason.INCOMPATIBLE_PEER
-        return Reason.NO_POSE if now > self._anchor_due else None
+        row: Hold
+        for row in self.holds:
+            if row.begins < now < row.until:
+                return row.reason
+        return None
 
     @cython.ccall
-    def hold_due_at(self) -> float:
-        """A time until which `hold` stays None, if `hold` is None now and no input arrives."""
-        due: cython.double = min(self._peers_due, self._anchor_due)
-        if self._scan_at > -INFINITY:
-            due = min(due, self._scan_at + self._stale_after - self._added)
-        if self._needs_odometry and self._odometry_at > -INFINITY:
-            due = min(due, self._odometry_at + _ODOMETRY_TIMEOUT)
-        if self._ring is not None:
-            stale_at = self._ring.stale_at
-            if stale_at is not None:
-                due = min(due, stale_at)
+    def hold_due_at(self, now: cython.double) -> float:
+        """A time until which `hold` is None if no input arrives; one of the past if it is not."""
+        due: cython.double = INFINITY
+        row: Hold
+        for row in self.holds:
+            if row.begins < due and now < row.until:
+                due = row.begins
         return due
 
     @cython.ccall
@@ -215,21 +235,29 @@ class InputAges:
         """
         if self._scan_at == -INFINITY:
             return None
-        stale_at = self._scan_at + self._longest_age()
-        ring_at = None if self._ring is None else self._ring.stale_at
-        return stale_at if ring_at is None else min(stale_at, ring_at)
+        stale_at, ring_at = self.scan_hold.begins, self.ring_hold.begins
+        return min(stale_at, ring_at) if ring_at > -INFINITY else stale_at
 
-    @cython.cfunc
-    @cython.exceptval(check=False)
-    def _longest_age(self) -> cython.double:
-        """The age in s since arrival beyond which a scan is stale.
+    @cython.ccall
+    def permit_delay(self, seconds: cython.double):
+        """Set how late (s beyond the latency of the platform) scans may be."""
+        if seconds != self.permitted_delay:
+            self.permitted_delay = seconds
+            InputAges.time_scan(self)
 
-        This age is the platform's limit `stale_after` less the measured delay of scans, since the
-        rays of a delayed scan are older than its arrival. If the running pattern permits a delay
-        above the platform's bound `max_scan_delay`, only `max_scan_delay` is subtracted.
+    @cython.ccall
+    def time_scan(self):
+        """Set when the last scan is stale, and whether it came too late.
+
+        A scan is stale at the platform's limit `stale_after` less the measured delay of scans,
+        since the rays of a delayed scan are older than its arrival. If the running pattern permits
+        a delay above the platform's bound `max_scan_delay`, only `max_scan_delay` is subtracted.
         """
         delay: cython.double = self._added
         is_permitted: cython.bint = delay <= self.permitted_delay
+        stale_at: cython.double = self._scan_at + self._stale_after
+        self.delay_hold.begins = -INFINITY if self._is_late and not is_permitted else INFINITY
+        self.delay_hold.until = stale_at
         if is_permitted and delay > self._max_delay:
             delay = self._max_delay
-        return self._stale_after - delay
+        self.scan_hold.begins = stale_at - delay

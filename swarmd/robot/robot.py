@@ -273,7 +273,7 @@ class Robot(Ticker):
     @_settled
     def _on_driver(self, one: events.DriverInput, effects: Effects) -> None:
         sensors, now = self._sensors, effects.now
-        if (one.is_up, one.hold) != (sensors.is_driver_up, sensors.driver_hold):
+        if (one.is_up, one.hold) != (sensors.is_driver_up, sensors.base_hold.reason):
             self._lifecycle.log(f"driver: {one.text}", now)
         sensors.on_driver(one.is_up, one.text, hold=one.hold, gets_zero=one.gets_zero)
         hold = one.hold if one.is_up else Reason.DRIVER_LOST

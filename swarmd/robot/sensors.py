@@ -1,8 +1,8 @@
 """The latest inputs of one robot: scans, odometry, neighbours, readings, messages and hazards.
 
-`InputAges.hold` (input_ages.py) compares the age of each input with its limit, and holds a robot
-whose input is too old. The limit of a scan is the platform's `scan.stale_after`, less the measured
-delay. `hazard_holds.py` has the holds of hazards.
+Each input sets when its hold begins: a row of `InputAges.holds` (input_ages.py). The limit of a
+scan is the platform's `scan.stale_after`, less the measured delay. `hazard_holds.py` has the holds
+of hazards.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
 
 if TYPE_CHECKING:
-    from swarmd.robot.input_ages import InputAges
+    from swarmd.robot.input_ages import Hold, InputAges
 else:
     InputAges = load_kernel("swarmd.robot.input_ages").InputAges
 
@@ -93,15 +93,15 @@ class Sensors(InputAges):
         super().__init__()
         self._begin_lidar(platform)
         ring = platform.ranges
-        self._ring = None if ring is None else RangeRing(platform, ring)
+        self._ring = None if ring is None else RangeRing(platform, ring, self.ring_hold)
         self._given: tuple[Neighbor, ...] = ()  # neighbours as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self._known_places = NeighborPlaces()
         self._places = self._known_places if PLACES_BY_POSE & platform.provides else None
         self._anchors = anchors
-        if anchors is not None:  # else `_anchor_due` stays inf
-            self._anchor_due = anchors.until
+        if anchors is not None:  # else this hold never begins
+            self.pose_hold.begins = anchors.until
         # Messages of other robots' patterns, kept until the next step of the own pattern.
         self._inbox: deque[_ReceivedMessage] = deque()
         self._inbox_bytes = 0
@@ -113,7 +113,8 @@ class Sensors(InputAges):
         """Make the parts that check a scan, measure its delay, and correct it by odometry."""
         self._stale_after = platform.scan.stale_after
         self._max_delay = platform.scan.max_scan_delay
-        self._needs_odometry = "odometry" in platform.provides
+        if "odometry" in platform.provides:
+            self.odometry_hold.begins = -math.inf
         # The protection mode `barrier` remembers obstacles that vanish in the blind zone of the
         # lidar, and does so more precisely than the conditioner.
         guesses_near = platform.protection.get("mode") != "barrier"
@@ -140,13 +141,16 @@ class Sensors(InputAges):
         conditioned = self._conditioner.take(scan, odometry, now)
         self._context = None
         if isinstance(conditioned, Reason):
-            self._problem = conditioned
+            self.scan_hold.reason = conditioned
             return False
         self.scan_delay.on_scan(scan, now)
         self._added, self._is_late = self.scan_delay.added, self.scan_delay.is_late
-        self._is_clock_set = self._is_late and self.scan_delay.is_clock_set
+        is_clock_set = self._is_late and self.scan_delay.is_clock_set
+        self.delay_hold.reason = Reason.CLOCK_SET if is_clock_set else Reason.LATE_SCAN
         self._scan_at = self._conditioner.known_at
-        self._problem = None if self._scan_at == now else Reason.INVALID_SCAN
+        is_whole = self._scan_at == now
+        self.scan_hold.reason = Reason.STALE_SCAN if is_whole else Reason.INVALID_SCAN
+        self.time_scan()
         self._scan_times.append(now)
         self._is_new_scan = True
         odometry_age = None if odometry is None else self.odometry_age(now)
@@ -197,7 +201,7 @@ class Sensors(InputAges):
             self._known_places.on_pose(pose, at)
             if self._anchors is not None:
                 self._anchors.on_pose(pose, at, self.peers.pose_errors, self._odometry_at)
-                self._context, self._anchor_due = None, self._anchors.until
+                self._context, self.pose_hold.begins = None, self._anchors.until
 
     def pose_text(self, now: float) -> str:
         """Why layers have no usable pose; empty with a pose, and without a layer that needs one."""
@@ -217,13 +221,14 @@ class Sensors(InputAges):
 
     def _look_at_peers(self) -> None:
         """Set the hold deadline and the source of places from the present peers."""
-        self._context, self._peers_due = None, self.peers.hold_due_at()
+        self._context, self.peers_hold.begins = None, self.peers.hold_due_at()
         self._teller = self.peers if self.peers.has_places else None
 
     def on_hazards(self, hazards: tuple[Hazard, ...], now: float) -> None:
         """Take in all present hazards of the base."""
         self.hazards.take(hazards, now)
-        self._hazards_until, self._ends_run = self.hazards.until, self.hazards.ends_run
+        self.hazard_hold.until = self.hazards.until
+        self.hazard_hold.ends_run = self.hazards.ends_run
 
     def hold_text(self, hold: Reason | None, now: float) -> str:
         """The detail of a hold: hazards with ages, blind sectors, or the pose for layers."""
@@ -297,8 +302,10 @@ class Sensors(InputAges):
             self._forget_option_inputs()
             self.on_readings(dict.fromkeys((*self.readings, *self.stale_readings), math.nan))
         self.is_driver_up = is_up
+        self.lost_hold.begins = math.inf if is_up else -math.inf
         self.driver_text = text
-        self.driver_hold = hold
+        self.base_hold.reason = hold
+        self.base_hold.begins = math.inf if hold is None else -math.inf
         self.gets_zero = gets_zero
 
     def scan_age(self, now: float) -> float | None:
@@ -342,15 +349,15 @@ class RangeRing:
     the first scan. Times are in s on the robot's clock.
     """
 
-    def __init__(self, platform: Platform, spec: ScanSpec) -> None:
-        """No scan yet."""
+    def __init__(self, platform: Platform, spec: ScanSpec, hold: Hold) -> None:
+        """No scan yet. `hold`: the row of the ring, which its scans set."""
         self._spec, self._outline = spec, Footprint(platform.footprint)
         self._conditioner = ScanConditioner(spec)
         barrier = barrier_settings(platform)
         self._extent = 0.0 if barrier is None else barrier.unseen_extent
         self._speed = fastest_corner(platform)
         self._known_at: float | None = None
-        self._problem: Reason | None = None
+        self._hold, hold.begins = hold, -math.inf
         self._places: list[tuple[float, float]] = []  # x, y of each return in m, base frame
         self._radius = 0.0
         self.scan: Scan | None = None
@@ -359,10 +366,11 @@ class RangeRing:
         """Take in a scan of the ring; an invalid scan does not count."""
         conditioned = self._conditioner.take(scan, odometry, now)
         if isinstance(conditioned, Reason):
-            self._problem = conditioned
+            self._hold.reason = conditioned
             return
         self._known_at = known_at = self._conditioner.known_at
-        self._problem = None if known_at == now else Reason.INVALID_SCAN
+        self._hold.reason = Reason.STALE_SCAN if known_at == now else Reason.INVALID_SCAN
+        self._hold.begins = known_at + self._spec.stale_after
         # Remembered values belong to an earlier pose: enlarge the discs by the motion since then.
         self._radius = self._extent + (now - known_at) * self._speed
         self.scan, directions = conditioned, unit_vectors(conditioned.bearings)
@@ -372,18 +380,6 @@ class RangeRing:
         is_seen = distances < np.inf
         points = self._spec.offset + distances[is_seen, None] * directions[is_seen]
         self._places = [(x, y) for x, y in points.tolist()]
-
-    def hold(self, now: float) -> Reason | None:
-        """The reason why the ring forbids motion; None if the ring permits motion."""
-        stale_at = self.stale_at
-        if stale_at is None:
-            return self._problem or Reason.NO_SCAN
-        return (self._problem or Reason.STALE_SCAN) if now > stale_at else None
-
-    @property
-    def stale_at(self) -> float | None:
-        """The time at which the last scan becomes too old; None before the first scan."""
-        return None if self._known_at is None else self._known_at + self._spec.stale_after
 
     def obstacles(self, now: float) -> tuple[ToldObstacle, ...]:
         """The returns of the ring as discs, each with the age of the oldest value, for protection.

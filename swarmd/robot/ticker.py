@@ -148,9 +148,9 @@ class Ticker:
         Returns the actions; None after a quiet tick, which only computes the safe command.
         """
         if now >= self._quiet_until:
-            self._look_ahead()
+            self._look_ahead(now)
         is_quiet: cython.bint = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
-        if now > self._sensors._anchor_due:  # a jump of pose or odometry ends no quiet time
+        if now > self._sensors.pose_hold.begins:  # a jump of pose or odometry ends no quiet time
             is_quiet = False
         effects = None if is_quiet else Ticker._begin(self, now)
         self._last_tick = now
@@ -194,9 +194,12 @@ class Ticker:
         now: cython.double = effects.now
         sensors, running = self._sensors, self._run.running
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
-        sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
+        delay: cython.double = 0.0 if running is None else running.permit.scan_delay
+        InputAges.permit_delay(sensors, delay)
         hold = InputAges.hold(sensors, now)
-        if sensors._ends_run:  # a wheel drop or a lift, also under a hold for another reason
+        if (
+            sensors.hazard_hold.ends_run
+        ):  # a wheel drop or a lift, also under a hold for another reason
             self._lifecycle.on_hazard(sensors.hazards.text(now), effects)
         # Only a routine event has certainly not changed the lifecycle.
         if hold is not None or now >= self._due_at or not effects.is_routine:
@@ -249,13 +252,13 @@ class Ticker:
         )
 
     @cython.cfunc
-    def _look_ahead(self):
+    def _look_ahead(self, now: cython.double):
         """Set `_quiet_until` and `_due_at` for a time without events; no quiet ticks in a hold."""
         if self._hold is not None:
             return
         due: cython.double = self._lifecycle_due_at()
         if self._machine.state is _RUNNING:
-            due = min(due, InputAges.hold_due_at(self._sensors))
+            due = min(due, InputAges.hold_due_at(self._sensors, now))
         self._due_at = due - ROUNDING
         if not self._is_status_due:
             due = min(due, self._run.step_due_at(), self._published_at + _STATUS_PERIOD)

@@ -29,6 +29,71 @@ _START = "start it with `swarmctl run PATTERN {robot}`"
 SILENT = "silent"
 """The word of all displays for the state of a robot that is not heard."""
 
+HOLDS = {
+    Reason.NO_SCAN: ("no scan arrives{detail}; check the driver{driver}", "no scan arrived"),
+    Reason.INVALID_SCAN: (
+        "too many rays are missing in its scans{detail}; check the lidar",
+        "too many rays were missing in its scans",
+    ),
+    Reason.STALE_SCAN: (
+        "its last scan is too old{age}; check the lidar and the driver{driver}",
+        "scans stopped arriving",
+    ),
+    Reason.FROZEN_SCAN: ("its scans repeat{detail}; check the lidar", "its scans repeated"),
+    Reason.FROZEN_STAMP: (
+        "its scans come with a stamp that stands still{detail}; check the clock"
+        " and the driver that stamp them{driver}",
+        "the stamps of its scans stood still",
+    ),
+    Reason.CLOCK_SET: (
+        "the clock that stamps its scans or odometry was set{detail}{driver}; let the"
+        " clocks of its computers agree before a run, or start again what stamps them",
+        "the clock that stamps its scans or odometry was set",
+    ),
+    Reason.SCAN_CONFLICT: (
+        "more than one node publishes its scan{detail}{driver}; end all but one",
+        "more than one node published its scan",
+    ),
+    Reason.BASE_CONFLICT: (
+        "its driver reaches more than one base{detail}{driver}; end all but one",
+        "its driver reached more than one base",
+    ),
+    Reason.HAZARD: (
+        "a hazard of its base{detail}; look at the robot",
+        "its base reported a hazard, or its hazards were not heard",
+    ),
+    Reason.LATE_SCAN: (
+        "its scans arrive {late} later than the platform's scan.latency; shorten the"
+        " way of the scans, or correct the platform: `swarmctl calibrate {robot}` measures it",
+        "its scans arrived too late",
+    ),
+    Reason.STALE_ODOMETRY: (
+        "its odometry is too old, or its stamp stands still{detail}; check the driver{driver}",
+        "odometry stopped arriving, or its stamp stood still",
+    ),
+    Reason.COMMAND_EXPIRED: (
+        "the pattern sends no commands{detail}; its host is restarted soon",
+        "the pattern stopped sending commands",
+    ),
+    Reason.DRIVER_LOST: (
+        "its base does not answer{driver}; check the driver",
+        "its base did not answer",
+    ),
+    Reason.INCOMPATIBLE_PEER: (
+        "{peer}{detail}",
+        "it did not see a peer, or a peer was faster than it assumes",
+    ),
+    Reason.NO_POSE: (
+        "it has a fence and no usable pose{detail}; check the localisation{driver}",
+        "it has a fence and had no usable pose",
+    ),
+    Reason.PATTERN_RESTARTING: (
+        "the pattern failed and is being loaded again{detail}",
+        "the pattern failed and could not be loaded again",
+    ),
+}
+"""Of each hold: its sentence while it is present, and why it has ended a run (it may be over)."""
+
 SENTENCES = {
     Reason.NEVER_ASKED: f"has not been run yet; {_START}",
     Reason.FINISHED: f"the pattern has finished{{detail}}; {_START}",
@@ -46,50 +111,11 @@ SENTENCES = {
     Reason.SUPERSEDED: "a later goal ended its run{detail}; see `swarmctl goal`",
     Reason.LEASE_ENDED: f"the operator of its run was not heard{{detail}}; {_START}",
     Reason.LOW_BATTERY: f"its battery is low{{detail}}; charge it, then {_START}",
-    Reason.NO_SCAN: "no scan arrives{detail}; check the driver{driver}",
-    Reason.INVALID_SCAN: "too many rays are missing in its scans{detail}; check the lidar",
-    Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",
-    Reason.FROZEN_SCAN: "its scans repeat{detail}; check the lidar",
-    Reason.FROZEN_STAMP: "its scans come with a stamp that stands still{detail}; check the clock"
-    " and the driver that stamp them{driver}",
-    Reason.CLOCK_SET: "the clock that stamps its scans or odometry was set{detail}{driver}; let the"
-    " clocks of its computers agree before a run, or start again what stamps them",
-    Reason.SCAN_CONFLICT: "more than one node publishes its scan{detail}{driver}; end all but one",
-    Reason.BASE_CONFLICT: "its driver reaches more than one base{detail}{driver}; end all but one",
-    Reason.HAZARD: "a hazard of its base{detail}; look at the robot",
-    Reason.LATE_SCAN: "its scans arrive {late} later than the platform's scan.latency; shorten the"
-    " way of the scans, or correct the platform: `swarmctl calibrate {robot}` measures it",
-    Reason.STALE_ODOMETRY: "its odometry is too old, or its stamp stands still{detail}; check the"
-    " driver{driver}",
-    Reason.COMMAND_EXPIRED: "the pattern sends no commands{detail}; its host is restarted soon",
-    Reason.DRIVER_LOST: "its base does not answer{driver}; check the driver",
-    Reason.INCOMPATIBLE_PEER: "{peer}{detail}",
-    Reason.NO_POSE: "it has a fence and no usable pose{detail}; check the localisation{driver}",
-    Reason.PATTERN_RESTARTING: "the pattern failed and is being loaded again{detail}",
+    **{reason: present for reason, (present, _) in HOLDS.items()},
     Reason.NO_REQUESTED_COMMAND: "the pattern requests no motion",
     Reason.PROTECTION: "protection holds it{gap}",
 }
 """Sentence of each reason, with the fields that `why` fills in."""
-
-# In the past tense, for a robot that was stopped because the hold lasted: it may be over by now.
-_LASTING_HOLDS = {
-    Reason.NO_SCAN: "no scan arrived",
-    Reason.INVALID_SCAN: "too many rays were missing in its scans",
-    Reason.STALE_SCAN: "scans stopped arriving",
-    Reason.FROZEN_SCAN: "its scans repeated",
-    Reason.FROZEN_STAMP: "the stamps of its scans stood still",
-    Reason.CLOCK_SET: "the clock that stamps its scans or odometry was set",
-    Reason.SCAN_CONFLICT: "more than one node published its scan",
-    Reason.BASE_CONFLICT: "its driver reached more than one base",
-    Reason.HAZARD: "its base reported a hazard, or its hazards were not heard",
-    Reason.LATE_SCAN: "its scans arrived too late",
-    Reason.STALE_ODOMETRY: "odometry stopped arriving, or its stamp stood still",
-    Reason.COMMAND_EXPIRED: "the pattern stopped sending commands",
-    Reason.DRIVER_LOST: "its base did not answer",
-    Reason.INCOMPATIBLE_PEER: "it did not see a peer, or a peer was faster than it assumes",
-    Reason.NO_POSE: "it has a fence and had no usable pose",
-    Reason.PATTERN_RESTARTING: "the pattern failed and could not be loaded again",
-}
 
 
 def standing_of(state: str, reason: str) -> str:
@@ -124,12 +150,10 @@ def why(member: SeenMember) -> str:
         return _text_if_moving(status)
     if status.state is State.RUNNING:
         return f"running {status.pattern}, not moving: {_text_if_standing(member.robot, status)}"
-    if status.reason in _LASTING_HOLDS:
+    if status.reason in HOLDS:
         # The hold lasted, so the run ended. In the past tense, since the hold may be over.
         start = _START.format(robot=member.robot)
-        past_hold = (
-            f"{_LASTING_HOLDS[status.reason]}{_detail(status)}; when that is solved, {start}"
-        )
+        past_hold = f"{HOLDS[status.reason][1]}{_detail(status)}; when that is solved, {start}"
         return f"{status.state}: {past_hold}{_lost(status)}"
     return f"{status.state}: {_text_if_standing(member.robot, status)}{_lost(status)}"
 

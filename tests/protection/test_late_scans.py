@@ -58,7 +58,7 @@ def test_later_scans_that_a_pattern_permits_lead_to_no_fault(late: float) -> Non
     speed = platform.protection["barrier"]["others_speed"]
     front = box(0.2, 3.0, Pose(2.0), velocity=(-speed, 0.0), begin=BEGIN)
     sim = FilterSim(platform, [front], phase=0.07, noise=0.005, late=lambda seq: late)
-    sim.sensors.permitted_delay = 0.5
+    sim.sensors.permit_delay(0.5)
     top = platform.limits.linear
     run = sim.run(lambda time: Twist(top if time > BEGIN else 0.0), BEGIN + 8.0)
     assert max(twist.linear for twist in run.twists) > 0.5 * top
@@ -69,7 +69,7 @@ def test_later_scans_that_a_pattern_permits_lead_to_no_fault(late: float) -> Non
 @pytest.mark.parametrize(("permitted", "held"), [(0.0, True), (0.5, False), (0.3, True)])
 def test_permitted_delay_is_the_bound_of_a_hold(permitted: float, held: bool) -> None:
     sim = FilterSim(at_ten_hertz("waffle_pi"), late=lambda seq: 0.35)
-    sim.sensors.permitted_delay = permitted
+    sim.sensors.permit_delay(permitted)
     reasons = [decision.reason for _, decision in sim.run(Twist(0.1), 6.0).decisions]
     assert (reasons[-1] is Reason.LATE_SCAN) == held
     assert (reasons[-1] is None) != held
@@ -77,7 +77,7 @@ def test_permitted_delay_is_the_bound_of_a_hold(permitted: float, held: bool) ->
 
 def test_permitted_late_scans_become_stale_within_two_periods() -> None:
     sim = FilterSim(at_ten_hertz("waffle_pi"), late=lambda seq: 0.35)
-    sim.sensors.permitted_delay = 0.5
+    sim.sensors.permit_delay(0.5)
     sim.run(Twist(), 6.0)
     sim.has_lidar = False
     decisions = sim.run(Twist(0.1), 1.5).decisions

@@ -142,7 +142,7 @@ def test_a_ring_without_a_scan_or_with_a_stale_one_holds() -> None:
     rig.ring(5.0, NOTHING)
     assert rig.sensors.hold(5.0) is None
     assert rig.sensors.stale_at() == pytest.approx(5.0 + spec.stale_after)
-    assert rig.sensors.hold_due_at() <= 5.0 + spec.stale_after
+    assert rig.sensors.hold_due_at(5.0) <= 5.0 + spec.stale_after
     late = 5.0 + spec.stale_after + 0.01
     rig.odometry(late)
     rig.lidar(late)

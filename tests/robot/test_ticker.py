@@ -82,6 +82,8 @@ def test_attributes_begin_as_the_same_values_compiled_and_interpreted() -> None:
         one, other = (getattr(kernel, name)() for kernel in FORMS)
         words = [word for word in dir(one) if not word.startswith("__")]
         words = [word for word in words if not callable(getattr(other, word, print))]
+        assert all(type(row).__name__ == "Hold" for row in getattr(one, "holds", ()))
+        words = [word for word in words if "hold" not in word]
         begun = [[repr(getattr(each, word)) for word in words] for each in (one, other)]
         assert begun[0] == begun[1]
 
@@ -91,27 +93,36 @@ def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
     times, found = [kernel.InputAges() for kernel in FORMS], set[Reason | None]()
     chance = Random(1)
     for _ in range(4000):
+        rows: dict[str, tuple[float, float]] = {
+            "lost_hold": (chance.choice((np.inf,) * 9 + (-np.inf,)), np.inf),
+            "base_hold": (chance.choice((np.inf,) * 9 + (-np.inf,)), np.inf),
+            "hazard_hold": (-np.inf, chance.choice((-np.inf, -np.inf, 10.1))),
+            "ring_hold": (chance.choice((-np.inf, np.inf, np.inf, 9.9, 10.5)), np.inf),
+            "odometry_hold": (chance.choice((-np.inf, 9.9, 10.0, 10.4, np.inf)), np.inf),
+            "peers_hold": (chance.choice((np.inf, 9.9)), np.inf),
+            "pose_hold": (chance.choice((np.inf, 9.9, 10.2)), np.inf),
+        }
         values: dict[str, Any] = {
-            "is_driver_up": chance.random() < 0.9,
-            "driver_hold": chance.choice((None,) * 9 + (Reason.BASE_CONFLICT,)),
-            "permitted_delay": chance.choice((0.0, 0.3)),
-            "_scan_at": chance.choice((-np.inf, 9.4, 9.7, 9.9, 10.0)),
-            "_odometry_at": chance.choice((-np.inf, 9.4, 9.5, 9.9)),
+            "_scan_at": chance.choice((-np.inf, 9.2, 9.4, 9.7, 9.9, 10.0)),
             "_added": chance.choice((0.0, 0.1, 0.25)),
             "_is_late": chance.random() < 0.2,
-            "_is_clock_set": chance.random() < 0.5,
             "_stale_after": 0.7,
             "_max_delay": 0.2,
-            "_needs_odometry": chance.random() < 0.8,
-            "_peers_due": chance.choice((np.inf, 9.9)),
-            "_hazards_until": chance.choice((-np.inf, -np.inf, 10.1)),
             "_context": None,
         }
-        answers = []
+        permitted, answers = chance.choice((0.0, 0.3)), []
         for one in times:
             for name, value in values.items():
                 setattr(one, name, value)
-            answers.append((one.hold(10.0), one.hold_due_at(), one.stale_at(), one.context(10.0)))
+            for name, (begins, until) in rows.items():
+                row = getattr(one, name)
+                row.begins, row.until = begins, until
+            one.base_hold.reason, one.scan_hold.reason = Reason.BASE_CONFLICT, Reason.STALE_SCAN
+            one.time_scan()
+            one.permit_delay(permitted)
+            answers.append(
+                (one.hold(10.0), one.hold_due_at(10.0), one.stale_at(), one.context(10.0))
+            )
         assert answers[0] == answers[1]
         found.add(answers[0][0])
     assert len(found) == 10
