@@ -310,8 +310,33 @@ def _lifted(id: str, name: str, why: str, judge: Judge, *, end: End, prepare: st
     )
 
 
+def calibration_step(platform: Platform, floor: float, repeats: int = 4) -> Step:
+    """The step of the calibration, on a free square floor with sides of `floor` m.
+
+    `repeats`: drives to and fro at each of two speeds.
+    """
+    speeds = top_speeds(platform)
+    return Step(
+        "C2",
+        "calibration",
+        "Protection assumes how the base brakes, how soon it responds and how old scans are.",
+        calibrated.calibration,
+        prepare=f"Put the robot in the middle of a free floor of {floor:g} x {floor:g} m, with"
+        " walls or furniture around; other robots stand.",
+        question=f"Is the floor free, {floor:g} x {floor:g} m, and does it stay free?",
+        motion=Motion(
+            PATTERN,
+            {"floor": floor, "repeats": repeats},
+            _LONGEST_CALIBRATION,
+            speed=speeds["linear"],
+            turn=speeds["angular"],
+            reach=0.5 * floor,
+        ),
+        needs=("B1",),
+    )
+
+
 def _part_c(platform: Platform) -> tuple[Step, ...]:
-    speeds, floor = top_speeds(platform), needed_floor(platform)
     turn = min(_TURN, platform.limits.angular)
     figures: dict[str, Any] = {"work": Work.NOTHING, "needs": ("C2",)}
     return (
@@ -332,24 +357,7 @@ def _part_c(platform: Platform) -> tuple[Step, ...]:
             ),
             needs=("B1",),
         ),
-        Step(
-            "C2",
-            "calibration",
-            "Protection assumes how the base brakes, how soon it responds and how old scans are.",
-            calibrated.calibration,
-            prepare=f"Put the robot in the middle of a free floor of {floor:g} x {floor:g} m, with"
-            " walls or furniture around; other robots stand.",
-            question=f"Is the floor free, {floor:g} x {floor:g} m, and does it stay free?",
-            motion=Motion(
-                PATTERN,
-                {"floor": floor},
-                _LONGEST_CALIBRATION,
-                speed=speeds["linear"],
-                turn=speeds["angular"],
-                reach=0.5 * floor,
-            ),
-            needs=("B1",),
-        ),
+        calibration_step(platform, needed_floor(platform)),
         Step(
             "C3",
             "brakes",
