@@ -76,7 +76,7 @@ _CHECK = Step(
     "A5",
     "check",
     "swarmd --check compares the robot's nodes and topics with its configuration.",
-    at_rest.all_findings,
+    at_rest.findings_on(),
     work=Work.CHECK,
 )
 
@@ -90,23 +90,21 @@ def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
             "A1",
             "identity",
             "One daemon of this version must have this name and valid keys.",
-            at_rest.findings_on(
-                *("answer", "name", "version", "identity", "roster", "latches", "pattern host")
-            ),
+            at_rest.findings_of("A1"),
             **doctor,
         ),
         Step(
             "A2",
             "clock",
             "Certificates and stamps need clocks that agree.",
-            at_rest.findings_on("clock", "skew"),
+            at_rest.findings_of("A2"),
             **doctor,
         ),
         Step(
             "A3",
             "computer",
             "A busy or under-powered computer delays commands.",
-            at_rest.findings_on("load", "memory", "state", "recordings", "power"),
+            at_rest.findings_of("A3"),
             work=Work.DOCTOR,
             seconds=_LOAD_TIME,
         ),
@@ -114,10 +112,7 @@ def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
             "A4",
             "link",
             "Stops come by this link: losses delay them, filtered multicast hides robots.",
-            at_rest.findings_on(
-                *("heard here", "hears", "interface", "mtu", "multicast", "ports", "firewall"),
-                "round trip",
-            ),
+            at_rest.findings_of("A4"),
             **doctor,
         ),
         check,

@@ -33,7 +33,7 @@ from swarmd.client.session import Session
 from swarmd.client.swarm import Swarm
 from swarmd.client.targets import Targets, check_known
 from swarmd.core.errors import SwarmError
-from swarmd.core.finding import Finding, unknown, warning
+from swarmd.core.finding import Finding, unknown
 from swarmd.core.messages import Presence, Reason, State, Status
 from swarmd.core.values import Platform, Pose
 from swarmd.core.verbs import RecordingFile, RecordRequest
@@ -43,7 +43,6 @@ from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.reader import RecordedFile, read_file
 
 if TYPE_CHECKING:
-    from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
 
 T = TypeVar("T")
@@ -54,7 +53,6 @@ _PROBE = "probe"
 _PROBE_TIME = 1.5  # s of the recording that tells the robot's platform
 _LAST_TIME = 2.0  # s of the recording after a daemon or a link has come back
 _FINISH_TIME, _POLL = 10.0, 0.2  # s in which a recording that was stopped is on the disk
-_SLOW_TRIP, _MUCH_LOSS = 0.2, 0.2  # s and share of a link on which stops come late
 
 
 class TestedRobot:
@@ -331,20 +329,11 @@ class TestedRobot:
     # Findings
 
     def _doctor(self) -> list[Finding]:
-        """The findings of the doctor, on the name, and on the link."""
+        """The findings of the doctor on the robot."""
         with self._session() as session:
-            operator = session.operator
-            view = operator.members()
+            view = session.operator.members()
             time.sleep(LISTEN_TIME)
-            others = len(set(view.alive) - {self.robot})
-            findings = list(findings_of_robot(operator, self.robot, others, ASK_TIME))
-            return [*findings, self._name(view), _round_trip(view)]
-
-    def _name(self, view: MembersView) -> Finding:
-        if (instances := view.duplicates.get(self.robot)) is None:
-            return Finding("name", True, "one daemon has this name")
-        text = f"{len(instances)} daemons have this name"
-        return Finding("name", False, text, "stop one of them, or give it another id")
+            return list(findings_of_robot(session.operator, view, self.robot, ASK_TIME))
 
     def _check(self) -> list[Finding]:
         """The findings of `swarmd --check` on this machine."""
@@ -377,12 +366,6 @@ def status_of(options: CommonOptions, operator: Operator, robot: str) -> Status:
     if member.status is None or member.presence is not Presence.ALIVE:
         raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
     return member.status
-
-
-def _round_trip(view: MembersView) -> Finding:
-    text = f"{1e3 * view.round_trip:.0f} ms, {view.loss:.0%} lost"
-    is_due = view.round_trip > _SLOW_TRIP or view.loss > _MUCH_LOSS
-    return warning("round trip", text, "see swarmctl links; move the access point", is_due=is_due)
 
 
 def _ask(operator: Operator, robot: str, name: str, payload: bytes) -> bytes | None:
