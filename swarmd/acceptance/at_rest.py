@@ -16,7 +16,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Array
 from swarmd.protection.footprint import Footprint
 from swarmd.sensing.scan_content import ScanContent
-from swarmd.sensing.scan_pipeline import delay_by_stamps
+from swarmd.sensing.scan_delay_finding import scan_delay_finding
 from swarmd.texts.doctor import STEPS
 
 LOOK_TIME = 2.0
@@ -158,15 +158,10 @@ def stamps(evidence: Evidence) -> Verdict:
     if _CLOCK_ERROR < abs(off_wall) < _DAY:
         reason = "stamps and the clock of the computer differ: synchronise the clocks"
         return failed(reason, f"{abs(off_wall):.2f} s", f"{_CLOCK_ERROR} s")
-    figure = delay_by_stamps(scans, odometry, samples.scans[-1][1], spec)
-    if figure.delay is None:
-        return not_shown(figure.text)
-    late = figure.delay - spec.latency
-    text = f"{figure.delay:.3f} s"
-    if late - figure.spread > spec.max_scan_delay:
-        bound = f"{spec.latency + spec.max_scan_delay:.3f} s"
-        return failed("scans come later than declared, which holds the robot", text, bound)
-    return passed("scans and odometry have one clock", text, delay=figure.delay)
+    finding = scan_delay_finding(scans, odometry, samples.scans[-1][1], spec)
+    if not finding.is_measured:
+        return not_shown(finding.text)
+    return passed(finding.text) if finding.is_well else failed(finding.text)
 
 
 def lidar(evidence: Evidence) -> Verdict:

@@ -152,6 +152,7 @@ def _keep_platform(name: str, path: Path) -> None:
 def _new_record(tested: TestedRobot) -> AcceptanceRecord:
     """A record without steps."""
     from swarmd.acceptance.result_file import AcceptanceRecord, subject_of
+    from swarmd.network.operator.operator_text import operator_name
 
     setup, platform = tested.head.identity.setup, tested.head.identity.platform
     status = tested.status()
@@ -168,16 +169,13 @@ def _new_record(tested: TestedRobot) -> AcceptanceRecord:
         driver=setup.driver,
         began=datetime.datetime.now(datetime.UTC).date().isoformat(),
         versions=versions,
-        private=(*_own_names(), *(() if status is None else (status.host,))),
+        private=(
+            *operator_name().split("@"),
+            socket.gethostname(),
+            *(() if status is None else (status.host,)),
+        ),
         subject=subject_of(tested.head),
     )
-
-
-def _own_names() -> tuple[str, ...]:
-    """The names of this user and machine."""
-    from swarmd.network.operator.operator_text import operator_name
-
-    return (*operator_name().split("@"), socket.gethostname())
 
 
 class Results:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from swarmd.acceptance.at_rest import lasting
 from swarmd.acceptance.dialogue import Input, Judged, Refused, Sight
-from swarmd.acceptance.evidence import Evidence, Samples
+from swarmd.acceptance.evidence import Evidence
 from swarmd.acceptance.result_file import RECORD, RECORDINGS, recordings_in
 from swarmd.acceptance.samples import read_samples
 from swarmd.acceptance.step import End, Step, Work
@@ -163,10 +163,6 @@ class TestedRobot:
         while self._work and self._work[0].done():
             self._work.popleft().result()
 
-    def samples(self, step: str) -> Samples:
-        """The recorded samples of a step; none without a recording."""
-        return read_samples(map(read_file, recordings_in(self._folder, step)))
-
     def status(self) -> Status | None:
         """The present status; None if the robot does not answer."""
         return self._statuses().get(self.robot)
@@ -233,7 +229,7 @@ class TestedRobot:
         charges = {name: one.readings.get(_BATTERY) for name, one in statuses.items()}
         evidence = Evidence(
             self.platform,
-            self.samples(step.of or step.id),
+            read_samples(map(read_file, recordings_in(self._folder, step.of or step.id))),
             own,
             findings,
             verdicts,
@@ -315,16 +311,13 @@ class TestedRobot:
         """The new recordings, in their order, once the robot has finished the last one."""
         end = time.monotonic() + _FINISH_TIME
         while True:
-            found = [one for one in recordings_of(ask, self.robot).files if self._is_new(one)]
-            files = sorted(found, key=lambda one: one.name)
+            present = sorted(recordings_of(ask, self.robot).files, key=lambda one: one.name)
+            files = [one for one in present if one.name not in self._known]
             # A file that is no longer open gets its checksum once its last chunk is written; a file
             # of a killed daemon never does.
             if (files and files[-1].crc is not None) or time.monotonic() > end:
                 return files
             time.sleep(_POLL)
-
-    def _is_new(self, file: RecordingFile) -> bool:
-        return file.name not in self._known
 
     # Findings
 
