@@ -217,7 +217,7 @@ class TestedRobot:
         if step.work is Work.DOCTOR:
             findings = lasting(self._before, self._doctor())
         elif step.motion is not None and step.motion.pattern == PATTERN:
-            findings = [one for one in self._doctor() if one.subject == "load"]
+            findings = [one for one in self._doctor(0.0) if one.subject == "load"]
         elif step.work is Work.CHECK:
             findings = self._check()
         elif step.work is Work.RESET:
@@ -321,11 +321,11 @@ class TestedRobot:
 
     # Findings
 
-    def _doctor(self) -> list[Finding]:
-        """The findings of the doctor on the robot."""
+    def _doctor(self, listen_time: float = LISTEN_TIME) -> list[Finding]:
+        """The findings of the doctor on the robot; beacons are heard for `listen_time` s."""
         with self._session() as session:
             view = session.operator.members()
-            time.sleep(LISTEN_TIME)
+            time.sleep(listen_time)
             return list(findings_of_robot(session.operator, view, self.robot, ASK_TIME))
 
     def _check(self) -> list[Finding]:

@@ -42,14 +42,11 @@ first if the hold ended its run."""
 
 
 @contextmanager
-def weak_burger(folder: Path) -> Iterator[str]:
-    """The swarm of a Burger with weak brakes in the middle of a room of 3 x 2.6 m."""
-    weak = folder / "weak.yaml"
-    body = "{linear_acceleration: 0.6, angular_acceleration: 2.4}"
-    weak.write_text(f"extends: burger\nbody: {body}\n")
+def one_robot(folder: Path, platform: str) -> Iterator[str]:
+    """The swarm of a robot in the middle of a room of 3 x 2.6 m."""
     name = unique_swarm()
     spec = FleetSpec(
-        swarm=name, robots={ROBOT: str(weak)}, folder=folder, arena="3x2.6", layout="grid:0.6"
+        swarm=name, robots={ROBOT: platform}, folder=folder, arena="3x2.6", layout="grid:0.6"
     )
     with Fleet(spec) as fleet:
         assert fleet
@@ -59,7 +56,7 @@ def weak_burger(folder: Path) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with weak_burger(tmp_path_factory.mktemp("fleet")) as name:
+    with one_robot(tmp_path_factory.mktemp("fleet"), "burger") as name:
         yield name
 
 
@@ -156,6 +153,9 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(
     told: list[Any] = []  # of the findings: a single calibration is too short for one
     monkeypatch.setattr("swarmd.cli.calibrate._end_findings", lambda *given: told.append(given))
     file = tmp_path / "mine.yaml"
+    weak = tmp_path / "weak.yaml"  # which swarmctl learns from a recording
+    body = "{linear_acceleration: 0.6, angular_acceleration: 2.4}"
+    weak.write_text(f"extends: burger\nbody: {body}\n")
     options = ("--floor", "2", "--yes", "--repeats", "1", "-o", "json", "--write", str(file))
     wanted = {
         "braking_linear": pytest.approx(0.6, rel=0.15),
@@ -164,7 +164,9 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(
     }
     for _ in range(TRIES):  # the drives are in real time, so that other work may disturb some
         file.unlink(missing_ok=True)
-        with weak_burger(tmp_path_factory.mktemp("fleet")) as swarm:  # where the floor is free
+        with one_robot(
+            tmp_path_factory.mktemp("fleet"), str(weak)
+        ) as swarm:  # where the floor is free
             done = calibrate(swarm, *options)
         if done.code in (FAILED, DISTURBED):  # such as: held in a drive, or stopped by protection
             continue
