@@ -41,6 +41,7 @@ from swarmd.network.operator.exit_codes import TIMEOUT
 from swarmd.recording.fetch import Ask, fetch, recordings_of
 from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.texts.doctor import STEPS
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -338,7 +339,8 @@ class TestedRobot:
 
         found = findings_of(load_daemon_settings(self._config, {}))
         # The running daemon counts as another node that commands the base: step A6 looks for those.
-        return [one for one in found if one.subject != "last_word"]
+        # Steps A1 to A4 judge the machine and its network.
+        return [one for one in found if one.subject not in {*STEPS, "last_word"}]
 
     def _write_platform(self, verdicts: Mapping[str, Verdict]) -> Finding:
         """Write the platform file that follows from the calibration to the folder."""
