@@ -15,6 +15,7 @@ from swarmd.core.events import (
     RequestInput,
     ScanInput,
 )
+from swarmd.core.kernels import load_kernel
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
@@ -46,6 +47,7 @@ from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode
 from tests.support.protection import Commander
 
+STEERING = load_kernel("swarmd.steering.steering").Steering
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
 REQUESTED = Twist(0.2, 0.1)
 PERIOD = 0.2
@@ -65,7 +67,9 @@ class LiveRobot:
     def __init__(self, platform: Platform) -> None:
         settings = RobotSetup(driver="simulated")
         self.now, self.seq = 0.0, 0
-        self.robot = Robot("r", platform, settings, seed=0, instance="b", now=0.0)
+        self.robot = Robot(
+            "r", platform, settings, make_steering=STEERING, seed=0, instance="b", now=0.0
+        )
         self.robot.step(DriverInput(True, ""), self.now)
         self.robot.step(
             RequestInput(

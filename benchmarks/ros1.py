@@ -26,6 +26,7 @@ from benchmarks.plain_field import plain_field
 from benchmarks.table import Row, print_table
 from swarmd.core.clock import boottime
 from swarmd.core.events import DriverInput, ScanInput, SensorInput
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Scan, Twist
 from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1 import serialization
@@ -41,6 +42,7 @@ NODES = [PYTHON, "-m", "benchmarks.ros1_nodes"]
 SECONDS = 60.0
 WARM = 5.0
 DECODED = 20_000
+STEERING = load_kernel("swarmd.steering.steering").Steering
 PLATFORM = load_platform("burger")
 
 Answer = Callable[[Scan], Twist]
@@ -80,7 +82,9 @@ def patterns_field(scan: Scan) -> Twist:
 def core() -> Answer:
     """A robot's core without a pattern: its safe command, which is zero."""
     settings = RobotSetup(driver="ros1")
-    robot = Robot("r", PLATFORM, settings, seed=1, instance="bench", now=boottime())
+    robot = Robot(
+        "r", PLATFORM, settings, make_steering=STEERING, seed=1, instance="bench", now=boottime()
+    )
     robot.step(DriverInput(True, ""), boottime())
 
     def answer(scan: Scan) -> Twist:

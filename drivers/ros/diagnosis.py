@@ -25,9 +25,9 @@ from swarmd.drivers.ros.namespaces import Candidates, Namespaces
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
-from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
 from swarmd.sensing.scan_content import ScanContent
+from swarmd.sensing.scan_delay_finding import scan_delay_finding
 from swarmd.sensing.scan_pipeline import ScanConditioner
 
 LAST_WORD = "docs/ros.md, The last word"

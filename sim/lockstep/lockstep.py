@@ -257,6 +257,7 @@ class Lockstep:
             robot_id,
             self._platforms[row],
             setup,
+            make_steering=load_kernel("swarmd.steering.steering").Steering,
             seed=self.seed,
             instance=f"lockstep-{self._boots[row]}",
             now=now,

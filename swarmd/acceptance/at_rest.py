@@ -16,7 +16,8 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Array
 from swarmd.protection.footprint import Footprint
 from swarmd.sensing.scan_content import ScanContent
-from swarmd.sensing.scan_pipeline import delay_by_stamps
+from swarmd.sensing.scan_delay_finding import scan_delay_finding
+from swarmd.texts.doctor import STEPS
 
 LOOK_TIME = 2.0
 """Seconds of a step with a hand, before the hand comes."""
@@ -40,12 +41,12 @@ _ASTRAY = math.radians(30.0)  # of a hand that is held ahead, left, behind or ri
 
 
 def findings_on(*subjects: str) -> Judge:
-    """A judge of the findings on these subjects: a fault or a warning fails."""
+    """A judge of the findings on these subjects, or of all: a fault or a warning fails."""
 
     def judge(evidence: Evidence) -> Verdict:
         if evidence.status is not None and evidence.status.reason is Reason.DUPLICATE_ID:
             return failed(f"two daemons have its name: {evidence.status.detail}; stop one of them")
-        found = [finding for finding in evidence.findings if finding.subject in subjects]
+        found = [one for one in evidence.findings if one.subject in subjects or not subjects]
         if bad := [finding for finding in found if not finding.is_well]:
             texts = (
                 f"{one.subject}: {'; '.join(filter(None, (one.text, one.remedy)))}" for one in bad
@@ -60,6 +61,11 @@ def findings_on(*subjects: str) -> Judge:
     return judge
 
 
+def findings_of(step: str) -> Judge:
+    """A judge of the findings that belong to a step, by the list of all checks."""
+    return findings_on(*(subject for subject, id in STEPS.items() if id == step))
+
+
 def lasting(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
     """The findings `after`, with a high load only if the load was high `before`, too.
 
@@ -67,11 +73,6 @@ def lasting(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding
     """
     well = {one.subject: one for one in before if one.subject == _LOAD and one.is_well}
     return [one if one.is_well else well.get(one.subject, one) for one in after]
-
-
-def all_findings(evidence: Evidence) -> Verdict:
-    """The verdict of `swarmd --check`, as `findings_on` gives it."""
-    return findings_on(*{finding.subject for finding in evidence.findings})(evidence)
 
 
 def base(evidence: Evidence) -> Verdict:
@@ -157,15 +158,10 @@ def stamps(evidence: Evidence) -> Verdict:
     if _CLOCK_ERROR < abs(off_wall) < _DAY:
         reason = "stamps and the clock of the computer differ: synchronise the clocks"
         return failed(reason, f"{abs(off_wall):.2f} s", f"{_CLOCK_ERROR} s")
-    figure = delay_by_stamps(scans, odometry, samples.scans[-1][1], spec)
-    if figure.delay is None:
-        return not_shown(figure.text)
-    late = figure.delay - spec.latency
-    text = f"{figure.delay:.3f} s"
-    if late - figure.spread > spec.max_scan_delay:
-        bound = f"{spec.latency + spec.max_scan_delay:.3f} s"
-        return failed("scans come later than declared, which holds the robot", text, bound)
-    return passed("scans and odometry have one clock", text, delay=figure.delay)
+    finding = scan_delay_finding(scans, odometry, samples.scans[-1][1], spec)
+    if not finding.is_measured:
+        return not_shown(finding.text)
+    return passed(finding.text) if finding.is_well else failed(finding.text)
 
 
 def lidar(evidence: Evidence) -> Verdict:

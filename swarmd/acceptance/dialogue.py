@@ -90,11 +90,16 @@ class Closed(Struct, frozen=True):
 
 
 class Sight(Struct, frozen=True):
-    """What the robot says of itself. `pattern`: what it runs; empty: nothing."""
+    """What the robot says of itself.
+
+    `pattern`: what it runs; empty: nothing. `text`: what it does, or why it is held; for the
+    person.
+    """
 
     pattern: str
     is_estopped: bool
     pose: Pose
+    text: str = ""
 
 
 class Refused(Struct, frozen=True):

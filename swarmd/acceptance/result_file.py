@@ -172,6 +172,11 @@ def with_step(
     return msgspec.structs.replace(record, steps=tuple(known[id] for id in ids if id in known))
 
 
+def recordings_in(folder: Path, step: str) -> list[Path]:
+    """The recordings of a step."""
+    return sorted((folder / RECORDINGS).glob(f"{step}-*.mcap"))
+
+
 def write_record(folder: Path, record: AcceptanceRecord) -> None:
     """Write the record to its folder, whole or not at all."""
     with whole_file(folder / RECORD) as partial:

@@ -76,7 +76,7 @@ _CHECK = Step(
     "A5",
     "check",
     "swarmd --check compares the robot's nodes and topics with its configuration.",
-    at_rest.all_findings,
+    at_rest.findings_on(),
     work=Work.CHECK,
 )
 
@@ -90,23 +90,21 @@ def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
             "A1",
             "identity",
             "One daemon of this version must have this name and valid keys.",
-            at_rest.findings_on(
-                *("answer", "name", "version", "identity", "roster", "latches", "pattern host")
-            ),
+            at_rest.findings_of("A1"),
             **doctor,
         ),
         Step(
             "A2",
             "clock",
             "Certificates and stamps need clocks that agree.",
-            at_rest.findings_on("clock", "skew"),
+            at_rest.findings_of("A2"),
             **doctor,
         ),
         Step(
             "A3",
             "computer",
             "A busy or under-powered computer delays commands.",
-            at_rest.findings_on("load", "memory", "state", "recordings", "power"),
+            at_rest.findings_of("A3"),
             work=Work.DOCTOR,
             seconds=_LOAD_TIME,
         ),
@@ -114,10 +112,7 @@ def _part_a(check: Step, lidar: str) -> tuple[Step, ...]:
             "A4",
             "link",
             "Stops come by this link: losses delay them, filtered multicast hides robots.",
-            at_rest.findings_on(
-                *("heard here", "hears", "interface", "mtu", "multicast", "ports", "firewall"),
-                "round trip",
-            ),
+            at_rest.findings_of("A4"),
             **doctor,
         ),
         check,
@@ -310,8 +305,33 @@ def _lifted(id: str, name: str, why: str, judge: Judge, *, end: End, prepare: st
     )
 
 
+def calibration_step(platform: Platform, floor: float, repeats: int = 4) -> Step:
+    """The step of the calibration, on a free square floor with sides of `floor` m.
+
+    `repeats`: drives to and fro at each of two speeds.
+    """
+    speeds = top_speeds(platform)
+    return Step(
+        "C2",
+        "calibration",
+        "Protection assumes how the base brakes, how soon it responds and how old scans are.",
+        calibrated.calibration,
+        prepare=f"Put the robot in the middle of a free floor of {floor:g} x {floor:g} m, with"
+        " walls or furniture around; other robots stand.",
+        question=f"Is the floor free, {floor:g} x {floor:g} m, and does it stay free?",
+        motion=Motion(
+            PATTERN,
+            {"floor": floor, "repeats": repeats},
+            _LONGEST_CALIBRATION,
+            speed=speeds["linear"],
+            turn=speeds["angular"],
+            reach=0.5 * floor,
+        ),
+        needs=("B1",),
+    )
+
+
 def _part_c(platform: Platform) -> tuple[Step, ...]:
-    speeds, floor = top_speeds(platform), needed_floor(platform)
     turn = min(_TURN, platform.limits.angular)
     figures: dict[str, Any] = {"work": Work.NOTHING, "needs": ("C2",)}
     return (
@@ -332,24 +352,7 @@ def _part_c(platform: Platform) -> tuple[Step, ...]:
             ),
             needs=("B1",),
         ),
-        Step(
-            "C2",
-            "calibration",
-            "Protection assumes how the base brakes, how soon it responds and how old scans are.",
-            calibrated.calibration,
-            prepare=f"Put the robot in the middle of a free floor of {floor:g} x {floor:g} m, with"
-            " walls or furniture around; other robots stand.",
-            question=f"Is the floor free, {floor:g} x {floor:g} m, and does it stay free?",
-            motion=Motion(
-                PATTERN,
-                {"floor": floor},
-                _LONGEST_CALIBRATION,
-                speed=speeds["linear"],
-                turn=speeds["angular"],
-                reach=0.5 * floor,
-            ),
-            needs=("B1",),
-        ),
+        calibration_step(platform, needed_floor(platform)),
         Step(
             "C3",
             "brakes",

@@ -1,4 +1,4 @@
-"""The results of a calibration, as a table and as a platform file. No numpy."""
+"""The results of a calibration, as a platform file. No numpy."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from swarmd.calibration.figures import AXES, NAMES, SWEEP, Figure, SweepFigure, names_of
 from swarmd.core.messages import DecisionSummary
+from swarmd.settings.platforms import platform_names
 
 # A limit is lowered if the base drives slower than commanded by more than this share.
 _SLOWER = 0.03
@@ -54,11 +55,6 @@ def usable_report(
         speeds = (name for name in report if name.startswith("speed_"))
         return {**report, **dict.fromkeys(speeds, Figure(assumed=1.0, why=why).text)}
     return None if decision.duty > 0.0 else report
-
-
-def rows(figures: Mapping[str, Figure]) -> list[tuple[str, str, str, str, str]]:
-    """Title, value, deviation, number of samples and assumed value of each figure."""
-    return [_row(*NAMES[name], figures[name]) for name in NAMES if name in figures]
 
 
 def settings(
@@ -127,8 +123,26 @@ def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
     return [setting for setting in candidates[:1] if setting.is_safe or has_all_axes]
 
 
+def measured_file(robot: str, platform: str, day: str, report: Mapping[str, object]) -> str:
+    """A platform file with the figures of a report, which extends the present file of the robot.
+
+    `platform`: the name of the present file. ValueError if another version made the report.
+    """
+    figures = figures_of(report)
+    drove = tuple(map(float, str(report.get("drove")).split()))  # m/s, rad/s
+    sweep = sweep_of(report)
+    chosen = settings(figures, drove, sweep)
+    extends = platform if platform in platform_names() else f"./{platform}.yaml"
+    return platform_file(robot, extends, day, figures, chosen, sweep)
+
+
 def platform_file(
-    robot: str, extends: str, day: str, figures: Mapping[str, Figure], chosen: list[Setting]
+    robot: str,
+    extends: str,
+    day: str,
+    figures: Mapping[str, Figure],
+    chosen: list[Setting],
+    sweep: SweepFigure | None = None,
 ) -> str:
     """A platform file that extends the present file; less careful settings are commented out."""
     lines = [
@@ -138,6 +152,8 @@ def platform_file(
         f"# Measured by `swarmctl calibrate {robot}` on {day}: mean +- sd (samples).",
     ]
     lines += [f"#   {_line(name, figures[name])}" for name in NAMES if name in figures]
+    if sweep is not None and not sweep.value:
+        lines.append(f"#   scan.sweep: not measured: {sweep.why}")
     unsafe = [setting for setting in chosen if not setting.is_safe]
     if unsafe:
         lines += [
@@ -168,19 +184,12 @@ def _lower(key: str, value: float, assumed: float, text: str) -> Setting:
     return Setting(key, value, assumed, text, value <= assumed)
 
 
-def _row(title: str, unit: str, figure: Figure) -> tuple[str, str, str, str, str]:
-    assumed = "-" if math.isnan(figure.assumed) else f"{figure.assumed:.4g} {unit}".rstrip()
-    if not figure.is_measured:
-        return title, "not measured", "-", "-", assumed
-    value = f"{_number(figure.value)} {unit}".rstrip()
-    return title, value, _number(figure.spread), str(figure.samples), assumed
-
-
 def _line(name: str, figure: Figure) -> str:
     title, unit = NAMES[name]
     if not figure.is_measured:
         return f"{title}: not measured: {figure.why}"
-    return f"{title}: {_text(figure)} {unit}".rstrip()
+    assumed = "" if math.isnan(figure.assumed) else f"; assumed {figure.assumed:.4g}"
+    return f"{title}: {_text(figure)} {unit}".rstrip() + assumed
 
 
 def _text(figure: Figure) -> str:

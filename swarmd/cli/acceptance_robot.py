@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import queue
 import threading
 import time
@@ -15,43 +16,44 @@ from typing import TYPE_CHECKING, TypeVar
 
 from swarmd.acceptance.at_rest import lasting
 from swarmd.acceptance.dialogue import Input, Judged, Refused, Sight
-from swarmd.acceptance.evidence import Evidence, Samples
-from swarmd.acceptance.result_file import RECORD, RECORDINGS
+from swarmd.acceptance.evidence import Evidence
+from swarmd.acceptance.result_file import RECORD, RECORDINGS, recordings_in
 from swarmd.acceptance.samples import read_samples
 from swarmd.acceptance.step import End, Step, Work
 from swarmd.acceptance.stops import LEASE
 from swarmd.acceptance.verdict import Verdict, not_shown
 from swarmd.calibration.figures import PATTERN
-from swarmd.cli.calibrate import platform_text
+from swarmd.calibration.report import measured_file
 from swarmd.cli.doctor import LISTEN_TIME, findings_of_robot
+from swarmd.cli.options import CommonOptions, Failure
+from swarmd.cli.send import known_members
 from swarmd.client.ask_robots import ASK_TIME
 from swarmd.client.operator_pool import OperatorPool
 from swarmd.client.session import Session
 from swarmd.client.swarm import Swarm
-from swarmd.client.targets import Targets
-from swarmd.core.clock import boottime
+from swarmd.client.targets import Targets, check_known
 from swarmd.core.errors import SwarmError
-from swarmd.core.finding import Finding, unknown, warning
-from swarmd.core.messages import Reason, State, Status
-from swarmd.core.values import Pose
+from swarmd.core.finding import Finding, unknown
+from swarmd.core.messages import Presence, Reason, State, Status
+from swarmd.core.values import Platform, Pose
 from swarmd.core.verbs import RecordingFile, RecordRequest
+from swarmd.network.operator.exit_codes import TIMEOUT
 from swarmd.recording.fetch import Ask, fetch, recordings_of
 from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.texts.doctor import STEPS
 
 if TYPE_CHECKING:
-    from swarmd.cli.options import CommonOptions
-    from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
 
 T = TypeVar("T")
 _REASON = "acceptance test"
+_NO_HOLD = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
 _BATTERY = "battery"  # the reading
 _PROBE = "probe"
 _PROBE_TIME = 1.5  # s of the recording that tells the robot's platform
 _LAST_TIME = 2.0  # s of the recording after a daemon or a link has come back
 _FINISH_TIME, _POLL = 10.0, 0.2  # s in which a recording that was stopped is on the disk
-_SLOW_TRIP, _MUCH_LOSS = 0.2, 0.2  # s and share of a link on which stops come late
 
 
 class TestedRobot:
@@ -70,6 +72,7 @@ class TestedRobot:
         self.robot, self._folder, self._config = robot, folder, config
         self.inputs: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self.head: RecordingHead
+        self.platform: Platform
         self._targets = Targets((robot,))
         self._make = partial(options.operator, lambda text: None)
         self._pool = OperatorPool(self._make)
@@ -79,6 +82,7 @@ class TestedRobot:
         self._worker = ThreadPoolExecutor(1, "acceptance")
         self._work: deque[Future[None]] = deque()
         self._stopping: threading.Thread | None = None
+        self._answer = ""  # to the last stop
         self._before: Sequence[Finding] = ()  # the findings at the begin of the step
         self._known: frozenset[str] = frozenset()  # recordings before the step
 
@@ -90,13 +94,14 @@ class TestedRobot:
         self._end_lease()
         self._swarm.close()
 
-    def open(self) -> None:
-        """Learn platform and settings of the robot from a short recording; then watch the robot.
+    def open(self, platform: Platform | None = None) -> None:
+        """Watch the robot; learn its platform and settings from a short recording before.
 
-        SwarmError if it does not answer, or does not record.
+        `platform`: of the robot, if that is known; nothing is recorded then. SwarmError if the
+        robot does not answer, or does not record.
         """
         try:
-            self._learn()
+            self.platform = self._learn() if platform is None else platform
         except SwarmError:  # the files of two daemons differ
             status = self.status()
             if status is None or status.reason is not Reason.DUPLICATE_ID:
@@ -105,8 +110,8 @@ class TestedRobot:
             raise SwarmError(f"{self.robot}: {text}") from None
         threading.Thread(target=self._watch, name="acceptance-watch", daemon=True).start()
 
-    def _learn(self) -> None:
-        """Make and read a short recording."""
+    def _learn(self) -> Platform:
+        """Make and read a short recording; the platform in it."""
         if (self._folder / RECORD).exists():  # an interrupted step may still be recorded
             self._record("stop")
         self._start_recording()
@@ -117,13 +122,18 @@ class TestedRobot:
             raise SwarmError(f"{self.robot} {text}")
         self.head = head_of(files[-1].about, str(files[-1].path))
         files[-1].path.unlink()
+        return self.head.identity.platform
 
     # What the dialogue wants
 
-    def begin(self, step: Step) -> None:
-        """Begin the recording of a step, and its run."""
+    def begin(self, step: Step, said_at: float) -> None:
+        """Begin the recording of a step, and its run.
+
+        `said_at`: when the person said yes, in s on the clock since boot: a robot that was stopped
+        since then refuses the run.
+        """
         self._cancelled.clear()
-        self._submit(self._begin, step, boottime())
+        self._submit(self._begin, step, said_at)
 
     def bring(self, end: End) -> None:
         """Bring about the end of a motion."""
@@ -139,10 +149,11 @@ class TestedRobot:
             self._stopping = threading.Thread(target=self._stop, args=(is_emergency,))
             self._stopping.start()
 
-    def wait_for_stop(self) -> None:
-        """Wait until the last stop was acknowledged, or its time is over."""
+    def wait_for_stop(self) -> str:
+        """Wait for the answer to the last stop, and return it; empty if none was sent."""
         if self._stopping is not None:
             self._stopping.join()
+        return self._answer
 
     def judge(self, step: Step, verdicts: Mapping[str, Verdict]) -> None:
         """Collect the evidence of a step, and judge it."""
@@ -152,14 +163,6 @@ class TestedRobot:
         """Raise the error of the thread of requests that is none of the network or of a file."""
         while self._work and self._work[0].done():
             self._work.popleft().result()
-
-    def samples(self, step: str) -> Samples:
-        """The recorded samples of a step; none without a recording."""
-        return read_samples(map(read_file, self.files(step)))
-
-    def files(self, step: str) -> list[Path]:
-        """The recordings of a step in the folder."""
-        return sorted((self._folder / RECORDINGS).glob(f"{step}-*.mcap"))
 
     def status(self) -> Status | None:
         """The present status; None if the robot does not answer."""
@@ -184,7 +187,7 @@ class TestedRobot:
             self.inputs.put(Refused(str(error)))
             self.inputs.put(Judged(not_shown(str(error))))
 
-    def _begin(self, step: Step, began: float) -> None:
+    def _begin(self, step: Step, said_at: float) -> None:
         if step.work is Work.RECORD:
             self._start_recording()
         elif step.work is Work.DOCTOR:
@@ -193,8 +196,7 @@ class TestedRobot:
             return
         self._end_lease()
         self._runner = Swarm(OperatorPool(self._make))
-        # The robot refuses a run that was wanted before a stop: `began` is the time of the yes.
-        outcome = self._runner._cancellable(self._cancelled, began).run(
+        outcome = self._runner._cancellable(self._cancelled, said_at).run(
             motion.pattern,
             (self.robot,),
             params=motion.params,
@@ -216,7 +218,7 @@ class TestedRobot:
         if step.work is Work.DOCTOR:
             findings = lasting(self._before, self._doctor())
         elif step.motion is not None and step.motion.pattern == PATTERN:
-            findings = [one for one in self._doctor() if one.subject == "load"]
+            findings = [one for one in self._doctor(0.0) if one.subject == "load"]
         elif step.work is Work.CHECK:
             findings = self._check()
         elif step.work is Work.RESET:
@@ -227,8 +229,8 @@ class TestedRobot:
         own = statuses.pop(self.robot, None)
         charges = {name: one.readings.get(_BATTERY) for name, one in statuses.items()}
         evidence = Evidence(
-            self.head.identity.platform,
-            self.samples(step.of or step.id),
+            self.platform,
+            read_samples(map(read_file, recordings_in(self._folder, step.of or step.id))),
             own,
             findings,
             verdicts,
@@ -237,11 +239,14 @@ class TestedRobot:
         self.inputs.put(Judged(step.judge(evidence)))
 
     def _stop(self, is_emergency: bool) -> None:
+        self._answer = "no answer to the stop; use the switch of the base"
         with suppress(SwarmError):
             if is_emergency:
-                self._swarm.estop((self.robot,), reason=_REASON)
+                outcome = self._swarm.estop((self.robot,), reason=_REASON)
             else:
-                self._swarm.stop((self.robot,))
+                outcome = self._swarm.stop((self.robot,))
+            if (reply := outcome.replies.get(self.robot)) is not None:
+                self._answer = f"the stop was answered: {reply.text}"
 
     def _end_lease(self) -> None:
         runner, self._runner = self._runner, None
@@ -256,7 +261,9 @@ class TestedRobot:
                     pattern = state.pattern if state.state is State.RUNNING else ""
                     pose = Pose(state.x, state.y, state.yaw)
                     is_estopped = state.state is State.ESTOPPED
-                    self.inputs.put(Sight(pattern or "", is_estopped, pose))
+                    is_held = bool(pattern) and state.reason not in _NO_HOLD
+                    text = f"held: {state.reason}" if is_held else state.report.get("step", "")
+                    self.inputs.put(Sight(pattern or "", is_estopped, pose, str(text)))
                 return
             except SwarmError:
                 time.sleep(_PROBE_TIME)
@@ -287,7 +294,7 @@ class TestedRobot:
         NetworkError if the robot does not answer.
         """
         self._record("stop")
-        for path in self.files(step):
+        for path in recordings_in(self._folder, step):
             path.unlink()
         found = []
         with self._session() as session:
@@ -305,34 +312,22 @@ class TestedRobot:
         """The new recordings, in their order, once the robot has finished the last one."""
         end = time.monotonic() + _FINISH_TIME
         while True:
-            found = [one for one in recordings_of(ask, self.robot).files if self._is_new(one)]
-            files = sorted(found, key=lambda one: one.name)
+            present = sorted(recordings_of(ask, self.robot).files, key=lambda one: one.name)
+            files = [one for one in present if one.name not in self._known]
             # A file that is no longer open gets its checksum once its last chunk is written; a file
             # of a killed daemon never does.
             if (files and files[-1].crc is not None) or time.monotonic() > end:
                 return files
             time.sleep(_POLL)
 
-    def _is_new(self, file: RecordingFile) -> bool:
-        return file.name not in self._known
-
     # Findings
 
-    def _doctor(self) -> list[Finding]:
-        """The findings of the doctor, on the name, and on the link."""
+    def _doctor(self, listen_time: float = LISTEN_TIME) -> list[Finding]:
+        """The findings of the doctor on the robot; beacons are heard for `listen_time` s."""
         with self._session() as session:
-            operator = session.operator
-            view = operator.members()
-            time.sleep(LISTEN_TIME)
-            others = len(set(view.alive) - {self.robot})
-            findings = list(findings_of_robot(operator, self.robot, others, ASK_TIME))
-            return [*findings, self._name(view), _round_trip(view)]
-
-    def _name(self, view: MembersView) -> Finding:
-        if (instances := view.duplicates.get(self.robot)) is None:
-            return Finding("name", True, "one daemon has this name")
-        text = f"{len(instances)} daemons have this name"
-        return Finding("name", False, text, "stop one of them, or give it another id")
+            view = session.operator.members()
+            time.sleep(listen_time)
+            return list(findings_of_robot(session.operator, view, self.robot, ASK_TIME))
 
     def _check(self) -> list[Finding]:
         """The findings of `swarmd --check` on this machine."""
@@ -344,7 +339,8 @@ class TestedRobot:
 
         found = findings_of(load_daemon_settings(self._config, {}))
         # The running daemon counts as another node that commands the base: step A6 looks for those.
-        return [one for one in found if one.subject != "last_word"]
+        # Steps A1 to A4 judge the machine and its network.
+        return [one for one in found if one.subject not in {*STEPS, "last_word"}]
 
     def _write_platform(self, verdicts: Mapping[str, Verdict]) -> Finding:
         """Write the platform file that follows from the calibration to the folder."""
@@ -352,14 +348,19 @@ class TestedRobot:
         if status is None:
             return unknown("platform file", "the robot does not answer")
         path = self._folder / f"{self.robot}.yaml"
-        path.write_text(platform_text(self.robot, status, verdicts["C2"].values))
+        today, values = datetime.date.today().isoformat(), verdicts["C2"].values
+        path.write_text(measured_file(self.robot, status.platform, today, values))
         return Finding("platform file", True, f"written: {path}")
 
 
-def _round_trip(view: MembersView) -> Finding:
-    text = f"{1e3 * view.round_trip:.0f} ms, {view.loss:.0%} lost"
-    is_due = view.round_trip > _SLOW_TRIP or view.loss > _MUCH_LOSS
-    return warning("round trip", text, "see swarmctl links; move the access point", is_due=is_due)
+def status_of(options: CommonOptions, operator: Operator, robot: str) -> Status:
+    """The status of a robot; Failure if it does not answer, RequestError if it is not known."""
+    view = known_members(options, operator)
+    check_known(robot, view.members, view.roster)
+    member = view.members[robot]
+    if member.status is None or member.presence is not Presence.ALIVE:
+        raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
+    return member.status
 
 
 def _ask(operator: Operator, robot: str, name: str, payload: bytes) -> bytes | None:

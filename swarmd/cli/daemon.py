@@ -35,8 +35,8 @@ VERBS = {
 }
 _EPILOG = """\b
 Exit codes:
-  0  clean end after a zero command; with --check: no problem found
-  1  internal error; with --check: a problem found
+  0  clean end after a zero command; with --check: no fault found
+  1  internal error; with --check: a fault found
   2  configuration or usage; nothing was started
   3  another daemon of this swarm has the same id
   4  no network session

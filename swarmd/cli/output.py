@@ -107,8 +107,12 @@ def warn(text: str) -> None:
 
 
 def rewrite(text: str) -> None:
-    """Replace the present line of a terminal on stderr."""
-    click.echo(f"\r\x1b[K{printable(text)}", err=True, nl=False)
+    """Replace the present line of a terminal on stderr; without a terminal, print the line."""
+    if sys.stderr.isatty():
+        line = printable(text)[: terminal_width() - 1]  # a line that wraps is not replaced
+        click.echo(f"\r\x1b[K{line}", err=True, nl=False)
+    elif text:
+        warn(text)
 
 
 def has_colour(is_terminal: bool) -> bool:

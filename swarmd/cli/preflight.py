@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from time import monotonic
 from typing import Any
 
-import click
 import msgspec
 
+from swarmd.cli.findings import HERE, Line, exit_code_of, print_findings
 from swarmd.cli.plugin_check import Record, check_runs, describe_patterns, parameter_fault
 from swarmd.core.errors import SwarmError, unknown
-from swarmd.core.files import write_fault
 from swarmd.core.finding import Finding
 from swarmd.core.host_messages import REQUEST_LAYER
 from swarmd.core.kernels import describe_kernels
+from swarmd.core.machine import measure_machine
 from swarmd.daemon.driver import make_driver
 from swarmd.daemon.driver_commands import permission_fault
 from swarmd.driver_api.command_source import command_source
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone, granted_zones
+from swarmd.network.carriers.network_facts import measure_network
 from swarmd.network.settings import ONLY_HERE
 from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
@@ -32,6 +31,7 @@ from swarmd.protection.settings import SLOW_SHARE, BarrierSettings
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.settings import DaemonSettings
+from swarmd.texts.doctor import of_machine, of_network
 from swarmd.texts.status import passage_text
 
 CHECK_TIMEOUT = 4.2  # s for all checks: with starting and ending Python, 5 s
@@ -40,8 +40,10 @@ CLOSE_TIMEOUT = 0.2  # s for the driver to close its connections
 
 
 def check_daemon(settings: DaemonSettings) -> int:
-    """Print a line for each finding; 0 without a problem, else 1."""
-    return print_findings(findings_of(settings))
+    """Print the findings; 0 without a fault, else 1."""
+    lines = [Line(HERE, finding) for finding in findings_of(settings)]
+    print_findings(lines)
+    return exit_code_of(lines)
 
 
 def findings_of(settings: DaemonSettings) -> list[Finding]:
@@ -55,26 +57,12 @@ def findings_of(settings: DaemonSettings) -> list[Finding]:
         *[Finding(key, True, layer.text) for key, layer in settings.robot.layers.items()],
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
-        check_state_dir(settings.state_dir),
+        *of_network(measure_network(settings.network.interface_name), is_robot=False),
+        *of_machine(measure_machine((("state", settings.state_dir),))),
         *_check_roster(settings),
         *check_patterns(settings),
         *_check_driver(settings, deadline),
     ]
-
-
-def print_findings(findings: Sequence[Finding]) -> int:
-    """Print a line for each finding, faults first, then a count; 0 without a fault, else 1."""
-    width = max(len(finding.subject) for finding in findings)
-    for finding in sorted(findings, key=lambda finding: (finding.is_well, finding.is_measured)):
-        mark = "FAIL" if not finding.is_well else "ok  " if finding.is_measured else "--  "
-        remedy = f"; {finding.remedy}" if finding.remedy and not finding.is_well else ""
-        click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}{remedy}")
-    bad = sum(not finding.is_well for finding in findings)
-    unknown_ones = sum(not finding.is_measured for finding in findings)
-    result = f"{bad} failed" if bad else "none failed" if unknown_ones else "all ok"
-    more = f", {unknown_ones} not measured" if unknown_ones else ""
-    click.echo(f"{len(findings)} checked, {result}{more}")
-    return 1 if bad else 0
 
 
 def _platform_text(settings: DaemonSettings) -> str:
@@ -142,11 +130,7 @@ def protection_text(protection: Mapping[str, Any]) -> str:
 
 
 def _check_network(settings: DaemonSettings) -> Finding:
-    interface = settings.network.interface_name
-    known = [name for _, name in socket.if_nameindex()]
-    if interface not in known:
-        return Finding("network", False, unknown("network interface", interface, known))
-    text = f"profile {settings.network.profile} on {interface}"
+    text = f"profile {settings.network.profile} on {settings.network.interface_name}"
     if settings.identity is not None:
         text += f", secured as {settings.identity.name}"
     elif settings.network.profile != "dev":
@@ -154,14 +138,6 @@ def _check_network(settings: DaemonSettings) -> Finding:
     if settings.network.profile == "dev":
         text += f"; {ONLY_HERE}"
     return Finding("network", True, text)
-
-
-def check_state_dir(folder: Path) -> Finding:
-    """Whether the daemon can write latches, or make the folder."""
-    if fault := write_fault(folder):
-        text = f"{folder} cannot be written to ({fault}), so latches would be lost"
-        return Finding("state_dir", False, f"{text}; give --state-dir")
-    return Finding("state_dir", True, str(folder))
 
 
 def _check_roster(settings: DaemonSettings) -> Iterator[Finding]:

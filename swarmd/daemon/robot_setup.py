@@ -8,7 +8,7 @@ from platform import machine
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import GoalRecord
-from swarmd.core.kernels import describe_kernels
+from swarmd.core.kernels import describe_kernels, load_kernel
 from swarmd.core.libm import digest_of_libm
 from swarmd.recording.head import RecordingHead, digest_of
 from swarmd.robot.latches import LatchRecord
@@ -45,6 +45,7 @@ def make_robot(
         settings.id,
         settings.platform,
         setup,
+        make_steering=load_kernel("swarmd.steering.steering").Steering,
         seed=seed,
         instance=instance,
         now=boottime(),

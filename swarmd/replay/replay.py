@@ -25,7 +25,7 @@ import numpy as np
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
 from swarmd.core.events import HostInput, Input, RequestInput, tag_of
 from swarmd.core.host_messages import KillHost, Load, LoadRefused, StartTrial, Stepped
-from swarmd.core.kernels import describe_kernels
+from swarmd.core.kernels import describe_kernels, load_kernel
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Platform, Twist
@@ -165,6 +165,7 @@ class Replay:
             identity.robot,
             self._platform,
             identity.setup,
+            make_steering=load_kernel("swarmd.steering.steering").Steering,
             seed=identity.seed,
             instance=identity.instance,
             now=now,

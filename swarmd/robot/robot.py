@@ -50,11 +50,10 @@ if TYPE_CHECKING:
     from swarmd.protection.protection import Protection
     from swarmd.robot.effects import Effects
     from swarmd.robot.pattern_run import PatternRun
+    from swarmd.robot.steers import MakeSteering
     from swarmd.robot.ticker import DutyCycle, Ticker
-    from swarmd.steering.steering import Steering
 else:
     Protection = load_kernel("swarmd.protection.protection").Protection
-    Steering = load_kernel("swarmd.steering.steering").Steering
     PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
     _kernel = load_kernel("swarmd.robot.ticker")
     DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker
@@ -76,7 +75,8 @@ def _settled(
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
-    `seed` makes the random choices of patterns and protection repeatable. `instance`: the id of
+    `make_steering` makes what may ask for another command than the pattern. `seed` makes the random
+    choices of patterns and steering repeatable. `instance`: the id of
     this daemon process. `now`: s on a monotonic clock. `earlier`: the records on disk of earlier
     daemon processes. `decision`: the last decision of protection, made at `decided_at` (s).
     """
@@ -95,6 +95,7 @@ class Robot(Ticker):
         platform: Platform,
         setup: RobotSetup,
         *,
+        make_steering: MakeSteering,
         seed: int,
         instance: str,
         now: float,
@@ -112,7 +113,7 @@ class Robot(Ticker):
             platform, accepts, tells_pose=setup.tells_pose, anchors=settings.anchors(POSE_TIMEOUT)
         )
         self._protection = Protection(platform, settings.layers.values())
-        self._steering = Steering(platform, self._protection, f"{seed}/{id}")
+        self._steering = make_steering(platform, self._protection, f"{seed}/{id}")
         identity = RobotIdentity(
             robot=id, platform=platform, setup=setup, seed=seed, instance=instance
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.finding import Finding, Level, unknown, warning
@@ -17,9 +17,19 @@ MIN_FREE_MEMORY = 100_000_000
 MAX_LOAD = 1.5  # of each core
 MAX_SKEW = 2.0  # s
 EXPIRES_SOON = 14 * 86400.0
+SLOW_TRIP, MUCH_LOSS = 0.2, 0.2  # s and share of a link on which stops come late
 _PORT = 7440
 _UNDER_VOLTAGE, _UNDER_VOLTAGE_BEFORE = 1 << 0, 1 << 16  # bits of vcgencmd get_throttled
 THIS = "this process"
+STEPS: Mapping[str, str] = {
+    **dict.fromkeys(("answer", "name", "version", "identity", "roster", "latches"), "A1"),
+    **dict.fromkeys(("pattern host", "python"), "A1"),
+    **dict.fromkeys(("clock", "skew"), "A2"),
+    **dict.fromkeys(("load", "memory", "state", "recordings", "power"), "A3"),
+    **dict.fromkeys(("heard here", "hears", "round trip", "interface", "mtu"), "A4"),
+    **dict.fromkeys(("multicast", "ports", "firewall"), "A4"),
+}
+"""The checks of a robot by their subject, with the step of the acceptance test that judges each."""
 
 
 def of_machine(facts: MachineFacts) -> Iterator[Finding]:
@@ -125,6 +135,21 @@ def _firewall(facts: NetworkFacts) -> Finding:
     if facts.firewall == "open":
         return Finding("firewall", True, "no rule of nft or iptables drops")
     return unknown("firewall", f"not known: {facts.firewall_text}")
+
+
+def name(daemons: int) -> Finding:
+    """The finding of a name that so many daemons have."""
+    if daemons <= 1:
+        return Finding("name", True, "one daemon has this name")
+    text = f"{daemons} daemons have this name"
+    return Finding("name", False, text, "stop one of them, or give it another id")
+
+
+def round_trip(seconds: float, loss: float) -> Finding:
+    """The finding of the way to the robots and back, and of the share of datagrams that is lost."""
+    text = f"{1e3 * seconds:.0f} ms, {loss:.0%} lost"
+    is_due = seconds > SLOW_TRIP or loss > MUCH_LOSS
+    return warning("round trip", text, "see swarmctl links; move the access point", is_due=is_due)
 
 
 def of_robot(

@@ -1,4 +1,4 @@
-"""A person at a terminal in front of `swarmctl acceptance`."""
+"""A person at a terminal in front of a dialogue, such as `swarmctl acceptance`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ READ_TIME = 1.5  # s that a person reads a question
 
 
 class Person:
-    """What a person sees and types: `swarmctl acceptance` in a process with a terminal.
+    """What a person sees and types: a verb of `swarmctl` in a process with a terminal.
 
     `prefix`: a command that becomes the program, such as that of a network namespace. `environ` is
     added to the environment.
@@ -31,13 +31,14 @@ class Person:
         *words: str,
         prefix: Sequence[str] = (),
         environ: Mapping[str, str] | None = None,
+        verb: str = "acceptance",
     ) -> None:
         self.text = ""
         self._read_to = 0
         self.pid, self.keyboard = pty.fork()
         if self.pid == 0:
             os.environ.update({"SWARM": swarm, "COLUMNS": "40", **(environ or {})})
-            command = [*prefix, *SWARMCTL, "acceptance", robot, *words]
+            command = [*prefix, *SWARMCTL, verb, robot, *words]
             os.execvp(command[0], command)
 
     def see(self, seconds: float) -> None:
@@ -99,8 +100,9 @@ def person(
     *words: str,
     prefix: Sequence[str] = (),
     environ: Mapping[str, str] | None = None,
+    verb: str = "acceptance",
 ) -> Iterator[Person]:
-    one = Person(swarm, robot, *words, prefix=prefix, environ=environ)
+    one = Person(swarm, robot, *words, prefix=prefix, environ=environ, verb=verb)
     try:
         yield one
     finally:

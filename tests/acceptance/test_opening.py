@@ -10,6 +10,7 @@ import pytest
 from swarmd.acceptance.result_file import RECORD
 from swarmd.cli.acceptance_robot import TestedRobot
 from swarmd.core.errors import SwarmError
+from swarmd.core.finding import Finding, warning
 from swarmd.core.messages import Reason, Status
 from swarmd.core.verbs import RecordingFile, RecordingsReply
 from tests.support.statuses import status
@@ -59,6 +60,21 @@ def test_a_test_that_goes_on_ends_the_recording_of_the_step_that_was_cut(
     ):
         robot._learn()
     assert done == (["stop", "start"] if goes_on else ["start"])
+
+
+def test_a_check_is_judged_by_what_no_other_step_judges(tmp_path: Path) -> None:
+    """A2 judges the clock; the robot's own daemon is the other node that A6 looks for."""
+    found = [
+        Finding("scan", True, "5 Hz"),
+        warning("clock", "not synchronised by NTP", "chrony"),
+        Finding("last_word", False, "the daemon"),
+    ]
+    robot = TestedRobot(mock.Mock(), "r", tmp_path, tmp_path / "r.yaml")
+    with (
+        mock.patch("swarmd.cli.preflight.findings_of", return_value=found),
+        mock.patch("swarmd.settings.settings.load_daemon_settings"),
+    ):
+        assert robot._check() == found[:1]
 
 
 def test_a_recording_is_copied_once_its_last_chunk_is_on_the_disk(robot: TestedRobot) -> None:

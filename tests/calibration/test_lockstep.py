@@ -16,15 +16,13 @@ from msgspec.structs import replace as replace_scan
 
 from swarmd.calibration.figures import DONE, REFUSED, Figure, names_of
 from swarmd.calibration.floor import needed_floor
-from swarmd.calibration.report import figures_of, settings
-from swarmd.cli.calibrate import platform_text
+from swarmd.calibration.report import figures_of, measured_file, settings
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Platform, Scan, Sweep
 from swarmd.protection.assumption_monitor import axis_of
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import scenario_of
-from tests.support.statuses import status as make_status
 
 ROOM: dict[str, Any] = {
     "size": [2.8, 2.3],
@@ -138,8 +136,7 @@ def test_a_sweep_that_the_platform_does_not_know_is_found_and_written(tmp_path: 
     delay = Figure.parse(report["scan_delay"])
     assert delay.value == pytest.approx(0.1, abs=0.02)
     file = tmp_path / "mine.yaml"
-    status = make_status("r", platform="burger")
-    file.write_text(platform_text("r", status, report))
+    file.write_text(measured_file("r", "burger", "2026-11-28", report))
     assert load_platform(str(file)).scan.sweep == Sweep(math.radians(-1.0), -1.0, 0.2)
 
 

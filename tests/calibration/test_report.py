@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.calibration.figures import Figure, SweepFigure, names_of
-from swarmd.calibration.report import figures_of, platform_file, rows, settings
+from swarmd.calibration.report import figures_of, measured_file, platform_file, settings
 from swarmd.core.values import Sweep
 from swarmd.settings.settings import load_platform
 
@@ -165,8 +165,16 @@ def test_a_report_of_another_pattern_is_refused() -> None:
         figures_of({**report, "speed_lateral": SIDEWAYS["speed_lateral"].text})
 
 
-def test_each_figure_has_a_row() -> None:
-    table = rows(GOOD)
-    assert len(table) == len(names_of(False)) == len(rows(SIDEWAYS)) - 4
-    assert table[0] == ("braking, linear", "1.6 m/s2", "0.05", "8", "1 m/s2")
-    assert table[7][1:3] == ("not measured", "-")
+def test_the_file_has_a_line_for_each_figure_and_for_a_sweep_that_was_not_measured() -> None:
+    why = SweepFigure(why="too few turns")
+    given = {name: figure.text for name, figure in SIDEWAYS.items()}
+    report = {**given, "sweep": why.text, "drove": "0.22 2.1 0.2"}
+    lines = measured_file("r01", "burger", "2026-01-01", report).splitlines()
+    comments = [line.removeprefix("#   ") for line in lines if line.startswith("#   ")]
+    assert comments[0] == "braking, linear: 1.6 +- 0.05 (8) m/s2; assumed 1"
+    assert "odometry / scan, linear: not measured: a bare corridor" in comments
+    assert "scan.sweep: not measured: too few turns" in comments
+    assert len(names_of(True)) == 14
+    assert len([line for line in comments if "+-" in line or "not measured" in line]) >= 14 + 1
+    assert "extends: burger" in lines
+    assert "extends: ./own.yaml" in measured_file("r01", "own", "2026-01-01", report)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -153,10 +154,11 @@ def test_check_finds_problems_and_moves_nothing(tmp_path: Path) -> None:
     )
     done = swarmd("--config", "r.yaml", "--check", cwd=tmp_path)
     assert done.returncode == 1
-    found = {line[6:].split("  ")[0]: line[:4].strip() for line in done.stdout.splitlines()[:-1]}
+    rows = [re.split("  +", line) for line in done.stdout.splitlines()[1:-1]]
+    found = {subject: level for level, subject, *_ in rows}
     assert found["settings"] == found["platform"] == found["patterns"] == "ok"
-    assert found["pattern broken"] == "FAIL"
-    assert found["roster"] == "FAIL"
+    assert found["pattern broken"] == "fault"
+    assert found["roster"] == "fault"
     assert "nothing_of_that_name" in done.stdout
     assert not (tmp_path / ".local").exists()
 
@@ -260,7 +262,7 @@ def test_check_finds_a_real_robot_without_protection(
     tmp_path: Path, unprotected: tuple[str, ...], driver: str, is_found: bool
 ) -> None:
     done = with_drivers(tmp_path, *unprotected, driver, "--check")
-    lines = [line for line in done.stdout.splitlines() if line.startswith("FAIL")]
+    lines = [line for line in done.stdout.splitlines() if line.startswith("fault")]
     assert any("protection.mode" in line for line in lines) is is_found
     assert done.returncode == 1  # the simulated driver finds no world
 

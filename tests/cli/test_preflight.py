@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,12 @@ from swarmd.cli.preflight import (
     _platform_text,
     check_daemon,
     check_patterns,
-    check_state_dir,
     command_timeout_text,
     peers_text,
-    print_findings,
     protection_text,
 )
 from swarmd.core.errors import ConfigError
-from swarmd.core.finding import Finding
+from swarmd.core.finding import Finding, Level
 from swarmd.core.values import Value
 from swarmd.daemon.driver import make_driver
 from swarmd.settings.platforms import load_platform
@@ -51,23 +50,52 @@ def faults(findings: Iterable[Finding]) -> list[str]:
     return [f"{one.subject}: {one.text}" for one in findings if not one.is_well]
 
 
-def test_what_was_not_measured_is_neither_well_nor_a_fault(
-    capsys: pytest.CaptureFixture[str],
+@pytest.fixture
+def open_firewall(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No `nft` is started, as for a user other than root."""
+    facts = "swarmd.network.carriers.network_facts._firewall"
+    monkeypatch.setattr(facts, lambda: ("open", ""))
+
+
+def test_a_warning_and_what_was_not_measured_are_told_and_are_no_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    well = Finding("scan", True, "10 Hz")
-    unknown = Finding("scan delay", True, "not measured: no scan", is_measured=False)
-    assert print_findings([well, unknown]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        "--    scan delay  not measured: no scan",
-        "ok    scan        10 Hz",
-        "2 checked, none failed, 1 not measured",
+    found = [
+        Finding("scan", True, "10 Hz"),
+        Finding("scan delay", True, "not measured: no scan", is_measured=False),
+        Finding("clock", False, "not synchronised", "start chrony", is_minor=True),
     ]
-    fault = Finding("cmd_vel", False, "no subscriber", "start the base")
-    assert print_findings([well, unknown, fault]) == 1
-    *lines, last = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["FAIL", "--", "ok"]  # faults first
-    assert lines[0].endswith("no subscriber; start the base")
-    assert last == "3 checked, 1 failed, 1 not measured"
+    monkeypatch.setattr(preflight, "findings_of", lambda settings: found)
+    assert check_daemon(settings_of(tmp_path)) == 0
+    _, *lines, last = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines] == [
+        ["warning", "clock"],
+        ["unknown", "scan"],
+        ["ok", "scan"],
+    ]
+    assert lines[0].endswith("not synchronised; start chrony")
+    assert last == "3 checked: 0 faults, 1 warning, 1 not known"
+    found.append(Finding("cmd_vel", False, "no subscriber", "start the base"))
+    assert check_daemon(settings_of(tmp_path)) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split()[:2] == ["fault", "cmd_vel"]  # faults first
+
+
+@pytest.mark.usefixtures("open_firewall")
+def test_a_check_has_the_rows_of_the_doctor_on_this_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """docs/installation.md: `--check` finds what would lose a latch before the daemon starts."""
+    for name in ("check_patterns", "_check_driver"):
+        monkeypatch.setattr(preflight, name, lambda *_: ())
+    found = {one.subject: one for one in preflight.findings_of(settings_of(tmp_path))}
+    assert {"clock", "load", "memory", "state", "interface", "ports", "firewall"} <= found.keys()
+    assert found["state"].is_well
+    (tmp_path / "file").touch()
+    lost = settings_of(tmp_path, state_dir=str(tmp_path / "file" / "state"))
+    found = {one.subject: one for one in preflight.findings_of(lost)}
+    assert found["state"].level is Level.FAULT
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "r.yaml"}
 
 
 @pytest.mark.parametrize(
@@ -123,19 +151,6 @@ def test_how_the_base_stops_is_explained(
 def test_a_driver_with_its_own_process_needs_no_watchdog(tmp_path: Path) -> None:
     settings = settings_of(tmp_path, platform="burger", driver="ros1")
     assert "process of the driver" in command_timeout_text(settings, make_driver(settings))
-
-
-@pytest.mark.parametrize(
-    ("folder", "is_well"), [("/proc/x", False), ("file/state", False), ("a/b", True)]
-)
-def test_the_state_folder_is_written_to_and_left_as_it_was(
-    tmp_path: Path, folder: str, is_well: bool
-) -> None:
-    (tmp_path / "file").touch()
-    finding = check_state_dir(tmp_path / folder)
-    assert finding.is_well is is_well
-    assert is_well or folder in finding.text
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 @pytest.mark.integration
@@ -236,7 +251,7 @@ def test_a_wrong_option_of_the_driver_is_one_line(
 ) -> None:
     settings = settings_of(tmp_path, driver_options={"command_timeout": "never"})
     assert check_daemon(settings) == 1
-    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("FAIL"))
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("fault"))
     assert "driver simulated" in line
     assert "'never'" in line
 
@@ -319,12 +334,13 @@ def test_the_runs_of_a_viewer_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("open_firewall")
 def test_a_check_goes_on_without_the_folder_of_patterns(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = {"on_low_battery": {"below": 0.2, "pattern": "drive"}, "plugin_dir": "absent"}
     assert check_daemon(settings_of(tmp_path, json.dumps(given))) == 1
-    assert "FAIL  patterns" in capsys.readouterr().out
+    assert re.search("fault +patterns", capsys.readouterr().out)
 
 
 def test_accepted_platforms_that_swarmd_does_not_have_are_named(tmp_path: Path) -> None:

@@ -60,6 +60,7 @@ from swarmd.core.host_messages import (
     Stepped,
     TrialDone,
 )
+from swarmd.core.kernels import load_kernel
 from swarmd.core.keys import MESSAGE, build
 from swarmd.core.messages import Code, PeerView, Refusal, Reply
 from swarmd.core.values import (
@@ -102,6 +103,7 @@ from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_services import fake_services
 
+STEERING = load_kernel("swarmd.steering.steering").Steering
 LEASE, SETTLE = 3.0, 1.0  # of profile field
 DELAY = 0.005  # s
 MOST_DELAY = 1.2  # of a datagram, as a share of the delay
@@ -433,6 +435,7 @@ class VirtualDaemon(Node):
                 profile="field",
                 settings=RobotSettings(fence=FENCE if swarm.is_fenced else None),
             ),
+            make_steering=STEERING,
             seed=1,
             instance=instance.hex(),
             now=now,

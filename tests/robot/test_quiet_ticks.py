@@ -42,6 +42,7 @@ from swarmd.core.host_messages import (
     Stepped,
     TrialDone,
 )
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Epoch, Latch, Reason
 from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import (
@@ -63,6 +64,7 @@ from tests.support.platforms import with_mode
 from tests.support.robot_harness import RobotHarness, acted
 from tests.support.stub_patterns import started
 
+STEERING = load_kernel("swarmd.steering.steering").Steering
 PLATFORM = with_mode(load_platform("waffle_pi"), "stop_zone")  # with recovery, and cheap
 COMMANDS = (Twist(0.2), Twist(0.0, 0.5), Twist(-0.1, -0.2), Twist(float("nan")), None)
 
@@ -82,7 +84,9 @@ class Pair:
         self.now, self.seq, self.count = 1000.0, 0, 0
         settings = RobotSetup(driver="story")
         self.robots = tuple(
-            made("r", PLATFORM, settings, seed=1, instance="b", now=self.now)
+            made(
+                "r", PLATFORM, settings, make_steering=STEERING, seed=1, instance="b", now=self.now
+            )
             for made in (Robot, Restless)
         )
         self.is_answering = True

@@ -36,7 +36,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
-from swarmd.core.kernels import describe_kernels
+from swarmd.core.kernels import describe_kernels, load_kernel
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code, Epoch, Reply, Status
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist
@@ -57,6 +57,7 @@ from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 
+STEERING = load_kernel("swarmd.steering.steering").Steering
 ScanSource = Callable[[int, float], Scan | None]
 _platform = cache(load_platform)  # each story has a robot of its own
 
@@ -134,6 +135,7 @@ class RobotHarness:
                     touch=touch or {}, fence=fence, on_low_battery=on_low_battery
                 ),
             ),
+            make_steering=STEERING,
             seed=1,
             instance=instance,
             now=self.now,

@@ -86,11 +86,12 @@ def _weight(node: ast.stmt) -> int:
     return 1
 
 
-def import_closure(module: str) -> set[str]:
-    """The modules of swarmd that a module imports, directly or not, and the module itself.
+def import_closure(module: str, *, at_start: bool = False) -> dict[str, int]:
+    """The lines of each module of swarmd that a module imports, directly or not, and of itself.
 
     A kernel that `load_kernel` loads by its name counts as imported. An `__init__.py` leads to the
-    modules that it re-exports, and does not count itself.
+    modules that it re-exports, and does not count itself. `at_start`: without what is imported in a
+    function, or for type checkers alone.
     """
     waiting = [module]
     known: dict[str, Path] = {}
@@ -99,8 +100,9 @@ def import_closure(module: str) -> set[str]:
         path = _file_of(name)
         if path is not None and name not in known:
             known[name] = path
-            waiting += _imported(path)
-    return {name for name, path in known.items() if path.name != "__init__.py"}
+            waiting += _imported(path, at_start=at_start)
+    files = ((name, path) for name, path in known.items() if path.name != "__init__.py")
+    return {name: path.read_text(encoding="utf-8").count("\n") for name, path in files}
 
 
 def _file_of(module: str) -> Path | None:
@@ -113,11 +115,12 @@ def _file_of(module: str) -> Path | None:
 
 
 @cache
-def _imported(path: Path) -> tuple[str, ...]:
+def _imported(path: Path, *, at_start: bool) -> tuple[str, ...]:
     """The modules that a module imports, and each imported name, which might be a module."""
     text = path.read_text(encoding="utf-8")
     found = _LOADED.findall(text)
-    for node in statements(ast.parse(text)):
+    tree = ast.parse(text)
+    for node in tree.body if at_start else statements(tree):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

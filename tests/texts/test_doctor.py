@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
-from swarmd.cli.doctor import HERE, rows_of
+from swarmd.cli.findings import HERE, Line, rows_of
 from swarmd.core.finding import Finding, Level, unknown
 from swarmd.core.machine import throttled
 from swarmd.core.messages import Sandbox
 from swarmd.core.verbs import DiskFacts, DoctorReply, MachineFacts, NetworkFacts, PortFacts
-from swarmd.texts.doctor import identity, of_machine, of_network, of_robot, worst
+from swarmd.texts.doctor import (
+    STEPS,
+    identity,
+    name,
+    of_machine,
+    of_network,
+    of_robot,
+    round_trip,
+    worst,
+)
 
 NOW = 1.8e9
 DAY = 86400.0
@@ -188,6 +198,34 @@ def test_the_end_of_a_certificate_is_a_warning_and_then_a_fault() -> None:
     assert worst([unknown("x", "")]) is Level.OK
 
 
+def test_each_check_of_a_robot_belongs_to_a_step_of_the_acceptance_test() -> None:
+    """docs/acceptance.md: A1 to A4 judge the name, keys, clock and computer, and its link."""
+    disks = [replace(MACHINE.disks[0], purpose=purpose) for purpose in ("state", "recordings")]
+    machine = replace(MACHINE, disks=tuple(disks), throttled=0)
+    network = replace(NETWORK, has_multicast=False, mtu=1500)
+    reply = replace(REPLY, machine=machine, network=network, storage="lost", roster=3)
+    seen: dict[str, Any] = {"skew": 0.0, "error": 0.0, "version": "1.0", "ways": ()}
+    found = [*of_robot(reply, **seen, others=2, now=NOW, roster=4), name(1), round_trip(0.1, 0.0)]
+    assert {one.subject for one in found} == STEPS.keys() - {"answer"}
+    rows = {"name": "A1", "clock": "A2", "power": "A3", "round trip": "A4", "answer": "A1"}
+    assert {subject: STEPS[subject] for subject in rows} == rows
+
+
+@pytest.mark.parametrize(
+    ("found", "level"),
+    [
+        (name(1), Level.OK),
+        (name(2), Level.FAULT),
+        (round_trip(0.19, 0.19), Level.OK),
+        (round_trip(0.21, 0.0), Level.WARNING),
+        (round_trip(0.1, 0.21), Level.WARNING),
+    ],
+)
+def test_a_second_daemon_is_a_fault_and_a_slow_link_a_warning(found: Finding, level: Level) -> None:
+    assert found.level is level
+    assert bool(found.remedy) is (level is not Level.OK)
+
+
 def test_every_problem_says_what_to_do() -> None:
     bad = replace(MACHINE, is_synced=False, load=99.0, free_memory=0)
     down = replace(NETWORK, is_up=False, mtu=500, has_multicast=False, firewall="drops")
@@ -200,12 +238,8 @@ def test_the_worst_come_first_and_equal_ones_of_several_robots_are_one_row() -> 
         Finding(what, False, "no room", is_minor=what == "load") for what in ("state", "load")
     )
     well = Finding("mtu", True, "1500")
-    lines = [
-        (HERE, well),
-        *(("r1", one) for one in (well, busy, full)),
-        *(("r2", one) for one in (well, busy)),
-        ("r3", busy),
-    ]
+    rows = {HERE: (well,), "r1": (well, busy, full), "r2": (well, busy), "r3": (busy,)}
+    lines = [Line(where, one) for where, found in rows.items() for one in found]
     assert rows_of(lines, only_problems=False) == [
         ("fault", "r1", "state", "no room"),
         ("warning", "all 3 robots", "load", "no room"),

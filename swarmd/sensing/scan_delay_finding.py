@@ -1,4 +1,4 @@
-"""The finding of `swarmd --check` on the delay of scans."""
+"""The finding on the delay of scans, of `swarmd --check` and of the acceptance test."""
 
 from __future__ import annotations
 

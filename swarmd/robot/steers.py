@@ -1,0 +1,53 @@
+"""What a robot needs of steering; the shells give it one (`swarmd/steering/steering.py`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Protocol, TypeAlias
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import Odometry, Platform, Scan, Twist
+from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
+
+if TYPE_CHECKING:
+    from swarmd.protection.protection import Protection
+
+
+class MovingObject(Protocol):
+    """A tracked object: place (m), velocity (m/s) and radius (m) in the frame of the robot."""
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+    radius: float
+
+
+class Steers(Protocol):
+    """Asks protection for another command where the request leads nowhere.
+
+    It cannot weaken protection, which judges what is asked like any request.
+    """
+
+    def observe(self, scan: Scan, context: DecisionContext) -> None:
+        """Take in a conditioned scan."""
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """Take in a reading."""
+
+    def decide(
+        self,
+        requested: Twist | None,
+        context: DecisionContext,
+        is_running: bool,
+        hold: Reason | None,
+        permit: Permit = NO_PERMIT,
+    ) -> Decision:
+        """The decision of protection on the request, or on what is asked in its place."""
+
+    def tracks(self, context: DecisionContext) -> Iterable[MovingObject] | None:
+        """The moving objects that are avoided; None while nothing is."""
+
+
+MakeSteering: TypeAlias = "Callable[[Platform, Protection, str], Steers]"
+"""Makes steering for a robot: its platform, its protection, and a seed for random choices."""
