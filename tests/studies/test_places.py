@@ -89,6 +89,14 @@ def figures_of(name: str, seeds: Sequence[int]) -> dict[str, list[float]]:
     return {source: [run((name, source, seed)) for seed in seeds] for source in SOURCES}
 
 
+def show(name: str, figures: Mapping[str, Sequence[float]]) -> None:
+    """Print least, median, most and mean of a pattern's figures by source of places."""
+    for source, values in figures.items():
+        low, mid, high = np.percentile(values, (0.0, 50.0, 100.0))
+        print(f"{name}: {FIGURES[name].what}, {source}: {low:.3g} / {mid:.3g} / {high:.3g},"
+              f" mean {np.mean(values):.3g}")  # fmt: skip
+
+
 def reached(name: str, board: Sequence[float], shared: Sequence[float]) -> float:
     """How much of the mean figure of boards shared poses reach; more is better."""
     ratio = float(np.mean(shared) / np.mean(board))
@@ -99,10 +107,7 @@ def reached(name: str, board: Sequence[float], shared: Sequence[float]) -> float
 @pytest.mark.parametrize("name", FIGURES)
 def test_shared_poses_reach_what_boards_reach_and_robots_at_rest_do_not(name: str) -> None:
     figures = figures_of(name, range(SEEDS.get(name, 10)))
-    for source, values in figures.items():
-        low, mid, high = np.percentile(values, (0.0, 50.0, 100.0))
-        print(f"{name}: {FIGURES[name].what}, {source}: {low:.3g} / {mid:.3g} / {high:.3g},"
-              f" mean {np.mean(values):.3g}")  # fmt: skip
+    show(name, figures)
     assert reached(name, figures[BOARD], figures[SHARED]) >= ENOUGH
     assert reached(name, figures[BOARD], figures[STILL]) < ENOUGH
 
