@@ -21,7 +21,7 @@ from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
 
 SOURCES = BOARD, SHARED, STILL = "boards", "shared poses", "at rest"
-_SHARED_SET = {"radio.range_and_bearing": False, "radio.places": "shared"}
+SHARED_SET = {"radio.range_and_bearing": False, "radio.places": "shared"}
 ENOUGH = 0.8
 """The share of the boards' figure that shared poses have to reach."""
 SEEDS = {"vicsek_alignment": 20, "hexagonal_lattice": 6, "shepherding": 4, "chain_formation": 4}
@@ -78,7 +78,7 @@ def run(given: tuple[str, str, int], more: Mapping[str, Any] | None = None) -> f
     """The figure of one run, by pattern, source of places and seed."""
     name, source, seed = given
     figure = FIGURES[name]
-    changes = {**figure.changes, **(_SHARED_SET if source == SHARED else {}), **(more or {})}
+    changes = {**figure.changes, **(SHARED_SET if source == SHARED else {}), **(more or {})}
     with still_robots(name) if source == STILL else nullcontext():
         (trace,) = simulate(name, [seed], jobs=1, set=changes).traces
     return figure.of(trace)
