@@ -21,7 +21,7 @@ from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
 
 SOURCES = BOARD, SHARED, STILL = "boards", "shared poses", "at rest"
-_SHARED_SET = {"radio.range_and_bearing": False, "radio.places": "shared"}
+SHARED_SET = {"radio.range_and_bearing": False, "radio.places": "shared"}
 ENOUGH = 0.8
 """The share of the boards' figure that shared poses have to reach."""
 SEEDS = {"vicsek_alignment": 20, "hexagonal_lattice": 6, "shepherding": 4, "chain_formation": 4}
@@ -78,7 +78,7 @@ def run(given: tuple[str, str, int], more: Mapping[str, Any] | None = None) -> f
     """The figure of one run, by pattern, source of places and seed."""
     name, source, seed = given
     figure = FIGURES[name]
-    changes = {**figure.changes, **(_SHARED_SET if source == SHARED else {}), **(more or {})}
+    changes = {**figure.changes, **(SHARED_SET if source == SHARED else {}), **(more or {})}
     with still_robots(name) if source == STILL else nullcontext():
         (trace,) = simulate(name, [seed], jobs=1, set=changes).traces
     return figure.of(trace)
@@ -87,6 +87,14 @@ def run(given: tuple[str, str, int], more: Mapping[str, Any] | None = None) -> f
 def figures_of(name: str, seeds: Sequence[int]) -> dict[str, list[float]]:
     """The figures of a pattern by source of places, a value for each seed."""
     return {source: [run((name, source, seed)) for seed in seeds] for source in SOURCES}
+
+
+def show(name: str, figures: Mapping[str, Sequence[float]]) -> None:
+    """Print least, median, most and mean of a pattern's figures by source of places."""
+    for source, values in figures.items():
+        low, mid, high = np.percentile(values, (0.0, 50.0, 100.0))
+        print(f"{name}: {FIGURES[name].what}, {source}: {low:.3g} / {mid:.3g} / {high:.3g},"
+              f" mean {np.mean(values):.3g}")  # fmt: skip
 
 
 def reached(name: str, board: Sequence[float], shared: Sequence[float]) -> float:
@@ -99,10 +107,7 @@ def reached(name: str, board: Sequence[float], shared: Sequence[float]) -> float
 @pytest.mark.parametrize("name", FIGURES)
 def test_shared_poses_reach_what_boards_reach_and_robots_at_rest_do_not(name: str) -> None:
     figures = figures_of(name, range(SEEDS.get(name, 10)))
-    for source, values in figures.items():
-        low, mid, high = np.percentile(values, (0.0, 50.0, 100.0))
-        print(f"{name}: {FIGURES[name].what}, {source}: {low:.3g} / {mid:.3g} / {high:.3g},"
-              f" mean {np.mean(values):.3g}")  # fmt: skip
+    show(name, figures)
     assert reached(name, figures[BOARD], figures[SHARED]) >= ENOUGH
     assert reached(name, figures[BOARD], figures[STILL]) < ENOUGH
 
