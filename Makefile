@@ -176,12 +176,11 @@ format: $(VENV)/tools
 bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
 
-# The candidates of all benchmark tasks over twenty seeds; the same command resumes. ARGS="--seeds 10
-# -j 1" runs less. It writes table, picture and schema of docs/benchmark_suite.md.
+# The patterns of all benchmark tasks over twenty seeds; the same command resumes. ARGS="--seeds 10
+# -j 1" runs less. It writes table and picture of docs/benchmark_suite.md.
 bench-suite: $(VENV)/tools
-	@mkdir -p build
-	@$(BIN)/swarmctl exp bench --out build/bench_suite -o json $(ARGS) > build/bench_suite.json
-	@$(BIN)/python -m studies.benchmark_suite build/bench_suite.json
+	@$(BIN)/swarmctl exp bench --out build/bench_suite $(ARGS)
+	@$(BIN)/python -m studies.benchmark_suite build/bench_suite
 
 # Debian 12 by qemu-user, in build/arm64.
 arm64: $(VENV)/tools

@@ -62,16 +62,9 @@ from swarmd.settings.platforms import (
     platform_sources,
 )
 from swarmd.settings.settings import with_options
-from swarmd.sim.experiments.benchmark import (
-    Candidate,
-    MetricSection,
-    TaskFile,
-    load_task,
-    task_names,
-)
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.placed import KINDS
-from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names, task_names
 from swarmd.sim.scenarios.schema import (
     ArenaSection,
     BoxSection,
@@ -371,27 +364,18 @@ def metrics() -> Iterator[str]:
 
 def benchmark_tasks() -> Iterator[str]:
     """The tasks of the benchmark suite."""
-    for task in map(load_task, task_names()):
-        file, metric = task.file, task.file.metric
-        low, high = ("none" if bound is None else f"{bound:g}" for bound in metric.bounds)
+    for name in task_names():
+        task = load_scenario(name)
         yield f"### {task.name}"
-        yield prose(" ".join(file.task.split()))
+        yield prose(" ".join(task.description.split()))
+        groups = ", ".join(name for name, g in task.effective["groups"].items() if not g["pattern"])
         about = {
-            "robots": f"{task.robots}, of which `{', '.join(file.groups)}` are judged",
-            "time budget": f"{file.scenario['duration']:g} s",
-            "metric": f"`{metric.name}`: {metric.formula}",
-            "unit, better, bounds": f"{metric.unit}; {metric.better}; {low} to {high}",
-            "source": metric.source,
-            "candidates": ", ".join(f"`{candidate.pattern}`" for candidate in file.candidates),
+            "robots": f"{len(task.robots)}, of which `{groups}` run the pattern",
+            "time budget": f"{task.duration:g} s",
+            "metric": f"`{task.effective['metric']}`",
+            "patterns": ", ".join(f"`{pattern}`" for pattern in task.effective["patterns"]),
         }
         yield _table(("key", "value"), list(about.items()))
-
-
-def benchmark_format() -> Iterator[str]:
-    """The keys of a file of the benchmark suite."""
-    yield from _schema("", TaskFile)
-    yield from _schema("metric", MetricSection)
-    yield from _schema("candidates", Candidate)
 
 
 def commands() -> Iterator[str]:
@@ -658,7 +642,6 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "scenarios": scenarios,
     "metrics": metrics,
     "benchmark_tasks": benchmark_tasks,
-    "benchmark_format": benchmark_format,
     "commands": commands,
     "reasons": reasons,
     "keys": keys,

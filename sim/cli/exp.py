@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import shlex
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from signal import SIGTERM
@@ -18,7 +17,7 @@ from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.cli.patterns import report_mission
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.exp_bench import FAILED, PARTIAL, bench
+from swarmd.sim.cli.exp_bench import bench
 from swarmd.sim.cli.exp_results import (
     check,
     exit_if_incomplete,
@@ -27,6 +26,14 @@ from swarmd.sim.cli.exp_results import (
     plot,
     report,
     view,
+)
+from swarmd.sim.cli.exp_runs import (
+    PARTIAL,
+    command_line,
+    do_runs,
+    exit_code,
+    jobs_option,
+    seeds_option,
 )
 from swarmd.sim.cli.exp_tune import tune
 from swarmd.sim.cli.exp_video import video
@@ -61,12 +68,6 @@ _metrics = click.option(
     help="Show only these metrics; see `swarmctl exp metrics`. Also report:KEY, what patterns"
     " report, reading:KEY, what sensors read, and FILE.py:NAME, one of your own.",
 )
-_processes = click.option(
-    "-j",
-    "--jobs",
-    type=click.IntRange(1, MAX_PROCESSES),
-    help="Runs at a time, each in a process of its own; results do not depend on it [all cores].",
-)
 _timeout = click.option(
     "--timeout",
     type=click.FloatRange(min=1.0),
@@ -82,13 +83,7 @@ def exp() -> None:
 
 @exp.command(epilog="Example: swarmctl exp run aggregation --seeds 20 --out runs/gather")
 @click.argument("scenario", shell_complete=scenarios)
-@click.option(
-    "--seeds",
-    default="20",
-    show_default=True,
-    metavar="SEEDS",
-    help="Number of seeds from 0 on, or the seeds: 500-519, or 3,5,9.",
-)
+@seeds_option
 @set_option
 @click.option(
     "--sweep",
@@ -97,7 +92,7 @@ def exp() -> None:
     metavar="KEY=A,B,..",
     help="Values to run in turn; repeated, every combination of values is run.",
 )
-@_processes
+@jobs_option
 @click.option(
     "--cores",
     type=click.IntRange(1, MAX_PROCESSES),
@@ -138,15 +133,12 @@ def run(
     """
     # 1. Libraries.
     need("mujoco")
-    from swarmd.sim.cli.progress import progress, time_span
-    from swarmd.sim.experiments.manifest import manifest_of, plugin_folders
+    from swarmd.sim.cli.progress import time_span
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
-    from swarmd.sim.experiments.simulate import check_first_second, plan_of, run_experiment
-    from swarmd.sim.metrics.catalog import beyond_catalog
+    from swarmd.sim.experiments.simulate import plan_of
 
     # 2. The metrics to show (None: a default choice), and the plan of all runs.
     chosen = chosen_metrics(metrics)
-    custom = beyond_catalog(chosen or ())  # the chosen metrics that the catalog of metrics lacks
     plan = plan_of(
         scenario,
         parse_seeds(seeds),
@@ -161,13 +153,13 @@ def run(
     if cores is None and plan.runs:
         cores = _spare_cores(plan, jobs)
 
-    # 3. The manifest, with the command line that resumes the experiment in its folder.
+    # 3. The command line that resumes the experiment in its folder.
     stem = Path(scenario).stem
     folder = out or new_folder(Path("experiments"), (f"{stem}-{n}" for n in itertools.count(1)))
-    command = _command(
-        scenario,
-        seeds,
+    command = command_line(
+        ("run", scenario),
         {
+            "--seeds": seeds,
             "--set": sets,
             "--sweep": sweeps,
             "--jobs": jobs,
@@ -179,25 +171,17 @@ def run(
             "--timeout": None if timeout is None else f"{timeout:g}",
         },
     )
-    manifest = manifest_of(
-        plan,
-        traces=not no_traces,
-        command=command,
-        metrics=custom,
-        shown=[metric.name for metric in chosen or ()],
-    )
 
     # 4. The runs.
     start_time = time.monotonic()
-    try:
-        with signals_end(SIGTERM), progress() as on_progress:
-            runner = workers(jobs, timeout, cores or 1)
-            if plan.runs[1:] and plugin_folders(plan):
-                check_first_second(plan, runner)
-            results = run_experiment(manifest, folder, runner, on_progress=on_progress)
-    except (KeyboardInterrupt, SystemExit):
-        _tell_how_to_resume(folder, plan, command)
-        raise
+    results = do_runs(
+        plan,
+        folder,
+        workers(jobs, timeout, cores or 1),
+        traces=not no_traces,
+        command=command,
+        metrics=chosen or (),
+    )
 
     # 5. The statistics and the exit code.
     measured = None if chosen is None else [results.about(metric.name) for metric in chosen]
@@ -206,12 +190,7 @@ def run(
     warn(f"{len(results.runs)} of {counted(len(plan.runs), 'run')} done after {duration}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
     faultless = len(results.runs) - len(results.pattern_faults)
-    ctx.exit(_exit_code(faultless, is_complete=faultless == len(plan.runs)))
-
-
-def _exit_code(finished: int, *, is_complete: bool) -> int:
-    """0 if all runs finished (`is_complete`), PARTIAL if some did, FAILED if none did."""
-    return 0 if is_complete else PARTIAL if finished else FAILED
+    ctx.exit(exit_code(faultless, is_complete=faultless == len(plan.runs)))
 
 
 def _spare_cores(plan: Plan, jobs: int | None) -> int | None:
@@ -225,36 +204,10 @@ def _spare_cores(plan: Plan, jobs: int | None) -> int | None:
     return cores_per_run if cores_per_run > 1 else None
 
 
-def _command(scenario: str, seeds: str, options: Mapping[str, object]) -> list[str]:
-    """The words of the command line that resumes an experiment.
-
-    `options`: the values of the further options in their order: a tuple for an option that may be
-    repeated, a bool for a flag, None for an option that the command line does not need.
-    """
-    words = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
-    for option, value in options.items():
-        if isinstance(value, tuple):
-            words += [word for part in value for word in (option, part)]
-        elif isinstance(value, bool):
-            words += [option] if value else []
-        elif value is not None:
-            words += [option, str(value)]
-    return words
-
-
-def _tell_how_to_resume(folder: Path, plan: Plan, command: Sequence[str]) -> None:
-    """Print how many runs are kept, and `command`; nothing if `folder` has no results so far."""
-    from swarmd.sim.experiments.results import load_results
-
-    with suppress(SwarmError):  # no results
-        done = f"{len(load_results(folder).rows)} of {counted(len(plan.runs), 'run')} kept"
-        warn(f"{done}; to go on: {shlex.join(command)}")
-
-
 @exp.command(epilog="Example: swarmctl exp rerun runs/gather")
 @folder_argument
 @out_option("Folder of the new results; without it they are compared and discarded.")
-@_processes
+@jobs_option
 @_timeout
 @trust_option
 @output_option
@@ -314,7 +267,7 @@ def rerun(
     if not is_complete:
         nothing = "nothing that the manifest names has changed, so something else has"
         warn(f"likely cause: {next(iter(known_differences), nothing)}")
-    ctx.exit(_exit_code(len(identical_runs), is_complete=is_complete))
+    ctx.exit(exit_code(len(identical_runs), is_complete=is_complete))
 
 
 @exp.command(epilog="Example: swarmctl exp merge runs/part-1 runs/part-2 --out runs/gather")
@@ -408,10 +361,11 @@ def show(folder: Path, metrics: str | None, is_trusted: bool, is_json: bool) -> 
 @exp.command("list", epilog="Example: swarmctl exp list")
 @output_option
 def list_scenarios(is_json: bool) -> None:
-    """List the scenarios that come with swarmd."""
+    """List the scenarios that come with swarmd, with the tasks of the benchmark suite."""
     need("mujoco")
-    from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
+    from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names, task_names
 
+    names = (*scenario_names(), *task_names())
     listed: list[dict[str, Any]] = [
         {
             "name": name,
@@ -419,7 +373,7 @@ def list_scenarios(is_json: bool) -> None:
             "duration": scenario.duration,
             "description": " ".join(scenario.description.split()),
         }
-        for name, scenario in ((name, load_scenario(name)) for name in scenario_names())
+        for name, scenario in ((name, load_scenario(name)) for name in names)
     ]
     if is_json:
         print_json("Scenarios", {"scenarios": listed})

@@ -38,8 +38,6 @@ from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.protection import FAILED_PATTERNS
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
-_STAND_IN = "drive"  # in place of the pupil's pattern, while this process checks the scenario
-
 
 class Lesson(Struct, frozen=True, forbid_unknown_fields=True):
     """A lesson of the tutorial. A lesson with a `pattern` is run in its `scenario`."""
@@ -73,11 +71,8 @@ def load_lessons() -> Mapping[str, Lesson]:
 
 
 def plan_of_lesson(lesson: Lesson) -> Plan:
-    """The runs of a lesson that has a pattern, with a stand-in for the pattern."""
-    groups = lesson.scenario["groups"].items()
-    named = {name: {**group, "pattern": _STAND_IN} for name, group in groups}
-    scenario = scenario_of({**lesson.scenario, "groups": named})
-    return plan_of(scenario, range(lesson.seeds), sweep=lesson.sweep)
+    """The runs of a lesson that has a pattern; its robots run none yet."""
+    return plan_of(scenario_of(lesson.scenario), range(lesson.seeds), sweep=lesson.sweep)
 
 
 def mark_results(lesson: Lesson, folder: Path) -> LessonMark:
@@ -101,7 +96,7 @@ def mark_pattern(
 ) -> LessonMark:
     """Run the lesson's experiment with the pattern in a pupil's folder, and check its targets.
 
-    `plan`: of `plan_of_lesson`, in which the pupil's pattern replaces the pattern _STAND_IN.
+    `plan`: of `plan_of_lesson`, whose robots here run the pupil's pattern.
     `processes`: runs at a time. `timeout`: s of all runs, as `_bounded` counts. The first run that
     fails ends the experiment, and the reason is `why` of the result.
     """
@@ -110,7 +105,7 @@ def mark_pattern(
     jobs = [
         Job(
             run.id,
-            _with_pattern(run.variant.effective, lesson.pattern, folder),
+            {**run.variant.effective, "pattern": lesson.pattern, "plugin_dir": str(folder)},
             run.seed,
             trace=None,
             guest=folder,
@@ -153,11 +148,6 @@ def _bounded(jobs: Sequence[Job], processes: int, timeout: float) -> Iterator[Jo
             last = now
             if spent > timeout:
                 return
-
-
-def _with_pattern(effective: Mapping[str, Any], pattern: str, folder: Path) -> dict[str, Any]:
-    groups = {name: {**group, "pattern": pattern} for name, group in effective["groups"].items()}
-    return {**effective, "groups": groups, "plugin_dir": str(folder)}
 
 
 def _findings(sides: Sequence[Side], texts: Sequence[str]) -> list[RequirementFinding]:

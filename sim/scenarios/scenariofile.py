@@ -41,11 +41,18 @@ from swarmd.sim.world.realism import realism_of
 
 SCENARIO = "scenario.yaml"
 """Beside a pattern: the scenario that shows it, by the pattern's name."""
+TASKS = "benchmark"
+"""The folder of the benchmark suite below the project's scenarios."""
 
 
 def scenario_names() -> tuple[str, ...]:
     """The scenarios that come with the project, and those of installed patterns."""
     return tuple(sorted({path.stem for path in _folder().glob("*.yaml")} | _of_patterns().keys()))
+
+
+def task_names() -> tuple[str, ...]:
+    """The scenarios of the benchmark suite, such as `benchmark/doorway`."""
+    return tuple(sorted(f"{TASKS}/{path.stem}" for path in (_folder() / TASKS).glob("*.yaml")))
 
 
 def load_scenario(
@@ -93,7 +100,7 @@ def _find(name: str, near: Path) -> Path:
     if (file := _folder() / f"{name}.yaml").is_file():
         return file
     if name not in (of_patterns := _of_patterns()):
-        known = unknown("scenario", name, scenario_names())
+        known = unknown("scenario", name, (*scenario_names(), *task_names()))
         raise ConfigError(f"{known} (or give a path ending in .yaml)")
     return of_patterns[name]
 
@@ -144,6 +151,10 @@ def _overridden(
     """
     layers = _layers_of(sources, overrides, override_source)
     file = layers.build(ScenarioFile)
+    if file.pattern is not None:
+        sources = (_choice_of(layers, file, file.pattern, sources[0][0]), *sources)
+        layers = _layers_of(sources, overrides, override_source)
+        file = layers.build(ScenarioFile)
     if file.extends is not None:  # of an override: `_chain` has taken the key out of files
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
     # The world, the robots and the events, each checked against the parts before it.
@@ -191,6 +202,7 @@ def _overridden(
         effective={
             **_plain(file, groups),
             "name": name,
+            "pattern": None,  # the groups have it
             "fields": json.decode(json.encode(fields)),
             "plugin_dir": None if plugin_dir is None else str(plugin_dir),
         },
@@ -216,6 +228,23 @@ def _layers_of(
         wanted = "groups: {tb3: {platform: burger, count: 5}}"
         raise layers.error(("groups",), f"groups is missing; expected a value such as {wanted}")
     return layers
+
+
+def _choice_of(layers: Layered, file: ScenarioFile, pattern: str, source: str) -> tuple[str, Data]:
+    """The layer, named `source`, by which the groups without a pattern run `pattern`.
+
+    With the parameters of `file.patterns`. ConfigError if each group has a pattern.
+    """
+    idle = [name for name, group in file.groups.items() if group.pattern is None]
+    if not idle:
+        text = "groups: each group has a pattern of its own; leave out the key pattern"
+        raise layers.error(("groups",), text)
+    values: dict[str, Any] = {f"groups.{name}.pattern": pattern for name in idle}
+    for key, value in file.patterns.get(pattern, {}).items():
+        owner, _, name = key.rpartition(".")
+        for group in [owner] if owner else idle:
+            values[f"groups.{group}.parameters.{name}"] = value
+    return source, nested(values, layers.data, f"{source}: patterns.{pattern}")
 
 
 def _plain(file: ScenarioFile, groups: Groups) -> Data:

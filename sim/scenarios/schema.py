@@ -127,6 +127,9 @@ class ScenarioFile(RobotSettings, Struct, frozen=True, kw_only=True, forbid_unkn
     - `parameters`, by pattern, apply to all robots; the parameters of a group prevail.
     - The keys of `RobotSettings`, such as `on_low_battery`, are as in swarm.yaml, for all robots.
       The shared frame is `world`. The `touch` of a group prevails.
+    - `pattern`: the groups without a pattern run it. `patterns`: parameters of further choices of
+      `pattern`, by pattern: `NAME` for all of these groups, `GROUP.NAME` for one of them. `swarmctl
+      exp bench` runs each choice, and ranks them by `metric`, which is no Python file.
     - `plugin_dir` is relative to the file.
     - `pseudo_reality` has bounds of keys of `realism` and `radio`, such as
       `{realism.lidar.dropout: [0, 0.1]}`. Each seed draws values within the bounds. True: the
@@ -149,5 +152,8 @@ class ScenarioFile(RobotSettings, Struct, frozen=True, kw_only=True, forbid_unkn
     start: StartSection = StartSection()
     parameters: dict[str, Values] = {}
     events: list[EventSection] = []
+    pattern: str | None = None
+    patterns: dict[str, Values] = {}
+    metric: str | None = None
     plugin_dir: str | None = None
     pseudo_reality: bool | dict[str, Any] = False

@@ -24,7 +24,6 @@ from swarmd.kit.params import Params, build
 from swarmd.settings.layered import read as read_as
 from swarmd.settings.yamlfile import read, text_of
 from swarmd.sim.cli.exp_results import parse_targets
-from swarmd.sim.experiments.benchmark import _value
 from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_sweeps
 from swarmd.sim.experiments.requirements import parse_requirement
 from swarmd.sim.experiments.search_space import parse_range
@@ -76,7 +75,6 @@ READERS: Mapping[str, Callable[[str], object]] = {
     "--until": until,
     "--arena": lambda text: parse_arena(f"9x9,pole:{text}:0:1").poles[0].x,
     "--metrics": lambda text: _numbers([text], 1)[0],
-    "results of others": lambda text: _value("a.csv:1", text),
 }
 LIKE_NUMBERS = st.text("0123456789+-._:eExXoObBafnITZ", min_size=1, max_size=10)
 """Octal, base 60, underscores, hexadecimal, powers, dates, and what a language takes for one."""

@@ -34,7 +34,6 @@ from swarmd.plugins import DRIVERS
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.settings.platforms import PlatformFile, load_platform, platform_names
-from swarmd.sim.experiments.benchmark import TaskFile
 from swarmd.sim.experiments.lessons import Lesson, load_lessons
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement
 from swarmd.sim.metrics.catalog import METRICS
@@ -82,7 +81,6 @@ KEY_PAGES: dict[type[Struct], tuple[str, ...]] = {
     **dict.fromkeys((ScenarioFile, Realism), ("configuration.md", "reference/scenarios.md")),
     **dict.fromkeys((RmwOptions, Ros1Options), ("configuration.md", "ros.md")),
     MissionFile: ("missions.md",),
-    TaskFile: ("benchmark_suite.md",),
     CrazyflieOptions: ("configuration.md", "robots/crazyflie.md"),
 }
 

@@ -35,7 +35,6 @@ from swarmd.security.private_keys import load_private_key
 from swarmd.settings import yamlfile
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import load_swarm
-from swarmd.sim.experiments.benchmark import read_results
 from swarmd.sim.experiments.manifest import read_manifest
 from swarmd.sim.experiments.store import _listed
 from swarmd.sim.metrics.own import metric_of_file
@@ -156,7 +155,6 @@ DOORS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "mission": ("a.yaml", is_mission),
     "experiment": ("manifest.json", lambda path: read_manifest(path.parent)),
     "failures": ("failures.json", lambda path: _listed(path.parent, "runs")),
-    "results of others": ("a.csv", lambda path: read_results(path, ["foraging"], {})),
     "metric": ("a.py", lambda path: metric_of_file(f"{path}:f")),
     "pattern": ("a.py", read_source),
     "wheel": ("a.whl", read_source),

@@ -20,7 +20,6 @@ from swarmd.mission.schema import MissionFile
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import PlatformFile
 from swarmd.settings.swarmfile import DaemonFile
-from swarmd.sim.experiments.benchmark import TaskFile
 from swarmd.sim.scenarios.schema import ScenarioFile
 from swarmd.sim.world.realism import Realism
 
@@ -28,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ("swarmd", "patterns", "drivers", "sim")
 """The folders that the wheel installs."""
 FILES: tuple[type[Struct], ...] = (
-    *(DaemonFile, PlatformFile, ScenarioFile, Realism, MissionFile, TaskFile),
+    *(DaemonFile, PlatformFile, ScenarioFile, Realism, MissionFile),
     *(BaseOptions, RmwOptions, Ros1Options, SimulatedOptions, ReplayOptions, CrazyflieOptions),
 )
 """The files that users write, and the options of drivers."""

@@ -487,6 +487,7 @@ def test_list_and_metrics_in_json(swarmctl: Swarmctl) -> None:
     assert one["robots"] > 1
     assert one["duration"] == 120.0
     assert one["description"]
+    assert "benchmark/doorway" in {scenario["name"] for scenario in listed}
     metrics = json.loads(swarmctl("exp", "metrics", "-o", "json").stdout)["metrics"]
     assert {"path_length", "minimum_gap"} <= {metric["name"] for metric in metrics}
 
