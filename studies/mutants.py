@@ -58,7 +58,7 @@ DECIDES = {
     "drivers/ros1": "adapter adapter_process driver",
     "drivers/ros2": """command_credit dds_bridge driver request_age rmw_zenoh services
         zero_sender""",
-    "drivers": "latest_samples scan_delay simulated",
+    "drivers": "latest_samples simulated",
 }
 """By folder, the names of the files that decide motion; without names, all files below it.
 
