@@ -60,7 +60,7 @@ class Audit:
         self._entries = _Limits(APPLIED_ENTRIES, ENTRY_BURST, OTHER_ENTRIES, ENTRY_BURST)
         self._peer_lines = _Limits(PEER_RATE, PEER_BURST, PEER_RATE, PEER_BURST)
         self._peer_entries = _Limits(PEER_RATE, PEER_BURST, PEER_RATE, PEER_BURST)
-        self._last: tuple[str, ...] = ()  # the request before: what, operator, source, result
+        self._last: tuple[str | bool, ...] = ()  # of the request before: see `record`
 
     def record(
         self,
@@ -85,12 +85,13 @@ class Audit:
             source = f"{HANDED_ON}{source}"
             line_limits, entry_limits = self._peer_lines, self._peer_entries
         result = reply.code if reply.refusal is None else f"{reply.code} ({reply.refusal})"
-        is_applied = reply.code is Code.APPLIED
+        is_stop = what.startswith(("stop", "estop"))
+        is_applied = reply.code is Code.APPLIED or (is_stop and reply.code is Code.FAILED)
 
         # `take` returns how many entries were left out since the last entry, None if the rate does
         # not permit this entry.
-        request = what, operator, source, result
-        is_repeat = request == self._last and what.startswith(("stop", "estop"))
+        request = what, operator, source, is_applied
+        is_repeat = is_stop and request == self._last
         omitted_entries = entry_limits.take(is_applied and not is_repeat, now)
         self._last = request
         if omitted_entries is not None:

@@ -197,6 +197,16 @@ def test_a_stop_that_others_run_before_is_no_repeat() -> None:
     assert [entry.verb for entry in kept[-4:]] == ["run", "stop", "goal", "stop"]
 
 
+def test_a_stop_that_fails_amid_a_flood_of_refused_stops_is_kept() -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append)
+    for _ in range(1000):
+        audit.record("stop to 1 robot", "ROS", "ROS topic /r/swarmd/stop", REFUSED, 1.0)
+    moving = Reply(id="x", robot="r1", code=Code.FAILED, refusal=Refusal.NOT_STOPPED)
+    audit.record("stop to 1 robot", "anna", "10.0.0.5", moving, 1.0)
+    assert (kept[-1].operator, kept[-1].result) == ("anna", "failed (not_stopped)")
+
+
 def test_each_applied_run_is_kept() -> None:
     kept: list[AuditEntry] = []
     audit = Audit(lambda line: None, kept.append)
