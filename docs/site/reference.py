@@ -14,6 +14,7 @@ import re
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import cache
 from itertools import compress, zip_longest
 from pathlib import Path
@@ -29,9 +30,11 @@ from swarmd.cli.daemon import swarmd
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import VERBS as COMMANDS
 from swarmd.cli.swarmctl import cli
+from swarmd.core.errors import ConfigError
 from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
 from swarmd.core.keys import CONTROL, SHARED, STATE, build
 from swarmd.core.values import (
+    POSE_OPTIONS,
     Detection,
     Heights,
     Inputs,
@@ -44,9 +47,9 @@ from swarmd.core.values import (
     Pose,
     Scan,
     Twist,
-    Value,
 )
 from swarmd.core.verbs import VERBS
+from swarmd.daemon.driver import make_driver
 from swarmd.kit.behavior import Context
 from swarmd.network.access import robot_access
 from swarmd.protection.compatibility import assumed_speed, body_of, sees
@@ -61,7 +64,7 @@ from swarmd.settings.platforms import (
     platform_names,
     platform_sources,
 )
-from swarmd.settings.settings import with_options
+from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.placed import KINDS
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names, task_names
@@ -174,7 +177,10 @@ def runs_on() -> Iterator[str]:
     """The platforms that provide what each pattern and mission needs, by their drivers' options."""
     platforms = [load_platform(name) for name in platform_names()]
     shipped = {one.name: _provided(one) for one in platforms}
-    shared = {one.name: _provided(one, shared_pose="pose") for one in platforms}
+    shared = {
+        one.name: frozenset().union(*(_provided(one, option) for option in POSE_OPTIONS))
+        for one in platforms
+    }
     rows = []
     for row in describe_patterns((), None, _PLATFORM):
         needs = frozenset(row["needs"])
@@ -189,12 +195,20 @@ def runs_on() -> Iterator[str]:
     yield _table(("pattern or mission", "runs on"), rows)
 
 
-def _provided(platform: Platform, **more: Value) -> frozenset[str]:
-    """What a robot of the platform provides with the options of its drivers, and with `more`."""
-    by_driver = platform.drivers.values() or ({},)
-    return frozenset().union(
-        *(with_options(platform, {**options, **more}).provides for options in by_driver)
-    )
+def _provided(platform: Platform, *options: str) -> frozenset[str]:
+    """What a robot of the platform provides with those of its drivers that take the options."""
+    provided = platform.provides
+    for driver in platform.drivers:
+        given = {
+            "platform": platform.name,
+            "driver": driver,
+            "driver_options": dict.fromkeys(options, "pose"),
+        }
+        settings = load_daemon_settings(None, {"id": "r1", **given}, {"HOME": "/"})
+        with suppress(ConfigError):
+            make_driver(settings)
+            provided |= settings.platform.provides
+    return provided
 
 
 def _all_or(names: Sequence[str], platforms: Sequence[Platform]) -> str:

@@ -286,6 +286,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
 def _name_faults(options: TopicOptions) -> Iterator[str]:
     """The texts for options whose value is no ROS name, and for two options with one topic."""
     first_options: dict[str, str] = {}  # by topic
+    own = f"{options.topic('swarmd')}/"  # where the robot publishes, and is stopped
     types = _types(options)
     pattern = _ROS2_NAME if isinstance(options, RosOptions) else _NAME
     for option, name in _names(options).items():
@@ -300,6 +301,8 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
         if option == "namespace" or option.startswith("other_actions"):
             continue
         topic = options.topic(name)
+        if topic.startswith(own):
+            yield f"{option} is {topic}; expected another topic: those in {own} are the robot's own"
         first = first_options.setdefault(topic, option)
         if first != option and (fault := _sharing_fault(first, option, types)):
             yield f"{first} and {option} are both {topic}{fault}"

@@ -30,13 +30,11 @@ class ServiceOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """The services, each of type std_srvs/Trigger.
 
     - `operator`: every caller commands as this operator; the audit log has this name.
-    - `role`: with `viewer` every call is refused. In a secured swarm the roster's role counts, too.
     - `runs`: the runs by name of their service.
     - `reset`: `own` clears emergency stops of this operator alone.
     """
 
     operator: Id
-    role: Literal["operator", "viewer"] = "operator"
     runs: Annotated[dict[str, RunOptions], Meta(max_length=MAX_RUNS)] = {}
     reset: Literal["own", "all"] = "own"
 
@@ -50,7 +48,6 @@ class ServiceOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             (service := topic(name)): DriverCommand(
                 verb="reset" if run is None else "run",
                 operator=self.operator,
-                is_viewer=self.role == "viewer",
                 source=f"ROS service {service}",
                 run=run,
                 resets_others=self.reset == "all",

@@ -76,8 +76,7 @@ class CommandServices(StopTopics):
         text = (
             f"the bridge drops calls by Fast DDS: {', '.join(fast)}"
             if fast
-            else f"serves {', '.join(self._commands)} ({self._options.operator},"
-            f" {self._options.role})"
+            else f"serves {', '.join(self._commands)} ({self._options.operator})"
         )
         return (Finding("services", not fast, text, "use rmw_cyclonedds_cpp" if fast else ""),)
 

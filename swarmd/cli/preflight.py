@@ -254,7 +254,7 @@ def _check_commands(settings: DaemonSettings, driver: Driver) -> Iterator[Findin
     refused = {
         name: why
         for name, command in commands.items()
-        if (why := permission_fault(command.operator, command.is_viewer, settings.identity))
+        if (why := permission_fault(command.operator, settings.identity))
     }
     runs = [
         _run(settings, name, run.pattern, run.params, run.until)

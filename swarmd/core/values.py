@@ -478,6 +478,9 @@ PLACES_BY_SIGHT = frozenset({"neighbors.distance", "neighbors.bearing"})
 PLACES_BY_POSE = PLACES_BY_SIGHT | {"neighbors.heading"}
 """What patterns get of each peer whose pose, as the own one, is known in one shared frame."""
 
+POSE_OPTIONS = ("shared_pose", "pose_frame")
+"""Options by which drivers give the pose in a shared frame; each driver has one of them or none."""
+
 OPTION_INPUTS = ("detections",)
 """Inputs of patterns that a driver gives if it has an option of that name.
 
@@ -510,7 +513,8 @@ def lacks_text(needs: frozenset[str], platform: Platform) -> str:
     """What `platform` lacks of `needs`, and both ways to the places of peers; empty if nothing."""
     missing = sorted(needs - platform.provides)
     ways = (
-        "; a pose in a shared frame (driver option shared_pose, in a scenario radio.places: shared)"
+        f"; a pose in a shared frame (driver option {' or '.join(POSE_OPTIONS)},"
+        " in a scenario radio.places: shared)"
         " gives it, or hardware that measures it (radio.range_and_bearing: true)"
         if PLACES_BY_POSE.intersection(missing)
         else ""

@@ -30,8 +30,10 @@ MAX_WHAT = 120  # characters of a request
 APPLIED_RATE, APPLIED_BURST = 2.0, 20.0
 OTHER_RATE, OTHER_BURST = 0.2, 5.0
 """Lines per second: refused junk must not displace the lines of applied requests."""
-APPLIED_ENTRIES, OTHER_ENTRIES, ENTRY_BURST = 20.0, 2.0, 200.0
-"""Entries per second, and the burst: the files have room for more than the log has."""
+APPLIED_ENTRIES, OTHER_ENTRIES, ENTRY_BURST = 20.0, 0.1, 200.0
+"""Entries per second, and the burst: the files have room for more than the log has. `OTHER` holds
+for repeats of the last stop, too. At 2 a second refused stops filled the files in 97 minutes; by
+the rate of applied requests a node that repeats a stop filled them in 11."""
 PEER_RATE, PEER_BURST = 0.1, 50.0
 """Lines and entries per second for messages that robots relay: a stolen robot can invent stops,
 latches and goals, which must not displace the requests of operators in the files."""
@@ -58,6 +60,7 @@ class Audit:
         self._entries = _Limits(APPLIED_ENTRIES, ENTRY_BURST, OTHER_ENTRIES, ENTRY_BURST)
         self._peer_lines = _Limits(PEER_RATE, PEER_BURST, PEER_RATE, PEER_BURST)
         self._peer_entries = _Limits(PEER_RATE, PEER_BURST, PEER_RATE, PEER_BURST)
+        self._last: tuple[str | bool, ...] = ()  # of the request before: see `record`
 
     def record(
         self,
@@ -82,11 +85,15 @@ class Audit:
             source = f"{HANDED_ON}{source}"
             line_limits, entry_limits = self._peer_lines, self._peer_entries
         result = reply.code if reply.refusal is None else f"{reply.code} ({reply.refusal})"
-        is_applied = reply.code is Code.APPLIED
+        is_stop = what.startswith(("stop", "estop"))
+        is_applied = reply.code is Code.APPLIED or (is_stop and reply.code is Code.FAILED)
 
         # `take` returns how many entries were left out since the last entry, None if the rate does
         # not permit this entry.
-        omitted_entries = entry_limits.take(is_applied, now)
+        request = what, operator, source, is_applied
+        is_repeat = is_stop and request == self._last
+        omitted_entries = entry_limits.take(is_applied and not is_repeat, now)
+        self._last = request
         if omitted_entries is not None:
             entry = self._entry(what, operator, source, result, reply.text, now)
             self._keep(replace(entry, targets=targets, left_out=omitted_entries))
@@ -108,6 +115,7 @@ class Audit:
 
     def note(self, what: str, operator: str, source: str, text: str, now: float) -> None:
         """Make the entry of a change without a request, such as a latch of a peer; no line."""
+        self._last = ()  # a stop after a change is no repeat
         omitted = self._peer_entries.take(True, now)
         if omitted is not None:
             entry = self._entry(what, operator, source, "taken", text, now)

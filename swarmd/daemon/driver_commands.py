@@ -173,7 +173,7 @@ class DriverCommands:
 
     def _refusal_of(self, command: DriverCommand) -> tuple[Refusal, str] | None:
         """Why the command is refused for its operator or its age; None if it is accepted."""
-        if why := permission_fault(command.operator, command.is_viewer, self._identity()):
+        if why := permission_fault(command.operator, self._identity()):
             return Refusal.NOT_PERMITTED, why
         if command.verb in ("stop", "estop"):
             return None
@@ -185,10 +185,8 @@ class DriverCommands:
         return None
 
 
-def permission_fault(operator: str, is_viewer: bool, identity: Identity | None) -> str:
+def permission_fault(operator: str, identity: Identity | None) -> str:
     """Why this operator may not command the robot; empty if it may. `identity`: of the robot."""
-    if is_viewer:
-        return f"{operator} is a viewer: viewers command nothing"
     if identity is not None and identity.roster.role_of(operator) is not Role.OPERATOR:
         return (
             f"{operator} is no operator of roster {identity.roster.generation}; name an operator in"

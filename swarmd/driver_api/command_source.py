@@ -31,8 +31,6 @@ class DriverCommand:
     verb: Literal["run", "stop", "estop", "reset"]
     operator: str
     """The operator that the options of the driver name for its commands"""
-    is_viewer: bool = False
-    """The options declare a viewer, whose commands the daemon refuses"""
     source: str
     """For the audit log, such as `ROS topic /tb3_01/swarmd/stop`"""
     reason: str = ""

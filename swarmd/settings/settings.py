@@ -23,6 +23,7 @@ from swarmd.core.values import (
     OPTION_INPUTS,
     PLACES_BY_POSE,
     PLACES_BY_SIGHT,
+    POSE_OPTIONS,
     Platform,
     Value,
     sensor_names,
@@ -187,7 +188,7 @@ def _inputs_of(options: Mapping[str, Value]) -> set[str]:
     An entry of `readings` with a list of topics, or with a `count`, gives several sensors.
     """
     inputs = {name for name in OPTION_INPUTS if options.get(name)}
-    if options.get("shared_pose"):
+    if any(map(options.get, POSE_OPTIONS)):
         inputs.add("pose")
     if any(
         camera.get("robots") and ("size" in camera or "Detection3D" in str(camera.get("type")))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -26,6 +28,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding, Level
 from swarmd.core.values import Value
 from swarmd.daemon.driver import make_driver
+from swarmd.security.roster import Role
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 
@@ -325,12 +328,18 @@ def test_the_runs_of_services_are_checked_as_a_run_would_be(tmp_path: Path) -> N
         assert word in found[name]
 
 
-def test_the_runs_of_a_viewer_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("role", [None, Role.VIEWER])
+def test_the_runs_of_a_name_that_is_no_operator_are_refused(
+    tmp_path: Path, role: Role | None
+) -> None:
     runs = {"go": {"pattern": "drive"}}
-    options: dict[str, Any] = {"services": {"operator": "ros", "role": "viewer", "runs": runs}}
+    options: dict[str, Any] = {"services": {"operator": "ros", "runs": runs}}
     settings = settings_of(tmp_path, driver="rmw_zenoh", driver_options=options)
-    (told,) = faults(_check_commands(settings, make_driver(settings)))
-    assert "viewer" in told
+    identity: Any = SimpleNamespace(roster=SimpleNamespace(generation=3, role_of={"ros": role}.get))
+    secured = replace(settings, identity=identity)
+    told = faults(_check_commands(secured, make_driver(settings)))
+    subjects = {line.partition(":")[0] for line in told}
+    assert subjects == {"/swarmd/stop", "/swarmd/estop", "services.runs.go"}
 
 
 @pytest.mark.long

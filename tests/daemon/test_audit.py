@@ -171,6 +171,50 @@ def test_more_entries_than_lines_are_kept_and_a_flood_is_counted() -> None:
     assert kept[-1].left_out == 1000 - ENTRY_BURST
 
 
+ROOM = 10_000  # requests, docs/evidence/security.md
+
+
+@pytest.mark.parametrize("reply", [REFUSED, APPLIED], ids=["refused", "applied"])
+def test_a_day_of_one_stop_after_the_other_leaves_room_for_what_others_asked(reply: Reply) -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append)
+    audit.record("stop to 1 robot", "anna", "10.0.0.5", APPLIED, 0.0)
+    for now in range(1, 86_401):
+        audit.record("stop to 1 robot", "ROS", "ROS topic /r/swarmd/stop", reply, float(now))
+    assert 200 <= len(kept) < ROOM
+    assert len(kept) + sum(entry.left_out for entry in kept) > 86_390  # all are counted
+
+
+def test_a_stop_that_others_run_before_is_no_repeat() -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append)
+    for _ in range(1000):
+        audit.record("stop to 1 robot", "ROS", "ROS topic /r/swarmd/stop", APPLIED, 1.0)
+    audit.record("run drive", "anna", "10.0.0.5", APPLIED, 1.0)
+    audit.record("stop to 1 robot", "ROS", "ROS topic /r/swarmd/stop", APPLIED, 1.0)
+    audit.note("goal 3", "anna", "a peer", "", 1.0)
+    audit.record("stop to 1 robot", "ROS", "ROS topic /r/swarmd/stop", APPLIED, 1.0)
+    assert [entry.verb for entry in kept[-4:]] == ["run", "stop", "goal", "stop"]
+
+
+def test_a_stop_that_fails_amid_a_flood_of_refused_stops_is_kept() -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append)
+    for _ in range(1000):
+        audit.record("stop to 1 robot", "ROS", "ROS topic /r/swarmd/stop", REFUSED, 1.0)
+    moving = Reply(id="x", robot="r1", code=Code.FAILED, refusal=Refusal.NOT_STOPPED)
+    audit.record("stop to 1 robot", "anna", "10.0.0.5", moving, 1.0)
+    assert (kept[-1].operator, kept[-1].result) == ("anna", "failed (not_stopped)")
+
+
+def test_each_applied_run_is_kept() -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append)
+    for number in range(1000):
+        audit.record("run drive", "ROS", "ROS service /r/swarmd/run/go", APPLIED, 5.0 * number)
+    assert len(kept) == 1000
+
+
 def test_what_robots_hand_on_does_not_push_requests_out() -> None:
     lines: list[str] = []
     entries: list[AuditEntry] = []

@@ -363,6 +363,23 @@ def test_the_list_of_patterns_says_on_which_platforms_each_runs(pattern: str, wh
     assert where in row
 
 
+@pytest.mark.parametrize(
+    ("platform", "option", "has_places"),
+    [
+        ("burger", "shared_pose", True),
+        ("burger", "pose_frame", False),
+        ("crazyflie", "pose_frame", True),
+        ("crazyflie", "shared_pose", False),
+    ],
+)
+def test_only_options_that_a_driver_takes_give_places_of_peers(
+    platform: str, option: str, has_places: bool
+) -> None:
+    """As in the tables of docs/configuration.md and docs/robots/crazyflie.md."""
+    provided = reference()["_provided"](load_platform(platform), option)
+    assert ("neighbors.heading" in provided) == has_places
+
+
 def test_the_readme_shows_the_verbs_of_every_day() -> None:
     shown = {words[0] for words in commands(ROOT / "README.md")}
     assert {"members", "run", "stop", "estop", "reset", "describe", "demo", "sim", "exp"} <= shown

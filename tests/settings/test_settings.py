@@ -144,6 +144,8 @@ def test_patterns_may_need_places_of_peers_from_shared_poses_or_detected_tags(
     distance, bearing, heading = (f"neighbors.{one}" for one in ("distance", "bearing", "heading"))
     posed = load("driver: ros2dds\ndriver_options: {shared_pose: /pose}").platform.provides
     assert posed >= {"pose", distance, bearing, heading}
+    flown = load("platform: crazyflie\ndriver: crazyflie\ndriver_options: {pose_frame: hall}")
+    assert flown.platform.provides >= {"pose", distance, bearing, heading}
     camera = "topic: /tags, type: apriltag_msgs/AprilTagDetectionArray, robots: {'7': r2}"
     near = "driver: ros2dds\ndriver_options: {detections: {front: {%s}}}"
     assert distance not in load(near % camera).platform.provides  # that follows from the size

@@ -52,7 +52,6 @@ def test_each_topic_is_its_verb_and_the_result_is_shown() -> None:
     stop, estop = door.commands
     assert (stop.verb, stop.operator, stop.source) == ("stop", "ROS", f"ROS topic {STOP}")
     assert (estop.verb, estop.reason, estop.source) == ("estop", "smoke", f"ROS topic {ESTOP}")
-    assert [stop.is_viewer, estop.is_viewer] == [False, False]
     assert door.shown == ["estopped: commanded zero"] * 2
 
 
@@ -138,11 +137,10 @@ def test_an_operator_is_a_name_of_a_roster(operator: str) -> None:
 def test_the_operator_of_the_services_counts_without_the_option(
     given: dict[str, Any], wanted: str
 ) -> None:
-    # The role is of the services alone.
-    services_given: dict[str, Value] = {"operator": "anna", "role": "viewer"}
+    services_given: dict[str, Value] = {"operator": "anna"}
     options = read_options(RosOptions, {"services": services_given, **given}, "ros2dds", "r")
     commands: list[DriverCommand] = []
     services = CommandServices(Ros2Dds(), options, lambda: False)
     services.serve(lambda command, answer: commands.append(command))
     services.hear("/swarmd/stop", HEAD, cdr.decode, 0.0)
-    assert (commands[0].operator, commands[0].is_viewer) == (wanted, False)
+    assert commands[0].operator == wanted

@@ -71,7 +71,9 @@ def test_a_front_that_is_blind_from_the_start_holds_a_robot_that_pushes_at_a_wal
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize(("breaks", "begin", "most"), [(FRONT, 5.0, 0), (FROZEN, 5.0, 2)])
+@pytest.mark.parametrize(
+    ("breaks", "begin", "most"), [(FRONT, 5.0, 0), (FROZEN, 5.0, 2), (FRONT, 0.0, 137)]
+)
 def test_robots_of_sixteen_runs_are_hardly_at_fault(breaks: Break, begin: float, most: int) -> None:
     assert sum(run(seed, breaks, begin, 45.0)[1] for seed in range(16)) <= most
 
