@@ -13,8 +13,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from swarmd.cli.output import warn
 from swarmd.sim.experiments.cores import usable_cores
-from swarmd.sim.experiments.tune import Look, Tuning, tune
+from swarmd.sim.experiments.tune import Tuning, tune
 
 TUNINGS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
@@ -41,7 +42,7 @@ SIZE: Mapping[str, Any] = MappingProxyType(
 
 def tuned(name: str, folder: Path, **size: Any) -> Tuning:
     """The tuning of one pattern; `size` replaces values of SIZE."""
-    return tune(out=folder, on_look=_show, **TUNINGS[name], **{**SIZE, **size})
+    return tune(out=folder, on_step=warn, **TUNINGS[name], **{**SIZE, **size})
 
 
 def main(words: Sequence[str]) -> None:
@@ -52,10 +53,6 @@ def main(words: Sequence[str]) -> None:
         parser.error(f"no tuning of {min(unknown)}; there are {', '.join(TUNINGS)}")
     for name in names:
         print(tuned(name, Path("build/tuning") / name, jobs=usable_cores()))
-
-
-def _show(look: Look) -> None:
-    print(f"{look.headline}; best: {look.leader_text}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
