@@ -118,8 +118,9 @@ def tune(
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets
 
     tuning.split_metric(metric)  # a fault of the metric must not leave an empty folder
-    names = (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
-    folder = out or new_folder(Path("experiments"), names)
+    folder = out or new_folder(
+        Path("experiments"), (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
+    )
 
     # The search, with its progress on stderr.
     bar = progress() if sys.stderr.isatty() else nullcontext()

@@ -156,7 +156,9 @@ def parameter_space(
             f"scenario {scenario.name} runs no pattern with parameters to tune; name keys with"
             f" {SOURCE} {_EXAMPLE}"
         )
-    check_keys(parameters)
+    keys = Counter(parameter.key for parameter in parameters)
+    if (repeated := next((key for key, count in keys.items() if count > 1), None)) is not None:
+        raise ConfigError(f"{SOURCE} {repeated} is given twice; keep one")
     return ParameterSpace(parameters)
 
 
@@ -174,13 +176,6 @@ def _bounded(declared: Sequence[Declared], on_note: Callable[[str], object]) -> 
             name = parameter.name
             on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
     return parameters
-
-
-def check_keys(parameters: Sequence[Parameter]) -> None:
-    """ConfigError if two parameters have the same key."""
-    keys = Counter(parameter.key for parameter in parameters)
-    if (repeated := next((key for key, count in keys.items() if count > 1), None)) is not None:
-        raise ConfigError(f"{SOURCE} {repeated} is given twice; keep one")
 
 
 def parse_range(word: str) -> tuple[float, float]:

@@ -98,6 +98,8 @@ class Candidate:
     """Overrides of the scenario by dotted key."""
     effective: Mapping[str, Any]
     """The complete scenario."""
+    trial: Trial
+    """The trial of optuna."""
     losses: list[float] = field(default_factory=list)
     """A loss for each seed run so far, in the order of the seeds; the least loss is the best.
 
@@ -108,8 +110,6 @@ class Candidate:
     """By seed: the loss minus that of candidate 0; a failed run counts as the worst run so far."""
     estimate: float = math.nan
     """The mean loss over all seeds: that of candidate 0 plus the mean of `differences`."""
-    trial: Any = None
-    """The trial of optuna; None for a candidate 0 outside of the search space."""
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -253,7 +253,6 @@ def tune(
         )
     loaded = load_scenario(str(scenario), set)
     loaded.starts(search_seeds[0])  # ConfigError if there is no room for the robots
-    in_workers = partial(run_jobs, processes=jobs, timeout=timeout)
     folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-")) if out is None else Path(out)
     try:
         tuner = _Tuner(
@@ -267,7 +266,8 @@ def tune(
             budget=budget,
             per_batch=candidates,
             folder=folder,
-            runner=runner or (in_workers if jobs > 1 else run_here),
+            runner=runner
+            or (partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here),
             on_step=on_step,
             on_progress=on_progress,
         )
@@ -332,19 +332,19 @@ class _Tuner:
         """
         state = self._open()
         study = make_study(len(self.seeds))
-        present = Candidate(0, self.space.present or {}, {}, plain(self.loaded.effective))
-        if present.values:
-            study.enqueue_trial(self.space.numbers(present.values))
-            present.trial = study.ask(self.space.distributions)
-        self.candidates.append(present)
-        batch = [present]
+        values = self.space.present or {}
+        if values:
+            study.enqueue_trial(self.space.numbers(values))
+        # Outside of the search space: a trial without parameters, for the test alone.
+        trial = study.ask(self.space.distributions if values else None)
+        batch = [Candidate(0, values, {}, plain(self.loaded.effective), trial)]
+        self.candidates += batch
         first = self._draw(study, 1)  # ConfigError before anything runs
         number = 0
         while batch:  # until the budget is used, or the sampler draws no further values
             self._run_batch(batch, number, is_over=number < state.batches)
             for candidate in batch:
-                if candidate.trial is not None:
-                    study.tell(candidate.trial, candidate.estimate)
+                study.tell(candidate.trial, candidate.estimate)
             number += 1
             state.batches = max(number, state.batches)
             write_json(self.folder / STATE, msgspec.to_builtins(state))
@@ -404,7 +404,7 @@ class _Tuner:
         scenario = load_scenario(self.scenario, {**self.sets, **overrides}, source=SOURCE)
         scenario.starts(self.seeds[0])  # ConfigError if there is no room for the robots
         effective = plain(scenario.effective)
-        return Candidate(len(self.candidates), values, overrides, effective, trial=trial)
+        return Candidate(len(self.candidates), values, overrides, effective, trial)
 
     def _run_batch(self, batch: Sequence[Candidate], number: int, *, is_over: bool) -> None:
         """Run the candidates of batch `number` in blocks of seeds, and set their losses.
@@ -469,10 +469,9 @@ class _Tuner:
             differences = np.minimum(candidate.losses, worst)[begin:] - self.baseline[begin:end]
             candidate.differences += differences.tolist()
             candidate.estimate = float(self.baseline.mean() + np.mean(candidate.differences))
-            if candidate.trial is not None:
-                for step in range(begin, end):
-                    candidate.trial.report(candidate.differences[step], step)
-                candidate.is_out = end < len(self.seeds) and candidate.trial.should_prune()
+            for step in range(begin, end):
+                candidate.trial.report(candidate.differences[step], step)
+            candidate.is_out = end < len(self.seeds) and candidate.trial.should_prune()
 
     def _loss(self, value: float | None, candidate: Candidate) -> float:
         """The loss of a run, from the value of its metric; the least loss is the best.
@@ -601,8 +600,10 @@ class _Tuner:
             raise ConfigError(f"{path}: damaged; remove the folder, and tune again") from error
         for key, value in state.asked.items():
             if (known := recorded.asked.get(key)) != value:
-                text = f"{self.folder}: holds another tuning: {key} was {known}, now {value}"
-                raise ConfigError(f"{text}; name another folder with --out, or remove this one")
+                raise ConfigError(
+                    f"{self.folder}: holds another tuning: {key} was {known}, now {value}; name"
+                    " another folder with --out, or remove this one"
+                )
         write_json(path, msgspec.to_builtins(recorded))
         return recorded
 
@@ -640,8 +641,7 @@ def _quiet_optuna() -> Iterator[None]:
 
     verbosity = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+    with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
         try:
             yield
         finally:
@@ -654,10 +654,14 @@ def _importance(study: Study) -> dict[str, float]:
     PED-ANOVA measures how much narrower the values of a parameter are in the best tenth of the
     candidates. Empty if there are fewer than _MIN_TRIALS candidates, or if all losses are equal.
     """
+    from optuna import create_study
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
     from optuna.trial import TrialState
 
-    complete = study.get_trials(deepcopy=False, states=[TrialState.COMPLETE])
+    # Without candidate 0 if it is outside of the search space, and so has no parameters.
+    complete = [trial for trial in study.get_trials(states=[TrialState.COMPLETE]) if trial.params]
     if len(complete) < _MIN_TRIALS or len({trial.value for trial in complete}) < 2:
         return {}
-    return dict(get_param_importances(study, evaluator=PedAnovaImportanceEvaluator()))
+    rated = create_study()
+    rated.add_trials(complete)
+    return dict(get_param_importances(rated, evaluator=PedAnovaImportanceEvaluator()))

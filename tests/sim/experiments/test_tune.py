@@ -35,6 +35,7 @@ from swarmd.sim.scenarios.scenariofile import load_scenario
 from tests.sim.conftest import write_duo
 
 SPEED = "groups.all.parameters.speed"
+SPEED_OF_ALL = "parameters.moody.speed"
 NOTHING = dict.fromkeys(METRICS)
 
 
@@ -122,7 +123,7 @@ def test_the_best_values_are_found_and_held_against_the_present_ones(
 def test_a_picture_shows_each_candidate(whole: tuple[Path, Tuning, Bench], tmp_path: Path) -> None:
     path = draw_landscape(whole[1], tmp_path / "landscape.png")
     assert path.stat().st_size > 3000
-    assert whole[1].importance == {"parameters.moody.speed": 1.0}
+    assert whole[1].importance == {SPEED_OF_ALL: 1.0}
 
 
 def test_all_candidates_meet_the_same_seeds_and_worse_ones_end_early(
@@ -179,6 +180,15 @@ def test_nothing_better_is_no_claim(duo: Path, tmp_path: Path) -> None:
     assert found.gain is None
     assert "No values are better" in found.document
     assert load_results(tmp_path / "t" / HELD_OUT).variants == ("candidate=present",)
+
+
+def test_values_outside_of_the_search_space_are_compared_too(duo: Path, tmp_path: Path) -> None:
+    found = tuned(duo, tmp_path / "t", Bench(), param=["speed=0.2..0.6"], held_out=0)
+    present = next(one for one in found.candidates if one.number == 0)
+    assert (present.values, len(present.losses)) == ({}, 8)
+    assert any(one.is_out for one in found.candidates if one.number <= 4)  # of batch 1
+    assert found.best.values["speed"] == pytest.approx(0.3, abs=0.1)
+    assert found.importance == {SPEED_OF_ALL: 1.0}
 
 
 class Even(Bench):
