@@ -23,6 +23,7 @@ from swarmd.sim.cli.options import (
 )
 from swarmd.sim.cli.progress import progress
 from swarmd.sim.experiments.cores import MAX_PROCESSES
+from swarmd.texts.values import printable
 
 
 @click.command(
@@ -140,7 +141,8 @@ def tune(
                 out=folder,
                 runner=workers(jobs, timeout),
                 on_note=lambda note: warn(f"note: {note}"),
-                on_step=warn,
+                # Not by click, which writes behind the bar; rich prints lines of sys.stderr above.
+                on_step=lambda line: print(printable(line), file=sys.stderr),
                 on_progress=on_progress,
             )
     except (KeyboardInterrupt, SystemExit):
