@@ -68,6 +68,8 @@ class _Notes:
 
     def _seconds_left(self, now: Progress, time: float) -> float | None:
         """The estimate of the time left in s; None before the first estimate, and at the end."""
+        if now.worked == 0.0:  # a new experiment: a tuning has several
+            self._first_report = None
         if self._first_report is None and now.worked > 0.0:
             self._first_report = time, now.worked
         if self._first_report is None or now.left <= 0.0:

@@ -23,7 +23,6 @@ from swarmd.sim.scenarios.scenario import Scenario
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
-    from optuna.trial import FrozenTrial, Trial
 
 SOURCE = "--param"
 _LOG_FROM = 100.0
@@ -73,24 +72,21 @@ class Parameter:
             return IntDistribution(int(self.low), int(self.high), log=self.is_log)
         return FloatDistribution(self.low, self.high, log=self.is_log)
 
-    def draw(self, trial: Trial) -> Any:
-        """The value that a trial gives it; floats have four significant digits."""
+    def value_of(self, number: Any) -> Any:
+        """The value for a number of its distribution; floats have four significant digits."""
         if self.choices:
-            return self.choices[trial.suggest_categorical(self.key, range(len(self.choices)))]
-        if self.is_int:
-            return trial.suggest_int(self.key, int(self.low), int(self.high), log=self.is_log)
-        value = trial.suggest_float(self.key, self.low, self.high, log=self.is_log)
-        return min(max(float(f"{value:.4g}"), self.low), self.high)
+            return self.choices[number]
+        return number if self.is_int else min(max(float(f"{number:.4g}"), self.low), self.high)
 
-    def number_of(self, value: Any) -> float:
+    def number_of(self, value: Any) -> int | float:
         """The value as a number; a choice as its index. ValueError if it is out of range."""
         if self.choices:
-            return float(self.choices.index(value))
+            return self.choices.index(value)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError(f"{value!r} is no number")
         if not self.low <= value <= self.high:
             raise ValueError(f"{value} is out of range")
-        return float(value)
+        return value
 
 
 class ParameterSpace:
@@ -107,41 +103,29 @@ class ParameterSpace:
     @property
     def present(self) -> dict[str, Any] | None:
         """The scenario's own values, by name; None if a value is unknown or out of range."""
+        present = {parameter.name: parameter.present for parameter in self.parameters}
         try:
-            for parameter in self.parameters:
-                parameter.number_of(parameter.present)
+            self.numbers(present)
         except ValueError:
             return None
-        return {parameter.name: parameter.present for parameter in self.parameters}
+        return present
 
-    def draw(self, trial: Trial) -> dict[str, Any]:
-        """The values of a trial, by name."""
-        return {parameter.name: parameter.draw(trial) for parameter in self.parameters}
+    @property
+    def distributions(self) -> dict[str, BaseDistribution]:
+        """The distributions of optuna, by key."""
+        return {parameter.key: parameter.distribution() for parameter in self.parameters}
+
+    def values(self, numbers: Mapping[str, Any]) -> dict[str, Any]:
+        """The values by name, for numbers by key that optuna has drawn."""
+        return {one.name: one.value_of(numbers[one.key]) for one in self.parameters}
+
+    def numbers(self, values: Mapping[str, Any]) -> dict[str, int | float]:
+        """The numbers by key, for values by name; ValueError if a value is out of range."""
+        return {one.key: one.number_of(values[one.name]) for one in self.parameters}
 
     def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """The overrides of a scenario, by dotted key."""
         return {parameter.key: values[parameter.name] for parameter in self.parameters}
-
-    def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
-        """A finished trial of optuna with these values and this loss; None without values."""
-        from optuna.trial import create_trial
-
-        if not values:
-            return None
-        numbers = {
-            parameter.key: parameter.number_of(values[parameter.name])
-            for parameter in self.parameters
-        }
-        whole = {
-            parameter.key for parameter in self.parameters if parameter.choices or parameter.is_int
-        }
-        return create_trial(
-            params={key: int(x) if key in whole else x for key, x in numbers.items()},
-            distributions={
-                parameter.key: parameter.distribution() for parameter in self.parameters
-            },
-            value=loss,
-        )
 
 
 class Declared(NamedTuple):
@@ -172,7 +156,9 @@ def parameter_space(
             f"scenario {scenario.name} runs no pattern with parameters to tune; name keys with"
             f" {SOURCE} {_EXAMPLE}"
         )
-    check_keys(parameters)
+    keys = Counter(parameter.key for parameter in parameters)
+    if (repeated := next((key for key, count in keys.items() if count > 1), None)) is not None:
+        raise ConfigError(f"{SOURCE} {repeated} is given twice; keep one")
     return ParameterSpace(parameters)
 
 
@@ -190,13 +176,6 @@ def _bounded(declared: Sequence[Declared], on_note: Callable[[str], object]) -> 
             name = parameter.name
             on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
     return parameters
-
-
-def check_keys(parameters: Sequence[Parameter]) -> None:
-    """ConfigError if two parameters have the same key."""
-    keys = Counter(parameter.key for parameter in parameters)
-    if (repeated := next((key for key, count in keys.items() if count > 1), None)) is not None:
-        raise ConfigError(f"{SOURCE} {repeated} is given twice; keep one")
 
 
 def parse_range(word: str) -> tuple[float, float]:

@@ -159,6 +159,7 @@ class Store:
         self.plan = manifest.plan
         self.rows = rows
         self.failures: dict[str, str] = {}
+        self._earlier_failures = read_failures(folder)
         self.errors = {run: why for run, why in read_errors(folder).items() if run in rows}
 
     @property
@@ -207,10 +208,11 @@ class Store:
             write_json(self.folder / SUMMARY, {**_HEAD, **summary})
 
     def _write_failures(self) -> None:
+        failures = {**self._earlier_failures, **self.failures}
         listed = [
             {"run": run.id, "variant": run.variant.name, "seed": run.seed,
-             "reason": self.failures[run.id]}
-            for run in self.plan.runs if run.id in self.failures
+             "reason": failures[run.id]}
+            for run in self.plan.runs if run.id in failures and run.id not in self.rows
         ]  # fmt: skip
         errors = [
             {"run": run.id, "metric": metric, "reason": why}

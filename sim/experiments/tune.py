@@ -9,51 +9,56 @@
 
 `swarmctl exp tune` calls this function. A tuning has these phases:
 
-1. A sampler draws new candidates from the results of earlier races.
-2. A race runs all its candidates over the same seeds in the same order. A candidate ends early when
-   a rank test shows that the leader is significantly better (`racing.py`).
-3. The best candidate of a race also takes part in the next race. Races repeat until the budget is
-   used.
-4. Held-out seeds, which no race has used, compare the best candidate with the values of the
+1. Batch 0 runs the values of the scenario over all seeds.
+2. The sampler draws a batch of candidates from the results of all earlier batches.
+3. The candidates of a batch run over the same seeds. At each look, which is an interim analysis
+   after a number of seeds, a candidate ends early if it is significantly worse than the best
+   candidate of the earlier batches. Batches repeat until the budget is used.
+4. Held-out seeds, which no batch has used, compare the best candidate with the values of the
    scenario.
 
 Sampler: optuna's tree-structured Parzen estimator (J. Bergstra et al., "Algorithms for
-hyper-parameter optimization", NIPS 2011; multivariate: S. Falkner et al., "BOHB", ICML 2018) with a
-fixed seed. The sampler learns between races alone. So the result depends neither on the order in
-which runs end nor on the number of processes.
+hyper-parameter optimization", NIPS 2011; multivariate: S. Falkner et al., "BOHB", ICML 2018), with
+a seed for each batch. Test: optuna's WilcoxonPruner, Wilcoxon's one-sided signed-rank test of the
+losses with equal seeds. Both know results of earlier batches alone. So the result depends neither
+on the order in which runs end nor on the number of processes, and a repeated call brings optuna to
+the same state again from the stored runs.
+
+Optuna gets the loss of a run minus that of the scenario's values with the same seed: the common
+effect of a seed cancels, and means over different numbers of seeds can be compared.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 import tempfile
+import warnings
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from importlib.util import find_spec
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import msgspec
 import numpy as np
 
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.core.files import read_regular
-from swarmd.sim.experiments import manifest as manifests
+from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain, write_json, write_whole
 from swarmd.sim.experiments.plan import MAX_RUNS, Plan, Variant, check_seeds
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
-from swarmd.sim.experiments.racing import ALPHA, looks, losers, mean_loss
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.search_space import SOURCE, ParameterSpace, parameter_space
 from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment, run_here
-from swarmd.sim.experiments.statistics import number
+from swarmd.sim.experiments.statistics import number as number_text
 from swarmd.sim.experiments.tuned_values import tuned_document
 from swarmd.sim.metrics.catalog import Metric, beyond_catalog, metric_of
 from swarmd.sim.scenarios.scenario import Scenario
@@ -61,18 +66,23 @@ from swarmd.sim.scenarios.scenariofile import load_scenario
 
 if TYPE_CHECKING:
     from optuna import Study
+    from optuna.samplers import BaseSampler
     from optuna.trial import Trial
 
 Goal = Literal["min", "max"]
 STATE = "tune.json"
-RACES = "races"
+BATCHES = "batches"
 HELD_OUT = "held_out"
 RESULT = "tuned.yaml"
 PRESENT, TUNED = "present", "tuned"
 """Names of the two variants on held-out seeds: the scenario's values, and the best candidate's."""
 CANDIDATES = 8
-_FORMAT = 1
-_SAMPLER_SEED = 2011
+ALPHA = 0.05
+"""The level of the test of a candidate, divided by the number of its looks (Bonferroni)."""
+FIRST_LOOK = 6
+"""Seeds. With six pairs of one sign p is 1/64, below the level of each of up to three looks."""
+_FORMAT = 2
+_SAMPLER_SEED = 2010  # plus the number of a batch
 _MIN_TRIALS = 10  # with fewer trials no importance is computed
 _MAX_DRAWS = 40  # draws in a row that the scenario may refuse or that repeat a candidate
 
@@ -88,56 +98,18 @@ class Candidate:
     """Overrides of the scenario by dotted key."""
     effective: Mapping[str, Any]
     """The complete scenario."""
+    trial: Trial
+    """The trial of optuna."""
     losses: list[float] = field(default_factory=list)
     """A loss for each seed run so far, in the order of the seeds; the least loss is the best.
 
     inf: the run failed, or its metric has no value."""
     is_out: bool = False
-    """A race has ended the candidate early."""
+    """A look has ended the candidate early."""
+    differences: list[float] = field(default_factory=list)
+    """By seed: the loss minus that of candidate 0; a failed run counts as the worst run so far."""
     estimate: float = math.nan
-    """The mean loss over all seeds of a race, extrapolated if `is_out`; NaN during the race."""
-    trial: Any = None
-    """The trial of optuna that drew the values; None for candidate 0."""
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """A look is an interim analysis of a race: the state of a tuning after a block of seeds."""
-
-    race: int  # counted from 1
-    runs: int  # finished so far
-    budget: int  # of runs
-    alive: int  # new candidates of this race that have not ended early
-    candidates: tuple[Candidate, ...]  # of all races, best first; those that ended early come last
-    metric: str
-    goal: Goal
-
-    def value(self, candidate: Candidate) -> float | None:
-        """The mean of the metric over the candidate's finished runs; None if all failed."""
-        mean = mean_loss(candidate.losses)[1]
-        if math.isinf(mean):
-            return None
-        return mean if self.goal == "min" else -mean
-
-    @property
-    def headline(self) -> str:
-        """The progress of the tuning, on one line."""
-        count = len(self.candidates)
-        return (
-            f"{self.runs} of {self.budget} runs, race {self.race}, {count} candidates,"
-            f" {self.alive} of them new in the race"
-        )
-
-    @property
-    def leader_text(self) -> str:
-        """The best candidate so far: its values and its mean."""
-        best = self.candidates[0]
-        values = " ".join(f"{name}={value}" for name, value in best.values.items())
-        name = "present values" if best.number == 0 else values
-        return f"{name}, {self.metric} {number(self.value(best))}"
-
-
-OnLook: TypeAlias = Callable[[Look], None]
+    """The mean loss over all seeds: that of candidate 0 plus the mean of `differences`."""
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -152,7 +124,7 @@ class Tuning:
     held_out: tuple[int, ...]
     runs: int
     best: Candidate
-    """Candidate number 0 if no candidate has a better mean over the seeds of the races."""
+    """Candidate number 0 if no candidate has a better mean over the seeds of the search."""
     candidates: tuple[Candidate, ...]
     importance: dict[str, float]
     """The importance of each parameter as a share of 1, by PED-ANOVA; empty if not computed."""
@@ -166,11 +138,11 @@ class Tuning:
     """The text of tuned.yaml."""
 
     def value(self, candidate: Candidate) -> float:
-        """The mean of the metric over the seeds of the races.
+        """The mean of the metric over the seeds of the search.
 
-        A failed run counts as the worst run of the race. The mean of a candidate that ended early
-        is extrapolated: it is the mean of the race's leader over all seeds, plus the candidate's
-        mean difference from the leader over the seeds that the candidate has run.
+        A failed run counts as the worst run so far. The mean of a candidate that ended early is
+        extrapolated: it is the mean of candidate 0 over all seeds, plus the candidate's mean
+        difference from candidate 0 over the seeds that the candidate has run.
         """
         return candidate.estimate if self.goal == "min" else -candidate.estimate
 
@@ -205,21 +177,19 @@ def plain_tuning(tuning: Tuning) -> dict[str, Any]:
     }
 
 
-def split_metric(text: str, goal: str | None = None) -> tuple[Metric, Goal]:
+def split_metric(text: str) -> tuple[Metric, Goal]:
     """The metric and the direction ("min" or "max") that a text `M`, `M:min` or `M:max` names.
 
-    `goal`: a direction that takes precedence over the text. ConfigError if neither the text, nor
-    `goal`, nor the metric itself has a direction.
+    ConfigError if neither the text nor the metric itself has a direction.
     """
-    name, _, word = text.rpartition(":")
-    if goal is None and word in ("min", "max") and name not in ("", "report", "reading"):
-        text, goal = name, word
+    name, _, goal = text.rpartition(":")
+    if goal in ("min", "max") and name not in ("", "report", "reading"):
+        return metric_of(name), cast("Goal", goal)
     metric = metric_of(text)
-    direction = {"less": "min", "more": "max"}.get(metric.better or "") if goal is None else goal
-    if direction not in ("min", "max"):
+    if metric.better is None:
         wanted = f"expected {text}:min or {text}:max"
         raise ConfigError(f"metric {text}: neither less nor more is better as such; {wanted}")
-    return metric, cast("Goal", direction)
+    return metric, "min" if metric.better == "less" else "max"
 
 
 def tune(
@@ -238,7 +208,6 @@ def tune(
     out: str | Path | None = None,
     runner: Runner | None = None,
     on_note: Callable[[str], object] = str,
-    on_look: OnLook | None = None,
     on_step: Callable[[str], object] = str,
     on_progress: OnProgress | None = None,
 ) -> Tuning:
@@ -247,15 +216,15 @@ def tune(
     - `scenario`: the name of a scenario, or the path of its file (.yaml).
     - `metric`: a name as in `--metrics`, with `:min` or `:max` where the metric itself does not say
       which direction is better.
-    - `budget`: the most runs that all races together make. Held-out runs are not counted.
-    - `seeds`: the seeds of the races; a number n means 0 to n - 1.
+    - `budget`: the most runs that all batches together make. Held-out runs are not counted.
+    - `seeds`: the seeds of the search; a number n means 0 to n - 1.
     - `param`: the keys to search, as in `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
       "law=settling,paper". By default all parameters of the scenario's patterns.
     - `set`: overrides of the scenario for all runs, by dotted key: `{"groups.tb3.count": 5}`.
     - `held_out`: the held-out seeds, or their number; they then follow the greatest of `seeds`.
     - `pseudo_reality`: the held-out runs are repeated with the scenario's `pseudo_reality` on, so
       that `drops` of the result says how much worse the metric is there.
-    - `candidates`: the most new candidates of a race.
+    - `candidates`: the most candidates of a batch.
     - `jobs`: worker processes. `timeout`: s without progress after which a run fails. The result
       does not depend on `jobs`.
     - `out`: the folder of the tuning. A repeated call with this folder and equal arguments
@@ -263,29 +232,27 @@ def tune(
       deleted with the returned object or on an error.
     - `runner`: does the runs in place of `jobs` worker processes.
     - `on_note`: called with a line for each parameter that is not tuned.
-    - `on_look`: called after each block of seeds of a race, with the state of the tuning.
-    - `on_step`: called with a line before each race and each set of held-out runs.
+    - `on_step`: called with a line after each batch and before each set of held-out runs.
     - `on_progress`: called after each run with the progress inside a block of seeds or a set of
       held-out runs; with worker processes also during runs.
 
-    ConfigError before anything runs if an argument is invalid. SwarmError if all runs of a race
-    failed. PluginError without optuna.
+    ConfigError before anything runs if an argument is invalid. SwarmError if no run of the
+    scenario's values has a value of the metric. PluginError without optuna.
     """
     if find_spec("optuna") is None:
         raise PluginError("tuning needs optuna, not installed; run: pip install 'swarmd[sim,tune]'")
-    if jobs < 1 or candidates < 2:
-        raise ConfigError(f"jobs is {jobs} and candidates {candidates}; expected 1 and 2, or more")
+    if min(jobs, candidates) < 1:
+        raise ConfigError(f"jobs is {jobs} and candidates {candidates}; expected 1 or more")
     parsed_metric, goal = split_metric(metric)
-    race_seeds = check_seeds(range(int(seeds)) if isinstance(seeds, Integral) else seeds)  # type: ignore[arg-type]
-    held_out_seeds = _held_out(held_out, race_seeds)
-    if not 2 * len(race_seeds) <= budget <= MAX_RUNS:
+    search_seeds = check_seeds(range(int(seeds)) if isinstance(seeds, Integral) else seeds)  # type: ignore[arg-type]
+    held_out_seeds = _held_out(held_out, search_seeds)
+    if not 2 * len(search_seeds) <= budget <= MAX_RUNS:
         raise ConfigError(
-            f"budget is {budget} runs; expected {2 * len(race_seeds)} (two candidates with"
-            f" {len(race_seeds)} seeds) to {MAX_RUNS}"
+            f"budget is {budget} runs; expected {2 * len(search_seeds)} (two candidates with"
+            f" {len(search_seeds)} seeds) to {MAX_RUNS}"
         )
     loaded = load_scenario(str(scenario), set)
-    loaded.starts(race_seeds[0])  # ConfigError if there is no room for the robots
-    in_workers = partial(run_jobs, processes=jobs, timeout=timeout)
+    loaded.starts(search_seeds[0])  # ConfigError if there is no room for the robots
     folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-")) if out is None else Path(out)
     try:
         tuner = _Tuner(
@@ -295,16 +262,17 @@ def tune(
             space=parameter_space(loaded, param, on_note),
             metric=parsed_metric,
             goal=goal,
-            seeds=race_seeds,
+            seeds=search_seeds,
             budget=budget,
-            per_race=candidates,
+            per_batch=candidates,
             folder=folder,
-            runner=runner or (in_workers if jobs > 1 else run_here),
-            on_look=on_look or (lambda look: None),
+            runner=runner
+            or (partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here),
             on_step=on_step,
             on_progress=on_progress,
         )
-        tuning = tuner.search()
+        with _quiet_optuna():
+            tuning = tuner.search()
         tuner.assess(tuning, held_out_seeds, pseudo_reality=pseudo_reality)
     except BaseException:
         if out is None:
@@ -315,23 +283,30 @@ def tune(
     return tuning
 
 
-def _held_out(given: int | Iterable[int], race_seeds: Sequence[int]) -> tuple[int, ...]:
-    """The held-out seeds: `given`, or if it is a number, as many seeds above all `race_seeds`.
+def _held_out(given: int | Iterable[int], search_seeds: Sequence[int]) -> tuple[int, ...]:
+    """The held-out seeds: `given`, or if it is a number, as many seeds above all `search_seeds`.
 
-    ConfigError if a seed is both held out and a seed of the races.
+    ConfigError if a seed is both held out and a seed of the search.
     """
     if isinstance(given, Integral):
-        first, count = max(race_seeds) + 1, int(given)
+        first, count = max(search_seeds) + 1, int(given)
         return check_seeds(range(first, first + count)) if count else ()
     held_out = check_seeds(cast("Iterable[int]", given))
-    if common := sorted({*held_out} & {*race_seeds}):
-        raise ConfigError(f"seed {common[0]} is both held out and raced; keep one of them")
+    if common := sorted({*held_out} & {*search_seeds}):
+        raise ConfigError(f"seed {common[0]} is both held out and searched; keep one of them")
     return held_out
+
+
+class _State(msgspec.Struct, forbid_unknown_fields=True):
+    """The contents of tune.json."""
+
+    asked: dict[str, str | int | list[str]]  # the arguments, which an interrupted tuning must share
+    batches: int = 0  # that are over
 
 
 @dataclass(slots=True, kw_only=True)
 class _Tuner:
-    """One tuning: its arguments, and the candidates and races so far."""
+    """One tuning: its arguments, and the candidates so far."""
 
     scenario: str
     sets: dict[str, Any]
@@ -341,54 +316,40 @@ class _Tuner:
     goal: Goal
     seeds: tuple[int, ...]
     budget: int
-    per_race: int
+    per_batch: int
     folder: Path
     runner: Runner
-    on_look: OnLook
     on_step: Callable[[str], object]
     on_progress: OnProgress | None
     candidates: list[Candidate] = field(default_factory=list)
-    races: list[list[int]] = field(default_factory=list)
-    """By race the numbers of its candidates; the first is the best candidate of the race before."""
+    baseline: Array = field(default_factory=lambda: np.zeros(0))
+    """The losses of candidate 0 by seed; a failed run counts as its worst run."""
 
     def search(self) -> Tuning:
-        """Race candidates until the budget of runs is used; returns the best and all candidates.
+        """Run batches until the budget of runs is used; returns the best and all candidates.
 
-        The best candidate of a race also takes part in the next race, without new runs. Races that
-        the folder has recorded are not run again: an interrupted tuning continues.
+        Runs that the folder has already are not repeated: an interrupted tuning continues.
         """
-        study = _study()
-        recorded_races = self._open()
-        present = Candidate(0, self.space.present or {}, {}, plain(self.loaded.effective))
-        self.candidates.append(present)
-        best = present
-        while True:
-            index = len(self.races)
-            is_first = index == 0
-            recorded = recorded_races[index] if index < len(recorded_races) else None
-            # Drawn for a recorded race, too: the sampler continues as without interruption.
-            drawn = self._draw(study, self._drawn_count(index, recorded))
-            # In race 0 the values of the scenario are new, too.
-            new = [present, *drawn] if is_first else drawn
-            earlier_best = [] if is_first else [best]
-            if not new:
-                break  # the budget is used, or the sampler draws no further values
-
-            racing = [*earlier_best, *new]
-            self.races.append([candidate.number for candidate in racing])
-            if recorded is None:
-                self._race(new, earlier_best, index)
-            else:
-                self._recall(new, recorded)
-
-            for candidate in new:
-                _tell(study, candidate, racing, self.space)
-            finishers = (candidate for candidate in racing if not candidate.is_out)
-            best = min(finishers, key=lambda candidate: mean_loss(candidate.losses))
-            if recorded is None:
-                self._record()
-            if not drawn:
-                break  # race 0 had the values of the scenario alone
+        state = self._open()
+        study = make_study(len(self.seeds))
+        values = self.space.present or {}
+        if values:
+            study.enqueue_trial(self.space.numbers(values))
+        # Outside of the search space: a trial without parameters, for the test alone.
+        trial = study.ask(self.space.distributions if values else None)
+        batch = [Candidate(0, values, {}, plain(self.loaded.effective), trial)]
+        self.candidates += batch
+        first = self._draw(study, 1)  # ConfigError before anything runs
+        number = 0
+        while batch:  # until the budget is used, or the sampler draws no further values
+            self._run_batch(batch, number, is_over=number < state.batches)
+            for candidate in batch:
+                study.tell(candidate.trial, candidate.estimate)
+            number += 1
+            state.batches = max(number, state.batches)
+            write_json(self.folder / STATE, msgspec.to_builtins(state))
+            batch = first if number == 1 else self._draw(study, number)
+        ranked = self._ranked()
         return Tuning(
             folder=self.folder,
             metric=self.metric,
@@ -397,27 +358,140 @@ class _Tuner:
             seeds=self.seeds,
             held_out=(),
             runs=self._runs,
-            best=best,
-            candidates=self._ranked(),
+            best=ranked[0],
+            candidates=ranked,
             importance=_importance(study),
         )
 
-    def _drawn_count(self, index: int, recorded: Sequence[object] | None) -> int:
-        """The number of candidates to draw for race `index`, from 0 on.
+    def _draw(self, study: Study, number: int) -> list[Candidate]:
+        """Draw the candidates of batch `number`, and add them to `candidates`.
 
-        `recorded`: the candidates of this race in an interrupted tuning, as many as are drawn
-        again; None: the race is new, and gets `per_race` candidates, or fewer if the budget does
-        not allow as many.
+        They are `per_batch`, or as many as the budget allows. A candidate is refused if its values
+        are invalid or equal those of an earlier candidate. After _MAX_DRAWS refusals in a row, no
+        more candidates are drawn. ConfigError if the whole tuning has no accepted candidate.
         """
-        affordable = (self.budget - self._runs) // len(self.seeds)
-        count = min(self.per_race, affordable) if recorded is None else len(recorded)
-        # In race 0, candidate 0 (the values of the scenario) is one of them, and is not drawn.
-        return max(count - 1 if index == 0 else count, 0)
+        from optuna.trial import TrialState
+
+        study.sampler = _sampler(number)
+        planned = sum(len(one.losses) or len(self.seeds) for one in self.candidates)
+        count = min(self.per_batch, (self.budget - planned) // len(self.seeds))
+        batch: list[Candidate] = []
+        refusals = 0  # in a row
+        while len(batch) < count and refusals < _MAX_DRAWS:
+            trial = study.ask(self.space.distributions)
+            try:
+                candidate = self._candidate(trial)
+            except ConfigError as error:
+                refusals += 1
+                last_refusal = error
+                study.tell(trial, state=TrialState.PRUNED)  # counts as bad values
+                continue
+            refusals = 0
+            self.candidates.append(candidate)
+            batch.append(candidate)
+        if refusals and len(self.candidates) == 1:
+            text = f"no values of {', '.join(self.space.text)} are accepted"
+            raise ConfigError(f"{text}; the last: {last_refusal}")
+        return batch
+
+    def _candidate(self, trial: Trial) -> Candidate:
+        """The candidate with the values of a trial; ConfigError if it is refused."""
+        values = self.space.values(trial.params)
+        for candidate in self.candidates:
+            if candidate.values == values:
+                raise ConfigError(f"they are those of candidate {candidate.number}")
+        overrides = self.space.overrides(values)
+        scenario = load_scenario(self.scenario, {**self.sets, **overrides}, source=SOURCE)
+        scenario.starts(self.seeds[0])  # ConfigError if there is no room for the robots
+        effective = plain(scenario.effective)
+        return Candidate(len(self.candidates), values, overrides, effective, trial)
+
+    def _run_batch(self, batch: Sequence[Candidate], number: int, *, is_over: bool) -> None:
+        """Run the candidates of batch `number` in blocks of seeds, and set their losses.
+
+        After each block except the last, a test ends candidates (`is_out`). `is_over`: the batch
+        was over in an interrupted tuning, so that its failed runs are not repeated either.
+        SwarmError if no run of batch 0 has a value.
+        """
+        variants = {
+            one.number: _variant(str(one.number), one.effective, one.overrides) for one in batch
+        }
+        manifest = self._manifest([*variants.values()], self.seeds, traces=False)
+        begin = 0
+        for end in (*(looks(len(self.seeds)) if number else ()), len(self.seeds)):
+            block = self.seeds[begin:end]
+            alive = [candidate for candidate in batch if not candidate.is_out]
+            names = {variants[candidate.number].name for candidate in alive}
+            results = run_experiment(
+                manifest,
+                self.folder / BATCHES / f"{number:02d}",
+                self.runner,
+                only={
+                    run.id
+                    for run in manifest.plan.runs
+                    if not is_over and run.seed in block and run.variant.name in names
+                },
+                on_progress=self.on_progress,
+                summarized=[self.metric],
+            )
+            for candidate in alive:
+                name = variants[candidate.number].name
+                values = results.metric(self.metric, name).tolist()
+                value_by_seed = dict(zip(results.seeds(name), values, strict=True))
+                candidate.losses += [self._loss(value_by_seed.get(s), candidate) for s in block]
+            self._compare(alive, begin, results)
+            begin = end
+        best = self._ranked()[0]
+        values = " ".join(f"{name}={value}" for name, value in best.values.items())
+        mean = number_text(best.estimate if self.goal == "min" else -best.estimate)
+        self.on_step(
+            f"{self._runs} of {self.budget} runs, batch {number}: {len(alive)} of {len(batch)}"
+            f" candidates ran with all seeds; best: {values or 'present values'},"
+            f" {self.metric.name} {mean}"
+        )
+
+    def _compare(self, alive: Sequence[Candidate], begin: int, results: Results) -> None:
+        """Set differences and estimates after a block of seeds, the first of them `begin`, and end
+        the candidates that lose the test against the best candidate of earlier batches.
+
+        SwarmError if no run so far has a value; `results` has the reason.
+        """
+        losses = [loss for candidate in self.candidates for loss in candidate.losses]
+        worst = max(filter(math.isfinite, losses), default=None)
+        if worst is None:
+            failures = (f"the first, {run}: {why}" for run, why in results.failures.items())
+            reason = next(failures, f"none has a value of {self.metric.name}")
+            raise SwarmError(f"all runs of the scenario's values failed; {reason}")
+        if not self.baseline.size:
+            self.baseline = np.minimum(self.candidates[0].losses, worst)
+        for candidate in alive:
+            end = len(candidate.losses)
+            differences = np.minimum(candidate.losses, worst)[begin:] - self.baseline[begin:end]
+            candidate.differences += differences.tolist()
+            candidate.estimate = float(self.baseline.mean() + np.mean(candidate.differences))
+            for step in range(begin, end):
+                candidate.trial.report(candidate.differences[step], step)
+            candidate.is_out = end < len(self.seeds) and candidate.trial.should_prune()
+
+    def _loss(self, value: float | None, candidate: Candidate) -> float:
+        """The loss of a run, from the value of its metric; the least loss is the best.
+
+        `value`: None if the run failed, NaN if the metric has no value. The loss is inf in both
+        cases, except that the time to an event that never happened (NaN) counts as the duration of
+        the run.
+        """
+        if value is None:
+            return math.inf
+        if math.isnan(value):
+            if not self.metric.is_time_to_event:
+                return math.inf
+            value = float(candidate.effective["duration"])
+        return value if self.goal == "min" else -value
 
     def assess(self, tuning: Tuning, held_out: tuple[int, ...], *, pseudo_reality: bool) -> None:
         """Compare the best candidate with the scenario's values on held-out seeds.
 
-        `held_out`: seeds that no race has used; empty: nothing is compared. `pseudo_reality`: the
+        `held_out`: seeds that no batch has used; empty: nothing is compared. `pseudo_reality`: the
         held-out runs are repeated in pseudo-reality. Sets the fields `held_out`, `gain`, `drops`
         and `document` of the tuning, and writes the result files.
         """
@@ -441,97 +515,9 @@ class _Tuner:
                 tuning.drops = {
                     name: self._difference((nominal, name), (pseudo, name)) for name in variants
                 }
-        tuning.document = tuned_document(tuning, self.scenario, self.sets, self.manifest())
+        manifest = self._manifest([_variant("0", present.effective)], self.seeds, traces=False)
+        tuning.document = tuned_document(tuning, self.scenario, self.sets, manifest)
         write_whole(self.folder / RESULT, tuning.document)
-
-    def manifest(self, candidates: Sequence[Candidate] = ()) -> Manifest:
-        """The manifest of the runs of these candidates, by default of the scenario's values."""
-        named = {str(candidate.number): candidate.effective for candidate in candidates}
-        named = named or {"0": plain(self.loaded.effective)}
-        return self._manifest(named, self.seeds, traces=False)
-
-    def _race(
-        self, new: Sequence[Candidate], earlier_best: Sequence[Candidate], number: int
-    ) -> None:
-        """Run the new candidates of a race in blocks of seeds, and set their losses.
-
-        After each block except the last, a rank test ends the new candidates that are significantly
-        worse than the leader (`is_out`). SwarmError if no run of the first block has a value.
-
-        `earlier_best`: the best candidate of the race before; empty in race 0. All losses of this
-        candidate are known, so it takes part in the tests, but neither runs nor ends. `number`: of
-        the race, from 0 on.
-        """
-        racing = [*earlier_best, *new]
-        self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
-        manifest = self.manifest(new)
-        comparison_counts = looks(len(self.seeds))
-        for count in (*comparison_counts, len(self.seeds)):
-            alive = [candidate for candidate in new if not candidate.is_out]
-            if not alive:
-                break
-            self._run_block(manifest, alive, number, count)
-            if not any(math.isfinite(loss) for candidate in racing for loss in candidate.losses):
-                raise SwarmError(self._why_all_failed(number))
-            if count < len(self.seeds):  # after all seeds no run is left to save
-                # Bonferroni: the level is divided by the number of comparisons.
-                level = ALPHA / len(comparison_counts)
-                _end_losers(alive, earlier_best, count, level)
-            self._report(number, sum(not candidate.is_out for candidate in new))
-
-    def _run_block(
-        self, manifest: Manifest, alive: Sequence[Candidate], number: int, count: int
-    ) -> None:
-        """Run the candidates `alive` over the first `count` seeds, and set their losses.
-
-        `number`: of the race, from 0 on. Runs that the race's folder has already are not repeated.
-        """
-        race_folder = self.folder / RACES / f"{number + 1:02d}"
-        seeds = {*self.seeds[:count]}
-        by_variant = {_variant(str(candidate.number)): candidate for candidate in alive}
-        runs_of_block = {
-            run.id
-            for run in manifest.plan.runs
-            if run.seed in seeds and run.variant.name in by_variant
-        }
-        results = run_experiment(
-            manifest,
-            race_folder,
-            self.runner,
-            only=runs_of_block,
-            on_progress=self.on_progress,
-            summarized=[self.metric],
-        )
-        for name, candidate in by_variant.items():
-            values = results.metric(self.metric, name).tolist()
-            value_by_seed = dict(zip(results.seeds(name), values, strict=True))
-            candidate.losses = [
-                self._loss(value_by_seed.get(seed), candidate) for seed in self.seeds[:count]
-            ]
-
-    def _loss(self, value: float | None, candidate: Candidate) -> float:
-        """The loss of a run, from the value of its metric; the least loss is the best.
-
-        `value`: None if the run failed, NaN if the metric has no value. The loss is inf in both
-        cases, except that the time to an event that never happened (NaN) counts as the duration of
-        the run.
-        """
-        if value is None:
-            return math.inf
-        if math.isnan(value):
-            if not self.metric.is_time_to_event:
-                return math.inf
-            value = float(candidate.effective["duration"])
-        return value if self.goal == "min" else -value
-
-    def _why_all_failed(self, number: int) -> str:
-        """The reason of the first failed run of a race whose runs have no finite loss."""
-        from swarmd.sim.experiments.results import load_results
-
-        results = load_results(self.folder / RACES / f"{number + 1:02d}")
-        for run, reason in results.failures.items():
-            return f"all runs of race {number + 1} failed; the first, {run}: {reason}"
-        return f"no run of race {number + 1} has a value of {self.metric.name}"
 
     def _run_held_out(
         self, name: str, seeds: tuple[int, ...], variants: Mapping[str, Mapping[str, Any]]
@@ -539,8 +525,9 @@ class _Tuner:
         """Run these variants over held-out seeds, with traces, in the folder `name`."""
         place = " in pseudo-reality" if name != HELD_OUT else ""
         self.on_step(f"{len(seeds)} held-out seeds of {' and '.join(variants)} values{place}")
+        named = [_variant(variant, effective) for variant, effective in variants.items()]
         return run_experiment(
-            self._manifest(variants, seeds, traces=True),
+            self._manifest(named, seeds, traces=True),
             self.folder / name,
             self.runner,
             on_progress=self.on_progress,
@@ -550,66 +537,18 @@ class _Tuner:
     def _difference(self, a: tuple[Results, str], b: tuple[Results, str]) -> Difference:
         """The difference in the metric between two variants, each as (results, name)."""
         first, second = (
-            Side(f"{results.folder}:{_variant(name)}", results, _variant(name))
+            Side(f"{results.folder}:{(variant := _variant(name, {}).name)}", results, variant)
             for results, name in (a, b)
         )
         return compare_sides(first, second, [self.metric])[0]
 
     def _manifest(
-        self, variants: Mapping[str, Mapping[str, Any]], seeds: Sequence[int], *, traces: bool
+        self, variants: Sequence[Variant], seeds: tuple[int, ...], *, traces: bool
     ) -> Manifest:
-        plan = Plan(
-            self.scenario,
-            tuple(seeds),
-            tuple(
-                Variant(_variant(name), {"candidate": name}, effective)
-                for name, effective in variants.items()
-            ),
-            self.sets,
-            {"candidate": [*variants]},
-        )
+        columns = {key: [one.values[key] for one in variants] for key in variants[0].values}
+        plan = Plan(self.scenario, seeds, tuple(variants), self.sets, columns)
         own = beyond_catalog([self.metric])
         return manifest_of(plan, traces=traces, command=[], metrics=own)
-
-    def _draw(self, study: Study, count: int) -> list[Candidate]:
-        """Draw `count` new candidates that the scenario accepts; also adds them to `candidates`.
-
-        A candidate is refused if its values are invalid or equal those of an earlier candidate.
-        After _MAX_DRAWS refusals in a row, no more candidates are drawn. ConfigError if the whole
-        tuning has no accepted candidate.
-        """
-        is_first_race = len(self.candidates) == 1  # candidate 0 alone
-        accepted: list[Candidate] = []
-        refusals = 0  # in a row
-        last_refusal = ""
-        while len(accepted) < count and refusals < _MAX_DRAWS:
-            trial = study.ask()
-            try:
-                candidate = self._candidate(trial)
-            except ConfigError as error:
-                refusals += 1
-                last_refusal = str(error)
-                _refuse(study, trial)
-                continue
-            refusals = 0
-            self.candidates.append(candidate)
-            accepted.append(candidate)
-        if count and not accepted and is_first_race:
-            text = f"no values of {', '.join(self.space.text)} are accepted"
-            raise ConfigError(f"{text}; the last: {last_refusal}")
-        return accepted
-
-    def _candidate(self, trial: Trial) -> Candidate:
-        """The candidate of a trial; ConfigError if its values are refused."""
-        values = self.space.draw(trial)
-        for candidate in self.candidates:
-            if candidate.values == values:
-                raise ConfigError(f"they are those of candidate {candidate.number}")
-        overrides = self.space.overrides(values)
-        scenario = load_scenario(self.scenario, {**self.sets, **overrides}, source=SOURCE)
-        scenario.starts(self.seeds[0])  # ConfigError if there is no room for the robots
-        effective = plain(scenario.effective)
-        return Candidate(len(self.candidates), values, overrides, effective, trial=trial)
 
     @property
     def _runs(self) -> int:
@@ -617,184 +556,112 @@ class _Tuner:
 
     def _ranked(self) -> tuple[Candidate, ...]:
         """The candidates with runs, best first; those that ended early come last."""
-        tried = [candidate for candidate in self.candidates if candidate.losses]
         return tuple(
-            sorted(tried, key=lambda c: (c.is_out, -len(c.losses), mean_loss(c.losses), c.number))
+            sorted(
+                (one for one in self.candidates if one.losses),
+                key=lambda one: (one.is_out, one.losses.count(math.inf), one.estimate, one.number),
+            )
         )
 
-    def _report(self, number: int, alive: int) -> None:
-        self.on_look(Look(number + 1, self._runs, self.budget, alive, self._ranked(),
-                          self.metric.name, self.goal))  # fmt: skip
+    def _open(self) -> _State:
+        """Make or open the folder of the tuning; returns its state.
 
-    # The folder
-
-    def _open(self) -> list[list[dict[str, Any]]]:
-        """Make or open the folder of the tuning; returns the candidates of each finished race.
-
-        A new folder has no finished race. ConfigError if the folder is damaged, belongs to another
-        tuning, or has files that are not of a tuning.
+        ConfigError if the folder is damaged, belongs to another tuning, or has files that are not
+        of a tuning. That the software is the same is checked in the folder of each batch.
         """
-        path = self.folder / STATE
-        head = self._head()
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if not path.exists():
-                if entries := sorted(entry.name for entry in self.folder.iterdir()):
-                    raise ConfigError(
-                        f"{self.folder}: is not the folder of a tuning: it holds {entries[0]};"
-                        " name a new or empty one with --out"
-                    )
-                write_json(path, {**head, "races": []})
-                return []
-            contents = read_regular(path)
-        except OSError as error:
-            raise ConfigError(f"{error.filename or self.folder}: {error.strerror}") from error
-        return self._recorded_races(path, contents, head)
-
-    def _recorded_races(
-        self, path: Path, contents: bytes, head: Mapping[str, Any]
-    ) -> list[list[dict[str, Any]]]:
-        """The races in the `contents` of tune.json; ConfigError unless `head` is that of the file.
-
-        The head holds the arguments of the tuning (`asked`) and its software (`manifest`).
-        """
-        try:
-            data = json.loads(contents)
-            recorded_manifest = msgspec.convert(data["manifest"], Manifest)
-            recorded_arguments, races = dict(data["asked"]), list(data["races"])
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise ConfigError(f"{path}: damaged; remove the folder, and tune again") from error
-        manifest = msgspec.convert(head["manifest"], Manifest)
-        # The first difference of software, else of arguments.
-        difference = next(manifests.differences(recorded_manifest, manifest), None)
-        for key, value in head["asked"].items():
-            recorded = recorded_arguments.get(key)
-            if difference is None and recorded != value:
-                difference = f"{key} was {recorded}, now {value}"
-        if difference is not None:
-            text = f"{self.folder}: holds another tuning: {difference}"
-            raise ConfigError(f"{text}; name another folder with --out, or remove this one")
-        return races
-
-    def _head(self) -> dict[str, Any]:
-        """The arguments and the software of the tuning, which an interrupted tuning must share."""
         from optuna import __version__
 
-        asked = {
-            "format": _FORMAT,
-            "metric": self.metric.origin or self.metric.name,
-            "goal": self.goal,
-            "budget": self.budget,
-            "candidates": self.per_race,
-            "parameters": self.space.text,
-            "optuna": __version__,
-        }
-        return {"asked": asked, "manifest": msgspec.to_builtins(self.manifest())}
-
-    def _record(self) -> None:
-        """Write the candidates and losses of all races so far to tune.json."""
-        races = []
-        for index, numbers in enumerate(self.races):
-            new = [self.candidates[n] for n in numbers if n != numbers[0] or index == 0]
-            races.append([
-                {"candidate": candidate.number, "values": candidate.values,
-                 "is_out": candidate.is_out,
-                 "losses": [None if math.isinf(x) else x for x in candidate.losses]}
-                for candidate in new
-            ])  # fmt: skip
-        write_json(self.folder / STATE, {**self._head(), "races": races})
-
-    def _recall(self, new: Sequence[Candidate], known: Sequence[Mapping[str, Any]]) -> None:
-        """Set the losses of the new candidates of a race from the recorded race, without runs."""
-        drawn = [(candidate.number, plain(candidate.values)) for candidate in new]
-        if drawn != [(row["candidate"], row["values"]) for row in known]:
-            path = self.folder / STATE
-            raise ConfigError(f"{path}: the sampler draws other candidates; tune in a new folder")
-        for candidate, row in zip(new, known, strict=True):
-            candidate.is_out = bool(row["is_out"])
-            candidate.losses = [math.inf if x is None else float(x) for x in row["losses"]]
-
-
-def _end_losers(
-    alive: Sequence[Candidate], earlier_best: Sequence[Candidate], count: int, level: float
-) -> None:
-    """Set `is_out` of those of the candidates `alive` that lose the rank test after `count` seeds.
-
-    `earlier_best`: the best candidate of the race before, which takes part in the test but does not
-    end; empty in race 0. `level`: of significance.
-    """
-    compared = [*alive, *earlier_best]
-    table = np.array([candidate.losses[:count] for candidate in compared]).T
-    for column in losers(table, level):
-        if column < len(alive):
-            alive[column].is_out = True
+        path = self.folder / STATE
+        state = _State(
+            {
+                "format": _FORMAT,
+                "metric": self.metric.origin or self.metric.name,
+                "goal": self.goal,
+                "budget": self.budget,
+                "candidates": self.per_batch,
+                "parameters": self.space.text,
+                "optuna": __version__,
+            }
+        )
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if path.exists():
+                recorded = msgspec.json.decode(read_regular(path), type=_State)
+            elif entries := sorted(entry.name for entry in self.folder.iterdir()):
+                raise ConfigError(
+                    f"{self.folder}: is not the folder of a tuning: it holds {entries[0]};"
+                    " name a new or empty one with --out"
+                )
+            else:
+                recorded = state
+        except OSError as error:
+            raise ConfigError(f"{error.filename or self.folder}: {error.strerror}") from error
+        except msgspec.DecodeError as error:
+            raise ConfigError(f"{path}: damaged; remove the folder, and tune again") from error
+        for key, value in state.asked.items():
+            if (known := recorded.asked.get(key)) != value:
+                raise ConfigError(
+                    f"{self.folder}: holds another tuning: {key} was {known}, now {value}; name"
+                    " another folder with --out, or remove this one"
+                )
+        write_json(path, msgspec.to_builtins(recorded))
+        return recorded
 
 
-def _variant(name: str) -> str:
-    return f"candidate={name}"
+def looks(seeds: int) -> tuple[int, ...]:
+    """The numbers of seeds after which candidates are tested: 6, 12, 24 ..., below `seeds`."""
+    counts = (FIRST_LOOK << doublings for doublings in range(seeds.bit_length()))
+    return tuple(count for count in counts if count < seeds)
 
 
-def _study() -> Study:
-    import warnings
+def _variant(name: str, effective: Mapping[str, Any], values: Mapping[str, Any] = {}) -> Variant:
+    return Variant(f"candidate={name}", {"candidate": name, **values}, effective)
 
+
+def make_study(seeds: int) -> Study:
+    """A new study, whose pruner has the level of one look of a search with so many seeds."""
     import optuna
 
+    level = ALPHA / max(len(looks(seeds)), 1)
+    return optuna.create_study(pruner=optuna.pruners.WilcoxonPruner(p_threshold=level))
+
+
+def _sampler(number: int) -> BaseSampler:
+    """The sampler of batch `number`."""
+    from optuna.samplers import TPESampler
+
+    seed = _SAMPLER_SEED + number
+    return TPESampler(seed=seed, multivariate=True, group=True, constant_liar=True)
+
+
+@contextmanager
+def _quiet_optuna() -> Iterator[None]:
+    """Without optuna's log and its warnings of experimental parts; afterwards all is as before."""
+    import optuna
+
+    verbosity = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        sampler = optuna.samplers.TPESampler(
-            seed=_SAMPLER_SEED, multivariate=True, group=True, constant_liar=True
-        )
-    return optuna.create_study(sampler=sampler)
-
-
-def _refuse(study: Study, trial: Trial) -> None:
-    """Tell the sampler that the scenario refuses the values of a trial, as bad values."""
-    from optuna.trial import TrialState
-
-    study.tell(trial, state=TrialState.PRUNED)
-
-
-def _tell(
-    study: Study, candidate: Candidate, racing: Sequence[Candidate], space: ParameterSpace
-) -> None:
-    """Set a candidate's `estimate`, its mean loss over all seeds, and tell it to the sampler.
-
-    `racing`: all candidates of the race. If the candidate ended early, the estimate is extrapolated
-    (see `Tuning.value`) from the losses of the race's leader: the candidate with the least mean
-    loss of those that have run all seeds.
-    """
-    finite = [loss for racer in racing for loss in racer.losses if math.isfinite(loss)]
-    worst = max(finite)
-    finishers = (racer for racer in racing if not racer.is_out)
-    leader = min(finishers, key=lambda racer: mean_loss(racer.losses))
-    losses = np.minimum(candidate.losses, worst)  # inf, a failed run, counts as the worst run
-    leader_losses = np.minimum(leader.losses, worst)
-    difference = (losses - leader_losses[: len(losses)]).mean()
-    candidate.estimate = float(leader_losses.mean() + difference)
-    if candidate.trial is not None:
-        study.tell(candidate.trial, candidate.estimate)
-    elif (known := space.known_trial(candidate.values, candidate.estimate)) is not None:
-        study.add_trial(known)
+    with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+        try:
+            yield
+        finally:
+            optuna.logging.set_verbosity(verbosity)
 
 
 def _importance(study: Study) -> dict[str, float]:
     """The importance of each parameter as a share of 1, by PED-ANOVA (Watanabe et al., IJCAI 2023).
 
     PED-ANOVA measures how much narrower the values of a parameter are in the best tenth of the
-    candidates. A parameter is left out unless all candidates have it. Empty if there are fewer than
-    _MIN_TRIALS candidates, or if all losses are equal.
+    candidates. Empty if there are fewer than _MIN_TRIALS candidates, or if all losses are equal.
     """
+    from optuna import create_study
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
     from optuna.trial import TrialState
 
-    complete = study.get_trials(deepcopy=False, states=[TrialState.COMPLETE])
-    if len(complete) < _MIN_TRIALS:
+    # Without candidate 0 if it is outside of the search space, and so has no parameters.
+    complete = [trial for trial in study.get_trials(states=[TrialState.COMPLETE]) if trial.params]
+    if len(complete) < _MIN_TRIALS or len({trial.value for trial in complete}) < 2:
         return {}
-    common = [key for key in complete[0].params if all(key in t.params for t in complete)]
-    if not common:
-        return {}
-    if len({trial.value for trial in complete}) < 2:
-        return {}
-    evaluator = PedAnovaImportanceEvaluator()
-    return dict(get_param_importances(study, evaluator=evaluator, params=common))
+    rated = create_study()
+    rated.add_trials(complete)
+    return dict(get_param_importances(rated, evaluator=PedAnovaImportanceEvaluator()))

@@ -52,13 +52,13 @@ def platform_values(space: ParameterSpace, values: Mapping[str, Any]) -> dict[st
 def _evidence(tuning: Tuning, manifest: Manifest) -> Iterator[str]:
     """The sentences about the evidence for tuned values, which stand above the values in the file.
 
-    Goal, means in the races, held-out difference, difference to pseudo-reality, software.
+    Goal, means in the search, held-out difference, difference to pseudo-reality, software.
     """
     unit = f" [{tuning.metric.unit}]" if tuning.metric.unit else ""
     direction = "less" if tuning.goal == "min" else "more"
     yield f"Tuned for {tuning.metric.name}{unit}; {direction} is better."
 
-    yield _races(tuning)
+    yield _search(tuning)
     if tuning.gain is not None:
         text = _shown(tuning.gain, "present", "tuned", tuning)
         yield f"Held-out seeds {_seeds(tuning.held_out)}: {text}"
@@ -74,19 +74,16 @@ def _evidence(tuning: Tuning, manifest: Manifest) -> Iterator[str]:
     yield f"Made with {', '.join((*software, *commit))}; code {manifest.made_with['code'][:12]}."
 
 
-def _races(tuning: Tuning) -> str:
-    """The sentences about the races; candidate 0 has the present values of the scenario."""
+def _search(tuning: Tuning) -> str:
+    """The sentences about the search; candidate 0 has the present values of the scenario."""
     effort = f"{tuning.runs} runs, {len(tuning.candidates)} candidates"
     if tuning.best.number == 0:
         return f"No values are better than the present ones ({effort})."
-    present = next(
-        (candidate for candidate in tuning.candidates if candidate.number == 0), tuning.best
-    )
-    early_end = f" (by {len(present.losses)} seeds)" if present.is_out else ""
-    mean, present_mean = (number(tuning.value(c)) for c in (tuning.best, present))
+    present = next(candidate for candidate in tuning.candidates if candidate.number == 0)
+    mean, present_mean = (number(tuning.value(one)) for one in (tuning.best, present))
     return (
-        f"Races: seeds {_seeds(tuning.seeds)}, {effort}. Mean: {mean} tuned, {present_mean}"
-        f" present{early_end}. These seeds chose the values, so this difference is too good."
+        f"Search: seeds {_seeds(tuning.seeds)}, {effort}. Mean: {mean} tuned, {present_mean}"
+        " present. These seeds chose the values, so this difference is too good."
     )
 
 

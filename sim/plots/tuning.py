@@ -1,4 +1,4 @@
-"""Figures of a tuning: the metric over each parameter, and the importance of parameters."""
+"""The figure of a tuning: the metric over each parameter, with its importance."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from swarmd.sim.experiments.search_space import ParameterSpace
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save
 
 if TYPE_CHECKING:
@@ -22,27 +19,14 @@ _LINE = 24  # characters along an axis
 _PRESENT, _BEST, _OUT = VARIANT_COLOURS[5], VARIANT_COLOURS[1], GUIDE_COLOUR
 
 
-def draw_tuning(tuning: Tuning, folder: Path) -> list[Path]:
-    """Write the figures of a tuning; returns the paths.
-
-    A search for parameters gives landscape.png; a computed importance gives importance.png.
-    SwarmError without matplotlib, or if a file cannot be written.
-    """
-    paths = []
-    if isinstance(tuning.space, ParameterSpace):
-        paths.append(draw_landscape(tuning, tuning.space, folder / "landscape.png"))
-    if tuning.importance:
-        paths.append(draw_importance(tuning, folder / "importance.png"))
-    return paths
-
-
-def draw_landscape(tuning: Tuning, space: ParameterSpace, path: Path) -> Path:
+def draw_landscape(tuning: Tuning, path: Path) -> Path:
     """Draw a panel for each parameter, with the mean of each candidate; returns the path.
 
     The horizontal axis has the values of the parameter, the vertical axis the metric. The best
     candidate and the present values have colours. A small pale point is a candidate that ended
     early, whose mean is extrapolated.
     """
+    space = tuning.space
     rows = -(-len(space.parameters) // _COLUMNS)
     columns = min(len(space.parameters), _COLUMNS)
     figure = new_figure(3.4 * columns, 2.8 * rows)
@@ -100,15 +84,3 @@ def _label(metric: Metric) -> str:
     """The label of the axis of a metric: words and unit, on lines as long as the axis."""
     unit = f" [{metric.unit}]" if metric.unit else ""
     return textwrap.fill(metric.name.replace("_", " ") + unit, _LINE, break_long_words=False)
-
-
-def draw_importance(tuning: Tuning, path: Path) -> Path:
-    """Draw the importance of each parameter as bars, shares of 1; returns the path."""
-    items = sorted(tuning.importance.items(), key=lambda item: item[1])
-    figure = new_figure(6.0, 1.0 + 0.3 * len(items))
-    axes = figure.subplots()
-    axes.barh(np.arange(len(items)), [share for _, share in items], color=VARIANT_COLOURS[0])
-    axes.set_yticks(np.arange(len(items)), [key for key, _ in items])
-    axes.set_xlabel("importance (PED-ANOVA)")
-    axes.set_xlim(0.0, 1.0)
-    return save(figure, path)
