@@ -93,7 +93,8 @@ def demo(
         run = ScheduledEvent(
             at=0.0, action="run", robots=tuple(fleet.robots), pattern=pattern, parameters=values
         )
-        events, spec = (run,), structs.replace(fleet, **own, seconds=seconds)
+        events: Sequence[ScheduledEvent] = (run,)
+        spec = structs.replace(fleet, **own, seconds=seconds)
     else:  # robots that join later, by an event, have no daemon so far
         scenario = fleet.live.scenario
         events, seconds = scenario.events, scenario.duration
@@ -129,11 +130,6 @@ def _checked_parameters(
     if values and not has_scenario:
         check_parameters(pattern, values, world["plugin_dir"], world["platform"])
     return values
-
-
-def _title(summary: DemoSummary) -> str:
-    """The title of the picture of a demo, such as `attraction, 7 waffle_pi`."""
-    return f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
 
 
 def perform(
@@ -206,7 +202,8 @@ def _keep(summary: DemoSummary, folder: Path) -> None:
         from swarmd.sim.plots.trajectories import trajectories_figure
         from swarmd.sim.trace import load_trace
 
-        figure = trajectories_figure(load_trace(folder / "trace.npz"), _title(summary))
+        title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
+        figure = trajectories_figure(load_trace(folder / "trace.npz"), title)
         save(figure, folder / "trajectories.png")
     except OSError as error:
         text = f"not all results could be kept in {folder}/: {error.strerror or error}"
