@@ -33,7 +33,7 @@ class Shot:
     sets: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     colour: str = "robot"
-    size: int = 480
+    size: int = 400
 
 
 def _film_of(pattern: str) -> Shot:

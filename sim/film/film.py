@@ -133,6 +133,7 @@ class Drawing:
         scene.paint_arena(axes, trace)
 
         # 2. The texts around the map, and the layout, which is made once.
+        self._title = title
         self._names: Sequence[str] = ()
         if title is None:
             axes.set_position((0.0, 0.0, 1.0, 1.0))
@@ -144,7 +145,7 @@ class Drawing:
                     name.rpartition("-")[2] if len(heads) == 1 else name for name in trace.ids
                 ]
             axes.tick_params(labelsize=8)
-            axes.set_title(title, loc="left", fontsize=10)
+            axes.set_title(title, loc="left", fontsize=10)  # for the layout
             axes.set_xlabel(notes, fontsize=8)
             if colouring.key:
                 self._add_key(colouring.key)
@@ -201,6 +202,7 @@ class Drawing:
         for name, (x, y, _) in zip(self._names, present.pose[0].tolist(), strict=False):
             if math.isfinite(x + y):
                 axes.text(x, y + reach, name, ha="center", va="bottom", fontsize=8, clip_on=True)
-        axes.set_title(f"{time:.1f} s", loc="right", fontsize=10)
+        # The time comes first: a title that is too long is cut at its end.
+        axes.set_title(f"{time:.1f} s: {self._title}", loc="left", fontsize=10)
         self._canvas.draw()
         return np.asarray(self._canvas.buffer_rgba())[..., :3]

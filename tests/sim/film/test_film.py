@@ -136,7 +136,7 @@ def test_texts_around_the_map(trace: Trace) -> None:
     drawing = Drawing(named, colouring_of(trace, "opinion"), SIZE, EXTENT, (), "a title", "4x")
     drawing.at(0.3)
     texts = {text.get_text() for text in drawing.figure.findobj(Text)}
-    assert {"01", "02", "03", "a title", "0.3 s", "4x", "opinion 0", "1"} <= texts
+    assert {"01", "02", "03", "0.3 s: a title", "4x", "opinion 0", "1"} <= texts
 
 
 def test_a_title_names_the_scenario_or_else_the_pattern(trace: Trace) -> None:
