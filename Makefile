@@ -290,7 +290,7 @@ $(VENV)/complete: $(VENV)/interpreted
 	@echo "Installing the rest: the kernels, and packages that draw, film, record and serve pages."
 	@$(call install,tools that build it,build-system.requires)
 	@$(BIN)/python setup.py --quiet build_ext --inplace >$(VENV)/kernels.log 2>&1 & trap "kill $$!" INT TERM; \
-	  $(call install,packages that draw and record,$(addprefix project.optional-dependencies.,plot web record film)); \
+	  $(call install,packages that draw and record,$(addprefix project.optional-dependencies.,plot web record)); \
 	  status=$$?; $(COMPILE_PACKAGES); \
 	  kill -0 $$! 2>/dev/null && echo "  kernels: the compiler is at work"; wait; exit $$status
 	@$(COMPILE)

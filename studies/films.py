@@ -14,7 +14,6 @@ from typing import Any
 from studies.outcomes.catalog import MODULES
 from swarmd.core.errors import unknown
 from swarmd.sim.film.film import FilmSettings, make_film
-from swarmd.sim.film.renderer import Camera
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.view.trace_source import RecordedRun
@@ -34,8 +33,7 @@ class Shot:
     sets: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     colour: str = "robot"
-    camera: Camera = "perspective"
-    size: tuple[int, int] = (480, 340)
+    size: int = 400
 
 
 def _film_of(pattern: str) -> Shot:
@@ -53,7 +51,7 @@ def shots() -> Mapping[str, Shot]:
         title="Seven robots agree on a distance, and keep it",
         stop=40.0,
         colour="opinion",
-        size=(640, 420),
+        size=640,
     )
     return {"demo": demo, **{name: _film_of(name) for name in MODULES}}
 
@@ -63,7 +61,6 @@ def shoot(name: str, out: Path) -> Path:
     shot = shots()[name]
     scenario = load_scenario(shot.scenario, {"duration": shot.stop, **shot.sets})
     settings = FilmSettings(
-        camera=shot.camera,
         colour=shot.colour,
         speed=shot.stop / SECONDS,
         size=shot.size,

@@ -21,7 +21,6 @@ from swarmd.cli.output import print_json, print_section, signals_end, warn
 from swarmd.core.clock import process_start
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.sim.cli.exp_video import film, need_film
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 from swarmd.sim.cli.world_page import page_option, world_page
 from swarmd.texts.assignments import read_assignments
@@ -30,9 +29,9 @@ from swarmd.texts.why import SILENT, state_word
 
 if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
-    from swarmd.sim.live.demo_run import DemoSettings
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.summary import DemoSummary
+    from swarmd.sim.scenarios.scenario import ScheduledEvent
     from swarmd.view.scene import Scene
 
 
@@ -56,12 +55,6 @@ if TYPE_CHECKING:
     default=60.0,
     help="How long, in simulated time [60s].",
 )
-@click.option(
-    "--video",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Film the run when it has ended: .mp4, .gif or .webp; more options has `exp video`.",
-)
 @click.option("--headless", is_flag=True, help="Show no live view; the default without a terminal.")
 @page_option
 @output_option
@@ -72,7 +65,6 @@ def demo(
     pattern: str,
     params: tuple[str, ...],
     seconds: float,
-    video: Path | None,
     headless: bool,
     is_json: bool,
     page: WebOptions | None,
@@ -88,32 +80,33 @@ def demo(
     # 1. Check the options before any process starts. `world`: the values of `fleet_options`, such
     #    as scenario, platform and plugin_dir.
     need("mujoco")
-    if video is not None:
-        need_film()
-        from swarmd.sim.film.encode import check_output
+    from swarmd.sim.scenarios.scenario import ScheduledEvent
 
-        check_output(video)
     values = _checked_parameters(pattern, params, world)
 
     # 2. The fleet. It is made without a folder, so that a wrong option leaves no folder behind.
     fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))
-    settings = _settings(fleet, pattern, values, seconds)
-    trace = str(folder / "trace.npz")
-    spec = structs.replace(fleet, folder=folder / "logs", trace=trace, seconds=settings.seconds)
-    if fleet.live is not None:  # robots that join later, by an event, have no daemon so far
-        spec = structs.replace(spec, absent=fleet.live.scenario.absent)
+    own = {"folder": folder / "logs", "trace": str(folder / "trace.npz")}
+    if fleet.live is None:
+        run = ScheduledEvent(
+            at=0.0, action="run", robots=tuple(fleet.robots), pattern=pattern, parameters=values
+        )
+        events: Sequence[ScheduledEvent] = (run,)
+        spec = structs.replace(fleet, **own, seconds=seconds)
+    else:  # robots that join later, by an event, have no daemon so far
+        scenario = fleet.live.scenario
+        events, seconds = scenario.events, scenario.duration
+        spec = structs.replace(fleet, **own, seconds=seconds, absent=scenario.absent)
 
-    # 3. The run, its report, and the film of its trace.
+    # 3. The run and its report.
     has_screen = sys.stdout is not None and sys.stdout.isatty()
     is_live = has_screen and not (headless or is_json)
     try:
         with signals_end():  # SIGTERM also ends the processes
-            summary = perform(spec, settings, is_live=is_live, page=page)
+            summary = perform(spec, events, seconds, is_live=is_live, page=page)
             report(summary, folder, is_json=is_json)
-            if video is not None and not summary.signal:
-                _film_trace(folder / "trace.npz", video, _title(summary), is_quiet=is_json)
     except (SwarmError, OSError, KeyboardInterrupt, SystemExit):
         warn(f"what was kept is in {folder}/")
         raise
@@ -139,51 +132,15 @@ def _checked_parameters(
     return values
 
 
-def _film_trace(trace: Path, video: Path, title: str, *, is_quiet: bool) -> None:
-    """Film the run in the file `trace`; writes the film to `video`."""
-    from swarmd.sim.film.film import FilmSettings
-    from swarmd.sim.trace import load_trace
-    from swarmd.sim.view.trace_source import RecordedRun
-
-    film(RecordedRun(load_trace(trace)), video, title, FilmSettings(), is_quiet=is_quiet)
-
-
-def _title(summary: DemoSummary) -> str:
-    """The title of pictures and films of a demo, such as `attraction, 7 waffle_pi`."""
-    return f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
-
-
-def _settings(
-    fleet: FleetSpec, pattern: str, params: Mapping[str, Any], seconds: float
-) -> DemoSettings:
-    """Settings of the demo: the events of the fleet's scenario, or else `pattern` from t = 0 on.
-
-    `seconds` is the duration of a demo without a scenario.
-    """
-    from swarmd.sim.live.demo_run import DemoSettings
-    from swarmd.sim.scenarios.scenario import ScheduledEvent
-
-    platforms = "+".join(dict.fromkeys(Path(name).stem for name in fleet.robots.values()))
-    if fleet.live is None:
-        robots = tuple(fleet.robots)
-        run = ScheduledEvent(
-            at=0.0, action="run", robots=robots, pattern=pattern, parameters=params
-        )
-        return DemoSettings(events=(run,), seconds=seconds, pattern=pattern, platform=platforms)
-    scenario = fleet.live.scenario
-    patterns = dict.fromkeys(event.pattern for event in scenario.events if event.pattern)
-    return DemoSettings(
-        events=scenario.events,
-        seconds=scenario.duration,
-        pattern="+".join(patterns) or "no pattern",
-        platform=platforms,
-    )
-
-
 def perform(
-    spec: FleetSpec, settings: DemoSettings, *, is_live: bool, page: WebOptions | None = None
+    spec: FleetSpec,
+    events: Sequence[ScheduledEvent],
+    seconds: float,
+    *,
+    is_live: bool,
+    page: WebOptions | None = None,
 ) -> DemoSummary:
-    """Run the demo from start to end, and return its summary.
+    """Run the demo of `seconds` s from start to end, and return its summary.
 
     A world and a daemon for each robot run as processes. All of them have ended when this function
     returns or raises. `is_live`: the terminal shows the robots. `page`: options of a web page that
@@ -204,7 +161,7 @@ def perform(
         world_page(fleet, page) as served_page,
         _screen(is_live, served_page.addresses if served_page is not None else ()) as draw_scene,
     ):
-        run = DemoRun(settings, fleet, operator, world, draw_scene)
+        run = DemoRun(events, seconds, fleet, operator, world, draw_scene)
         # The summary counts the time until motion from the start of this process.
         summary = run.perform(Path(spec.trace), process_start(), warn)
         if served_page is not None:
@@ -245,7 +202,8 @@ def _keep(summary: DemoSummary, folder: Path) -> None:
         from swarmd.sim.plots.trajectories import trajectories_figure
         from swarmd.sim.trace import load_trace
 
-        figure = trajectories_figure(load_trace(folder / "trace.npz"), _title(summary))
+        title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
+        figure = trajectories_figure(load_trace(folder / "trace.npz"), title)
         save(figure, folder / "trajectories.png")
     except OSError as error:
         text = f"not all results could be kept in {folder}/: {error.strerror or error}"

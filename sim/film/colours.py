@@ -31,19 +31,17 @@ STATES = MappingProxyType(
     }
 )
 UNKNOWN = "#999999"
-_LOW, _HIGH = np.array([33.0, 62.0, 160.0]), np.array([240.0, 220.0, 60.0])
+_SHADES = 64  # of the scale of numbers
 _MAX_CLASSES = 8
 _OWN = ("state", "pattern", "platform", "robot")
-
-Rgb = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Colouring:
-    """`rgb` (T, n, 3) uint8: the colour of each robot at each instant; `key`: its legend."""
+    """`colours` (T, n): of each robot at each instant, as #rrggbb; `key`: colour and meaning."""
 
-    rgb: NDArray[np.uint8]
-    key: Sequence[tuple[Rgb, str]]
+    colours: NDArray[np.str_]
+    key: Sequence[tuple[str, str]]
 
 
 def colouring_of(trace: Trace, by: str) -> Colouring:
@@ -65,9 +63,8 @@ def colouring_of(trace: Trace, by: str) -> Colouring:
     if by == "platform":
         return _by_word(np.broadcast_to(np.array(trace.platforms), shape))
     if by == "robot":
-        rgb = np.array([rgb_of(robot_colour(i)) for i in range(shape[1])], dtype=np.uint8)
-        key = [(_plain(colour), robot) for colour, robot in zip(rgb, trace.ids, strict=True)]
-        return Colouring(np.broadcast_to(rgb, (*shape, 3)), key)
+        own = np.array([robot_colour(i) for i in range(shape[1])])
+        return Colouring(np.broadcast_to(own, shape), ())  # pictures name the robots
     if name in trace.words:
         return _by_word(trace.words[name])
     if name in trace.report:
@@ -76,50 +73,39 @@ def colouring_of(trace: Trace, by: str) -> Colouring:
     raise ConfigError(unknown("colour", by, known))
 
 
-def rgb_of(colour: str) -> Rgb:
-    """Red, green and blue, 0 to 255, of #rrggbb."""
-    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
-    return red, green, blue
-
-
 def _by_word(words: NDArray[np.str_], fixed: Mapping[str, str] = MappingProxyType({})) -> Colouring:
     """Colours by a text (T, n): the colours of `fixed`; if empty, those of PALETTE in turn."""
-    rgb = np.empty((*words.shape, 3), dtype=np.uint8)
-    rgb[:] = rgb_of(UNKNOWN)
-    key: list[tuple[Rgb, str]] = []
+    colours = np.full(words.shape, UNKNOWN)
+    key: list[tuple[str, str]] = []
     for word in sorted({str(w) for w in np.unique(words)} - {""}):
         free_colour = UNKNOWN if fixed else PALETTE[len(key) % len(PALETTE)]
-        colour = rgb_of(fixed.get(word, free_colour))
-        rgb[words == word] = colour
+        colour = fixed.get(word, free_colour)
+        colours[words == word] = colour
         key.append((colour, word))
-    return Colouring(rgb, key)
+    return Colouring(colours, key)
 
 
 def _by_number(values: Array, name: str) -> Colouring:
     """Colours by a number: up to _MAX_CLASSES whole numbers have a colour each.
 
-    Other numbers have a colour on a scale from blue to yellow.
+    Other numbers have a colour on a scale from dark blue to yellow.
     """
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    colours = np.full(values.shape, UNKNOWN)
     is_known = np.isfinite(values)
-    rgb = np.empty((*values.shape, 3), dtype=np.uint8)
-    rgb[:] = rgb_of(UNKNOWN)
-    known = np.unique(values[is_known])
-    if not len(known):
-        return Colouring(rgb, [(rgb_of(UNKNOWN), f"no {name}")])
+    known = np.unique(values[is_known]).tolist()
     label = name.replace("_", " ")
-    if len(known) <= _MAX_CLASSES and (known == np.round(known)).all():
-        key: list[tuple[Rgb, str]] = []
-        for index, value in enumerate(known.tolist()):
-            colour = rgb_of(PALETTE[index])
-            rgb[values == value] = colour
-            key.append((colour, f"{value:g}" if key else f"{label} {value:g}"))
-        return Colouring(rgb, key)
-    low, high = float(known[0]), float(known[-1])
-    share = ((values[is_known] - low) / max(high - low, 1e-9))[:, None]
-    rgb[is_known] = np.round((1.0 - share) * _LOW + share * _HIGH)
-    return Colouring(rgb, [(_plain(_LOW), f"{label} {low:.3g}"), (_plain(_HIGH), f"{high:.3g}")])
-
-
-def _plain(colour: NDArray[np.generic] | Array) -> Rgb:
-    red, green, blue = (int(part) for part in colour)
-    return red, green, blue
+    if not known:
+        return Colouring(colours, [(UNKNOWN, f"no {label}")])
+    if len(known) <= _MAX_CLASSES and known == [round(value) for value in known]:
+        for colour, value in zip(PALETTE, known, strict=False):
+            colours[values == value] = colour
+        words = [f"{label} {known[0]:g}", *(f"{value:g}" for value in known[1:])]
+        return Colouring(colours, list(zip(PALETTE, words, strict=False)))
+    low, high = known[0], known[-1]
+    shades = np.array([to_hex(shade) for shade in colormaps["cividis"](np.linspace(0, 1, _SHADES))])
+    share = (values[is_known] - low) / max(high - low, 1e-9)
+    colours[is_known] = shades[np.round((_SHADES - 1) * share).astype(int)]
+    return Colouring(colours, [(shades[0], f"{label} {low:.3g}"), (shades[-1], f"{high:.3g}")])

@@ -5,17 +5,13 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO
-
-import numpy as np
-from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
-from swarmd.core.files import partial_path
+from swarmd.core.files import whole_file
 
 _PALETTE = (
     "split[a][b];[a]palettegen=stats_mode=diff:max_colors={colours}[p];"
@@ -44,68 +40,42 @@ def check_output(path: Path) -> None:
         raise PluginError("films need the program ffmpeg; install it: apt install ffmpeg")
 
 
-class Encoder:
-    """Writes frames (height, width, 3) of uint8 to a film that appears whole or not at all."""
+@contextmanager
+def encoder(path: Path, size: tuple[int, int], rate: int) -> Iterator[Callable[[bytes], object]]:
+    """Yield a function that adds a frame, the rows of RGB bytes, to a film.
 
-    def __init__(self, path: Path, size: tuple[int, int], rate: int) -> None:
-        """`size` in pixels, both even; `rate` in frames/s.
-
-        ConfigError for a wrong path, PluginError without the program ffmpeg.
-        """
-        check_output(path)
-        self._path, self._partial = path, partial_path(path)
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
-        width, height = size
-        self._process = subprocess.Popen(
+    The film appears whole at the end of the block, or not at all. `size`: width and height in
+    pixels, both even; `rate` in frames/s. `check_output` accepts `path`. SwarmError if ffmpeg
+    fails.
+    """
+    width, height = size
+    with whole_file(path) as partial, tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(
             [
                 *("ffmpeg", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"),
                 *("-s", f"{width}x{height}", "-r", str(rate), "-i", "-", "-an"),
                 *FORMATS[path.suffix],
-                str(self._partial.resolve()),
+                str(partial.resolve()),
             ],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            stderr=self._errors,
+            stderr=errors,
             start_new_session=True,  # Ctrl-C ends it through this process, not beside it
         )
-        assert self._process.stdin is not None
-        self._pipe: IO[bytes] = self._process.stdin
-
-    def __enter__(self) -> Encoder:
-        return self
-
-    def write(self, frame: NDArray[np.uint8]) -> None:
-        """Add a frame; SwarmError if ffmpeg has failed."""
+        assert process.stdin is not None
         try:
-            self._pipe.write(np.ascontiguousarray(frame).data)
+            yield process.stdin.write
+            process.stdin.close()
+            if process.wait() != 0:
+                raise BrokenPipeError
         except BrokenPipeError:
-            raise SwarmError(self._problem()) from None
-
-    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        try:
-            if kind is not None:
-                self._process.kill()
-            else:
-                self._finish()
+            process.wait()
+            errors.seek(0)
+            lines = errors.read().decode(errors="replace").strip().splitlines()
+            why = " ".join(lines[-1].split())[:200] if lines else "it gave no reason"
+            raise SwarmError(f"{path}: ffmpeg could not write the film: {why}") from None
         finally:
-            self._process.wait()
+            process.kill()
+            process.wait()
             with suppress(BrokenPipeError):  # what could not be written any more
-                self._pipe.close()
-            self._errors.close()
-            self._partial.unlink(missing_ok=True)
-
-    def _finish(self) -> None:
-        try:
-            self._pipe.close()
-        except BrokenPipeError:
-            raise SwarmError(self._problem()) from None
-        if self._process.wait() != 0:
-            raise SwarmError(self._problem())
-        self._partial.replace(self._path)
-
-    def _problem(self) -> str:
-        self._process.wait()
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors="replace").strip().splitlines()
-        why = " ".join(lines[-1].split())[:200] if lines else "it gave no reason"
-        return f"{self._path}: ffmpeg could not write the film: {why}"
+                process.stdin.close()

@@ -92,12 +92,12 @@ def env(
       of the state (see `State`) that gives rewards by robot. None: the scenario's reward, if any.
     - `render_mode`: with "rgb_array" `render` gives pictures.
 
-    ConfigError if an argument is invalid. PluginError for a `render_mode` without the extra film.
+    ConfigError if an argument is invalid. PluginError for a `render_mode` without the extra plot.
     """
     if render_mode is not None and render_mode not in RENDER_MODES:
         raise ConfigError(f"render_mode: {unknown('mode', str(render_mode), RENDER_MODES)}")
-    if render_mode is not None and find_spec("OpenGL") is None:
-        raise PluginError("render_mode rgb_array needs PyOpenGL; run: pip install 'swarmd[film]'")
+    if render_mode is not None and find_spec("matplotlib") is None:
+        raise PluginError("render_mode rgb_array needs matplotlib; run: pip install 'swarmd[plot]'")
     loaded = _scenario(scenario, set)
     learners = learners_of(loaded, agents)
     spec = spec or default_spec(loaded.robots[learners[0]])
@@ -306,8 +306,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     def render(self) -> NDArray[np.uint8]:
         """The present state from above, as films show it: (480, 640, 3) uint8.
 
-        ConfigError before the first `reset`, without a `render_mode`, or if another thread called
-        `render` first; PluginError if OpenGL cannot render on this machine.
+        ConfigError before the first `reset`, or without a `render_mode`.
         """
         if self.render_mode is None:
             raise ConfigError(
@@ -315,7 +314,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
             )
         episode = self._running()
         if episode.pictures is None:
-            # Imported here: training loads no renderer.
+            # Imported here: training loads no library for drawing.
             from swarmd.sim.learning.pictures import Pictures
 
             episode.pictures = Pictures(episode.swarm)
@@ -323,8 +322,6 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
 
     def close(self) -> None:
         """Discard the run."""
-        if self._episode is not None and self._episode.pictures is not None:
-            self._episode.pictures.close()
         self._episode = None
         self.agents = []
 

@@ -1,4 +1,4 @@
-"""Pictures of an environment's run, by the renderer of films."""
+"""Pictures of an environment's run, drawn as the frames of films."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.sim.film.colours import Colouring, colouring_of
-from swarmd.sim.film.renderer import Renderer
-from swarmd.sim.film.stage import stage_of
+from swarmd.sim.film.film import Drawing
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.plots.scene import Extent
 from swarmd.sim.scenarios.simulation import meta_of
@@ -24,7 +23,6 @@ class Pictures:
     """The present state of one run from above: the whole arena, robots coloured by their state."""
 
     def __init__(self, swarm: Lockstep) -> None:
-        """PluginError if no way of rendering without a display is installed."""
         self._swarm = swarm
         world, scenario = swarm.world, swarm.scenario
         half, wide = scenario.arena.length / 2.0 + _MARGIN, scenario.arena.width / 2.0 + _MARGIN
@@ -36,19 +34,13 @@ class Pictures:
             box_shapes=world.loose_shapes,
         )
         trace, colouring = self._present()
-        platforms = {platform.name: platform for platform in world.platforms}
         extent = Extent(-half, half, -wide, wide)
-        stage = stage_of(trace, SIZE, platforms, scenario.fields, extent)
-        self._renderer = Renderer(trace, stage, colouring, "top")
+        self._drawing = Drawing(trace, colouring, SIZE, extent, scenario.fields)
 
     def picture(self) -> NDArray[np.uint8]:
         """The present state: (height, width, 3) uint8."""
-        self._renderer.show(*self._present())
-        return np.ascontiguousarray(self._renderer.frame(0.0))
-
-    def close(self) -> None:
-        """Free the renderer."""
-        self._renderer.close()
+        self._drawing.show(*self._present())
+        return self._drawing.at(0.0).copy()
 
     def _present(self) -> tuple[Trace, Colouring]:
         """A trace of the present instant alone."""

@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 from swarmd.core.clock import boottime
@@ -25,7 +25,8 @@ from swarmd.sim.live.fleet import WORLD, Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.recording import StatusLog
 from swarmd.sim.live.state import WorldState
-from swarmd.sim.live.summary import DemoSummary, DoneEvent, mean_duty, numbers_of, problems_of
+from swarmd.sim.live.summary import METRICS, DemoSummary, DoneEvent, all_moved_after, problems_of
+from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.trace import load_trace
 from swarmd.view.scene import Area, Scene
@@ -33,7 +34,6 @@ from swarmd.view.scene import Area, Scene
 STATUS_PERIOD = 0.5  # s between two rounds of statuses: what a terminal can show without much load
 STATUS_TIMEOUT = 3.0  # s for the statuses at the start and the end, which decide about problems
 WORLD_TIMEOUT = 5.0  # s without a state, after which the world counts as lost
-MIN_MOVE = 1e-3  # m or rad
 
 
 class LiveTimeline:
@@ -120,38 +120,14 @@ def _check(verb: str, outcome: Outcome) -> None:
         raise SwarmError(starting.why_not(verb, outcome))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DemoSettings:
-    """The events and the duration of a demo."""
-
-    events: tuple[ScheduledEvent, ...]  # in order of time
-    seconds: float  # simulated
-    pattern: str  # the patterns, as a text for the display
-    platform: str  # the platforms, as a text for the display
-
-
 class WorldWatcher:
-    """The newest state of the simulated world, which a Zenoh thread hands over.
-
-    `all_moved_at`: when the last robot made its first move after `begin`, in s on the clock since
-    boot; None before.
-    """
+    """The newest state of the simulated world, which a Zenoh thread hands over."""
 
     def __init__(self, world: WorldView, timeout: float = WORLD_TIMEOUT) -> None:
         self._timeout = timeout
         self._changed = threading.Condition()
         self._state: WorldState | None = None
-        self._start: WorldState | None = None
-        self._moved: set[str] = set()
-        self.all_moved_at: float | None = None
         world.watch(self._take)
-
-    def begin(self, start: WorldState) -> None:
-        """Watch which robots have moved since the state `start`."""
-        with self._changed:
-            self._start = start
-            self._moved = set()
-            self.all_moved_at = None
 
     def wait(self, since: float = -1.0) -> WorldState:
         """Wait for a state whose simulated time is later than `since` s, and return it.
@@ -171,25 +147,30 @@ class WorldWatcher:
     def _take(self, state: WorldState) -> None:
         with self._changed:
             self._state = state
-            if self._start is not None and self.all_moved_at is None:
-                self._moved |= _moved(self._start, state)
-                if len(self._moved) == len(state.ids):
-                    self.all_moved_at = boottime()
             self._changed.notify_all()
 
 
 class DemoRun:
-    """One demo. `on_scene` is called about twice a second."""
+    """One demo of `seconds` s of simulation; `events` in order of time.
+
+    `on_scene` is called about twice a second.
+    """
 
     def __init__(
         self,
-        settings: DemoSettings,
+        events: Sequence[ScheduledEvent],
+        seconds: float,
         fleet: Fleet,
         operator: Operator,
         world: WorldView,
         on_scene: Callable[[Scene], None],
     ) -> None:
-        self._settings = settings
+        self._events = events
+        self._seconds = seconds
+        patterns = dict.fromkeys(event.pattern for event in events if event.pattern)
+        self._pattern = "+".join(patterns) or "no pattern"
+        platforms = dict.fromkeys(Path(name).stem for name in fleet.spec.robots.values())
+        self._platform = "+".join(platforms)
         self._fleet = fleet
         self._operator = operator
         self._world = world
@@ -210,14 +191,13 @@ class DemoRun:
         """
         # 1. Robots are up; the recording starts; the first patterns run.
         view = starting.await_robots(self._operator, self._fleet, tell)
-        recording_began = time.monotonic()
+        recording_began = boottime()
         start = self._world.ask("start").state
-        self._watcher.begin(start)
         idle = starting.statuses_of(view)
-        first_runs, later_events = _split(self._settings.events)
-        started = starting.joined(
-            starting.start_pattern(self._operator, view, run) for run in first_runs
-        )
+        first_runs, later_events = _split(self._events)
+        missing: dict[str, str] = {}
+        for run in first_runs:
+            missing |= starting.start_pattern(self._operator, view, run)
 
         # 2. Events, until the recording is complete.
         self._timeline = LiveTimeline(later_events, self._fleet, self._operator, self._world)
@@ -228,7 +208,7 @@ class DemoRun:
         except SwarmError as error:
             self._fleet.check(WORLD)  # without the world there is no summary
             faults = [str(error)]
-        real_s = time.monotonic() - recording_began
+        real_s = boottime() - recording_began
         end = self._world.ask("finish").state  # it records on after an early end
 
         # 3. The end: statuses, and a stop of all robots.
@@ -236,8 +216,11 @@ class DemoRun:
         stop_outcome = self._timeline.send_stop("stop", self._fleet.robots)
         if stop_outcome.exit_code:
             faults.append(starting.why_not("stop", stop_outcome))
+        faults += [f"{name} did not start: {text}" for name, text in missing.items()]
+        started = [robot for run in first_runs for robot in run.robots if robot not in missing]
+        delay = recording_began - began
         return self._summary(
-            trace, began, end.recorded / real_s, started, (idle, before, after), faults
+            trace, delay, end.recorded / real_s, started, (idle, before, after), faults
         )
 
     def _follow(self, statuses: dict[str, Status], since: float) -> None:
@@ -249,9 +232,7 @@ class DemoRun:
         state = self._watcher.wait(since=since)
         next_query = 0.0
         with noted_signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP) as self._signals:
-            while (
-                not self._signals and state.is_recording and state.recorded < self._settings.seconds
-            ):
+            while not self._signals and state.is_recording and state.recorded < self._seconds:
                 self._timeline.apply(state.recorded)
                 self._log.add_present(state.recorded, self._fleet.robots)
                 if time.monotonic() >= next_query:
@@ -267,11 +248,10 @@ class DemoRun:
                     raise
 
     def _scene(self, state: WorldState, statuses: Mapping[str, Status]) -> Scene:
-        settings = self._settings
         return Scene(
             title=(
-                f"{settings.pattern}, {len(self._robots)} {settings.platform}:"
-                f" {state.recorded:.0f} of {settings.seconds:.0f} s,"
+                f"{self._pattern}, {len(self._robots)} {self._platform}:"
+                f" {state.recorded:.0f} of {self._seconds:.0f} s,"
                 f" {state.real_time_factor:.2f} times real time, contacts {state.contacts}"
             ),
             area=Area(state.arena),
@@ -283,57 +263,59 @@ class DemoRun:
     def _summary(
         self,
         trace_path: Path,
-        began: float,
+        delay: float,
         real_time_factor: float,
-        started: starting.Started,
+        started: Sequence[str],
         statuses: tuple[Mapping[str, Status], Mapping[str, Status], Mapping[str, Status]],
         faults: list[str],
     ) -> DemoSummary:
         """The summary of the demo; adds states and reports of robots to the trace file.
 
-        `began`: s on the clock since boot, the start of the user's command. `started`: the robots
-        that run the first patterns. `statuses`: before the run, at its start, and at the end.
-        `faults`: what ended the run early, and of the stop at the end.
+        `delay`: s from the start of the user's command to that of the recording. `started`: the
+        robots that run the first patterns. `statuses`: before the run, at its start, and at the
+        end. `faults`: problems of the start and the end of the run.
         """
         spec = self._fleet.spec
         *_, after = statuses
         trace = self._log.merged_into(load_trace(trace_path))
+        if spec.live is None:  # a scenario's events name its patterns
+            trace = replace(trace, meta={**trace.meta, "pattern": self._pattern})
         try:
             trace.save(trace_path)
         except OSError as error:  # a full disk: the trace of the world alone is kept
             why = error.strerror or error
             faults = [*faults, f"the trace has no states and reports of robots: {why}"]
-        platforms = {platform.name: platform for platform in spec.platforms().values()}
-        numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
-        problems = faults + self._problems(started, statuses, numbers.contacts)
-        all_moved_at = self._watcher.all_moved_at
+        reported = [f"report:{key}.mean_end" for key in trace.report]
+        reported += [f"reading:{key}.mean_end" for key in trace.readings]
+        metrics = measure(trace, [*METRICS, *reported])
+        problems = faults + self._problems(started, statuses, int(metrics["robot_contacts"] or 0))
+        moving = all_moved_after(trace)
         return DemoSummary(
-            pattern=self._settings.pattern,
-            platform=self._settings.platform,
+            pattern=self._pattern,
+            platform=self._platform,
             robots=self._robots,
-            late=started.late,
             arena=spec.arena,
             layout=spec.layout,
             seed=spec.seed,
-            seconds_to_moving=None if all_moved_at is None else round(all_moved_at - began, 2),
+            seconds_to_moving=moving and round(delay + moving / real_time_factor, 2),
             # Whether protection runs compiled or interpreted, as each daemon states.
             kernels=" / ".join(sorted({status.kernels for status in after.values()})) or "-",
-            numbers=numbers,
+            seconds=trace.duration,
+            real_time_factor=real_time_factor,
+            metrics=metrics,
             problems=tuple(problems),
             signal=next(iter(self._signals), 0),
             scenario=spec.live.scenario.name if spec.live else "",
             events=tuple(self._timeline.done),
-            reports={name: dict(status.report) for name, status in after.items()},
-            readings={name: dict(status.readings) for name, status in after.items()},
         )
 
     def _problems(
         self,
-        started: starting.Started,
+        started: Sequence[str],
         statuses: tuple[Mapping[str, Status], Mapping[str, Status], Mapping[str, Status]],
         contacts: int,
     ) -> list[str]:
-        """The problems of the run, each as a line: of the start, of robots, and of events.
+        """The problems of robots and of events, each as a line.
 
         A robot of an event may have been stopped by the event, or have lost its daemon. So for the
         robots of events only a fault is a problem.
@@ -341,9 +323,8 @@ class DemoRun:
         events = self._timeline.done
         *_, after = statuses
         robots_of_events = {robot for event in events for robot in event.robots}
-        other_robots = [robot for robot in started.robots if robot not in robots_of_events]
-        problems = [f"{name} did not start: {text}" for name, text in started.missing.items()]
-        problems += problems_of(other_robots, *statuses, contacts)
+        other_robots = [robot for robot in started if robot not in robots_of_events]
+        problems = [*problems_of(other_robots, *statuses, contacts)]
         problems += [f"{e.action} at {e.at:g} s: {e.problem}" for e in events if e.problem]
         problems += [
             f"{name} ended faulted: {after[name].detail}"
@@ -362,12 +343,3 @@ def _split(
         len(events),
     )
     return events[:count], events[count:]
-
-
-def _moved(start: WorldState, now: WorldState) -> set[str]:
-    before = dict(zip(start.ids, start.poses, strict=True))
-    return {
-        robot
-        for robot, pose in zip(now.ids, now.poses, strict=True)
-        if any(abs(a - b) > MIN_MOVE for a, b in zip(pose, before[robot], strict=True))
-    }

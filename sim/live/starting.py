@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -27,15 +26,6 @@ TELL_PERIOD = 5.0  # s between two progress lines
 UP_TIMEOUT, UP_TIMEOUT_EACH = 20.0, 1.0  # s, and s more per robot: slow machines, cold disks
 # Twelve Burgers on a busy machine: four needed more than the 3 s in which a pattern must load.
 RUN_ATTEMPTS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Started:
-    """The result of the start of a pattern on robots."""
-
-    robots: tuple[str, ...]  # that run the pattern
-    late: tuple[str, ...]  # those of `robots` that needed more than one request
-    missing: Mapping[str, str]  # why each remaining robot does not run the pattern, by robot
 
 
 def await_robots(
@@ -100,10 +90,11 @@ def statuses_of(view: MembersView) -> dict[str, Status]:
     }
 
 
-def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> Started:
-    """Start the pattern of a run event on its robots, in at most RUN_ATTEMPTS requests.
+def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> dict[str, str]:
+    """Start the pattern of a run event on its robots; returns why robots do not run it, by robot.
 
-    Each request after the first goes to the robots that do not run the pattern yet. `view`: the
+    There are at most RUN_ATTEMPTS requests. Each after the first goes to the robots that do not run
+    the pattern yet. `view`: the
     members, with their epochs for the first request. (An epoch counts the changes of a robot. A
     robot refuses a request that names an earlier epoch.) ConfigError if all robots refuse the first
     request. SwarmError if no robot runs the pattern after the last request.
@@ -112,25 +103,23 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
     outcome = operator.request(RunRequest, view.epochs(run.robots), issued=began, **run_fields(run))
     if len(outcome.refused) == len(run.robots):
         raise ConfigError(why_not("run", outcome))
-    started_at_once, started_late = set(outcome.applied), set[str]()
+    started = set(outcome.applied)
     for _ in range(RUN_ATTEMPTS - 1):
-        not_started = set(run.robots) - started_at_once - started_late
-        if not not_started:
+        if started.issuperset(run.robots):
             break
         # A robot may run the pattern although its acknowledgement was late or lost.
         view = operator.members()
-        started_late |= not_started & _running(view, run.pattern)
+        started |= _running(view, run.pattern)
         # If all robots run by now, `targets` is empty, and the request goes to no robot. So the
         # last outcome has no reasons: earlier outcomes have reasons of robots that run by now.
-        targets = tuple(name for name in run.robots if name in not_started - started_late)
+        targets = tuple(name for name in run.robots if name not in started)
         outcome = operator.request(
             RunRequest, view.epochs(targets), issued=began, **run_fields(run)
         )
-        started_late.update(outcome.applied)
-    started = started_at_once | started_late
+        started.update(outcome.applied)
     if not started:
         raise SwarmError(why_not("run", outcome))
-    return Started(tuple(sorted(started)), tuple(sorted(started_late)), _texts(outcome))
+    return _texts(outcome)
 
 
 def _running(view: MembersView, pattern: str) -> set[str]:
@@ -140,16 +129,6 @@ def _running(view: MembersView, pattern: str) -> set[str]:
         for name, status in statuses_of(view).items()
         if status.state is State.RUNNING and status.pattern == pattern
     }
-
-
-def joined(parts: Iterable[Started]) -> Started:
-    """The results of several starts, joined."""
-    starts = list(parts)
-    return Started(
-        tuple(sorted(robot for start in starts for robot in start.robots)),
-        tuple(sorted(robot for start in starts for robot in start.late)),
-        {robot: text for start in starts for robot, text in start.missing.items()},
-    )
 
 
 def run_fields(run: ScheduledEvent) -> dict[str, Any]:

@@ -2,41 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from swarmd.core.messages import State, Status
-from swarmd.core.values import Platform, Scalar
-from swarmd.sim.metrics.aggregation import cluster_counts, distance_to_centroid, largest_cluster
-from swarmd.sim.metrics.contacts import count_of
-from swarmd.sim.metrics.gap import minimum_gap
-from swarmd.sim.metrics.kinematics import mean_speed
+from swarmd.sim.metrics.catalog import metric_of
 from swarmd.sim.trace import Trace
 
-LATE_SHARE = 0.2  # the last share of a run, over which the mean speed is taken
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Numbers:
-    """Numbers of a run, in m, m/s and s; `before` is the start and `after` the end of the run."""
-
-    seconds: float  # simulated
-    real_time_factor: float
-    centroid_before: float  # mean distance of the robots from their centroid
-    centroid_after: float
-    link: float
-    """Robots within this distance belong to one cluster: twice the protection threshold."""
-    clusters_before: int
-    clusters_after: int
-    largest_cluster: int  # robots, at the end
-    contacts: int  # contact episodes between robots
-    arena_contacts: int  # contact episodes with walls and obstacles
-    minimum_gap: float | None  # None for a single robot
-    mean_speed_late: float
-    protection_duty: float | None
-    """The share of decisions in which protection changed the requested command; None if unknown."""
+METRICS = (
+    *("mean_distance_to_centroid_start", "mean_distance_to_centroid_end", "clusters_end"),
+    *("largest_cluster", "robot_contacts", "arena_contacts", "minimum_gap", "path_length"),
+    *("mean_speed", "protection_duty"),
+)
+"""What a summary tells of each run, by the names of the catalog."""
+MIN_MOVE = 1e-3  # m or rad
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,20 +39,19 @@ class DemoSummary:
     pattern: str
     platform: str
     robots: tuple[str, ...]
-    late: tuple[str, ...] = ()  # robots that started only when they were asked again
     arena: str
     layout: str
     seed: int
     # From the start of the command until all robots moved; None if some robot did not move.
     seconds_to_moving: float | None
     kernels: str  # the code that decided, as the robots reported it
-    numbers: Numbers
+    seconds: float  # simulated
+    real_time_factor: float
+    metrics: Mapping[str, float | None]  # by name; None without a value
     problems: tuple[str, ...]  # empty if all robots ran to the end and no two touched
     signal: int = 0  # the number of the signal that ended the run early; 0: none
     scenario: str = ""
     events: tuple[DoneEvent, ...] = ()  # those after the start
-    reports: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)  # the last, by robot
-    readings: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)  # the last, by robot
 
     @property
     def is_good(self) -> bool:
@@ -83,75 +64,30 @@ class DemoSummary:
 
     def lines(self) -> list[tuple[str, str]]:
         """(name, value) pairs to print."""
-        n = self.numbers
-        moving, duty = self.seconds_to_moving, n.protection_duty
+        moving = self.seconds_to_moving
         arena = self.arena.partition(",item/")[0]  # of hundreds of items none is listed
         return [
             ("robots", f"{len(self.robots)} {self.platform}, {self.pattern}, {arena} m"),
-            ("simulated time", f"{n.seconds:.1f} s, {n.real_time_factor:.2f} times real time"),
+            (
+                "simulated time",
+                f"{self.seconds:.1f} s, {self.real_time_factor:.2f} times real time",
+            ),
             ("all moving after", "not all moved" if moving is None else f"{moving:.1f} s"),
-            *([("started late", ", ".join(self.late))] if self.late else []),
-            ("distance to centroid", f"{n.centroid_before:.2f} m -> {n.centroid_after:.2f} m"),
-            ("clusters", f"{n.clusters_before} -> {n.clusters_after}"),
-            ("largest cluster", f"{n.largest_cluster} of {len(self.robots)}"),
-            ("contacts", f"{n.contacts} between robots, {n.arena_contacts} with walls"),
-            ("minimum gap", "-" if n.minimum_gap is None else f"{n.minimum_gap:.2f} m"),
-            ("speed at the end", f"{n.mean_speed_late:.3f} m/s"),
-            *_spread("reported", self.reports),
-            *_spread("reading", self.readings),
+            *(
+                (name, f"{value:.3g} {metric_of(name).unit}".rstrip())
+                for name, value in self.metrics.items()
+                if value is not None
+            ),
             ("kernels", self.kernels),
-            ("protection active", "-" if duty is None else f"{100 * duty:.0f} % of decisions"),
         ]
 
 
-def _spread(what: str, values: Mapping[str, Mapping[str, Scalar]]) -> list[tuple[str, str]]:
-    """A line for each name: the mean and the range of the numbers of all robots."""
-    numbers: dict[str, list[float]] = {}
-    for of_robot in values.values():
-        for name, value in of_robot.items():
-            if isinstance(value, int | float):
-                numbers.setdefault(name, []).append(float(value))
-    return [
-        (
-            f"{what} {name}",
-            f"{sum(of_all) / len(of_all):.3g} ({min(of_all):.3g} to {max(of_all):.3g})",
-        )
-        for name, of_all in sorted(numbers.items())
-    ]
-
-
-def numbers_of(
-    trace: Trace, platforms: Mapping[str, Platform], duty: float | None, real_time_factor: float
-) -> Numbers:
-    """The numbers of a trace; `platforms` by name, `duty` as the robots reported it."""
-    kinds = (platforms[name] for name in set(trace.platforms))
-    link = 2.0 * max(float(kind.protection.get("threshold", 0.5)) for kind in kinds)
-    away = distance_to_centroid(trace)
-    counts = cluster_counts(trace, link)
-    gap = minimum_gap(trace)
-    return Numbers(
-        seconds=trace.duration,
-        real_time_factor=real_time_factor,
-        centroid_before=float(away[0]),
-        centroid_after=float(away[-1]),
-        link=link,
-        clusters_before=int(counts[0]),
-        clusters_after=int(counts[-1]),
-        largest_cluster=int(largest_cluster(trace, link)[-1]),
-        contacts=count_of(trace, "robot"),
-        arena_contacts=count_of(trace, "arena"),
-        minimum_gap=gap if math.isfinite(gap) else None,
-        mean_speed_late=mean_speed(trace, (1.0 - LATE_SHARE) * trace.duration) or 0.0,
-        protection_duty=duty,
-    )
-
-
-def mean_duty(statuses: Mapping[str, Status]) -> float | None:
-    """The share of all decisions since `run` in which protection was active; None without any."""
-    decisions = sum(s.decision.decisions for s in statuses.values())
-    if not decisions:
+def all_moved_after(trace: Trace) -> float | None:
+    """When the last robot made its first move, in s from the start; None if some did not move."""
+    has_moved = (np.abs(trace.pose - trace.pose[0]) > MIN_MOVE).any(axis=2)
+    if not has_moved.any(axis=0).all():
         return None
-    return sum(s.decision.duty * s.decision.decisions for s in statuses.values()) / decisions
+    return float(trace.t[has_moved.argmax(axis=0).max()] - trace.t[0])
 
 
 def problems_of(

@@ -45,13 +45,9 @@ _STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoco.MjModel:
     """The compiled model; body i owns qpos and qvel 3i to 3i + 2: x, y, yaw.
 
-    The robots come first, then the arena's movable boxes, then its pucks.
+    The robots come first, then the arena's movable boxes, then its pucks. Bodies are `robot/ID` and
+    `box-body/NAME`.
     """
-    return build_spec(robots, arena, dt).compile()
-
-
-def build_spec(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoco.MjSpec:
-    """The model before it is compiled: bodies `robot/ID` and `box-body/NAME`."""
     spec = mujoco.MjSpec()
     spec.option.timestep = dt
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -68,7 +64,7 @@ def build_spec(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoc
         _add_movable_box(spec, name, box)
     for item in arena.items:
         _add_item(spec, item)
-    return spec
+    return spec.compile()
 
 
 def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:

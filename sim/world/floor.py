@@ -182,7 +182,7 @@ def picture(path: str) -> Array:
     try:
         from PIL import Image
     except ImportError as error:
-        raise PluginError("a floor with a picture needs pillow; install swarmd[film]") from error
+        raise PluginError("a floor with a picture needs pillow; install swarmd[plot]") from error
     try:
         with open_regular(path) as file, Image.open(file, formats=FORMATS) as image:
             width, height = image.size

@@ -114,7 +114,6 @@ def run(folder: Path, system: dict[str, str], code: str) -> str:
     text = BLOCK.format(absent=set(system[""].split()), lacking=lacking)
     (blocked / "sitecustomize.py").write_text(text)
     (folder / "duo.yaml").write_text(SCENARIO)
-    # How films are rendered is for Linux alone.
     inherited = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
     done = subprocess.run(
         [sys.executable, "-c", code],

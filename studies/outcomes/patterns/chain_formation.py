@@ -19,7 +19,6 @@ SHORT_FORM = {"has_more": False}
 FILM = {
     "title": "from the nest in the middle to the goal on the right",
     "stop": 150.0,
-    "camera": "top",
 }
 ROBOTS, FAR, REACH = 10, 3.0, 2.0
 """Robots, m from the nest to the goal, and m of the radio."""

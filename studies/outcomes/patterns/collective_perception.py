@@ -32,7 +32,7 @@ from tests.support.voting_sim import Air
 NAME = "collective_perception"
 SHORT_FORM = {"shares": (0.66,), "has_bodies": False}
 IS_LONG = True
-FILM = {"title": "62 % is black", "stop": 160.0, "colour": "opinion", "camera": "top"}
+FILM = {"title": "62 % is black", "stop": 160.0, "colour": "opinion"}
 RULES = ("voter", "majority", "comparison")
 SHARES = (0.52, 0.56, 0.60, 0.66)
 """Shares of black tiles."""

@@ -14,7 +14,7 @@ from swarmd.sim.trace import Trace
 NAME = "cooperative_transport"
 SHORT_FORM = {"shapes": ((0.5, 0.5),), "duration": 80.0}
 IS_LONG = True
-FILM = {"title": "to a lamp on the right", "stop": 75.0, "camera": "top"}
+FILM = {"title": "to a lamp on the right", "stop": 75.0}
 LAMP = (2.0, 0.0)
 ARRIVED = 0.5
 """m from the lamp: the box, 0.25 m from its middle to its sides, has arrived."""

@@ -13,7 +13,7 @@ from swarmd.sim.experiments.simulate import simulate
 
 NAME = "cue_aggregation"
 IS_LONG = True
-FILM = {"title": "the right is warmer", "stop": 240.0, "camera": "top"}
+FILM = {"title": "the right is warmer", "stop": 240.0}
 WARMER, WARM, RADIUS = (1.5, 0.0), (-1.5, 0.0), 1.0
 """The spots and how far around them robots count, in m: 0.21 of the floor."""
 _MAJORITY = "Schmickl and Hamann 2011: of two optima the majority is at the better one"

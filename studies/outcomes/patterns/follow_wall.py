@@ -15,7 +15,7 @@ from swarmd.sim.trace import Trace
 
 NAME = "follow_wall"
 SHORT_FORM = {"duration": 90.0, "has_more": False}
-FILM = {"stop": 120.0, "camera": "top"}
+FILM = {"stop": 120.0}
 SIDE, DISTANCE, OFF = 6.0, 0.5, 0.1
 """The room's side, the distance of a Burger and the error of it that counts as kept, in m."""
 DURATION = 180.0

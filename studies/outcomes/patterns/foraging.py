@@ -15,7 +15,7 @@ from swarmd.sim.experiments.simulate import simulate
 NAME = "foraging"
 SHORT_FORM = {"sizes": (1, 4), "duration": 120.0}
 IS_LONG = True
-FILM = {"title": "from the source on the right to the nest", "stop": 120.0, "camera": "top"}
+FILM = {"title": "from the source on the right to the nest", "stop": 120.0}
 SIZES = (1, 6, 14, 20)
 DURATION = 200.0
 DARK = {"fields.0.power": 0.0}

@@ -16,7 +16,7 @@ from swarmd.sim.experiments.simulate import simulate
 NAME = "hexagonal_lattice"
 SHORT_FORM = {"has_more": False}
 IS_LONG = True
-FILM = {"stop": 90.0, "camera": "top"}
+FILM = {"stop": 90.0}
 ROBOTS, DISTANCE, SECONDS = 30, 0.7, 120.0
 WEAK = {"strongest": 1.0}
 """The repulsion is no stronger than the attraction of the next neighbours."""

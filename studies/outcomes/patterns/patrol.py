@@ -17,7 +17,7 @@ from tests.support.voting_sim import Air
 
 NAME = "patrol"
 SHORT_FORM = {"numbers": (1, 4), "has_bodies": False}
-FILM = {"title": "nine places", "stop": 150.0, "camera": "top"}
+FILM = {"title": "nine places", "stop": 150.0}
 PLACES = ((0, 0), (2, 0), (4, 0), (4, 2), (2, 2), (0, 2), (0, 4), (2, 4), (4, 4))
 TEXT = ", ".join(f"{x} {y}" for x, y in PLACES)
 WAY = 16.0 + 2.0 * math.sqrt(2.0)

@@ -16,7 +16,7 @@ from swarmd.testing.scans import empty_scan
 
 NAME = "shelter_choice"
 SHORT_FORM = {"robots": 8, "seconds": 240.0, "has_controls": False}
-FILM = {"title": "two equal shelters", "colour": "report:state", "camera": "top"}
+FILM = {"title": "two equal shelters", "colour": "report:state"}
 ROBOTS, SIDE, SECONDS, EVERY = 12, 6.0, 400.0, 10.0
 """Points in a square in m whose opposite sides are joined."""
 SHELTERS, RADIUS = np.array([[1.5, 3.0], [4.5, 3.0]]), 0.7

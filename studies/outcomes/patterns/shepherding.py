@@ -15,7 +15,7 @@ from swarmd.core.values import Scalar, Value
 NAME = "shepherding"
 SHORT_FORM = {"sizes": (4, 8), "has_loose": False}
 IS_LONG = True
-FILM = {"title": "to the goal on the left", "stop": 240.0, "colour": "report:role", "camera": "top"}
+FILM = {"title": "to the goal on the left", "stop": 240.0, "colour": "report:role"}
 SIZES = (4, 8, 12)
 SECONDS, EVERY = 600.0, 2.0
 NEAR = 2.5

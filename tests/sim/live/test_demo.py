@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -20,7 +19,7 @@ from swarmd.core.messages import Presence, Reason, State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.cli.demo import progress_lines, report
-from swarmd.sim.live.summary import DemoSummary, Numbers
+from swarmd.sim.live.summary import METRICS, DemoSummary
 from swarmd.view.scene import Area, Scene
 from tests.sim.conftest import Refusal
 from tests.support.processes import CAP, run_command, unique_swarm, wait_until
@@ -109,7 +108,6 @@ def test_a_wrong_option_is_one_line_and_starts_nothing(
 
 @pytest.fixture
 def summary() -> DemoSummary:
-    numbers = dict.fromkeys((field.name for field in fields(Numbers)), 1)
     return DemoSummary(
         pattern="attraction",
         platform="burger",
@@ -119,7 +117,9 @@ def summary() -> DemoSummary:
         seed=0,
         seconds_to_moving=1.0,
         kernels="compiled",
-        numbers=Numbers(**numbers),  # ones in every field
+        seconds=1.0,
+        real_time_factor=1.0,
+        metrics=dict.fromkeys(METRICS, 1.0),
         problems=(),
     )
 

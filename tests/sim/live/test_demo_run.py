@@ -20,11 +20,10 @@ from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.members_view import MembersView, SeenMember
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
-from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.demo_run import DemoRun, DemoSettings, WorldWatcher
+from swarmd.sim.live.demo_run import DemoRun, WorldWatcher
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
-from swarmd.sim.live.starting import Started, know_each_other, start_pattern
+from swarmd.sim.live.starting import know_each_other, start_pattern
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.live.summary import DemoSummary
 from swarmd.sim.scenarios.scenario import ScheduledEvent
@@ -96,7 +95,7 @@ def test_robots_know_each_other_if_hearing_is_mutual(
     assert know_each_other(view, ROBOTS, all_hear_all) is known
 
 
-def start(operator: FakeOperator) -> Started:
+def start(operator: FakeOperator) -> dict[str, str]:
     return start_pattern(cast(Operator, operator), operator.members(), RUN)
 
 
@@ -122,52 +121,42 @@ def test_the_newest_state_is_given_or_an_error(world: FakeWorld, watcher: WorldW
         watcher.wait(since=2.0)
 
 
-def test_all_have_moved_once_each_has(world: FakeWorld, watcher: WorldWatcher) -> None:
-    watcher.begin(state(0.0, 0.0, 1.0))
-    world.send(state(0.1, 0.01, 1.0))
-    assert watcher.all_moved_at is None
-    world.send(state(0.2, 0.0, 1.0005))  # the first is back at its start; the second has not moved
-    assert watcher.all_moved_at is None
-    world.send(state(0.3, 0.0, 1.002))
-    assert watcher.all_moved_at is not None
-
-
 LOST: Mapping[str, Code | None] = {"b": Code.FAILED, "c": None}
 
 
 @pytest.mark.parametrize(
-    ("rounds", "running", "started", "asked"),
+    ("rounds", "running", "missing", "asked"),
     [
-        ([dict.fromkeys(ROBOTS, Code.APPLIED)], "", Started(ROBOTS, (), {}), [ROBOTS]),
+        ([dict.fromkeys(ROBOTS, Code.APPLIED)], "", {}, [ROBOTS]),
         # Those that fail or do not answer are asked again,
         (
             [{"a": Code.APPLIED, **LOST}, {"b": Code.APPLIED, "c": None}, {"c": Code.APPLIED}],
             "",
-            Started(ROBOTS, ("b", "c"), {}),
+            {},
             [ROBOTS, ("b", "c"), ("c",)],
         ),
         # but a robot that runs is not, although its answer is missing,
         (
             [{"a": Code.APPLIED, "b": Code.APPLIED, "c": None}, {}],
             "c",
-            Started(ROBOTS, ("c",), {}),
+            {},
             [ROBOTS, ()],
         ),
         # and the demo goes on without those that do not start.
         (
             [{"a": Code.APPLIED, **LOST}, LOST, LOST],
             "",
-            Started(("a",), (), {"b": "b says failed", "c": "no answer"}),
+            {"b": "b says failed", "c": "no answer"},
             [ROBOTS, ("b", "c"), ("b", "c")],
         ),
     ],
 )
 def test_robots_that_did_not_start_are_asked_again(
-    rounds: list[Mapping[str, Code | None]], running: str, started: Started, asked: object
+    rounds: list[Mapping[str, Code | None]], running: str, missing: Mapping[str, str], asked: object
 ) -> None:
     operator = FakeOperator(*rounds)
     operator.running = set(running)
-    assert start(operator) == started
+    assert start(operator) == missing
     assert operator.asked == asked
 
 
@@ -199,10 +188,9 @@ class ShortDemo:
     robots = ("r0", "r1")
 
     def __init__(self, trace: Path, end: Callable[[], object]) -> None:
-        platforms = dict.fromkeys(self.robots, load_platform("burger"))
         self.spec = SimpleNamespace(
-            **{"robots": platforms, "folder": trace.parent, "swarm": "s", "all_hear_all": False},
-            **{"platforms": lambda: platforms, "arena": "6x6", "layout": "row", "seed": 0},
+            **{"robots": dict.fromkeys(self.robots, "burger"), "folder": trace.parent},
+            **{"swarm": "s", "all_hear_all": False, "arena": "6x6", "layout": "row", "seed": 0},
             live=None,
         )
         self.trace, self.end = trace, end
@@ -212,9 +200,8 @@ class ShortDemo:
 
     def perform(self) -> DemoSummary:
         run = ScheduledEvent(at=0.0, action="run", robots=self.robots, pattern="drive")
-        settings = DemoSettings(events=(run,), seconds=60.0, pattern="drive", platform="burger")
         fleet, operator, world = cast(Fleet, self), cast(Operator, self), cast(WorldView, self)
-        return DemoRun(settings, fleet, operator, world, self.show).perform(self.trace, 0.0)
+        return DemoRun((run,), 60.0, fleet, operator, world, self.show).perform(self.trace, 0.0)
 
     def show(self, scene: Scene) -> None:
         self.end()
@@ -255,9 +242,10 @@ def test_a_signal_ends_a_demo_with_a_stop_and_a_summary(
     summary = demo.perform()
     assert summary.signal == number
     assert summary.problems[0] == f"{number.name} ended the run early"
-    assert summary.numbers.seconds == 0.1
+    assert summary.seconds == 0.1
     assert demo.stopped == ["stop"]
     assert signal.getsignal(number) is before
+    assert load_trace(demo.trace).meta["pattern"] == "drive"
 
 
 def test_a_full_disk_costs_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -272,7 +260,7 @@ def test_a_full_disk_costs_no_summary(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("swarmd.sim.live.demo_run.load_trace", load)
     demo = ShortDemo(tmp_path / "trace.npz", lambda: signal.raise_signal(signal.SIGINT))
     summary = demo.perform()
-    assert summary.numbers.seconds == 0.1
+    assert summary.seconds == 0.1
     assert any("No space left on device" in problem for problem in summary.problems)
 
 

@@ -190,8 +190,8 @@ def test_a_demo_of_a_scenario_leaves_its_results_and_is_measured(
     assert [event["action"] for event in answer["events"]] == ["run climb", "param"]
     assert (answer["scenario"], answer["seed"]) == ("light", 3)
     assert (answer["apiVersion"], answer["problems"]) == ("swarm/v1", [])
-    assert answer["numbers"]["seconds"] == pytest.approx(4.0, abs=0.15)
-    assert answer["numbers"]["contacts"] == 0
+    assert answer["seconds"] == pytest.approx(4.0, abs=0.15)
+    assert answer["metrics"]["robot_contacts"] == 0
     assert answer["seconds_to_moving"] > 0.0
     folder = file.parent / answer["folder"]
     assert json.loads((folder / "summary.json").read_text())["robots"] == answer["robots"]
@@ -203,6 +203,7 @@ def test_a_demo_of_a_scenario_leaves_its_results_and_is_measured(
     light, seen = trace.readings["light"][-1], trace.report["seen"][-1]
     np.testing.assert_allclose(light, 5.0 + trace.pose[-1, :, 0], atol=0.1)
     np.testing.assert_allclose(seen, light, atol=0.1)
+    assert answer["metrics"]["report:seen.mean_end"] == pytest.approx(seen.mean())
     # On a busy machine a neighbor may be silent for a while, also at the end.
     assert np.nanmax(trace.report["near"], axis=0).tolist() == [2.0, 2.0, 2.0]
     # The loss is 0.5, and some forty messages are on their way to each robot.

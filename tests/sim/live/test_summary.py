@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarmd.core.messages import DecisionSummary, Health, Reason, State
+from swarmd.core.messages import Health, Reason, State
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.summary import DemoSummary, mean_duty, numbers_of, problems_of
+from swarmd.sim.live.summary import METRICS, DemoSummary, all_moved_after, problems_of
+from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.trace import Trace, TraceBuilder
 from tests.support.statuses import status
 
@@ -24,7 +26,7 @@ def problem(**end: Any) -> tuple[str, ...]:
 
 def closing_in() -> Trace:
     """Two robots on the x axis, 2 m apart, that come to 0.5 m within 10 s and then stand 10 s."""
-    recorder = TraceBuilder(("a", "b"), (BURGER, BURGER), {})
+    recorder = TraceBuilder(("a", "b"), (BURGER, BURGER), {"thresholds": {"burger": 0.5}})
     for time in np.arange(0.0, 20.0 + 1e-9, 0.1):
         half = max(1.0 - 0.075 * time, 0.25)
         poses = np.array([[-half, 0.0, 0.0], [half, 0.0, np.pi]])
@@ -34,7 +36,6 @@ def closing_in() -> Trace:
 
 
 def summary(**changes: Any) -> DemoSummary:
-    numbers = numbers_of(closing_in(), {"burger": BURGER}, 0.25, 0.99)
     plain: dict[str, Any] = {
         "pattern": "attraction",
         "platform": "burger",
@@ -44,40 +45,34 @@ def summary(**changes: Any) -> DemoSummary:
         "seed": 0,
         "seconds_to_moving": 1.5,
         "kernels": "compiled",
-        "numbers": numbers,
+        "seconds": 20.0,
+        "real_time_factor": 0.99,
+        "metrics": measure(closing_in(), METRICS),
         "problems": (),
     }
     return DemoSummary(**{**plain, **changes})
 
 
-def test_numbers_of_two_robots_that_meet() -> None:
-    numbers = summary().numbers
-    assert numbers.seconds == pytest.approx(20.0)
-    assert numbers.centroid_before == pytest.approx(1.0)
-    assert numbers.centroid_after == pytest.approx(0.25)
-    assert numbers.link == pytest.approx(2.0 * 0.5)  # twice the Burger's threshold
-    assert (numbers.clusters_before, numbers.clusters_after) == (2, 1)
-    assert numbers.largest_cluster == 2
-    assert (numbers.contacts, numbers.arena_contacts) == (0, 1)
-    assert numbers.minimum_gap == pytest.approx(0.5 - 2.0 * 0.038)  # nose to nose
-    assert numbers.mean_speed_late == pytest.approx(0.0, abs=1e-12)
-    assert numbers.protection_duty == 0.25
-
-
-def test_a_robot_alone_has_no_gap() -> None:
-    recorder = TraceBuilder(("a",), (BURGER,), {})
-    for time in (0.0, 1.0):
-        recorder.add(time, np.zeros((1, 3)), np.zeros((1, 3)))
-    numbers = numbers_of(recorder.trace(), {"burger": BURGER}, None, 1.0)
-    assert numbers.minimum_gap is None
-    assert numbers.clusters_after == 1
-
-
 def test_lines_name_unknown_values() -> None:
     lines = dict(summary(seconds_to_moving=None).lines())
     assert lines["all moving after"] == "not all moved"
-    assert lines["distance to centroid"] == "1.00 m -> 0.25 m"
-    assert lines["protection active"] == "25 % of decisions"
+    assert lines["mean_distance_to_centroid_start"] == "1 m"
+    assert lines["mean_distance_to_centroid_end"] == "0.25 m"
+    assert lines["largest_cluster"] == "2 robots"
+    assert lines["minimum_gap"] == "0.424 m"  # nose to nose, 0.038 m before the axles
+    assert lines["arena_contacts"] == "1"
+    assert "protection_duty" not in lines  # the trace has no decisions
+
+
+def test_all_have_moved_once_each_has() -> None:
+    trace = closing_in()
+    assert all_moved_after(trace) == pytest.approx(0.1)
+    pose = trace.pose.copy()
+    pose[:, 1] = pose[0, 1]
+    assert all_moved_after(replace(trace, pose=pose)) is None  # one has not moved
+    pose[:50, 1, 2] += 0.0005  # less than counts as a move
+    pose[50:, 1, 2] += 0.002
+    assert all_moved_after(replace(trace, pose=pose)) == pytest.approx(5.0)
 
 
 def test_robots_that_ran_to_the_end_are_no_problem() -> None:
@@ -111,16 +106,6 @@ def test_a_silent_robot_and_a_touch_are_problems() -> None:
     here = {"a": status("a"), "b": status("b")}
     found = problems_of(["a", "b"], here, here, {"a": status("a")}, 2)
     assert found == ("b did not answer at the end", "robots touched each other 2 times")
-
-
-def test_duty_is_weighted_by_decisions() -> None:
-    statuses = {
-        "a": status("a", decision=DecisionSummary(duty=0.5, decisions=300)),
-        "b": status("b", decision=DecisionSummary(duty=0.1, decisions=100)),
-        "c": status("c"),
-    }
-    assert mean_duty(statuses) == pytest.approx(0.4)
-    assert mean_duty({"c": status("c")}) is None
 
 
 def test_the_arena_is_told_without_its_items() -> None:
