@@ -8,7 +8,7 @@ not arrived is -inf.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Inputs, Neighbor
@@ -16,7 +16,18 @@ from swarmd.protection.decision import DecisionContext
 from swarmd.robot import timeouts
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections import deque
+    from collections.abc import Mapping
+
     import cython
+
+    from swarmd.core.neighbor_places import NeighborPlaces
+    from swarmd.core.values import Detection, Odometry, Pose, Scan
+    from swarmd.protection.decision import PoseAnchors
+    from swarmd.robot.peers import Peers
+    from swarmd.robot.sensors import RangeRing
+    from swarmd.sensing.odometry_history import OdometryHistory
+    from swarmd.sensing.scan_delay import ScanDelay
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -49,15 +60,15 @@ class InputAges:
     An object that the robot does not have is None.
     """
 
-    odometry = cython.declare(object, visibility="public")
-    scan = cython.declare(object, visibility="public")
-    readings = cython.declare(object, visibility="public")
-    detections = cython.declare(object, visibility="public")
-    pose = cython.declare(object, visibility="public")
+    odometry: Odometry | None = cython.declare(object, visibility="public")
+    scan: Scan | None = cython.declare(object, visibility="public")
+    readings: Mapping[str, float] = cython.declare(object, visibility="public")
+    detections: tuple[Detection, ...] | None = cython.declare(object, visibility="public")
+    pose: Pose | None = cython.declare(object, visibility="public")
     pose_until = cython.declare(cython.double, visibility="public")
-    scan_delay = cython.declare(object, visibility="public")
+    scan_delay: ScanDelay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
-    driver_hold = cython.declare(object, visibility="public")
+    driver_hold: Reason | None = cython.declare(object, visibility="public")
     permitted_delay = cython.declare(cython.double, visibility="public")
     _scan_at = cython.declare(cython.double, visibility="public")
     _odometry_at = cython.declare(cython.double, visibility="public")
@@ -67,24 +78,24 @@ class InputAges:
     _stale_after = cython.declare(cython.double, visibility="public")
     _max_delay = cython.declare(cython.double, visibility="public")
     _needs_odometry = cython.declare(cython.bint, visibility="public")
-    _problem = cython.declare(object, visibility="public")
-    _ring = cython.declare(object, visibility="public")
+    _problem: Reason | None = cython.declare(object, visibility="public")
+    _ring: RangeRing | None = cython.declare(object, visibility="public")
     _peers_due = cython.declare(cython.double, visibility="public")
-    _places = cython.declare(object, visibility="public")
-    _anchors = cython.declare(object, visibility="public")
+    _places: NeighborPlaces | None = cython.declare(object, visibility="public")
+    _anchors: PoseAnchors | None = cython.declare(object, visibility="public")
     _anchor_due = cython.declare(cython.double, visibility="public")
-    _teller = cython.declare(object, visibility="public")
+    _teller: Peers | None = cython.declare(object, visibility="public")
     _hazards_until = cython.declare(cython.double, visibility="public")
     _ends_run = cython.declare(cython.bint, visibility="public")
     _is_new_scan = cython.declare(cython.bint, visibility="public")
-    _history = cython.declare(object, visibility="public")
-    _inbox = cython.declare(object, visibility="public")
-    _neighbors = cython.declare(tuple, visibility="public")
+    _history: OdometryHistory = cython.declare(object, visibility="public")
+    _inbox: deque[Any] = cython.declare(object, visibility="public")
+    _neighbors: tuple[Neighbor, ...] = cython.declare(tuple, visibility="public")
     _neighbors_at = cython.declare(cython.double, visibility="public")
     # The neighbours with their ages, and how often these ages were computed anew.
-    _aged = cython.declare(tuple, visibility="public")
+    _aged: tuple[Neighbor, ...] = cython.declare(tuple, visibility="public")
     _renewals = cython.declare(cython.double, visibility="public")
-    _context = cython.declare(object, visibility="public")
+    _context: DecisionContext | None = cython.declare(object, visibility="public")
     _context_at: cython.double
 
     def __init__(self) -> None:
@@ -93,7 +104,7 @@ class InputAges:
         self._neighbors = self._aged = ()
 
     @cython.ccall
-    def on_odometry(self, odometry, now: cython.double):
+    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
         """Take in a measured pose and twist. An invalid reading is ignored.
 
         A reading whose stamp is not newer than the last stamp does not renew the age of odometry.
@@ -109,7 +120,7 @@ class InputAges:
                 self._anchor_due = self._anchors.until
 
     @cython.ccall
-    def neighbors(self, now: cython.double) -> tuple:
+    def neighbors(self, now: cython.double) -> tuple[Neighbor, ...]:
         """The neighbours; each age is exact to 0.5 s. Empty after 3 s without an update.
 
         `_places` adds the places that the base does not measure.
@@ -129,7 +140,7 @@ class InputAges:
         return self._aged if self._places is None else self._places.complete(self._aged, now)
 
     @cython.ccall
-    def inputs(self, now: cython.double, dt: cython.double):
+    def inputs(self, now: cython.double, dt: cython.double) -> Inputs:
         """The inputs for one step of the pattern; `dt`: s since the step before.
 
         Each message, and the mark of a new scan, appears in the inputs of a single step.
@@ -141,7 +152,7 @@ class InputAges:
             self._is_new_scan != 0,
             self.odometry,
             InputAges.neighbors(self, now),
-            self._take_messages(now) if self._inbox else (),
+            self._take_messages(now) if self._inbox else (),  # type: ignore[attr-defined]  # of Sensors
             self.readings,
             None if self._ring is None else self._ring.scan,
             self.detections,
