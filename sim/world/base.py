@@ -6,12 +6,16 @@ A kernel (see `swarmd/core/kernels.py`): `world.py` and `odometer.py` use it.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Sequence
+
     import cython
+
+    from swarmd.core.values import Array, Platform
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -50,13 +54,13 @@ class Bases:
     """
 
     # Positions and velocities of all bodies when `drive` was called.
-    before = cython.declare(object, visibility="readonly")
+    before: tuple[Array, Array] = cython.declare(object, visibility="readonly")
     # (n, 3) the linear, angular and lateral velocities that the servos aim at, in the base frame.
-    driven = cython.declare(object, visibility="readonly")
+    driven: Array = cython.declare(object, visibility="readonly")
     # (n, 2) m/s along the world's x and y, added to the velocity; callers may write the array.
-    drift = cython.declare(object, visibility="readonly")
+    drift: Array = cython.declare(object, visibility="readonly")
     # (n, 3) inertia along the world's x, y and yaw: the mass in kg twice, the moment in kg m2.
-    inert = cython.declare(object, visibility="readonly")
+    inert: Array = cython.declare(object, visibility="readonly")
     # The delay of commands in steps.
     delay_steps = cython.declare(cython.Py_ssize_t, visibility="readonly")
     _n: cython.Py_ssize_t
@@ -82,7 +86,13 @@ class Bases:
     _shares: cython.double[::1]
     _drift: cython.double[:, ::1]
 
-    def __init__(self, actuation, platforms, memory, dt):
+    def __init__(
+        self,
+        actuation: Any,
+        platforms: Sequence[Platform],
+        memory: tuple[Array, ...],
+        dt: float,
+    ) -> None:
         """Start n robots at rest.
 
         `actuation`: delay in s, and caps (upper limits) of acceleration; None: no cap. `platforms`
@@ -92,63 +102,63 @@ class Bases:
         """
         n: cython.Py_ssize_t = len(platforms)
         self._n, self._dt = n, dt
-        self._qpos, self._qvel, self._applied = map(memoryview, memory)
+        self._qpos, self._qvel, self._applied = (one.data for one in memory)
         self.before = memory[0].copy(), memory[1].copy()
-        self._qpos_before, self._qvel_before = map(memoryview, self.before)
+        self._qpos_before, self._qvel_before = (one.data for one in self.before)
         self._begin_commands(actuation, platforms)
         self._begin_servos(platforms)
         self.driven, self.drift = np.zeros((n, 3)), np.zeros((n, 2))
-        self._driven, self._drift = memoryview(self.driven), memoryview(self.drift)
+        self._driven, self._drift = self.driven.data, self.drift.data
 
     @cython.cfunc
-    def _begin_commands(self, actuation, platforms) -> cython.int:
+    def _begin_commands(self, actuation: Any, platforms: Sequence[Platform]) -> cython.int:
         """Set delay, caps and limits of the commands: linear, angular, lateral. Returns 0."""
         n: cython.Py_ssize_t = len(platforms)
         self.delay_steps = round(actuation.delay / self._dt)
-        self._delay_line = memoryview(np.zeros((self.delay_steps + 1, n, 3)))
-        self._command, self._capped = (memoryview(np.zeros((n, 3))) for _ in range(2))
+        self._delay_line = np.zeros((self.delay_steps + 1, n, 3)).data
+        self._command, self._capped = (np.zeros((n, 3)).data for _ in range(2))
         linear, angular = actuation.linear_acceleration, actuation.angular_acceleration
         self._is_capped = linear is not None or angular is not None
         caps = [math.inf if cap is None else cap * self._dt for cap in (linear, angular, linear)]
-        self._caps = memoryview(np.array(caps))
+        self._caps = np.array(caps).data
         limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
-        self._limits = memoryview(np.array(limits, np.float64).reshape(n, 3))
+        self._limits = np.array(limits, np.float64).reshape(n, 3).data
 
     @cython.cfunc
-    def _begin_servos(self, platforms) -> cython.int:
+    def _begin_servos(self, platforms: Sequence[Platform]) -> cython.int:
         """Set inertia, motors and tyres of the bases. Returns 0."""
         n: cython.Py_ssize_t = len(platforms)
         mass = np.array([value(platform, "mass") for platform in platforms], np.float64)
         moment = np.array([inertia(platform) for platform in platforms], np.float64)
         self.inert = np.stack((mass, mass, moment), axis=-1)
-        self._inert = memoryview(self.inert)
+        self._inert = self.inert.data
         # What the motors can do.
         accelerations = [_accelerations(platform) for platform in platforms]
-        self._max_steps = memoryview(np.array(accelerations, np.float64).reshape(n, 3) * self._dt)
-        self._shares = memoryview(np.array([_share(p, self._dt) for p in platforms], np.float64))
+        self._max_steps = (np.array(accelerations, np.float64).reshape(n, 3) * self._dt).data
+        self._shares = np.array([_share(p, self._dt) for p in platforms], np.float64).data
         # What the tyres transmit.
         grip = _FRICTION * _GRAVITY * mass
         half_axles = [value(platform, "wheel_separation") / 2.0 for platform in platforms]
-        self._grip = memoryview(grip)
-        self._grip_torque = memoryview(grip * np.array(half_axles, np.float64))
+        self._grip = grip.data
+        self._grip_torque = (grip * np.array(half_axles, np.float64)).data
 
-    def put(self, twists):
+    def put(self, twists: Any) -> None:
         """Set the commands (n, 3) linear, angular, lateral in each base frame.
 
         They are clipped to each platform's limits, as firmware does; non-finite values become 0.
         """
-        commands: cython.double[:, ::1] = memoryview(np.array(twists, np.float64, order="C"))
+        commands: cython.double[:, ::1] = np.array(twists, np.float64, order="C").data
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t
         for row in range(self._n):
             for k in range(3):
                 self._command[row, k] = commands[row, k]
 
-    def drive(self):
+    def drive(self) -> None:
         """Set the forces for the next step, and keep the present state; call once a step."""
         i: cython.Py_ssize_t
         row: cython.Py_ssize_t
-        for i in range(self._qpos.shape[0]):
+        for i in range(len(self._qpos)):
             self._qpos_before[i], self._qvel_before[i] = self._qpos[i], self._qvel[i]
         for row in range(self._n):
             self._aim(row)
@@ -212,13 +222,13 @@ class Bases:
         )
 
 
-def _accelerations(platform):
+def _accelerations(platform: Platform) -> tuple[Any, ...]:
     """Of each axis; sideways as ahead, unless `body` has a `lateral_acceleration`."""
     sideways = "lateral_acceleration" if "lateral_acceleration" in platform.body else _AHEAD
     return tuple(value(platform, key) for key in (_AHEAD, "angular_acceleration", sideways))
 
 
-def _share(platform, dt):
+def _share(platform: Platform, dt: cython.double) -> Any:
     """1; less for a base that follows commands as a first-order lag of `body.response_time` s."""
     time = platform.body.get("response_time", 0.0)
     return 1.0 - math.exp(-dt / time) if time > 0.0 else 1.0
@@ -237,25 +247,32 @@ class Wheels:
     _truth: cython.double[:, ::1]  # (n, 3) true poses at the last reading
     _reported: cython.double[:, ::1]  # (n, 3) poses that the last reading reported, not wrapped
     _slip: cython.double  # standard deviation
-    _rngs: list
-    _blocks: list  # of each base the row of `_draws`, into which its generator writes
+    _rngs: list[np.random.Generator]
+    _blocks: list[Array]  # of each base the row of `_draws`, into which its generator writes
     _draws: cython.double[:, :, ::1]  # (n, _DRAWS, 2) standard normal numbers
     _used: cython.Py_ssize_t[::1]  # (n,) how many pairs of `_draws` are used
     _slips: cython.double[2]  # factors near 1 on linear and angular motion of the present reading
 
-    def __init__(self, measured, truth, reported, slip, rngs):
+    def __init__(
+        self,
+        measured: Array,
+        truth: Array,
+        reported: Array,
+        slip: float,
+        rngs: list[np.random.Generator],
+    ) -> None:
         """`truth`, `reported` (n, 3): true and reported poses at the start, which `read` replaces.
 
         `measured` (n, 3, 3): from true to measured motion. `slip`: the standard deviation of the
         slip, which the generators `rngs` (n,) draw.
         """
-        self._measured = memoryview(measured)
-        self._truth, self._reported = memoryview(truth), memoryview(reported)
+        self._measured = measured.data
+        self._truth, self._reported = truth.data, reported.data
         draws = np.empty((len(rngs), _DRAWS, 2))
         self._slip, self._rngs = slip, rngs
         self._blocks = list(draws)
-        self._draws = memoryview(draws)
-        self._used = memoryview(np.full(len(rngs), _DRAWS, np.intp))  # the first reading draws
+        self._draws = draws.data
+        self._used = np.full(len(rngs), _DRAWS, np.intp).data  # the first reading draws
 
     def read(
         self,
@@ -264,19 +281,19 @@ class Wheels:
         twists: cython.double[:, ::1],
         reported: cython.double[:, ::1],
         measured: cython.double[:, ::1],
-    ):
+    ) -> None:
         """Fill `reported` and `measured` (m, 3): odometry's poses and twists of robots `rows` (m,).
 
         `poses` and `twists` (n, 3): the true poses in the world frame and the true twists of all
         robots. Before the twist, a row of `measured` holds the motion since the last reading.
         """
         if not cython.compiled:
-            rows, poses, twists = memoryview(rows), memoryview(poses), memoryview(twists)
-            reported, measured = memoryview(reported), memoryview(measured)
+            arrays = (np.asarray(one).data for one in (rows, poses, twists, reported, measured))
+            rows, poses, twists, reported, measured = arrays
         index: cython.Py_ssize_t
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        for index in range(rows.shape[0]):
+        for index in range(len(rows)):
             row = rows[index]
             self._draw_slips(row)
             self._measure_motion(row, index, poses, measured)

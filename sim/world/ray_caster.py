@@ -10,12 +10,15 @@ and the sine of the bearing.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+    from numpy.typing import NDArray
+
+    from swarmd.core.values import Array, ScanSpec
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -122,7 +125,17 @@ class Caster:
     _cos_half: cython.double
     _sin_half: cython.double
 
-    def __init__(self, spec, rays, walls, poles, edges, polygon_owners, discs, disc_owners):
+    def __init__(
+        self,
+        spec: ScanSpec,
+        rays: Any,
+        walls: Array,
+        poles: Array,
+        edges: Array,
+        polygon_owners: NDArray[np.intp],
+        discs: Array,
+        disc_owners: NDArray[np.intp],
+    ) -> None:
         """Take the rays of a sensor, and the shapes of `lidar.Shapes` as arrays; lengths in m.
 
         - `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`).
@@ -134,51 +147,51 @@ class Caster:
         - `discs` (d, 3): x, y, radius. `disc_owners` (d,): as `polygon_owners`.
         """
         self._set_rays(spec, rays)
-        self._walls = memoryview(np.array(walls, order="C"))
-        self._poles = memoryview(np.array(poles, order="C"))
+        self._walls = np.array(walls, order="C").data
+        self._poles = np.array(poles, order="C").data
         self._polygon_count, self._corner_count = len(edges), edges.shape[1]
         self._body_count = len(edges) + len(discs)
-        self._edges = memoryview(np.array(edges, order="C"))
-        self._discs = memoryview(np.array(discs, order="C"))
-        self._owner = memoryview(np.concatenate((polygon_owners, disc_owners)).astype(np.intp))
+        self._edges = np.array(edges, order="C").data
+        self._discs = np.array(discs, order="C").data
+        self._owner = np.concatenate((polygon_owners, disc_owners)).astype(np.intp).data
         reaches = _radii(edges, discs) + (spec.range_max + _ROUNDING)
-        self._reach = memoryview(reaches)
+        self._reach = reaches.data
         # At least 0.1 m: the grid's cells are at least this wide, and their width is a divisor.
         self._max_reach = max(float(reaches.max(initial=0.0)), 0.1)
         self._make_buffers(edges.shape, len(discs))
 
     @cython.cfunc
-    def _set_rays(self, spec, rays) -> cython.int:
+    def _set_rays(self, spec: ScanSpec, rays: Any) -> cython.int:
         """Set the rays and the sensor; returns 0."""
         n = len(spec.bearings)
         self._rays = n
-        self._number = memoryview(np.array(rays.number[:n], np.intp))
-        self._cos = memoryview(np.array(rays.cos[:n]))
-        self._sin = memoryview(np.array(rays.sin[:n]))
-        self._bearings = memoryview(np.array(rays.bearings))
+        self._number = np.array(rays.number[:n], np.intp).data
+        self._cos = np.array(rays.cos[:n]).data
+        self._sin = np.array(rays.sin[:n]).data
+        self._bearings = np.array(rays.bearings).data
         self._is_even, self._ray_step = rays.is_even, rays.step
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._sensor_x, self._sensor_y = spec.offset
 
     @cython.cfunc
-    def _make_buffers(self, edges_shape, discs: cython.Py_ssize_t) -> cython.int:
+    def _make_buffers(self, edges_shape: tuple[int, ...], discs: cython.Py_ssize_t) -> cython.int:
         """Make the buffers for the bodies in the world frame, the grid and a scan; returns 0."""
         self._step = -1
-        self._placed_edges = memoryview(np.empty(edges_shape))
-        self._disc_centers = memoryview(np.empty((discs, 2)))
-        self._body_places = memoryview(np.empty((self._body_count, 2)))
+        self._placed_edges = np.empty(edges_shape).data
+        self._disc_centers = np.empty((discs, 2)).data
+        self._body_places = np.empty((self._body_count, 2)).data
         grid_side: cython.Py_ssize_t = int(self._body_count**0.5) + 2
-        self._cell_begin = memoryview(np.empty(grid_side * grid_side + 1, np.intp))
-        self._members = memoryview(np.empty(self._body_count, np.intp))
-        self._cell_of = memoryview(np.empty(self._body_count, np.intp))
-        self._inverse = memoryview(np.empty(self._rays))
+        self._cell_begin = np.empty(grid_side * grid_side + 1, np.intp).data
+        self._members = np.empty(self._body_count, np.intp).data
+        self._cell_of = np.empty(self._body_count, np.intp).data
+        self._inverse = np.empty(self._rays).data
 
     def cast(
         self,
         poses: cython.double[:, ::1],
         observers: cython.Py_ssize_t[::1],
         ranges: cython.double[:, ::1],
-    ):
+    ) -> None:
         """Cast all rays of robots `observers` (m,) into `ranges` (m, rays), in the order of rays.
 
         `poses` (n, 3) of all bodies; a row of NaN is absent. Ranges in m; +inf: no return within
@@ -186,12 +199,12 @@ class Caster:
         """
         request: cython.Py_ssize_t
         if not cython.compiled:
-            poses, observers, ranges = memoryview(poses), memoryview(observers), memoryview(ranges)
-        if not self._rays or not observers.shape[0]:
+            poses, observers, ranges = (np.asarray(one).data for one in (poses, observers, ranges))
+        if not self._rays or not len(observers):
             return
         self._set_bodies(poses)
         self._step = -1
-        for request in range(observers.shape[0]):
+        for request in range(len(observers)):
             self._cast_sector(poses, observers[request], 0, self._rays, ranges, request)
 
     @cython.cfunc
@@ -219,7 +232,7 @@ class Caster:
             self._set_cone()
             self._meet_walls()
             self._meet_bodies(robot)
-            for i in range(self._poles.shape[0]):
+            for i in range(len(self._poles)):
                 self._meet_circle(self._poles[i, 0], self._poles[i, 1], self._poles[i, 2])
         return self._write_ranges(ranges, row)
 
@@ -415,7 +428,7 @@ class Caster:
         end_x: cython.double
         end_y: cython.double
         side: cython.double
-        for i in range(self._walls.shape[0]):
+        for i in range(len(self._walls)):
             x, y = self._walls[i, 0] - self._x, self._walls[i, 1] - self._y
             # See `_meet_surface` for `side`: the sensor is before the wall, and the wall in reach.
             side = x * self._walls[i, 3] - y * self._walls[i, 2]
@@ -636,7 +649,7 @@ class Caster:
     def _ray_index(self, bearing: cython.double) -> cython.Py_ssize_t:
         """The index of the first ray at `bearing` rad or beyond, over the four revolutions."""
         low: cython.Py_ssize_t = 0
-        high: cython.Py_ssize_t = self._bearings.shape[0]
+        high: cython.Py_ssize_t = len(self._bearings)
         middle: cython.Py_ssize_t
         if self._is_even:
             return cython.cast(
@@ -651,7 +664,7 @@ class Caster:
         return low
 
 
-def _radii(edges, discs):
+def _radii(edges: Array, discs: Array) -> Array:
     """(bodies,) m from the origin of a body's owner to the farthest point of the body."""
     polygons = np.hypot(edges[..., 0], edges[..., 1]).max(axis=1, initial=0.0)
     return np.concatenate((polygons, np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]))
@@ -676,7 +689,7 @@ class Sweeps:
     _scans: cython.Py_ssize_t[:, ::1]
     _count: cython.Py_ssize_t
 
-    def __init__(self, caster: Caster, first, counts, ranges) -> None:
+    def __init__(self, caster: Caster, first: Any, counts: Any, ranges: Array) -> None:
         """Start without scans; `caster` casts their rays.
 
         `first`, `counts` (steps + 1,): the first ray and the number of rays of each sector. The
@@ -684,9 +697,9 @@ class Sweeps:
         in m of n robots: the rows into which scans are cast, in the order of the scan's rays.
         """
         self._caster, self._steps = caster, len(counts) - 1
-        self._first, self._counts = memoryview(first), memoryview(counts)
-        self._ranges = memoryview(ranges)
-        self._scans = memoryview(np.empty((len(ranges), 3), np.intp))
+        self._first, self._counts = first.data, counts.data
+        self._ranges = ranges.data
+        self._scans = np.empty((len(ranges), 3), np.intp).data
 
     def begin(
         self, robot: cython.Py_ssize_t, step: cython.Py_ssize_t, row: cython.Py_ssize_t
@@ -708,10 +721,10 @@ class Sweeps:
         robot: cython.Py_ssize_t
         row: cython.Py_ssize_t
         sector: cython.Py_ssize_t
-        ended: list = []
+        ended: list[Any] = []
         caster: Caster = self._caster
         if not cython.compiled:
-            poses = memoryview(poses)
+            poses = np.asarray(poses).data
         for i in range(self._count):
             robot, row = self._scans[i, 0], self._scans[i, 2]
             sector = step - self._scans[i, 1]  # the steps since the scan began
@@ -769,16 +782,26 @@ class Errors:
     _normal: cython.double[::1]
     _uniform: cython.float[::1]  # of each ray, then of each block
 
-    def __init__(self, noise, factors, reach, lost, encoded, block_dropout, normal, uniform):
+    def __init__(
+        self,
+        noise: Any,
+        factors: Array,
+        reach: Array,
+        lost: Array,
+        encoded: Array,
+        block_dropout: Array,
+        normal: Array,
+        uniform: Any,
+    ) -> None:
         self._near, self._near_sd, self._far_sd = noise.near, noise.near_sd, noise.far_sd
         self._resolution = noise.resolution
-        self._dropout = np.float32(noise.dropout)  # as the numbers that it is compared to
-        self._factors, self._reach = memoryview(factors), memoryview(reach)
-        self._lost, self._encoded = memoryview(lost), memoryview(encoded)
-        self._block_dropout = memoryview(block_dropout)
-        self._normal, self._uniform = memoryview(normal), memoryview(uniform)
+        self._dropout = float(np.float32(noise.dropout))  # as the numbers that it is compared to
+        self._factors, self._reach = factors.data, reach.data
+        self._lost, self._encoded = lost.data, encoded.data
+        self._block_dropout = block_dropout.data
+        self._normal, self._uniform = normal.data, uniform.data
 
-    def measure(self, row: cython.Py_ssize_t, ranges: cython.double[::1]):
+    def measure(self, row: cython.Py_ssize_t, ranges: cython.double[::1]) -> None:
         """Replace the exact `ranges` (rays,) in m of robot `row` by those that its driver reports.
 
         A ray without a return (inf) has no error. A measurement nearer than range_min becomes -inf,
@@ -786,7 +809,7 @@ class Errors:
         of _BLOCK rays.
         """
         i: cython.Py_ssize_t
-        rays: cython.Py_ssize_t = ranges.shape[0]
+        rays: cython.Py_ssize_t = len(ranges)
         r: cython.double
         spread: cython.double  # standard deviation in m
         factor: cython.double = self._factors[row]  # 1 plus the bias of the robot's sensor
@@ -795,7 +818,7 @@ class Errors:
         block_dropout: cython.double = self._block_dropout[row]
         drops_out: cython.bint
         if not cython.compiled:
-            ranges = memoryview(ranges)
+            ranges = np.asarray(ranges).data
         for i in range(rays):
             r = ranges[i]
             if not isfinite(r):
@@ -823,14 +846,14 @@ class Errors:
         self.encode(row, ranges)
 
     @cython.ccall
-    def encode(self, row: cython.Py_ssize_t, ranges: cython.double[::1]):
+    def encode(self, row: cython.Py_ssize_t, ranges: cython.double[::1]) -> None:
         """Encode `ranges` (rays,) in place as the driver of robot `row` does."""
         i: cython.Py_ssize_t
         near: cython.double = self._encoded[row, 0]
         nothing: cython.double = self._encoded[row, 1]
         if not cython.compiled:
-            ranges = memoryview(ranges)
-        for i in range(ranges.shape[0]):
+            ranges = np.asarray(ranges).data
+        for i in range(len(ranges)):
             if ranges[i] == HUGE_VAL:
                 ranges[i] = nothing
             elif ranges[i] == -HUGE_VAL:

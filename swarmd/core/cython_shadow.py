@@ -12,6 +12,7 @@ from __future__ import annotations
 import builtins
 import inspect
 import math
+import sys
 from collections.abc import Callable
 from math import atan, atan2, ceil, copysign, fabs, floor, isfinite, isinf, isnan
 from typing import Any, TypeVar
@@ -64,11 +65,6 @@ class _Type:
         return [self._zero] * self._length if self._length else self._zero
 
 
-class _Const:
-    def __getitem__(self, kind: _Type) -> _Type:
-        return kind
-
-
 class _Declared:
     """A declared attribute of an extension type."""
 
@@ -76,10 +72,9 @@ class _Declared:
         self.kind = kind
 
 
-double = float = _Type(0.0)
+double = const_double = float = _Type(0.0)
 int = longlong = Py_ssize_t = uchar = short = _Type(0)
 bint = _Type(False)
-const = _Const()
 
 
 def declare(kind: Any, value: Any = None, *, visibility: str = "private") -> Any:
@@ -119,7 +114,11 @@ def cclass(kind: type) -> Any:
     It has one base at most. A method of the base is called as `Base.method(self)`: there is no
     `super()`, since the class that is given here is replaced.
     """
-    declared = inspect.get_annotations(kind, eval_str=True)
+    # Only types of C are evaluated: mypy alone imports some of the others.
+    declared = {
+        name: eval(hint, vars(sys.modules[kind.__module__])) if "cython." in hint else object
+        for name, hint in inspect.get_annotations(kind).items()
+    }
     attributes = vars(kind).items()
     declared |= {name: value.kind for name, value in attributes if isinstance(value, _Declared)}
     types = {

@@ -92,7 +92,7 @@ def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float
     """
     # If the scan were cut off at `reach`, the near part of a wall would seem as narrow as a robot.
     objects = clusters(scan, within=scan.range_max).objects
-    centers = _kernel.robot_centers(objects, _MAX_RANGE_SHARE * reach, width, offset)
+    centers = _kernel.robot_centers([*objects], _MAX_RANGE_SHARE * reach, width, offset)
     return np.array(centers, dtype=np.float64).reshape(-1, 2)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Iterable, Sequence
@@ -73,7 +73,7 @@ class NearPoints:
     """
 
     nearest = cython.declare(cython.double, visibility="readonly")
-    _farthest_first: list
+    _farthest_first: list[Any]
 
     def __init__(self, points: Iterable[Sequence[float]]) -> None:
         """`points`: range in m and bearing in rad of each."""
@@ -143,7 +143,9 @@ class NearPoints:
         return Twist(sign * speed_share * linear_max, turn)
 
 
-def robot_centers(objects: list, reach: cython.double, width: cython.double, offset):
+def robot_centers(
+    objects: list[Any], reach: cython.double, width: cython.double, offset: Any
+) -> list[Any]:
     """The centers (x, y) of the objects of a scan that may be robots, in m in the base frame.
 
     `objects` (clusters of rays) as in `RayClusters`, seen from the lidar at `offset` (m). An object
@@ -187,7 +189,7 @@ _BOTH = cython.declare(cython.int, 2)
 
 @cython.cfunc
 def _hidden_side(
-    ranges: list, bearings: list, widths: list, index: cython.Py_ssize_t
+    ranges: list[float], bearings: list[float], widths: list[float], index: cython.Py_ssize_t
 ) -> cython.int:
     """The side on which nearer objects hide the object `index`: 1 left, -1 right, 0, or `_BOTH`."""
     i: cython.Py_ssize_t
@@ -235,7 +237,9 @@ def _angle_to_center(
 
 
 @cython.cfunc
-def _merge(xs: list, ys: list, weights: list, least: cython.double) -> cython.int:
+def _merge(
+    xs: list[float], ys: list[float], weights: list[int], least: cython.double
+) -> cython.int:
     """Merge points nearer than `least` m to each other, the nearest pair first.
 
     A robot appears in pieces where rays are lost, or where it moves while the lidar turns. A merged

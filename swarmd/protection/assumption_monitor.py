@@ -40,12 +40,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
+from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Array, Odometry, Platform, Twist
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.walls.walls_settings import MOVING_WALL
@@ -140,7 +140,7 @@ def _last(count: int, most: int) -> range:
     return range(max(count - most, 0), count)
 
 
-def _is_apart(events: deque, stamp: float) -> bool:
+def _is_apart(events: deque[Any], stamp: float) -> bool:
     """True if the last of `events` is _MIN_APART s old at `stamp` or older, or if none is left.
 
     First drops events that are older than _MAX_APART s, or of a clock that was set back. `events`
@@ -173,12 +173,17 @@ class _Stop:
     least_speed: cython.double  # lowest speed commanded since
     fell_at: cython.double  # stamp of odometry at which the command fell
     # Periods of odometry before and after the fall: stamp at begin, stamp at end, m or rad moved.
-    cruise: list
-    steps: list
+    cruise: list[Any]
+    steps: list[Any]
 
     def __init__(
-        self, sign: float, begin_speed: float, least_speed: float, fell_at: float, cruise: list
-    ):
+        self,
+        sign: float,
+        begin_speed: float,
+        least_speed: float,
+        fell_at: float,
+        cruise: list[Any],
+    ) -> None:
         self.sign, self.fell_at = sign, fell_at
         self.begin_speed, self.least_speed = begin_speed, least_speed
         self.cruise, self.steps = cruise, []
@@ -191,12 +196,12 @@ class _Brake:
 
     declared: cython.double  # m/s2 or rad/s2, the declared braking
     braking: cython.double  # m/s2 or rad/s2, as declared, or measured and weaker
-    evidence: object  # text on how the weaker braking was measured; empty without a violation
-    late: object  # text on how late the base responds; empty if it is not too late
-    _unit: object
-    _delays: object
+    evidence: str  # text on how the weaker braking was measured; empty without a violation
+    late: str  # text on how late the base responds; empty if it is not too late
+    _unit: str
+    _delays: deque[float]
     _min_drop: cython.double  # m/s or rad/s, the least fall of the command that begins a stop
-    _stop: _Stop  # the stop under way; None without one
+    _stop: _Stop | None  # the stop under way; None without one
     _command: cython.double  # the last command
     # Ring buffers (item k is at k modulo the length). The commands: how many were given, the stamp
     # since which each holds, its speed.
@@ -212,7 +217,7 @@ class _Brake:
     # The CUSUM test: the sum, the stops since it was zero, and the summed misfits by share.
     _log_likelihood_sum: cython.double
     _stop_count: cython.Py_ssize_t
-    _misfits: object
+    _misfits: Array
 
     def __init__(self, declared: float, min_drop: float, unit: str) -> None:
         self.declared, self._unit = declared, unit
@@ -239,7 +244,7 @@ class _Brake:
         self._note(-math.inf, self._command)
 
     @cython.ccall
-    def share_with(self, axis: _Brake, speed: cython.double, stamp: cython.double):
+    def share_with(self, axis: _Brake, speed: cython.double, stamp: cython.double) -> None:
         """Drop the stop under way if the speed on the other axis changes, too.
 
         The base may still follow any command of the last _LONGEST_DELAY s. So the present command
@@ -249,7 +254,7 @@ class _Brake:
         `axis`: the other axis. `speed`: m/s, the last measured speed along the other axis.
         `stamp`: s, of this measurement.
         """
-        stop: _Stop = self._stop
+        stop: _Stop | None = self._stop
         if stop is None:
             return
         change: cython.double = fabs(axis._command - speed)
@@ -262,7 +267,7 @@ class _Brake:
             self._stop = None
 
     @cython.cfunc
-    def _note(self, stamp: cython.double, command: cython.double):
+    def _note(self, stamp: cython.double, command: cython.double) -> None:
         """Store a command, which holds from the stamp on, in the ring buffers."""
         place: cython.Py_ssize_t = self._commands % _MAX_COMMANDS
         self._stamps[place], self._speeds[place] = stamp, command
@@ -294,13 +299,13 @@ class _Brake:
         self._note(stamp, command)
 
         # 1. A stop is under way: the command continues the stop, or ends the stop by a rise.
-        stop: _Stop = self._stop
+        stop: _Stop | None = self._stop
         if stop is not None:
             new_speed = max(stop.sign * command, 0.0)
             stop.least_speed = min(new_speed, stop.least_speed)
             if new_speed <= stop.least_speed + _COMMAND_RISE * stop.begin_speed:
                 return False
-            return self._end()
+            return self._end(stop)
 
         # 2. The usual case, decided fast: a change that is too small even if it were a fall.
         change: cython.double = previous - command if previous > 0.0 else command - previous
@@ -321,7 +326,7 @@ class _Brake:
         self._cruise_count = 0
         return False
 
-    def _last_cruise(self) -> list[tuple[float, float, float]]:
+    def _last_cruise(self) -> list[Any]:
         """The last periods in which the base followed a constant command: begin, end, m or rad."""
         starts = [3 * (k % _CRUISE) for k in _last(self._cruise_count, _CRUISE)]
         return [(self._cruise[k], self._cruise[k + 1], self._cruise[k + 2]) for k in starts]
@@ -341,7 +346,7 @@ class _Brake:
             end: s, the stamp of the second reading.
             moved: m or rad that the base moved between the two readings.
         """
-        stop: _Stop = self._stop
+        stop: _Stop | None = self._stop
         if stop is None:
             self._cruise_on(begin, end, moved)
             return False
@@ -356,10 +361,10 @@ class _Brake:
         has_followed: cython.bint = speed - stop.least_speed <= _END_SHARE * fall
         if not has_followed and end - stop.fell_at <= _MAX_WAIT:
             return False
-        return self._end()
+        return self._end(stop)
 
     @cython.cfunc
-    def _cruise_on(self, begin: cython.double, end: cython.double, moved: cython.double):
+    def _cruise_on(self, begin: cython.double, end: cython.double, moved: cython.double) -> None:
         """Store a period in which the base moves and follows its command.
 
         Any other period drops the stored periods. `begin`, `end`: s, the stamps of two readings of
@@ -376,12 +381,11 @@ class _Brake:
         self._cruise_count += 1
 
     @cython.cfunc
-    def _end(self) -> cython.bint:
+    def _end(self, stop: _Stop) -> cython.bint:
         """End the stop and judge the stop; True: the brakes are too weak.
 
         The stop updates the estimates of the delay and of the noise, and the CUSUM test.
         """
-        stop: _Stop = self._stop
         self._stop = None
         self._cruise_count = 0
         if len(stop.steps) < _MIN_STOP_READINGS:
@@ -413,7 +417,7 @@ class _Brake:
         self._variance = pooled_sum / self._freedom
         self._freedom = min(self._freedom, _MAX_FREEDOM)
 
-    def _sum_up(self, chi_squares) -> bool:
+    def _sum_up(self, chi_squares: Array) -> bool:
         """Add a stop to the CUSUM test; True if the test alarms.
 
         `chi_squares`: by share of _SHARES, the misfit of the stop over the variance; 0 for the best
@@ -466,7 +470,7 @@ class _Brake:
         self._begin()
 
 
-def _best_slowness(misfits) -> tuple[float, float]:
+def _best_slowness(misfits: Array) -> tuple[float, float]:
     """The slowness of the brakes that fits best, and its standard deviation.
 
     The slowness is 1 over the share of the braking: 2 means half of the braking. `misfits` (s,) are
@@ -484,7 +488,7 @@ def _best_slowness(misfits) -> tuple[float, float]:
     return min(max(optimum, lowest), highest), 1.0 / math.sqrt(max(float(curvature), 1e-6))
 
 
-def _misfits(stop: _Stop, commands: list, full_braking: float):
+def _misfits(stop: _Stop, commands: list[Any], full_braking: float) -> tuple[Array, float, float]:
     """Fit a model of the base to the readings of a stop, for each share in _SHARES.
 
     The model responds to its command after a delay, accelerates at once, and brakes evenly. The
@@ -529,7 +533,7 @@ def _misfits(stop: _Stop, commands: list, full_braking: float):
     return misfits, freedom, float(delays[misfits.argmin()])
 
 
-def _since(commands: list, earliest_stamp: float) -> list:
+def _since(commands: list[Any], earliest_stamp: float) -> list[Any]:
     """The (stamp, speed) pairs of commands that still held after `earliest_stamp` in s.
 
     A command holds until the next command; the last command always still holds. Commands that held
@@ -544,10 +548,10 @@ def _since(commands: list, earliest_stamp: float) -> list:
     return [*used, commands[last]]
 
 
-def _view(values):
+def _view(values: Array) -> Any:
     """`values` (n,) or (n, m) as the kernel reads them: in CPython as numbers of Python."""
     if not cython.compiled:
-        return memoryview(values) if values.ndim > 1 else values.tolist()
+        return values.data if values.ndim > 1 else values.tolist()
     return values
 
 
@@ -558,7 +562,7 @@ def _weighted_residuals(
     speeds: cython.double[::1],
     brakings: cython.double[::1],
     total: cython.double,
-):
+) -> Any:
     """The least weighted sums of squared residuals of the model of the base, and their delays.
 
     (2, s): row 0 has the least sum for each braking of `brakings` (s,), row 1 the delay in s that
@@ -689,12 +693,12 @@ class AssumptionMonitor:
     """
 
     speed_share = cython.declare(cython.double, visibility="readonly")
-    _settings: object
+    _settings: BarrierSettings
     _radius: cython.double
     _linear: _Brake
     _angular: _Brake
-    _lateral: _Brake  # None: the base cannot move sideways
-    _command: object
+    _lateral: _Brake | None  # None: the base cannot move sideways
+    _command: Twist
     # The last reading: its stamp, pose and speeds.
     _stamp: cython.double
     _x: cython.double
@@ -711,12 +715,14 @@ class AssumptionMonitor:
     _travel_first: cython.Py_ssize_t
     _travel_end: cython.Py_ssize_t
     # Of the last scans: stamp, gap, `_travelled` when the oldest ray was measured, and on arrival.
-    _gaps: object
-    _approach_text: object  # text on objects that are too fast; empty without a violation
+    _gaps: deque[tuple[float, float, float, float]]
+    _approach_text: str  # text on objects that are too fast; empty without a violation
     _approach_share: cython.double  # of `speed_share`
-    _approaches: object  # the approaches that were too fast: stamp, m/s, standard deviation
-    _wall_text: object  # text on walls that moved; empty without a violation
-    _wall_moves: object  # the walls that moved: stamp, m/s
+    _approaches: deque[
+        tuple[float, float, float]
+    ]  # the approaches that were too fast: stamp, m/s, standard deviation
+    _wall_text: str  # text on walls that moved; empty without a violation
+    _wall_moves: deque[tuple[float, float]]  # the walls that moved: stamp, m/s
     _wall_moved_at: cython.double  # the stamp of the last wall that moved
 
     def __init__(self, platform: Platform) -> None:
@@ -981,7 +987,7 @@ class AssumptionMonitor:
             evidence.append(self._linear.evidence)
         if is_angular_weak:
             evidence.append(self._angular.evidence)
-        if is_lateral_weak:
+        if is_lateral_weak and self._lateral is not None:
             evidence.append(self._lateral.evidence)
         return self._reduced("; ".join(evidence))
 

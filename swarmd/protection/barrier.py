@@ -61,6 +61,8 @@ from swarmd.sensing.rays import unit_vectors
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
+
+    from swarmd.protection.blind_zone import BlindZoneMemory
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -87,7 +89,7 @@ class Barrier:
     _limits: Limits
     _scan: ScanSpec
     # Cython sets an attribute without a value to None, and so does CPython (cython_shadow.py).
-    _hidden: object  # the memory of a lidar's blind zone; None if the lidar reports near returns
+    _hidden: BlindZoneMemory | None  # None if the lidar reports near returns
     _walls: StandingWalls  # None unless walls are assumed to stand
     _feasible: FeasibleSet
     _projection: Projection
@@ -98,7 +100,7 @@ class Barrier:
     _is_limited: cython.bint  # the request must be limited
     _asked: Speeds  # of the request
     _speeds: Speeds  # of the limited command
-    _decision: object  # the ModeDecision of a limited request
+    _decision: ModeDecision  # the ModeDecision of a limited request
 
     def __init__(self, platform: Platform) -> None:
         """Build the parts of the mode; ConfigError if the platform has no settings of the mode."""
@@ -137,7 +139,7 @@ class Barrier:
         """The narrowest door, corridor and meeting that protection lets this robot through."""
         return self._room().narrowest_passage()
 
-    def _room(self):
+    def _room(self) -> Room:
         return Room(self._feasible.assumptions, self._feasible.outline, self._scan)
 
     @property
@@ -215,7 +217,7 @@ class Barrier:
         near.take_scan(ranges, scan.range_min, ages, hidden)
         self._feasible.situation.is_known = False
 
-    def _newest_age(self, scan):
+    def _newest_age(self, scan: Scan) -> float:
         """The age in s of the newest ray of a scan when the scan arrived.
 
         A conditioned scan states this age (`newest_age`). For other scans the platform states the

@@ -27,11 +27,11 @@ end at an obstacle inside the zone, or see nothing. An empty sector is a run of 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.core.values import Pose, Scan
+from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -155,10 +155,10 @@ def _nearest(
 
 
 @cython.cfunc
-def _has_near(ranges: cython.const[cython.double][::1], limit: cython.double) -> cython.bint:
+def _has_near(ranges: cython.const_double[::1], limit: cython.double) -> cython.bint:
     """True if a ray has a return with a range up to `limit` m."""
     i: cython.Py_ssize_t
-    for i in range(ranges.shape[0] if cython.compiled else len(ranges)):
+    for i in range(len(ranges)):  # noqa: SIM110  # Cython makes no loop of C of a generator
         if -INFINITY < ranges[i] <= limit:
             return True
     return False
@@ -202,12 +202,12 @@ def _find_match(
 _NOTHING = np.empty(0)
 
 
-def _zeros(n, kind=np.float64):
+def _zeros(n: cython.Py_ssize_t, kind: type[np.generic] = np.float64) -> Any:
     """A buffer of n zeros; in CPython a list."""
     return np.zeros(n, kind) if cython.compiled else np.zeros(n, kind).tolist()
 
 
-def _grown(old, n):
+def _grown(old: Any, n: cython.Py_ssize_t) -> Any:
     """A buffer of n numbers that begins with those of `old`."""
     new = _zeros(n)
     new[: len(old)] = old
@@ -263,7 +263,7 @@ def _crosses_rim(
 
 @cython.cfunc
 def _sort_rays(
-    bearings: cython.const[cython.double][::1],
+    bearings: cython.const_double[::1],
     angles: cython.double[::1],
     rising: cython.double[::1],
     order: cython.longlong[::1],
@@ -339,13 +339,13 @@ class BlindZoneMemory:
     the sensor: the least distance of the obstacle along the bearing.
     """
 
-    bearings = cython.declare(object, visibility="readonly")
-    nearest = cython.declare(object, visibility="readonly")
+    bearings: Array = cython.declare(object, visibility="readonly")
+    nearest: Array = cython.declare(object, visibility="readonly")
     _radius: cython.double  # m, of the rim
     _speed: cython.double  # m/s, the highest speed at which obstacles approach
     _period: cython.double  # s between two scans
     _narrowest_sector: cython.double  # rad, in which a robot may be hidden
-    _given_bearings: object  # of the last scan; an array, recognised by its identity
+    _given_bearings: Array | None  # of the last scan; an array, recognised by its identity
     _ray_count: cython.Py_ssize_t
     _reserved: cython.Py_ssize_t  # rays for which the buffers have room
     # By ray, in the order of rising bearings. `_order`: the index of the ray in the scan.
@@ -387,8 +387,8 @@ class BlindZoneMemory:
     # continues a face that is in view (1.0).
     _hidden_count: cython.Py_ssize_t
     _candidate_count: cython.Py_ssize_t
-    _bearings: object
-    _ranges: object
+    _bearings: Any
+    _ranges: Any
     _hidden_bearing: cython.double[::1]
     _age: cython.double[::1]
     _nearest_range: cython.double[::1]
@@ -411,11 +411,14 @@ class BlindZoneMemory:
         self._x = self._y = self._old_x = self._old_y = self._old_empty = _NOTHING
         self._hidden_bearing = self._age = self._nearest_range = self._is_face = _NOTHING
         self.bearings = self.nearest = _NOTHING
-        self._order = self._sector_first = self._sector_width = None
-        self._crossings = self._angle_rays = None
-        self._bearing = self._rising = self._range = self._age_by_ray = self._nearest_by_ray = None
-        self._exact_bearing = self._corner = self._turned_angle = self._angles = None
-        self._is_empty = self._is_in_entered_sector = self._is_face_by_ray = self._is_hidden = None
+        self._order = _zeros(0, np.int64)
+        self._sector_first = self._sector_width = _zeros(0, np.intp)
+        self._crossings = self._angle_rays = self._sector_first
+        self._bearing = self._rising = self._range = _NOTHING
+        self._age_by_ray = self._nearest_by_ray = _NOTHING
+        self._exact_bearing = self._corner = self._turned_angle = self._angles = _NOTHING
+        self._is_empty = self._is_in_entered_sector = _zeros(0, np.uint8)
+        self._is_face_by_ray = self._is_hidden = self._is_empty
 
     def update(
         self, scan: Scan, geometry: ScanGeometry, moved: Pose, driven: Pose, seconds: float
@@ -434,7 +437,7 @@ class BlindZoneMemory:
             seconds: s between the two scans.
         """
         table = np.ascontiguousarray(scan.ranges, np.float64)  # interpreted, a list is read faster
-        ranges: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
+        ranges: cython.const_double[::1] = table if cython.compiled else table.tolist()
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
         # After a pause at most 5 periods count, else all returns would be near.
         counted_s: cython.double = min(seconds, 5.0 * self._period)
@@ -477,10 +480,10 @@ class BlindZoneMemory:
                 self._old_empty_count += 1
 
     @cython.cfunc
-    def _set_bearings(self, bearings):
+    def _set_bearings(self, bearings: Array) -> None:
         """Take new bearings of the rays, and sort the rays by them."""
         table = np.ascontiguousarray(bearings, np.float64)
-        values: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
+        values: cython.const_double[::1] = table if cython.compiled else table.tolist()
         n: cython.Py_ssize_t = len(values)
         if n > self._reserved:
             self._reserve(n + n // 4)
@@ -490,13 +493,14 @@ class BlindZoneMemory:
             self._turned_angle[i] = _mod(values[i])
         if not _sort_rays(values, self._turned_angle, self._rising, self._order):
             sorted_rays: cython.longlong[::1] = np.argsort(table % _TURN, kind="stable")
-            self._order[:n] = sorted_rays
+            for i in range(n):
+                self._order[i] = sorted_rays[i]
         for i in range(n):
             self._bearing[i] = values[self._order[i]]
             self._rising[i] = self._turned_angle[self._order[i]]
 
     @cython.cfunc
-    def _reserve(self, size: cython.Py_ssize_t):
+    def _reserve(self, size: cython.Py_ssize_t) -> None:
         """Make room for `size` rays; the hidden obstacles and the near points stay."""
         self._reserved = size
         self._order = _zeros(size, np.int64)
@@ -539,7 +543,7 @@ class BlindZoneMemory:
         sensor_y: cython.double,
         seconds: cython.double,
         obstacle_step: cython.double,
-    ):
+    ) -> None:
         """Update the hidden obstacles by this scan, and publish them.
 
         `moved_x`, `moved_y`, `turned`: m and rad, the motion of the base in the `seconds` since the
@@ -605,7 +609,7 @@ class BlindZoneMemory:
         return 0
 
     @cython.cfunc
-    def _publish(self, count: cython.Py_ssize_t):
+    def _publish(self, count: cython.Py_ssize_t) -> None:
         """Set `bearings` and `nearest` to those of the first `count` hidden obstacles.
 
         All others are forgotten.

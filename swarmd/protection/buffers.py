@@ -7,7 +7,7 @@ length is checked once before the loop, and not at each number.
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,20 +19,20 @@ else:
     from swarmd.core import cython_shadow as cython
 
 
-def view(values: Array):
+def view(values: Array) -> Any:
     """`values` (n,) or (n, m) as the kernel reads them: in CPython as numbers of Python."""
     table = np.ascontiguousarray(values, np.float64)
     if not cython.compiled:
-        return memoryview(table) if table.ndim > 1 else table.tolist()
+        return table.data if table.ndim > 1 else table.tolist()
     return table
 
 
-def doubles(count):
+def doubles(count: cython.Py_ssize_t) -> Any:
     """A buffer of `count` doubles, all 0."""
     return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
 
 
-def indices(count):
+def indices(count: cython.Py_ssize_t) -> Any:
     """A buffer of `count` indices, all 0."""
     return array("q", bytes(8 * count)) if cython.compiled else [0] * count
 
@@ -66,7 +66,7 @@ def take(
     count: cython.Py_ssize_t,
     into: cython.double[::1],
     begin: cython.Py_ssize_t,
-):
+) -> None:
     """Put the values at the first `count` indices of `order` into a buffer, from `begin` on."""
     i: cython.Py_ssize_t
     index: cython.p_longlong = checked_indices(order, count)

@@ -102,7 +102,7 @@ class ConstraintRows:
         if len(self.x) < room:
             self._allocate(room + room // 2)
 
-    def _allocate(self, room):
+    def _allocate(self, room: cython.Py_ssize_t) -> None:
         """Make all arrays anew."""
         self.x, self.y = doubles(room), doubles(room)
         self.cap, self.gap = doubles(room), doubles(room)
@@ -169,7 +169,7 @@ class PlacedPoints:
         if len(self.x) < room:
             self._allocate(room + room // 2)  # else each further point would make new arrays
 
-    def _allocate(self, room):
+    def _allocate(self, room: cython.Py_ssize_t) -> None:
         """Make all arrays anew."""
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.free = doubles(room), doubles(room)

@@ -14,6 +14,8 @@ from swarmd.protection.buffers import doubles, maximum
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
+
+    from swarmd.core.values import Odometry
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -87,7 +89,7 @@ def _mean_speed(
 class DeadReckoning:
     """The poses of a robot from its last readings of odometry."""
 
-    odometry: object  # the last reading that was given
+    odometry: Odometry | None  # the last reading that was given
     version: cython.Py_ssize_t  # rises with each reading
     resets: cython.Py_ssize_t  # how often the clock went back or the pose jumped
     _assumptions: Assumptions
@@ -101,7 +103,7 @@ class DeadReckoning:
         self._assumptions, self._readings = assumptions, doubles(_R_FIELDS * _history)
 
     @cython.cfunc
-    def record(self, odometry):
+    def record(self, odometry: Odometry) -> None:
         """Store a reading of odometry if it differs from the newest stored reading.
 
         If the stamp does not rise, or the pose jumps, odometry had a reset: the function drops the
@@ -364,8 +366,8 @@ class ScanMotion:
         newest_age: cython.double,
         delay: cython.double,
         odometry_age: cython.double,
-        ages: cython.const[cython.double][::1],
-    ):
+        ages: cython.const_double[::1],
+    ) -> cython.bint:
         """Store time and pose of a scan, and the motion since the scan before.
 
         False, and nothing changes, if the newest ray of the scan is not newer than the newest ray
@@ -413,7 +415,7 @@ class ScanMotion:
         return True
 
     @cython.cfunc
-    def driven(self):
+    def driven(self) -> Pose:
         """The part of the motion between the last two scans that the robot's commands explain.
 
         A Pose in the frame of the scan before. The motion is split along and across the chord of

@@ -33,6 +33,9 @@ from swarmd.protection.touch_zone import TouchSector
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
+
+    from swarmd.core.values import TouchZone, Twist
+    from swarmd.protection.decision import DecisionContext
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -138,7 +141,9 @@ class FeasibleSet:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def take_context(self, context, command, touch) -> cython.int:
+    def take_context(
+        self, context: DecisionContext, command: Twist, touch: TouchZone | None
+    ) -> cython.int:
         """Take the inputs of a decision: odometry, discs, the touch zone, the command in force."""
         odometry = context.odometry
         if odometry is not None and odometry is not self.reckoning.odometry:
@@ -165,8 +170,8 @@ class FeasibleSet:
     @cython.exceptval(-1)
     def enter(
         self,
-        context,
-        command,
+        context: DecisionContext,
+        command: Twist,
         along_x: cython.double,
         along_y: cython.double,
         limit: cython.double,

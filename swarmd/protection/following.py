@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -82,7 +82,7 @@ _max_speed = cython.declare(cython.double, MAX_SPEED)
 _inf = cython.declare(cython.double, math.inf)
 
 
-def _doubles(count):
+def _doubles(count: cython.Py_ssize_t) -> Any:
     """A buffer of `count` doubles; of numbers of Python in CPython."""
     return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
 
@@ -92,11 +92,11 @@ def _doubles(count):
 class _Axis:
     """Compares the commands and the motion of one axis; times are stamps of odometry in s."""
 
-    text = cython.declare(object, visibility="readonly")  # empty while the base follows
+    text: str = cython.declare(object, visibility="readonly")  # empty while the base follows
     # The sign of the demanded motion if the base is blocked; else 0.
     blocked = cython.declare(cython.double, visibility="readonly")
     # How pose and twist contradict each other; empty while they agree.
-    contradiction = cython.declare(object, visibility="readonly")
+    contradiction: str = cython.declare(object, visibility="readonly")
     _demanded_way: cython.double
     _moved_way: cython.double
     _most_demanded: cython.double  # m/s or rad/s; rises from zero after a reversal
@@ -107,7 +107,7 @@ class _Axis:
     _tolerance: cython.double  # m or rad by which the ways may differ
     _least: cython.double  # the slowest command that counts
     _acceleration: cython.double  # of the slow base
-    _unit: object
+    _unit: str = cython.declare(object)
     # The commands from `_first` to before `_end`: the stamp since which each holds, its speed. The
     # slow base moves towards the command at `_held`.
     _stamps: cython.double[::1]
@@ -136,7 +136,7 @@ class _Axis:
             raise ValueError(f"commands at {places} in {len(self._stamps)} stamps")
 
     @cython.ccall
-    def reset(self, command: cython.double, stamp: cython.double):
+    def reset(self, command: cython.double, stamp: cython.double) -> None:
         """Begin again; for WINDOW s, the base may have any speed."""
         self._first = self._held = self._end = 0
         self._slow_speed = self._command = command
@@ -149,14 +149,14 @@ class _Axis:
         self._follow()
 
     @cython.ccall
-    def on_command(self, command: cython.double, stamp: cython.double):
+    def on_command(self, command: cython.double, stamp: cython.double) -> None:
         """Take in a command, which holds from the reading at `stamp` on."""
         if command != self._command:
             self._command = command
             self._add(command, stamp)
 
     @cython.cfunc
-    def _add(self, command: cython.double, stamp: cython.double):
+    def _add(self, command: cython.double, stamp: cython.double) -> None:
         """Append a command; if the buffer is full, first move the commands to its begin.
 
         If the commands fill more than half of the buffer, a larger buffer is made.
@@ -176,7 +176,7 @@ class _Axis:
         self._end += 1
 
     @cython.cfunc
-    def _move_slow_base(self, period: cython.double, stamp: cython.double):
+    def _move_slow_base(self, period: cython.double, stamp: cython.double) -> None:
         """Move the slow base on for `period` s, and drop commands that count no more.
 
         The slow base follows a command DELAY s late, and two periods are added to this delay. A
@@ -203,7 +203,7 @@ class _Axis:
             self._slow_speed += step if change > step else change
 
     @cython.cfunc
-    def _follow(self):
+    def _follow(self) -> None:
         """Note that the speed is within the bounds: `text` becomes empty."""
         self._outside_since, self._outside_readings, self.text = _inf, 0, ""
 
@@ -272,7 +272,7 @@ class _Axis:
         stamp: cython.double,
         by_twist: cython.double,
         by_pose: cython.double,
-    ):
+    ) -> None:
         """Compare the speed of the last period with the bounds; set `text` and `contradiction`.
 
         The text tells how the base differs, once the base has not followed for MIN_DURATION. The
@@ -341,13 +341,13 @@ class FollowingMonitor:
     base is blocked, ahead before sideways; NaN: none.
     """
 
-    text = cython.declare(object, visibility="readonly")
+    text: str = cython.declare(object, visibility="readonly")
     blocked_bearing = cython.declare(cython.double, visibility="readonly")
     _linear: _Axis
     _angular: _Axis
     _lateral: _Axis
     _is_lateral: cython.bint
-    _command: object  # the last safe command
+    _command: Twist  # the last safe command
     _has_last: cython.bint  # a reading has come since the reset
     # Stamp and pose of the last reading.
     _stamp: cython.double

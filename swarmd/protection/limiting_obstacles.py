@@ -55,7 +55,7 @@ class LimitingRows:
             raise ValueError(f"{self.count} rows are ranked")
 
     @cython.cfunc
-    def report(self, x: cython.double, y: cython.double) -> tuple:
+    def report(self, x: cython.double, y: cython.double) -> tuple[LimitingObstacle, ...]:
         """The obstacles whose constraints are tight at the speeds x, y; at most four.
 
         `x` and `y` are the linear and the angular speed over their limits. A constraint a x + b y
@@ -104,13 +104,15 @@ class LimitingRows:
             self._rank(rows, nearest_row)
 
         # 3. Makes the report.
-        obstacles: list = []
+        obstacles: list[LimitingObstacle] = []
         for i in range(self.count):
             obstacles.append(self._obstacle(rows, placed, self.row[i]))
         return tuple(obstacles)
 
     @cython.cfunc
-    def _obstacle(self, rows: ConstraintRows, placed: PlacedPoints, row: cython.Py_ssize_t):
+    def _obstacle(
+        self, rows: ConstraintRows, placed: PlacedPoints, row: cython.Py_ssize_t
+    ) -> LimitingObstacle:
         """The report of the obstacle of a constraint."""
         point: cython.Py_ssize_t = rows.source[row]
         radius: cython.double = placed.radius[point]

@@ -16,6 +16,9 @@ from swarmd.protection.outline import Outline
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
+
+    from swarmd.core.values import Array
+    from swarmd.protection.decision import ToldObstacle
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -57,11 +60,11 @@ class ReturnLayer:
     @cython.cfunc
     def observe(
         self,
-        ranges: cython.const[cython.double][::1],
+        ranges: cython.const_double[::1],
         directions: cython.double[::1],
-        ages: cython.const[cython.double][::1],
+        ages: cython.const_double[::1],
         motion: ScanMotion,
-    ):
+    ) -> None:
         """Take in a scan: set `kinds` and `has_kinds`.
 
         Args:
@@ -134,9 +137,9 @@ class NearObstacles:
     rays: Points  # unit vectors of the rays of contacts, in `x` and `y`
     is_near: cython.bint  # an obstacle is so near that the envelope (envelope.py) holds
     has_contact: cython.bint  # a decision since the last scan found the robot in contact
-    min_gap: object  # m to the nearest return; None without a return
-    bearings: object  # of the rays, as the scan has them
-    _bearings: cython.const[cython.double][::1]
+    min_gap: float | None = cython.declare(object)  # m to the nearest return; None without a return
+    bearings: Array  # of the rays, as the scan has them
+    _bearings: cython.const_double[::1]
     _directions: cython.double[::1]  # x and y of each ray; x is NaN where they are not known yet
     # The points before they are sorted, and two orders of them.
     _unsorted: Points
@@ -145,7 +148,7 @@ class NearObstacles:
     _assumptions: Assumptions
     _outline: Outline
     _motion: ScanMotion
-    _layer: ReturnLayer  # None: all returns are OTHER
+    _layer: ReturnLayer | None  # None: all returns are OTHER
 
     def __init__(
         self,
@@ -167,7 +170,7 @@ class NearObstacles:
             raise ValueError(f"{self.contacts} contacts of {len(self.points.x)} points")
 
     @cython.cfunc
-    def set_bearings(self, bearings):
+    def set_bearings(self, bearings: Array) -> None:
         """Take the rays of other bearings; their directions are found when they are needed."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(bearings)
@@ -187,7 +190,7 @@ class NearObstacles:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _find_directions(self, ranges: cython.const[cython.double][::1]) -> cython.int:
+    def _find_directions(self, ranges: cython.const_double[::1]) -> cython.int:
         """Find the directions of all rays with a range up to REACH m."""
         i: cython.Py_ssize_t
         for i in range(len(ranges)):
@@ -195,7 +198,7 @@ class NearObstacles:
                 self._find_direction(i)
 
     @cython.cfunc
-    def find_min_gap(self, ranges: cython.const[cython.double][::1], range_min: cython.double):
+    def find_min_gap(self, ranges: cython.const_double[::1], range_min: cython.double) -> None:
         """Set `min_gap` by a scan whose obstacles do not replace those of the last scan."""
         i: cython.Py_ssize_t
         outline: Outline = self._outline
@@ -225,11 +228,11 @@ class NearObstacles:
     @cython.cfunc
     def take_scan(
         self,
-        ranges: cython.const[cython.double][::1],
+        ranges: cython.const_double[::1],
         range_min: cython.double,
-        ages: cython.const[cython.double][::1],
+        ages: cython.const_double[::1],
         hidden: cython.double[:, ::1],
-    ):
+    ) -> None:
         """Replace the near obstacles by those of a scan, hidden obstacles included.
 
         A hidden obstacle is in the blind zone of the lidar, and is known from earlier scans. A
@@ -261,7 +264,7 @@ class NearObstacles:
         self.points.count = self.rays.count = self._unsorted.count = self.contacts = 0
 
         # 2. The kinds of the returns.
-        layer: ReturnLayer = self._layer
+        layer: ReturnLayer | None = self._layer
         if layer is not None:
             self._find_directions(ranges)
             layer.observe(ranges, self._directions, ages, self._motion)
@@ -296,9 +299,9 @@ class NearObstacles:
     @cython.exceptval(-1.0, check=True)
     def _take_returns(
         self,
-        ranges: cython.const[cython.double][::1],
+        ranges: cython.const_double[::1],
         range_min: cython.double,
-        ages: cython.const[cython.double][::1],
+        ages: cython.const_double[::1],
         longest_range: cython.double,
         binding_range: cython.double,
     ) -> cython.double:
@@ -327,10 +330,7 @@ class NearObstacles:
         near_gap: cython.p_double = checked(unsorted.gap, count)
         near_age: cython.p_double = checked(unsorted.age, count)
         near_kind: cython.p_longlong = checked_indices(unsorted.kind, count)
-        layer: ReturnLayer = self._layer
-        has_kinds: cython.bint = (
-            layer is not None and layer.has_kinds and self._assumptions.has_kinds
-        )
+        layer: ReturnLayer | None = self._layer if self._assumptions.has_kinds else None
         near_count: cython.Py_ssize_t = 0
         least_range: cython.double = _least_of(ranges)
         # m: the return nearest to the outline, which gives `min_gap`, has at most this range. In a
@@ -357,7 +357,9 @@ class NearObstacles:
             near_y[near_count] = outline.lidar_y + measured_range * directions[2 * i + 1]
             gap: cython.double = outline.gap_of(near_x[near_count], near_y[near_count])
             near_gap[near_count], near_age[near_count] = gap, age
-            near_kind[near_count] = layer.kinds[i] if has_kinds else OTHER
+            near_kind[near_count] = (
+                layer.kinds[i] if layer is not None and layer.has_kinds else OTHER
+            )
             if gap < least_gap:
                 least_gap = gap
             if ranges[i] <= longest_range:
@@ -477,7 +479,7 @@ class NearObstacles:
 
 @cython.cfunc
 @cython.exceptval(-1.0, check=True)
-def _least_of(ranges: cython.const[cython.double][::1]) -> cython.double:
+def _least_of(ranges: cython.const_double[::1]) -> cython.double:
     """The least range; inf without a return."""
     i: cython.Py_ssize_t
     least: cython.double = INFINITY
@@ -492,7 +494,7 @@ def _least_of(ranges: cython.const[cython.double][::1]) -> cython.double:
 class ObstacleDiscs:
     """Discs in which an obstacle is (see `ToldObstacle`), with those that can constrain a robot."""
 
-    obstacles: tuple  # the argument of `set`
+    obstacles: tuple[ToldObstacle, ...]  # the argument of `set`
     table: cython.double[:, ::1]  # (n, 4): DISC_X, DISC_Y, DISC_RADIUS and DISC_AGE of each disc
     count: cython.Py_ssize_t  # number of discs that can bind
     binding: cython.longlong[::1]  # the indices of these discs in `table`
@@ -502,7 +504,7 @@ class ObstacleDiscs:
         self.binding = indices(8)
 
     @cython.cfunc
-    def set(self, told):
+    def set(self, told: tuple[ToldObstacle, ...]) -> None:
         """Replace the discs by `told`, a tuple of ToldObstacle."""
         self.obstacles = told
         rows = [(disc.x, disc.y, disc.radius, disc.age) for disc in told]

@@ -16,6 +16,8 @@ from swarmd.protection.footprint import Footprint
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
+
+    from swarmd.core.values import Array
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -85,7 +87,7 @@ class Chunk:
 class Outline:
     """The convex outline of one robot, with the place of its lidar."""
 
-    corners: object  # (k, 2), counter-clockwise
+    corners: Array  # (k, 2), counter-clockwise
     edges: cython.Py_ssize_t  # k
     corner_x: cython.double[::1]
     corner_y: cython.double[::1]

@@ -44,7 +44,7 @@ class Room:
 
     _assumptions: Assumptions
     _outline: Outline
-    _scan: object
+    _scan: ScanSpec
 
     def __init__(self, assumptions: Assumptions, outline: Outline, scan: ScanSpec) -> None:
         self._assumptions, self._outline = assumptions, outline

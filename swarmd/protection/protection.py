@@ -11,16 +11,17 @@ modules load it, compiled or interpreted.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swarmd.core.kernels import load_kernel
-from swarmd.core.messages import NarrowestPassage, Reason
-from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
+from swarmd.core.messages import LimitingObstacle, NarrowestPassage, Reason
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Scan, TouchZone, Twist
 from swarmd.protection.decision import (
     NO_PERMIT,
     Clearance,
+    CommandLayer,
     Decision,
     DecisionContext,
     LayerView,
@@ -37,6 +38,10 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Collection
 
     import cython
+
+    from swarmd.protection.assumption_monitor import AssumptionMonitor
+    from swarmd.protection.following import FollowingMonitor
+    from swarmd.protection.modes import Mode
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -55,7 +60,7 @@ _driver_lost = cython.declare(object, Reason.DRIVER_LOST)
 
 
 @cython.cfunc
-def _is_finite(twist) -> cython.bint:
+def _is_finite(twist: Twist) -> cython.bint:
     """True if no speed of a Twist is NaN or infinite."""
     linear: cython.double = twist.linear
     angular: cython.double = twist.angular
@@ -64,7 +69,7 @@ def _is_finite(twist) -> cython.bint:
 
 
 @cython.cfunc
-def _is_nearly_zero(twist) -> cython.bint:
+def _is_nearly_zero(twist: Twist) -> cython.bint:
     """True if each speed of a Twist is zero, up to _ZERO_TOLERANCE."""
     linear: cython.double = twist.linear
     angular: cython.double = twist.angular
@@ -89,35 +94,36 @@ class Protection:
         mode_command: the last command of the mode, before a violated assumption reduces it.
     """
 
-    events = cython.declare(list, visibility="readonly")
-    following = cython.declare(object, visibility="readonly")
+    events: list[str] = cython.declare(list, visibility="readonly")
+    following: FollowingMonitor = cython.declare(object, visibility="readonly")
     moved_at = cython.declare(cython.double, visibility="readonly")
-    mode_command = cython.declare(object, visibility="readonly")
-    _limits: object
-    _mode = cython.declare(object, visibility="public")
-    _monitor = cython.declare(object, visibility="public")
-    _bounds: tuple  # the layers that bound commands
+    mode_command: Twist = cython.declare(object, visibility="readonly")
+    _limits: Limits
+    _mode: Mode = cython.declare(object, visibility="public")
+    _monitor: AssumptionMonitor | None = cython.declare(object, visibility="public")
+    _bounds: tuple[CommandLayer, ...]  # the layers that bound commands
     _is_bounded: cython.bint  # a bound changed the last command that `_judge` gave
-    _footprint: object
-    _geometry: object
+    _footprint: Footprint
+    _geometry: ScanGeometry
     _latency: cython.double
     _has_walls: cython.bint  # walls that have stood are assumed to stand on
     _is_running: cython.bint
     _has_compared: cython.bint  # `following` has had a reading since its reset
     _scan_seq: cython.Py_ssize_t  # of the last scan; -1 before the first
-    _scan: object  # the last conditioned scan; None before the first
-    _scan_points: object  # (k, 2) returns of the scan within a reach; None: not computed yet
-    _min_gap: object  # m from the outline to the nearest return of the last scan; None without one
-    _ring_context: object  # the context of `_ring_points`
-    _ring_points: object  # (k, 2) returns of the ring, m in the base frame; None without one
-    _safe: object  # the last safe command, which is in force until the next decision
-    _requested: object
-    _clipped_request: object  # `_requested` within the limits
+    _scan: Scan | None  # the last conditioned scan; None before the first
+    _scan_points: Array | None  # (k, 2) returns of the scan within a reach; None: not computed yet
+    # m from the outline to the nearest return of the last scan; None without one
+    _min_gap: float | None = cython.declare(object)
+    _ring_context: DecisionContext | None  # the context of `_ring_points`
+    _ring_points: Array | None  # (k, 2) returns of the ring, m in the base frame; None without one
+    _safe: Twist  # the last safe command, which is in force until the next decision
+    _requested: Twist | None
+    _clipped_request: Twist  # `_requested` within the limits
     # The last decision without a hold. The decision is repeated for the same case in the same
     # context, in which each mode decides the same. A scan or odometry ends the context.
-    _last_context: object  # None: no decision may be repeated
-    _last_case: tuple  # of `decide`
-    _last_decision: object
+    _last_context: DecisionContext | None  # None: no decision may be repeated
+    _last_case: tuple[Any, ...]  # of `decide`
+    _last_decision: Decision
 
     def __init__(self, platform: Platform, layers: Collection[FenceSettings] = ()) -> None:
         self._limits = platform.limits
@@ -141,12 +147,11 @@ class Protection:
 
     def clearance(self, speed: float) -> Clearance | None:
         """The free room that the mode needs to drive at `speed` m/s; None: it has no such bound."""
-        clearance: Clearance | None = self._mode.clearance(speed)
-        return clearance
+        return self._mode.clearance(speed)
 
     def wall_patience(self, now: float) -> float:
         """s until walls that are near have stood; 0 without such walls."""
-        return self._mode.wall_patience(now) if self._has_walls else 0.0
+        return self._mode.wall_patience(now) if self._has_walls and is_barrier(self._mode) else 0.0
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
@@ -157,9 +162,9 @@ class Protection:
         if is_barrier(mode):  # which has looked at all returns
             self._min_gap = mode.min_gap
             moved = mode.moved_wall
-            if moved is not None and self._is_running:
+            if moved is not None and self._monitor is not None and self._is_running:
                 self.events.append(self._monitor.on_moved_wall(scan.stamp, moved))
-            if self._has_walls:
+            if self._has_walls and self._monitor is not None:
                 self._monitor.end_wall_doubt(scan.stamp)
                 mode.trust_walls(self._monitor.trusts_walls)
         else:
@@ -192,7 +197,7 @@ class Protection:
 
     def forget_findings(self, findings: Collection[str]) -> None:
         """End these findings: they do not slow the robot until the monitor raises them again."""
-        if self._monitor is not None:
+        if self._monitor is not None and is_barrier(self._mode):
             self._monitor.forget(findings)
             self._mode.trust_walls(self._monitor.trusts_walls)
 
@@ -258,7 +263,7 @@ class Protection:
         return last
 
     @cython.ccall
-    def clip(self, requested):
+    def clip(self, requested: Twist | None) -> Twist:
         """The request (Twist or None) within the limits; zero without a finite request.
 
         Most requests are judged more than once, so the result is stored.
@@ -276,7 +281,9 @@ class Protection:
         return self._judge(self._limits.clip(requested), context, touch).twist
 
     @cython.cfunc
-    def _judge(self, request, context, touch):
+    def _judge(
+        self, request: Twist, context: DecisionContext, touch: TouchZone | None
+    ) -> ModeDecision:
         """The decision of the mode within all bounds; sets `_is_bounded`.
 
         A bound limits the request, and then the command of a mode that changed the request. The
@@ -317,7 +324,7 @@ class Protection:
         return points
 
     @cython.cfunc
-    def _take_ring(self, context):
+    def _take_ring(self, context: DecisionContext) -> None:
         """Take in the ring's returns of a context."""
         if context is not self._ring_context:
             self._ring_points = context.near_points if context.near else None
@@ -326,15 +333,15 @@ class Protection:
     @cython.cfunc
     def _decision(
         self,
-        clipped_request: object,
-        twist: object,
+        clipped_request: Twist,
+        twist: Twist,
         is_active: cython.bint,
-        rows: tuple,
-        reason: object,
-        context: object,
-        steered: object,
+        rows: tuple[LimitingObstacle, ...],
+        reason: Reason | None,
+        context: DecisionContext,
+        steered: Steered | None,
         is_bounded: cython.bint = False,
-    ):
+    ) -> Decision:
         """The Decision for the command `twist` of the mode; tells the monitors the safe command.
 
         Clips the command, and reduces it to `speed_share` after a violated assumption.
@@ -387,7 +394,7 @@ class Protection:
         )
 
     @cython.cfunc
-    def _least_gap(self):
+    def _least_gap(self) -> Any:
         """m from the outline to the nearest return of scan and ring; None without a return."""
         if self._ring_points is None:
             return self._min_gap

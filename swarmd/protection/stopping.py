@@ -193,7 +193,7 @@ class StopPoints:
         if not 0 <= self.count <= room:
             raise ValueError(f"{self.count} points beside a stop in {room}")
 
-    def _allocate(self, room):
+    def _allocate(self, room: cython.Py_ssize_t) -> None:
         """Make all arrays anew."""
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.needed_gap = doubles(room), doubles(room)

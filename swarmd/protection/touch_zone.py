@@ -31,7 +31,7 @@ _TOUCH_STEP = math.radians(15.0)  # directions between two of these are at most 
 class TouchSector:
     """The granted touch zone as numbers of the kernel; no zone is granted at first."""
 
-    zone: object  # as it was granted, or None
+    zone: TouchZone | None  # as it was granted, or None
     is_granted: cython.bint
     speed: cython.double  # m/s
     x: cython.double  # the middle direction
@@ -45,7 +45,7 @@ class TouchSector:
         self.corners = view(np.empty((0, 4)))
 
     @cython.cfunc
-    def grant(self, zone, corners):
+    def grant(self, zone: TouchZone | None, corners: Array) -> None:
         """Grant a zone to a robot with the outline `corners` (k, 2); None: no zone."""
         self.zone, self.is_granted = zone, zone is not None
         if zone is not None:

@@ -14,11 +14,18 @@ from msgspec.structs import replace
 from swarmd.core.host_messages import KillHost, Load, SetParams, Step
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Mapping
+
     import cython
+
+    from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
+    from swarmd.core.messages import Reply
+    from swarmd.core.values import Value
+    from swarmd.robot.actions import FailedCode
 else:
     from swarmd.core import cython_shadow as cython
 
-_NO_MESSAGES = cython.declare(object, MappingProxyType({}))
+_NO_MESSAGES: Mapping[str, Value] = cython.declare(object, MappingProxyType({}))
 
 
 @cython.final
@@ -38,13 +45,13 @@ class Effects:
     is_latched = cython.declare(cython.bint, visibility="public")
     is_new_scan = cython.declare(cython.bint, visibility="public")
     is_new_run = cython.declare(cython.bint, visibility="public")
-    trial = cython.declare(object, visibility="public")
-    messages = cython.declare(object, visibility="public")
-    replies = cython.declare(tuple, visibility="public")
-    host = cython.declare(object, visibility="public")
-    failed_code = cython.declare(object, visibility="public")
-    ended = cython.declare(object, visibility="public")
-    grip = cython.declare(object, visibility="public")
+    trial: StartTrial | CancelTrial | None = cython.declare(object, visibility="public")
+    messages: Mapping[str, Value] = cython.declare(object, visibility="public")
+    replies: tuple[Reply, ...] = cython.declare(tuple, visibility="public")
+    host: HostCommand | None = cython.declare(object, visibility="public")
+    failed_code: FailedCode | None = cython.declare(object, visibility="public")
+    ended: str = cython.declare(object, visibility="public")
+    grip: bool | None = cython.declare(object, visibility="public")
 
     def __init__(self, now: cython.double) -> None:
         self.now, self.messages, self.replies, self.ended = now, _NO_MESSAGES, (), ""

@@ -8,7 +8,7 @@ not arrived is -inf.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Inputs, Neighbor
@@ -16,7 +16,18 @@ from swarmd.protection.decision import DecisionContext
 from swarmd.robot import timeouts
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections import deque
+    from collections.abc import Mapping
+
     import cython
+
+    from swarmd.core.neighbor_places import NeighborPlaces
+    from swarmd.core.values import Detection, Odometry, Pose, Scan
+    from swarmd.protection.decision import PoseAnchors
+    from swarmd.robot.peers import Peers
+    from swarmd.robot.sensors import RangeRing
+    from swarmd.sensing.odometry_history import OdometryHistory
+    from swarmd.sensing.scan_delay import ScanDelay
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -40,7 +51,7 @@ class Hold:
     present. `reason`: what the robot gives as the cause. `ends_run`: the run ends at once.
     """
 
-    reason = cython.declare(object, visibility="public")
+    reason: Reason | None = cython.declare(object, visibility="public")
     begins = cython.declare(cython.double, visibility="public")
     until = cython.declare(cython.double, visibility="public")
     ends_run = cython.declare(cython.bint, visibility="public")
@@ -66,24 +77,24 @@ class InputAges:
     An object that the robot does not have is None.
     """
 
-    odometry = cython.declare(object, visibility="public")
-    scan = cython.declare(object, visibility="public")
-    readings = cython.declare(object, visibility="public")
-    detections = cython.declare(object, visibility="public")
-    pose = cython.declare(object, visibility="public")
+    odometry: Odometry | None = cython.declare(object, visibility="public")
+    scan: Scan | None = cython.declare(object, visibility="public")
+    readings: Mapping[str, float] = cython.declare(object, visibility="public")
+    detections: tuple[Detection, ...] | None = cython.declare(object, visibility="public")
+    pose: Pose | None = cython.declare(object, visibility="public")
     pose_until = cython.declare(cython.double, visibility="public")
-    scan_delay = cython.declare(object, visibility="public")
+    scan_delay: ScanDelay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
-    holds = cython.declare(tuple, visibility="public")
-    lost_hold = cython.declare(Hold, visibility="public")
-    base_hold = cython.declare(Hold, visibility="public")
-    hazard_hold = cython.declare(Hold, visibility="public")
-    delay_hold = cython.declare(Hold, visibility="public")
-    scan_hold = cython.declare(Hold, visibility="public")
-    ring_hold = cython.declare(Hold, visibility="public")
-    odometry_hold = cython.declare(Hold, visibility="public")
-    peers_hold = cython.declare(Hold, visibility="public")
-    pose_hold = cython.declare(Hold, visibility="public")
+    holds: tuple[Hold, ...] = cython.declare(tuple, visibility="public")
+    lost_hold: Hold = cython.declare(Hold, visibility="public")
+    base_hold: Hold = cython.declare(Hold, visibility="public")
+    hazard_hold: Hold = cython.declare(Hold, visibility="public")
+    delay_hold: Hold = cython.declare(Hold, visibility="public")
+    scan_hold: Hold = cython.declare(Hold, visibility="public")
+    ring_hold: Hold = cython.declare(Hold, visibility="public")
+    odometry_hold: Hold = cython.declare(Hold, visibility="public")
+    peers_hold: Hold = cython.declare(Hold, visibility="public")
+    pose_hold: Hold = cython.declare(Hold, visibility="public")
     permitted_delay = cython.declare(cython.double, visibility="public")
     _scan_at = cython.declare(cython.double, visibility="public")
     _odometry_at = cython.declare(cython.double, visibility="public")
@@ -91,19 +102,19 @@ class InputAges:
     _is_late = cython.declare(cython.bint, visibility="public")
     _stale_after = cython.declare(cython.double, visibility="public")
     _max_delay = cython.declare(cython.double, visibility="public")
-    _ring = cython.declare(object, visibility="public")
-    _places = cython.declare(object, visibility="public")
-    _anchors = cython.declare(object, visibility="public")
-    _teller = cython.declare(object, visibility="public")
+    _ring: RangeRing | None = cython.declare(object, visibility="public")
+    _places: NeighborPlaces | None = cython.declare(object, visibility="public")
+    _anchors: PoseAnchors | None = cython.declare(object, visibility="public")
+    _teller: Peers | None = cython.declare(object, visibility="public")
     _is_new_scan = cython.declare(cython.bint, visibility="public")
-    _history = cython.declare(object, visibility="public")
-    _inbox = cython.declare(object, visibility="public")
-    _neighbors = cython.declare(tuple, visibility="public")
+    _history: OdometryHistory = cython.declare(object, visibility="public")
+    _inbox: deque[Any] = cython.declare(object, visibility="public")
+    _neighbors: tuple[Neighbor, ...] = cython.declare(tuple, visibility="public")
     _neighbors_at = cython.declare(cython.double, visibility="public")
     # The neighbours with their ages, and how often these ages were computed anew.
-    _aged = cython.declare(tuple, visibility="public")
+    _aged: tuple[Neighbor, ...] = cython.declare(tuple, visibility="public")
     _renewals = cython.declare(cython.double, visibility="public")
-    _context = cython.declare(object, visibility="public")
+    _context: DecisionContext | None = cython.declare(object, visibility="public")
     _context_at: cython.double
 
     def __init__(self) -> None:
@@ -132,7 +143,7 @@ class InputAges:
         self._neighbors = self._aged = ()
 
     @cython.ccall
-    def on_odometry(self, odometry, now: cython.double):
+    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
         """Take in a measured pose and twist. An invalid reading is ignored.
 
         A reading whose stamp is not newer than the last stamp does not renew the age of odometry.
@@ -150,7 +161,7 @@ class InputAges:
                 self.pose_hold.begins = self._anchors.until
 
     @cython.ccall
-    def neighbors(self, now: cython.double) -> tuple:
+    def neighbors(self, now: cython.double) -> tuple[Neighbor, ...]:
         """The neighbours; each age is exact to 0.5 s. Empty after 3 s without an update.
 
         `_places` adds the places that the base does not measure.
@@ -170,7 +181,7 @@ class InputAges:
         return self._aged if self._places is None else self._places.complete(self._aged, now)
 
     @cython.ccall
-    def inputs(self, now: cython.double, dt: cython.double):
+    def inputs(self, now: cython.double, dt: cython.double) -> Inputs:
         """The inputs for one step of the pattern; `dt`: s since the step before.
 
         Each message, and the mark of a new scan, appears in the inputs of a single step.
@@ -182,7 +193,7 @@ class InputAges:
             self._is_new_scan != 0,
             self.odometry,
             InputAges.neighbors(self, now),
-            self._take_messages(now) if self._inbox else (),
+            self._take_messages(now) if self._inbox else (),  # type: ignore[attr-defined]  # of Sensors
             self.readings,
             None if self._ring is None else self._ring.scan,
             self.detections,
@@ -239,14 +250,14 @@ class InputAges:
         return min(stale_at, ring_at) if ring_at > -INFINITY else stale_at
 
     @cython.ccall
-    def permit_delay(self, seconds: cython.double):
+    def permit_delay(self, seconds: cython.double) -> None:
         """Set how late (s beyond the latency of the platform) scans may be."""
         if seconds != self.permitted_delay:
             self.permitted_delay = seconds
             InputAges.time_scan(self)
 
     @cython.ccall
-    def time_scan(self):
+    def time_scan(self) -> None:
         """Set when the last scan is stale, and whether it came too late.
 
         A scan is stale at the platform's limit `stale_after` less the measured delay of scans,

@@ -21,9 +21,13 @@ from swarmd.protection.decision import NO_PERMIT
 from swarmd.robot import timeouts
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Mapping
+
     import cython
 
-    from swarmd.core.host_messages import Loaded
+    from swarmd.core.host_messages import Loaded, ParamSources
+    from swarmd.core.values import Outputs, Scalar, Twist
+    from swarmd.protection.decision import Permit
     from swarmd.robot.pattern_load import Loading, Wish
 else:
     from swarmd.core import cython_shadow as cython
@@ -44,27 +48,29 @@ NOTHING_PERMITTED = cython.declare(object, NO_PERMIT)
 class Running:
     """The running pattern, and the command that it requested last."""
 
-    generation = cython.declare(object, visibility="readonly")  # the number of the load
-    pattern = cython.declare(object, visibility="readonly")
-    params = cython.declare(object, visibility="public")
-    rate = cython.declare(object, visibility="readonly")
-    channels = cython.declare(object, visibility="readonly")
-    values = cython.declare(object, visibility="public")
-    wish = cython.declare(object, visibility="readonly")
-    until = cython.declare(object, visibility="readonly")
+    generation: int = cython.declare(object, visibility="readonly")  # the number of the load
+    pattern: str = cython.declare(object, visibility="readonly")
+    params: Mapping[str, Scalar | None] = cython.declare(object, visibility="public")
+    rate: float = cython.declare(object, visibility="readonly")
+    channels: frozenset[str] = cython.declare(object, visibility="readonly")
+    values: ParamSources = cython.declare(object, visibility="public")
+    wish: Wish = cython.declare(object, visibility="readonly")
+    until: tuple[str, ...] = cython.declare(object, visibility="readonly")
     # What protection may do and allow for this pattern, such as to touch an object.
-    permit = cython.declare(object, visibility="public")
+    permit: Permit = cython.declare(object, visibility="public")
     finish_at = cython.declare(cython.double, visibility="readonly")  # inf: no end
     period = cython.declare(cython.double, visibility="readonly")  # s between two steps
     # s for which a requested command is valid (rule 1 of the module).
     expiry = cython.declare(cython.double, visibility="readonly")
     # The last requested command, None to stand; the start of the step that returned this command;
     # and the number of the scan that this step used, -1 without a scan.
-    requested = cython.declare(object, visibility="readonly")
+    requested: Twist | None = cython.declare(object, visibility="readonly")
     requested_at = cython.declare(cython.double, visibility="readonly")
     scan_seq = cython.declare(cython.Py_ssize_t, visibility="readonly")
 
-    def __init__(self, loading, event, finish_at: cython.double, now: cython.double) -> None:
+    def __init__(
+        self, loading: Loading, event: Loaded, finish_at: cython.double, now: cython.double
+    ) -> None:
         """Start the run of `loading`, whose load ended with `event` at `now`."""
         self.generation, self.pattern, self.params = (
             loading.generation,
@@ -102,17 +108,17 @@ class PatternRun:
     - `restarts`: the count of all faults since the start of the daemon.
     """
 
-    running = cython.declare(Running, visibility="public")
-    loading = cython.declare(object, visibility="public")
+    running: Running | None = cython.declare(Running, visibility="public")
+    loading: Loading | None = cython.declare(object, visibility="public")
     restart_at = cython.declare(cython.double, visibility="public")
     awaiting_since = cython.declare(cython.double, visibility="public")
     last_step = cython.declare(cython.double, visibility="public")
-    stepped_generation = cython.declare(object, visibility="public")
+    stepped_generation: int = cython.declare(object, visibility="public")
     is_due = cython.declare(cython.bint, visibility="public")
     is_outdated = cython.declare(cython.bint, visibility="public")
-    generation = cython.declare(object, visibility="public")
+    generation: int = cython.declare(object, visibility="public")
     restarts = cython.declare(cython.Py_ssize_t, visibility="public")
-    _faults: object
+    _faults: deque[float]
 
     def __init__(self) -> None:
         self.restart_at = self.awaiting_since = INFINITY
@@ -128,6 +134,7 @@ class PatternRun:
     def ready(self, event: Loaded, now: cython.double) -> Loading:
         """Make the loaded pattern the running one, without a requested command yet."""
         loading, self.loading = self.loading, None
+        assert loading is not None  # the host answers loads alone
         finish_at: cython.double = INFINITY if loading.seconds is None else now + loading.seconds
         if loading.is_restart and self.running is not None:
             finish_at = self.running.finish_at
@@ -137,9 +144,10 @@ class PatternRun:
         self.awaiting_since, self.last_step = INFINITY, -1.0
         return loading
 
-    def stepped(self, outputs, scan_seq: cython.Py_ssize_t, now: cython.double) -> None:
+    def stepped(self, outputs: Outputs, scan_seq: cython.Py_ssize_t, now: cython.double) -> None:
         """Take the requested command that a step returned; it ages from the start of that step."""
         running = self.running
+        assert running is not None  # Lifecycle has compared its generation
         asked_at = self.awaiting_since
         running.requested_at = now if asked_at == INFINITY else asked_at
         self.awaiting_since = INFINITY
@@ -168,6 +176,7 @@ class PatternRun:
     @cython.ccall
     def stepping(self, now: cython.double) -> float:
         """Mark the start of a step; returns the s since the start of the step before (first: 0)."""
+        assert self.running is not None  # `may_step`
         self.stepped_generation = self.running.generation
         dt = 0.0 if self.last_step < 0.0 else now - self.last_step
         self.last_step = self.awaiting_since = now

@@ -7,7 +7,7 @@ robot's clock. A deadline that is not set is inf.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmd.core.clock import STALL_TIMEOUT
 from swarmd.core.events import HostInput
@@ -20,9 +20,20 @@ from swarmd.robot.input_ages import InputAges
 from swarmd.robot.pattern_run import NOTHING_PERMITTED, ROUNDING, PatternRun, Running, later
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Callable
+
     import cython
 
     from swarmd.core.events import Input, MessageInput, ScanInput, TickInput
+    from swarmd.core.host_messages import HostCommand
+    from swarmd.core.values import Odometry
+    from swarmd.protection.decision import Decision
+    from swarmd.protection.protection import Protection
+    from swarmd.robot.goals import Goals
+    from swarmd.robot.requests import RequestHandler
+    from swarmd.robot.sensors import Sensors
+    from swarmd.robot.state import Lifecycle, StateMachine
+    from swarmd.robot.steers import Steers
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -45,7 +56,7 @@ _STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale u
 class StateField:
     """The state of a robot, which `StateMachine` changes."""
 
-    state = cython.declare(object, visibility="public")
+    state: State = cython.declare(object, visibility="public")
 
 
 @cython.final
@@ -77,32 +88,34 @@ class Ticker:
     Odometry, neighbours, readings and messages change no deadline: these events set neither time.
     """
 
-    decision = cython.declare(object, visibility="public")
+    decision: Decision = cython.declare(object, visibility="public")
     decided_at = cython.declare(cython.double, visibility="public")
-    _sensors = cython.declare(InputAges, visibility="public")
-    _run = cython.declare(PatternRun, visibility="public")
-    _lifecycle = cython.declare(object, visibility="public")
-    _machine = cython.declare(StateField, visibility="public")
-    _kept_goals = cython.declare(object, visibility="public")
-    _requests = cython.declare(object, visibility="public")
-    _protection = cython.declare(object, visibility="public")
-    _steering = cython.declare(object, visibility="public")
-    _duty = cython.declare(DutyCycle, visibility="public")
+    _sensors: Sensors = cython.declare(InputAges, visibility="public")
+    _run: PatternRun = cython.declare(PatternRun, visibility="public")
+    _lifecycle: Lifecycle = cython.declare(object, visibility="public")
+    _machine: StateMachine = cython.declare(StateField, visibility="public")
+    _kept_goals: Goals = cython.declare(object, visibility="public")
+    _requests: RequestHandler = cython.declare(object, visibility="public")
+    _protection: Protection = cython.declare(object, visibility="public")
+    _steering: Steers = cython.declare(object, visibility="public")
+    _duty: DutyCycle = cython.declare(DutyCycle, visibility="public")
     _last_tick = cython.declare(cython.double, visibility="public")
     _due_at = cython.declare(cython.double, visibility="public")
     _quiet_until = cython.declare(cython.double, visibility="public")
     _published_at = cython.declare(cython.double, visibility="public")
     # The lifecycle may have changed since the last check for a new status.
     _is_status_due = cython.declare(cython.bint, visibility="public")
-    _blind: object  # the text of the blind sectors that was logged last
+    _blind: str  # the text of the blind sectors that was logged last
     _restarts: cython.Py_ssize_t  # the logged count of restarts of the scan delay's estimate
     # The base does not follow its commands.
     _is_off_command = cython.declare(cython.bint, visibility="public")
     # By type of input: the function (robot, input, time) that handles this type.
-    _handlers = cython.declare(dict, visibility="public")
+    _handlers: dict[type[Input], Callable[[Any, Any, float], Actions | None]] = cython.declare(
+        dict, visibility="public"
+    )
     # The hold after the last event; no tick is quiet under a hold.
-    _hold = cython.declare(object, visibility="public")
-    _settled: object  # the actions of the last event that was not a quiet tick
+    _hold: Reason | None = cython.declare(object, visibility="public")
+    _settled: Actions  # the actions of the last event that was not a quiet tick
 
     def __init__(self) -> None:
         self.decided_at = self._due_at = self._quiet_until = self._published_at = -INFINITY
@@ -142,7 +155,7 @@ class Ticker:
         )
 
     @cython.cfunc
-    def _tick(self, now: cython.double):
+    def _tick(self, now: cython.double) -> Actions | None:
         """Check all deadlines; the shell calls this at 20 Hz, at rest at 10 Hz, and at `wake_at`.
 
         Returns the actions; None after a quiet tick, which only computes the safe command.
@@ -168,7 +181,7 @@ class Ticker:
         return self._settled_after(effects)
 
     @cython.cfunc
-    def _settled_after(self, effects: Effects):
+    def _settled_after(self, effects: Effects) -> Actions:
         """Check holds and deadlines after an event, decide, and return the actions of the shell.
 
         A hold is a present reason for which a running robot stands. Cython calls a method in C only
@@ -179,7 +192,7 @@ class Ticker:
         self._quiet_until, self._hold = -INFINITY, hold
         decision = Ticker._decide(self, hold, now)
         if self._run.restart_at < INFINITY:
-            self._restart(effects)
+            self._restart(effects)  # type: ignore[attr-defined]  # of Robot
         host_command = self._host_command(effects)
         # A status is made only at a tick, so that replies to requests do not wait for it. The
         # exception is a new latch, which peers must learn at once.
@@ -189,7 +202,7 @@ class Ticker:
         return actions
 
     @cython.cfunc
-    def _checked_hold(self, effects: Effects):
+    def _checked_hold(self, effects: Effects) -> Reason | None:
         """The present hold, else None. Ends the run for a hazard, and acts on due deadlines."""
         now: cython.double = effects.now
         sensors, running = self._sensors, self._run.running
@@ -209,27 +222,33 @@ class Ticker:
         return hold
 
     @cython.cfunc
-    def _host_command(self, effects: Effects):
+    def _host_command(self, effects: Effects) -> HostCommand | None:
         """The command of this event for the pattern host: the next step if no other is wanted."""
         run = self._run
         now: cython.double = effects.now
         if effects.host is not None or self._machine.state is not _RUNNING:
             return effects.host
-        if not run.may_step(now, effects.is_new_scan):
+        if run.running is None or not run.may_step(now, effects.is_new_scan):
             return None
         return _Step(
             run.running.generation, InputAges.inputs(self._sensors, now, run.stepping(now))
         )
 
     @cython.cfunc
-    def _must_publish(self, now: cython.double):
+    def _must_publish(self, now: cython.double) -> Any:
         """True if a status is due, which then counts as published."""
         if self._is_status_due or now >= self._published_at + _STATUS_PERIOD - ROUNDING:
-            return self._take_due_status(now)
+            return self._take_due_status(now)  # type: ignore[attr-defined]  # of Robot
         return False
 
     @cython.cfunc
-    def _actions(self, effects: Effects, decision, host_command, has_status: cython.bint):
+    def _actions(
+        self,
+        effects: Effects,
+        decision: Decision,
+        host_command: HostCommand | None,
+        has_status: cython.bint,
+    ) -> Actions:
         """The actions after an event. By position, since keywords cost time in each tick."""
         running, state = self._run.running, self._machine.state
         return _Actions(
@@ -252,7 +271,7 @@ class Ticker:
         )
 
     @cython.cfunc
-    def _look_ahead(self, now: cython.double):
+    def _look_ahead(self, now: cython.double) -> None:
         """Set `_quiet_until` and `_due_at` for a time without events; no quiet ticks in a hold."""
         if self._hold is not None:
             return
@@ -294,25 +313,25 @@ class Ticker:
         if blind != self._blind:
             self._blind = blind
             self._lifecycle.log(f"scan: {blind or 'all sectors return something again'}", now)
-        if effects.is_new_scan:
+        if effects.is_new_scan and sensors.scan is not None:
             context = InputAges.context(sensors, now)
             protection.observe(sensors.scan, context)
             self._steering.observe(sensors.scan, context)
             if protection.events:
-                self._log_protection(now)
+                self._log_protection(now)  # type: ignore[attr-defined]  # of Robot
         return self._settled_after(effects)
 
     @cython.cfunc
-    def _look_at_stamps(self, now: cython.double):
+    def _look_at_stamps(self, now: cython.double) -> None:
         """Log that stamps of scan or odometry jumped, and the scan delay is measured anew."""
         restarts: cython.Py_ssize_t = self._sensors.scan_delay.restarts
         if restarts != self._restarts:
             self._restarts = restarts
             text = "stamps of odometry or scan jumped: the scan delay is measured anew"
-            self._events.log("stamps that jump", text, now)
+            self._events.log("stamps that jump", text, now)  # type: ignore[attr-defined]  # of Robot
 
     @cython.ccall
-    def _take_odometry(self, odometry, now: cython.double):
+    def _take_odometry(self, odometry: Odometry, now: cython.double) -> None:
         sensors, protection = self._sensors, self._protection
         InputAges.on_odometry(sensors, odometry, now)
         self._look_at_stamps(now)
@@ -320,16 +339,16 @@ class Ticker:
             protection.on_odometry(odometry)
             self._steering.on_odometry(odometry)
             if protection.events:
-                self._log_protection(now)
+                self._log_protection(now)  # type: ignore[attr-defined]  # of Robot
             text = protection.not_following
             if bool(text) != self._is_off_command:
-                self._log_following(text, now)
+                self._log_following(text, now)  # type: ignore[attr-defined]  # of Robot
             blocked_bearing: cython.double = protection.following.blocked_bearing
             if not isnan(blocked_bearing):
                 sensors.on_blocked(blocked_bearing, now)
 
     @cython.ccall
-    def _on_message(self, one: MessageInput, now: cython.double):
+    def _on_message(self, one: MessageInput, now: cython.double) -> None:
         """Take in a message; ignored on a channel that the running pattern does not declare."""
         running = self._run.running
         channel = None if running is None else Running.channel(running, one.channel)
@@ -337,7 +356,7 @@ class Ticker:
             self._sensors.on_message(one.sender, channel, one.value, now, one.is_program, one.size)
 
     @cython.ccall
-    def _decide(self, hold, now: cython.double):
+    def _decide(self, hold: Reason | None, now: cython.double) -> Decision:
         running = self._run.running
         context = InputAges.context(self._sensors, now)
         if running is None:
@@ -374,7 +393,7 @@ class Ticker:
 
 
 def tick_many(
-    robots: list, rows: list, commands: cython.double[:, ::1], now: cython.double
+    robots: list[Any], rows: list[int], commands: cython.double[:, ::1], now: cython.double
 ) -> list[tuple[int, Actions]]:
     """Tick many robots; returns index and actions of each robot whose tick is not quiet.
 
@@ -382,7 +401,7 @@ def tick_many(
     linear (m/s), angular (rad/s) and lateral (m/s) for each robot. `rows[i]`: the row of
     `robots[i]`.
     """
-    not_quiet: list = []
+    not_quiet: list[Any] = []
     robot: Ticker
     i: cython.Py_ssize_t
     row: cython.Py_ssize_t
@@ -398,7 +417,7 @@ def tick_many(
     return not_quiet
 
 
-def odometry_many(robots: list, readings: list, now: cython.double) -> None:
+def odometry_many(robots: list[Any], readings: list[Any], now: cython.double) -> None:
     """Hand each reading to the robot at the same index; a robot of None is skipped."""
     robot: Ticker
     i: cython.Py_ssize_t
@@ -408,7 +427,7 @@ def odometry_many(robots: list, readings: list, now: cython.double) -> None:
             robot._take_odometry(readings[i], now)
 
 
-def message_many(robots: list, message: MessageInput, now: cython.double) -> None:
+def message_many(robots: list[Any], message: MessageInput, now: cython.double) -> None:
     """Hand a message to each of its receivers; a robot of None is skipped."""
     robot: Ticker
     for robot in robots:

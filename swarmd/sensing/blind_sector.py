@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Odometry, ScanSpec
 from swarmd.sensing.angles import TURN
-from swarmd.sensing.buffers import new_flags, new_indices, view_of
+from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of
 from swarmd.sensing.sector_history import (
     EQUAL,
     LEAST_SECTORS,
@@ -41,6 +41,8 @@ from swarmd.sensing.sector_history import (
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Pose
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -96,22 +98,22 @@ class BlindSectors:
     `text` names the blind sectors; empty without one.
     """
 
-    text = cython.declare(object, visibility="readonly")
+    text: str = cython.declare(object, visibility="readonly")
     _is_used: cython.bint
     _compared_at: cython.double
     _compared_yaw: cython.double
-    _spec: object
-    _kinds: object  # the array of `_kind`
+    _spec: ScanSpec
+    _kinds: NDArray[np.uint8]  # the array of `_kind`
     _range_min: cython.double
     _range_max: cython.double
     _is_zero_near: cython.bint
-    _bearings_of_scan: object
-    _bearings: cython.const[cython.double][::1]
+    _bearings_of_scan: Array | None
+    _bearings: cython.const_double[::1]
     _sector: cython.longlong[::1]  # of each ray
     _direction: cython.longlong[::1]
     _is_return: cython.uchar[::1]
     _kind: cython.uchar[::1]  # by sector: why it is blind; 0: it is not
-    _returned_array: object  # the array of `_returned_at`
+    _returned_array: Array  # the array of `_returned_at`
     _returned_at: cython.double[::1]  # by sector
     _return_streak: cython.longlong[90]  # scans in a row with a return
     # By direction: range of the object last seen there, from where (x, y), in how many comparisons
@@ -131,15 +133,15 @@ class BlindSectors:
     _is_known: cython.short[90]
     # By sector: whether it has rays; arrays of the mean ranges of its returns (NaN: none) in this
     # scan, in the scan before, and in the last look for frozen sectors; the frozen range.
-    _has_rays: object
-    _means: object
+    _has_rays: NDArray[np.bool_]
+    _means: Array
     _mean: cython.double[::1]  # of `_means`
     _mean_before: cython.double[90]
-    _look_means: object
-    _frozen: object
+    _look_means: Array
+    _frozen: Array
     # The poses of the robot at the scan before and at the last look; None before the first.
-    _scan_pose: object
-    _look_pose: object
+    _scan_pose: Pose | None
+    _look_pose: Pose | None
     _scan_at: cython.double  # s, time of the scan before
 
     def __init__(self, spec: ScanSpec) -> None:
@@ -150,22 +152,24 @@ class BlindSectors:
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._is_zero_near = spec.zero == "too_close"
         self._kinds = np.zeros(_SECTORS, np.uint8)
-        self._kind = memoryview(self._kinds)
+        self._kind = self._kinds.data
         self._means = np.full(_SECTORS, NAN)
-        self._mean = memoryview(self._means)
+        self._mean = self._means.data
         self._look_means = np.full(_SECTORS, NAN)
         self._frozen = np.full(_SECTORS, NAN)
         self._has_rays = np.zeros(_SECTORS, np.bool_)
         self._returned_array = np.full(_SECTORS, NAN)
-        self._returned_at = memoryview(self._returned_array)
+        self._returned_at = self._returned_array.data
         for k in range(_SECTORS):
             self._seen_at[k] = -INFINITY
-        self._bearings = self._sector = self._direction = self._is_return = None
+        self._bearings = new_doubles(0)
+        self._sector = self._direction = new_indices(0)
+        self._is_return = new_flags(0)
 
     def check_indices(self) -> None:
         """ValueError unless each ray is in one of the sectors, for a serialised robot."""
         i: cython.Py_ssize_t
-        for i in range(0 if self._sector is None else len(self._sector)):
+        for i in range(len(self._sector)):
             if not 0 <= self._sector[i] < _SECTORS:
                 raise ValueError(f"ray {i} is in sector {self._sector[i]} of {_SECTORS}")
 
@@ -178,7 +182,13 @@ class BlindSectors:
         return known
 
     @cython.cfunc
-    def mark(self, given: cython.double[::1], bearings, odometry, now: cython.double):
+    def mark(
+        self,
+        given: cython.double[::1],
+        bearings: Array,
+        odometry: Odometry | None,
+        now: cython.double,
+    ) -> None:
         """Set NaN for rays of blind sectors without a return."""
         if not self._is_used:
             return
@@ -197,13 +207,13 @@ class BlindSectors:
         if not self.text:
             return
         i: cython.Py_ssize_t
-        for i in range(given.shape[0]):
+        for i in range(len(given)):
             kind: cython.uchar = self._kind[self._sector[i]]
             if kind and (kind == _FROZEN or not self._is_return[i]):
                 given[i] = NAN
 
     @cython.cfunc
-    def _keep_scan(self, pose, now: cython.double) -> cython.int:
+    def _keep_scan(self, pose: Pose, now: cython.double) -> cython.int:
         """Keep the scan for the next: pose, time, and means at which a return is certain."""
         k: cython.Py_ssize_t
         for k in range(_SECTORS):
@@ -213,9 +223,9 @@ class BlindSectors:
         self._scan_at = now
 
     @cython.cfunc
-    def _look_from(self, ranges: cython.double[::1], pose, now: cython.double) -> cython.bint:
+    def _look_from(self, ranges: cython.double[::1], pose: Pose, now: cython.double) -> cython.bint:
         """Look for blind sectors in a scan from a pose of the robot; true if one is new."""
-        before, look = self._scan_pose, self._look_pose
+        before, look = self._scan_pose or pose, self._look_pose or pose
         yaw: cython.double = pose.yaw
         turned: cython.double = remainder(yaw - before.yaw, TURN)
         is_new: cython.bint = False
@@ -265,12 +275,12 @@ class BlindSectors:
         return count
 
     @cython.cfunc
-    def _mark(self, is_blind, kind: cython.uchar) -> cython.bint:
+    def _mark(self, is_blind: NDArray[np.bool_], kind: cython.uchar) -> cython.bint:
         """Mark sectors (90,) as blind, except those that are so already; true if any is new."""
         is_new = is_blind & (self._kinds == 0)
         self._kinds[is_new] = kind
         self._frozen[is_new] = self._means[is_new]
-        return is_new.any()
+        return bool(is_new.any())
 
     def on_blocked(self, bearing: float, now: float) -> None:
         """Doubt the sectors without a return in a direction into which the base does not move.
@@ -304,7 +314,7 @@ class BlindSectors:
         self.text = blind_text(self._kinds, self._returned_array, now)
 
     @cython.cfunc
-    def _set_bearings(self, bearings):
+    def _set_bearings(self, bearings: Array) -> None:
         """Set the sector of each ray, and which sectors have rays that are not masked."""
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
@@ -327,7 +337,7 @@ class BlindSectors:
         for k in range(_SECTORS):
             self._hits[k] = 0
             self._sums[k] = 0.0
-        for i in range(ranges.shape[0]):
+        for i in range(len(ranges)):
             self._is_return[i] = (0.0 < ranges[i] <= self._range_max) or ranges[i] == -INFINITY
             if self._is_zero_near and ranges[i] == 0.0:
                 self._is_return[i] = True
@@ -398,7 +408,7 @@ class BlindSectors:
         for d in range(_SECTORS):
             self._rays[d] = self._hits[d] = 0
             self._sums[d] = 0.0
-        for i in range(ranges.shape[0]):
+        for i in range(len(ranges)):
             d = self._direction[i] = _sector_of(self._bearings[i] + yaw)
             self._rays[d] += 1
             if self._is_return[i]:
@@ -437,7 +447,7 @@ class BlindSectors:
 
         # 2. The wait of sectors ends: with a miss if the known object has proved to be static
         # again, without a miss if the object is a new object, or is no longer known.
-        is_static: cython.bint = self._is_known[d] and has_streak
+        is_static: cython.bint = self._is_known[d] != 0 and has_streak
         is_decided: cython.bint = is_static or is_new or not self._is_known[d]
         for k in range(_SECTORS):
             if self._return_streak[k]:  # a sector that has returns now is not blind
@@ -461,7 +471,7 @@ class BlindSectors:
         i: cython.Py_ssize_t
         d: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        for i in range(self._sector.shape[0]):
+        for i in range(len(self._sector)):
             d, k = self._direction[i], self._sector[i]
             if self._is_known[d] and not self._hits[d] and not self._return_streak[k]:
                 self._pending[_SECTORS * d + k] = True

@@ -8,7 +8,7 @@ the scan is rejected.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -59,23 +59,25 @@ class ScanConditioner:
     """
 
     _max_sector: cython.double  # rad without rays
-    _range_min: object
-    _range_max: object
-    _latency: object
+    _range_min: Any
+    _range_max: Any
+    _latency: Any
     _is_noisy: cython.bint
-    _spec: object
-    _bearings: object  # (n,) rad, of the last scan whose bearings were valid
-    _ages: object  # (n,) s, of the last scan whose ages were valid; None: the scan had no ages
+    _spec: ScanSpec
+    _bearings: Array  # (n,) rad, of the last scan whose bearings were valid
+    _ages: (
+        Array | None
+    )  # (n,) s, of the last scan whose ages were valid; None: the scan had no ages
     _blind: BlindSectors
     _rays: RayMemory
     # Ranges, number and stamp of the last scan; the greatest number and stamp so far.
-    _last_ranges: object
-    _last_seq: object
+    _last_ranges: Array
+    _last_seq: Any
     _last_stamp: cython.double
-    _newest_seq: object
+    _newest_seq: Any
     _newest_stamp: cython.double
     _rising_scans: cython.int  # scans that follow each other, below the greatest
-    _recent_bytes: object  # the bytes of the last different ranges
+    _recent_bytes: list[bytes]  # the bytes of the last different ranges
     _repeat_count: cython.int  # repeats in a row
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
@@ -150,7 +152,7 @@ class ScanConditioner:
         return Scan(scan.seq, stamp, ranges, self._bearings, *limits, self._ages, self._latency)
 
     @cython.cfunc
-    def _has_form(self, scan) -> cython.bint:
+    def _has_form(self, scan: Scan) -> cython.bint:
         """Store the bearings and ages of a scan; False if lengths, bearings or ages are wrong."""
         ranges, bearings = scan.ranges, scan.bearings
         if ranges.ndim != 1 or len(ranges) == 0:
@@ -163,7 +165,7 @@ class ScanConditioner:
         return n == len(self._bearings) and self._takes_ages(scan.ages, n)
 
     @cython.cfunc
-    def _takes_bearings(self, bearings) -> cython.bint:
+    def _takes_bearings(self, bearings: Array) -> cython.bint:
         """Store the bearings as `_bearings`; False, and nothing is stored, if they are not valid.
 
         They are not valid if one is not finite, or if they leave a sector without rays. `_bearings`
@@ -180,7 +182,7 @@ class ScanConditioner:
         return True
 
     @cython.cfunc
-    def _takes_ages(self, ages, n: cython.Py_ssize_t) -> cython.bint:
+    def _takes_ages(self, ages: Array | None, n: cython.Py_ssize_t) -> cython.bint:
         """Store the ages of `n` rays, or that no ray has one; False for a wrong number or age."""
         if ages is not None and ages is not self._ages:
             if ages.shape != (n,) or not ((ages >= 0.0) & (ages <= _MAX_RAY_AGE)).all():
@@ -194,7 +196,7 @@ class ScanConditioner:
         return ages is None or len(ages) == n
 
     @cython.cfunc
-    def _not_newer(self, seq, stamp: cython.double, ranges):
+    def _not_newer(self, seq: Any, stamp: cython.double, ranges: Array) -> Reason | None:
         """Store number, stamp and ranges of a scan; the reason to reject it, or None.
 
         None: the scan is newer than all scans before. The reasons are FROZEN_SCAN, FROZEN_STAMP and
@@ -220,7 +222,9 @@ class ScanConditioner:
         return None
 
     @cython.cfunc
-    def _is_repeat(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
+    def _is_repeat(
+        self, ranges: Array, values: cython.double[::1], odometry: Odometry | None
+    ) -> cython.bint:
         """Count a repeat of a noisy sensor in `_repeat_count`; False if the scan is no repeat.
 
         A repeat has the ranges of one of the last COMPARED_SCANS different scans. A repeat with
@@ -239,7 +243,7 @@ class ScanConditioner:
         # 2. Repeated ranges count if the scan has enough returns.
         i: cython.Py_ssize_t
         return_count: cython.int = 0
-        for i in range(values.shape[0]):
+        for i in range(len(values)):
             return_count += isfinite(values[i]) and values[i] != 0.0
         twist = ZERO if odometry is None else odometry.twist
         is_moving: cython.bint = (

@@ -17,6 +17,8 @@ from swarmd.core.values import Scan, ScanSpec
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Array
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -54,7 +56,7 @@ class DelayByStamps:
     # True after a jump of the stamps, until it is known again whether scan and odometry share a
     # clock. Meanwhile a scan that seems late counts as late.
     is_restarting: cython.bint
-    _spec: object
+    _spec: ScanSpec
     _restart_ends: cython.double
     _scan_count: cython.Py_ssize_t  # that came since the restart
     _stamp: cython.double  # of the last reading of odometry
@@ -72,11 +74,11 @@ class DelayByStamps:
     _oldest: cython.Py_ssize_t
     _last_scan_at: cython.double
     _is_shared: cython.bint  # scan and odometry have one clock
-    _reason_text: object  # text: why stamps give no delay
-    _ages_of_rays: object  # those of the last scan
+    _reason_text: str  # why stamps give no delay
+    _ages_of_rays: Array | None  # those of the last scan
     _lead: cython.double  # of scans with these ages
 
-    def __init__(self, spec) -> None:
+    def __init__(self, spec: ScanSpec) -> None:
         self._spec, self._reason_text = spec, "no odometry yet"
         self.offset = self._lowest = self._lowest_before = INFINITY
         self._restart_ends = self._stamp = self._scan_stamp = self._period_ends = -INFINITY
@@ -166,7 +168,7 @@ class DelayByStamps:
         self._drifts = rise_count == _PERIODS - 1 or fall_count == _PERIODS - 1
 
     @cython.cfunc
-    def take(self, scan, now: cython.double) -> cython.double:
+    def take(self, scan: Scan, now: cython.double) -> cython.double:
         """Take in a scan that arrived at `now`; its delay in s, 0 if stamps do not give a delay."""
         if self.offset == INFINITY:
             return 0.0
@@ -223,7 +225,7 @@ class DelayByStamps:
         return max(third, age)
 
     @cython.cfunc
-    def figure(self, now: cython.double):
+    def figure(self, now: cython.double) -> DelayFigure:
         """The mean delay of the last scans with its standard deviation, or why there is none."""
         if not self._is_shared or not self._age_count:
             why = "too few scans yet" if self._age_count else self._reason_text
@@ -232,7 +234,7 @@ class DelayByStamps:
         return figure_of(ages, max(now - self._last_scan_at, 0.0))
 
     @cython.cfunc
-    def _forget(self, why):
+    def _forget(self, why: str) -> None:
         self._age_count, self._is_shared = 0, False
         self._reason_text = why
 

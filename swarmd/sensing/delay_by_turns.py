@@ -20,6 +20,8 @@ from swarmd.sensing.buffers import new_doubles, view_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Array, Pose, Scan
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -105,8 +107,8 @@ class DelayByTurns:
     spread: cython.double
     at: cython.double  # when the last pair of scans was compared
     pairs: cython.Py_ssize_t  # of scans compared
-    why: object  # text: why the delay is not known
-    _pose: object  # the last one by odometry
+    why: str  # why the delay is not known
+    _pose: Pose  # the last one by odometry
     # The headings kept: places `_first` to `_end` of the arrays.
     _times: cython.double[::1]
     _yaws: cython.double[::1]  # turned since the start, not wrapped
@@ -117,7 +119,7 @@ class DelayByTurns:
     _turned: cython.double  # turned so far
     _mean_rate: cython.double
     _changed_at: cython.double
-    _bearings: object
+    _bearings: Array | None
     _rays: cython.Py_ssize_t
     _ray_step: cython.double  # from ray to ray; 0: rays do not cover a full turn evenly
     # The last scan: arrival on the clock of odometry, place of the robot, and the ranges less their
@@ -141,7 +143,7 @@ class DelayByTurns:
     _pp: cython.double[49]
     _weight: cython.double
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.delay, self.why = NAN, "it has not turned at a changing rate yet"
         self._times, self._yaws = new_doubles(4 * _HISTORY), new_doubles(4 * _HISTORY)
         self._stamp = self._changed_at = -INFINITY
@@ -156,7 +158,7 @@ class DelayByTurns:
             raise ValueError(f"{self._rays} rays at steps of {ray} rad, {lengths} ranges")
 
     @cython.cfunc
-    def figure(self, now: cython.double):
+    def figure(self, now: cython.double) -> DelayFigure:
         """The delay, or why it is not known."""
         if isnan(self.delay):
             return DelayFigure(method="turns", text=self.why)
@@ -169,7 +171,7 @@ class DelayByTurns:
         )
 
     @cython.cfunc
-    def forget(self):
+    def forget(self) -> None:
         """Drop the delay and all pairs, and begin the measurement anew."""
         k: cython.Py_ssize_t
         self.delay, self.pairs = NAN, 0
@@ -179,13 +181,15 @@ class DelayByTurns:
         self.why = "its last figure was older than a minute"
 
     @cython.cfunc
-    def forget_headings(self):
+    def forget_headings(self) -> None:
         """Drop the headings, as when the clock of odometry was set."""
         self._first = self._end = 0
         self._stamp, self._has_last = -INFINITY, False
 
     @cython.cfunc
-    def read(self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose):
+    def read(
+        self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose: Pose
+    ) -> None:
         """Take in a reading of odometry: its heading, and whether the rate of turn changes."""
         self._mean_rate += _MEAN_WEIGHT * (rate - self._mean_rate)
         if fabs(rate - self._mean_rate) > _MIN_RATE_CHANGE:
@@ -193,9 +197,11 @@ class DelayByTurns:
         self._pose = pose
         if stamp - self._stamp < _SPACING:
             return
+        i: cython.Py_ssize_t
         if self._end == 4 * _HISTORY:
-            self._times[:_HISTORY] = self._times[3 * _HISTORY :]
-            self._yaws[:_HISTORY] = self._yaws[3 * _HISTORY :]
+            for i in range(_HISTORY):
+                self._times[i] = self._times[3 * _HISTORY + i]
+                self._yaws[i] = self._yaws[3 * _HISTORY + i]
             self._first, self._end = 0, _HISTORY
         if self._end > self._first:
             self._turned += remainder(yaw - self._yaw, TURN)
@@ -205,7 +211,7 @@ class DelayByTurns:
         self._first = max(self._first, self._end - _HISTORY)
 
     @cython.cfunc
-    def compare(self, scan, arrival: cython.double, now: cython.double):
+    def compare(self, scan: Scan, arrival: cython.double, now: cython.double) -> None:
         """Compare a scan with the scan before: the measured turn of the robot updates the delay.
 
         A pair of scans is used only if the rate of turn changed lately, the robot hardly moved, and
@@ -280,7 +286,7 @@ class DelayByTurns:
             self._turns[k] = self._heading(end, at - delay) - self._heading(begin, before - delay)
 
     @cython.cfunc
-    def _set_bearings(self, bearings):
+    def _set_bearings(self, bearings: Array) -> None:
         """Take other bearings, with the angle from one ray to the next if they are even."""
         self._bearings, self._rays = bearings, len(bearings)
         self._ray_step = 0.0
@@ -295,16 +301,14 @@ class DelayByTurns:
         self._relief, self._old_relief = new_doubles(2 * self._rays), new_doubles(2 * self._rays)
 
     @cython.cfunc
-    def _store_ranges(self, scan):
+    def _store_ranges(self, scan: Scan) -> None:
         """Store the relief of a scan (its ranges less their mean), and the norm of the relief.
 
         The relief is stored twice in a row, so that a circular correlation needs no modulo. It is 0
         for a ray without a return: a far range there would count as a feature of the room, but lost
         rays and a blind sector do not turn with the room. The relief before becomes `_old_relief`.
         """
-        ranges: cython.const[cython.double][::1] = view_of(
-            np.ascontiguousarray(scan.ranges, np.float64)
-        )
+        ranges: cython.const_double[::1] = view_of(np.ascontiguousarray(scan.ranges, np.float64))
         range_min: cython.double = scan.range_min
         range_max: cython.double = scan.range_max
         count: cython.Py_ssize_t = self._rays
@@ -394,7 +398,7 @@ class DelayByTurns:
         return (a + b) + (c + d)
 
     @cython.cfunc
-    def _add(self, turn: cython.double):
+    def _add(self, turn: cython.double) -> None:
         """Add a measured turn and the predicted turns; sets the errors of candidates, `delay`."""
         k: cython.Py_ssize_t
         best: cython.Py_ssize_t = 0

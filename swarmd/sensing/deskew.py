@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -99,28 +99,28 @@ class Deskewer:
     - At rest, the scan keeps its bearings (the same object).
     """
 
-    _sweep: object
+    _sweep: Sweep | None
     _latency: cython.double
     _stale_after: cython.double
     _unknown_span: cython.double  # s, the scan period if the sweep is unknown, else 0
-    _bounds: object  # (n,) s: the ages of a scan whose sweep is unknown
+    _bounds: Array  # (n,) s: the ages of a scan whose sweep is unknown
     _history: OdometryHistory
     _limits: cython.double[::1]  # m: x, y of the sensor in the base frame, range_min, range_max
     _sector_args: cython.double[::1]  # rad: `sector` of `rays_in_sector`: start, direction, width
     # TimedRays of the bearings and ages of the last scan, which mostly are the same objects again.
-    _bearings_of_scan: object
-    _ages_of_scan: object
-    _ray_ages: object  # the array of `_ages`
-    _bearings: cython.const[cython.double][::1]
-    _cos: cython.const[cython.double][::1]
-    _sin: cython.const[cython.double][::1]
-    _ages: cython.const[cython.double][::1]
+    _bearings_of_scan: Array | None
+    _ages_of_scan: Array | None
+    _ray_ages: Array  # the array of `_ages`
+    _bearings: cython.const_double[::1]
+    _cos: cython.const_double[::1]
+    _sin: cython.const_double[::1]
+    _ages: cython.const_double[::1]
     _span: cython.double
     _newest_age: cython.double
     _direction: cython.double
     _oldest: cython.double
     _spacing: cython.double
-    _last_scan: object  # the scan that was returned last
+    _last_scan: Scan | None  # the scan that was returned last
     _last_at: cython.double  # the time of its newest ray
     _filled_count: cython.Py_ssize_t  # its first rays, which are those of the scan before it
 
@@ -131,10 +131,10 @@ class Deskewer:
         self._history, self._last_at = history, -INFINITY
         self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
         self._sector_args = array("d", 3 * [0.0])
-        self._bearings = self._cos = self._sin = self._ages = None
+        self._bearings = self._cos = self._sin = self._ages = self._limits
 
     def deskew(
-        self, scan: Scan, now: cython.double, odometry_age, delay: cython.double = 0.0
+        self, scan: Scan, now: cython.double, odometry_age: Any, delay: cython.double = 0.0
     ) -> Scan:
         """The scan that arrived at `now`, as the sensor would see it at the time of its newest ray.
 
@@ -181,7 +181,7 @@ class Deskewer:
         return result
 
     @cython.cfunc
-    def _bounds_of(self, count: cython.Py_ssize_t, ages):
+    def _bounds_of(self, count: cython.Py_ssize_t, ages: Array | None) -> Array:
         """(count,) half of the longest time that a scan may take; the same object if it is equal.
 
         `ages`: as the driver gives them, from which only the time between first and last is taken.
@@ -195,7 +195,7 @@ class Deskewer:
         return self._bounds
 
     @cython.cfunc
-    def _set_rays(self, bearings, ages):
+    def _set_rays(self, bearings: Array, ages: Array | None) -> None:
         """Take other bearings and ages; with None as ages, the platform's sweep gives them."""
         rays = _timed_rays(bearings, ages, self._sweep)
         self._bearings_of_scan, self._ages_of_scan = bearings, ages
@@ -207,7 +207,9 @@ class Deskewer:
         self._spacing = rays.spacing
 
     @cython.cfunc
-    def _move_scan_rays(self, ranges_of_scan, stamp: cython.double, seconds: cython.double):
+    def _move_scan_rays(
+        self, ranges_of_scan: Array, stamp: cython.double, seconds: cython.double
+    ) -> Any:
         """Ranges, bearings and ages (k,) of a scan, moved to the stamp of its newest ray.
 
         The rays that fill an unmeasured sector come first, so k may exceed n. None if the rays are
@@ -234,17 +236,20 @@ class Deskewer:
 
         # 2. Fills the sector with rays of the scan before, the first rays of the result.
         # `_fill_sector` writes the ages of these rays, and behind them those of this scan.
-        count: cython.Py_ssize_t = self._ages.shape[0]
+        count: cython.Py_ssize_t = len(self._ages)
         filled_count: cython.Py_ssize_t = 0
-        capacity: cython.Py_ssize_t = count + (len(self._last_scan.ranges) if lacks_rays else 0)
+        last = self._last_scan if lacks_rays else None
+        capacity: cython.Py_ssize_t = count + (0 if last is None else len(last.ranges))
         ages = self._ray_ages  # of this scan; with rays of the scan before: a new array, see below
         ranges, bearings = np.empty(capacity), np.empty(capacity)
         distances: cython.double[::1] = view_of(ranges)
         angles: cython.double[::1] = view_of(bearings)
-        if lacks_rays:
+        if last is not None:
             history.set_motion(stamp - seconds, stamp)
             ages = np.empty(capacity)
-            filled_count = self._fill_sector(unmeasured, seconds, distances, angles, view_of(ages))
+            filled_count = self._fill_sector(
+                last, unmeasured, seconds, distances, angles, view_of(ages)
+            )
             ranges, bearings = ranges[: filled_count + count], bearings[: filled_count + count]
             ages = ages[: filled_count + count]
 
@@ -276,6 +281,7 @@ class Deskewer:
     @cython.cfunc
     def _fill_sector(
         self,
+        last: Scan,
         unmeasured: cython.double,
         seconds: cython.double,
         distances: cython.double[::1],
@@ -288,11 +294,11 @@ class Deskewer:
         caller must have set the motion between the scans (`set_motion` of the history).
 
         Args:
+            last: the scan before, which has ages.
             unmeasured: rad, the width of the sector.
             seconds: s from the newest ray of the scan before to the newest ray of this scan.
             distances, angles, ages: (k,) m, rad, s; the arrays to fill.
         """
-        last = self._last_scan
         i: cython.Py_ssize_t
         # The oldest ray was measured at the bearing `_oldest`, and de-skew moves this ray by
         # `unmeasured` in the direction of the sweep. The sector has the bearings that this ray
@@ -304,7 +310,7 @@ class Deskewer:
         count: cython.Py_ssize_t = rays_in_sector(
             view_of(last.ranges),
             view_of(last.bearings),
-            view_of(last.ages),
+            view_of(np.asarray(last.ages)),
             self._filled_count,  # skips rays that filled that scan: else a ray could stay for ever
             self._history.motion,
             self._sector_args,
@@ -315,23 +321,23 @@ class Deskewer:
         )
         for i in range(count):
             ages[i] += seconds
-        for i in range(self._ages.shape[0]):
+        for i in range(len(self._ages)):
             ages[count + i] = self._ages[i]
         return count
 
 
 @cython.cfunc
-def _are_at_once(ages) -> cython.bint:
+def _are_at_once(ages: Array | None) -> cython.bint:
     """True if the driver gives all rays one age; `ages` may be None."""
     return ages is not None and len(ages) > 1 and ages.max() == 0.0
 
 
 # The latest objects: simulated robots of one kind share them, which saves memory.
-_kept_rays: list = []
+_kept_rays: list[TimedRays] = []
 
 
 @cython.cfunc
-def _timed_rays(bearings, ages, sweep):
+def _timed_rays(bearings: Array, ages: Array | None, sweep: Sweep | None) -> TimedRays:
     """The `TimedRays` of bearings and ages; kept, and returned again for the same objects."""
     for rays in _kept_rays:
         if rays.bearings is bearings and rays.given is ages and rays.sweep == sweep:
@@ -343,7 +349,9 @@ def _timed_rays(bearings, ages, sweep):
 
 
 @cython.cfunc
-def _scan_with(scan, ranges, bearings, ages, newest_age: cython.double):
+def _scan_with(
+    scan: Scan, ranges: Array, bearings: Array, ages: Array | None, newest_age: cython.double
+) -> Scan:
     """A copy of a scan with other ranges, bearings and ages."""
     limits = scan.range_min, scan.range_max
     return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age)

@@ -16,6 +16,7 @@ from swarmd.core.values import (
     Odometry,
 )
 from swarmd.sensing.angles import TURN
+from swarmd.sensing.buffers import view_of
 from swarmd.sensing.scan_delay import ScanDelay
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -54,7 +55,7 @@ class OdometryHistory:
     """
 
     latest = cython.declare(cython.double, visibility="readonly")
-    _delay: ScanDelay
+    _delay: ScanDelay | None
     _readings: cython.double[::1]  # a ring buffer: _COLUMNS numbers each
     _newest: cython.Py_ssize_t  # the number of the newest reading in the buffer
     _count: cython.Py_ssize_t  # readings in use
@@ -68,7 +69,7 @@ class OdometryHistory:
         """`delay` gets each reading whose stamp is new."""
         self._delay = delay
         self.latest, self._readings = NAN, array("d", (_COLUMNS * _READINGS) * [0.0])
-        self.path, self.motion = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
+        self.path, self.motion = view_of(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
 
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
         """Store a reading that arrived at `now` s; True for a new stamp, False for the last stamp.

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.sensing.angles import PI, TURN, angle_between, mod_turn, wrap
-from swarmd.sensing.buffers import new_doubles, new_flags, view_of, wrapped_index
+from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of, wrapped_index
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Array, ScanSpec
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -112,7 +114,7 @@ class RayMemory:
     _step: cython.double  # from one ray to the next
     _yaw: cython.double  # of the robot, to which the memory is turned
     _far_returns: cython.Py_ssize_t  # of the last scan with returns
-    _given: object  # the array of the bearings
+    _given: Array | None  # the array of the bearings
     _ray_count: cython.Py_ssize_t
     _bearings: cython.double[::1]
     _direction: cython.double  # 1.0 if bearings rise, -1.0 if they fall
@@ -128,7 +130,7 @@ class RayMemory:
     _is_zero: cython.uchar[::1]  # of the present scan: the raw range is 0
     _is_lost: cython.uchar[::1]  # of the present scan: unknown, other than by a zero of an LDS
 
-    def __init__(self, spec, *, guesses_near):
+    def __init__(self, spec: ScanSpec, *, guesses_near: bool) -> None:
         self.known_at = -INFINITY
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._max_gap, self._stale_after = spec.max_gap + _SMALL_ANGLE, spec.stale_after
@@ -137,10 +139,15 @@ class RayMemory:
         self._near_below = spec.range_min + _NEAR_MARGIN
         self._step = TURN / max(len(spec.bearings), 1)
         self._yaw = NAN
-        self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = None
-        self._order = self._place = self._is_zero = self._is_lost = None
+        self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = new_doubles(
+            0
+        )
+        self._order = self._place = new_indices(0)
+        self._is_zero = self._is_lost = new_flags(0)
 
-    def condition(self, raw, bearings, yaw: cython.double, now: cython.double):
+    def condition(
+        self, raw: Array, bearings: Array, yaw: cython.double, now: cython.double
+    ) -> Array | None:
         """The conditioned ranges (n,) of a scan; None if the scan is invalid.
 
         `raw`: (n,) m, the ranges of the driver. `bearings`: (n,) rad; the same object as before
@@ -151,7 +158,7 @@ class RayMemory:
 
     @cython.cfunc
     def interpret(
-        self, ranges: cython.double[::1], bearings, yaw: cython.double, now: cython.double
+        self, ranges: cython.double[::1], bearings: Array, yaw: cython.double, now: cython.double
     ) -> cython.bint:
         """Replace the raw `ranges` (n,) of a scan by conditioned ranges; False: invalid scan.
 
@@ -164,7 +171,7 @@ class RayMemory:
         if self._interpret_ranges(ranges):
             self._interpret_zeros(ranges, now)
         unknown_count: cython.Py_ssize_t = self._remember(ranges, now)
-        if 2 * unknown_count > ranges.shape[0]:  # fewer than half of the rays are known
+        if 2 * unknown_count > len(ranges):  # fewer than half of the rays are known
             return False
         self.known_at = now
         if unknown_count == 0:
@@ -174,14 +181,14 @@ class RayMemory:
         return self._fill_from_memory(ranges, now) == 0 or self._bridge_sectors(ranges)
 
     @cython.cfunc
-    def _turn_memory(self, bearings, yaw: cython.double):
+    def _turn_memory(self, bearings: Array, yaw: cython.double) -> None:
         """Turn the memory with the robot to `yaw` in rad, so that it stays with the surroundings.
 
         Takes over the `bearings` (n,) of the scan if they differ from those of the scan before.
         """
         turned: cython.double = self._turn_of(yaw)
         is_same: cython.bint = bearings is self._given  # mostly the same object
-        if not is_same and self._ray_count and np.array_equal(bearings, self._bearings):
+        if not is_same and self._ray_count and np.array_equal(bearings, np.asarray(self._bearings)):
             self._given, is_same = bearings, True
         if not is_same:
             self._set_bearings(bearings, turned)
@@ -203,7 +210,7 @@ class RayMemory:
         unknown_count: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         index: cython.Py_ssize_t
-        for i in range(ranges.shape[0]):
+        for i in range(len(ranges)):
             if isnan(ranges[i]):
                 index = self._index(i)
                 if self._seen_at[index] >= now - self._stale_after:
@@ -223,7 +230,7 @@ class RayMemory:
         seen_at: cython.double[::1] = self._seen_at
         is_zero: cython.uchar[::1] = self._is_zero
         is_lost: cython.uchar[::1] = self._is_lost
-        for i in range(ranges.shape[0]):
+        for i in range(len(ranges)):
             distance = ranges[i]
             if isnan(distance):
                 unknown_count += 1
@@ -256,7 +263,7 @@ class RayMemory:
         near_below: cython.double = self._near_below
         range_max: cython.double = self._range_max
         far_below: cython.double = _FAR_SHARE * self._range_max
-        for i in range(raw.shape[0]):
+        for i in range(len(raw)):
             distance = raw[i]
             if (0.0 < distance <= range_max) or distance == -INFINITY:
                 has_return = True
@@ -265,7 +272,7 @@ class RayMemory:
         if has_return:
             self._far_returns = far_count
             return False
-        min_far_count: cython.double = max(_BLIND_SHARE * raw.shape[0], _BLIND_RETURNS)
+        min_far_count: cython.double = max(_BLIND_SHARE * len(raw), _BLIND_RETURNS)
         return self._far_returns >= min_far_count
 
     @cython.cfunc
@@ -283,7 +290,7 @@ class RayMemory:
         return turned
 
     @cython.cfunc
-    def _set_bearings(self, bearings, turned: cython.double):
+    def _set_bearings(self, bearings: Array, turned: cython.double) -> None:
         """Replace the bearings; each ray gets the memory of the nearest of the old rays.
 
         `turned` in rad: the turn of the sensor since the last scan. Sets the order of the rays,
@@ -297,9 +304,9 @@ class RayMemory:
         order = np.argsort(values % TURN, kind="stable")
         self._given, self._ray_count = bearings, count
         self._direction = 1.0
-        self._bearings, self._order = memoryview(values), memoryview(order)
-        self._rising = memoryview(values[order] % TURN)
-        self._place = memoryview(np.argsort(order))  # of each ray in `order`, its inverse
+        self._bearings, self._order = values.data, order.data
+        self._rising = (values[order] % TURN).data
+        self._place = np.argsort(order).data  # of each ray in `order`, its inverse
         if count > 1:
             last_step = math.remainder(values[count - 1] - values[count - 2], TURN)
             self._direction = math.copysign(1.0, last_step)
@@ -337,7 +344,7 @@ class RayMemory:
     def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
         """Give each ray the old memory of the ray that was nearest to it before the turn."""
         count: cython.Py_ssize_t = self._ray_count
-        old_count: cython.Py_ssize_t = rising.shape[0]
+        old_count: cython.Py_ssize_t = len(rising)
         ranges: cython.double[::1] = self._ranges
         seen_at: cython.double[::1] = self._seen_at
         near_at: cython.double[::1] = self._near_at
@@ -365,7 +372,7 @@ class RayMemory:
         range_max: cython.double = self._range_max
         is_zero: cython.uchar[::1] = self._is_zero
         has_zeros: cython.bint = False
-        for i in range(out.shape[0]):
+        for i in range(len(out)):
             value = out[i]
             is_zero[i] = value == 0.0
             if range_min <= value <= range_max:
@@ -384,7 +391,7 @@ class RayMemory:
     @cython.cfunc
     def _interpret_zeros(self, out: cython.double[::1], now: cython.double) -> cython.int:
         """The meaning of the zeros of an LDS that are left in `out`."""
-        n: cython.Py_ssize_t = out.shape[0]
+        n: cython.Py_ssize_t = len(out)
         first: cython.Py_ssize_t = 0
         while first < n and out[first] == 0.0:
             first += 1
@@ -499,7 +506,7 @@ class RayMemory:
 
         `ranges` (n,) has NaN for unknown rays. False if a wider sector is left unknown.
         """
-        count: cython.Py_ssize_t = ranges.shape[0]
+        count: cython.Py_ssize_t = len(ranges)
         first: cython.Py_ssize_t = 0
         while first < count and isnan(ranges[first]):
             first += 1
@@ -567,5 +574,5 @@ class RayMemory:
             return False
         k: cython.Py_ssize_t
         for k in range(last + 1, next_known):
-            ranges[wrapped_index(k, ranges.shape[0])] = min(last_range, next_range)
+            ranges[wrapped_index(k, len(ranges))] = min(last_range, next_range)
         return True

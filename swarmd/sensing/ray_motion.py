@@ -55,11 +55,11 @@ def _moved_bearing(
 
 @cython.ccall
 def move_rays(
-    ranges: cython.const[cython.double][::1],
-    bearings: cython.const[cython.double][::1],
-    cosines: cython.const[cython.double][::1],
-    sines: cython.const[cython.double][::1],
-    ages: cython.const[cython.double][::1],
+    ranges: cython.const_double[::1],
+    bearings: cython.const_double[::1],
+    cosines: cython.const_double[::1],
+    sines: cython.const_double[::1],
+    ages: cython.const_double[::1],
     path: cython.double[:, ::1],
     row_count: cython.Py_ssize_t,
     limits: cython.double[::1],
@@ -87,7 +87,7 @@ def move_rays(
     offset_y: cython.double = limits[1]
     range_min: cython.double = limits[2]
     range_max: cython.double = limits[3]
-    count: cython.Py_ssize_t = ranges.shape[0]
+    count: cython.Py_ssize_t = len(ranges)
     last_row: cython.Py_ssize_t = row_count - 1
     row: cython.Py_ssize_t = 1
     i: cython.Py_ssize_t
@@ -153,9 +153,9 @@ def move_rays(
 
 @cython.ccall
 def rays_in_sector(
-    ranges: cython.const[cython.double][::1],
-    bearings: cython.const[cython.double][::1],
-    ages: cython.const[cython.double][::1],
+    ranges: cython.const_double[::1],
+    bearings: cython.const_double[::1],
+    ages: cython.const_double[::1],
     first: cython.Py_ssize_t,
     motion: cython.double[::1],
     sector: cython.double[::1],
@@ -198,7 +198,7 @@ def rays_in_sector(
     sensor_motion: cython.double = sqrt(x * x + y * y)
     if sensor_motion < _LEAST_SHARE * range_min:
         max_change = asin(sensor_motion / range_min) + _ROUNDING
-    n: cython.Py_ssize_t = ranges.shape[0]
+    n: cython.Py_ssize_t = len(ranges)
     # 3. Moves the rays.
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t

@@ -15,6 +15,8 @@ from swarmd.sensing.delay_by_turns import DelayByTurns
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Pose
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -64,9 +66,9 @@ class ScanDelay:
         stamp: cython.double,
         yaw: cython.double,
         rate: cython.double,
-        pose,
+        pose: Pose,
         now: cython.double,
-    ):
+    ) -> None:
         """Take in a reading of odometry."""
         if self._stamps.read(stamp, now):
             self._restart()
@@ -96,7 +98,7 @@ class ScanDelay:
         self.is_clock_set = self.is_clock_set and (self.is_late or self._stamps.is_restarting)
 
     @cython.cfunc
-    def _restart(self):
+    def _restart(self) -> None:
         self.restarts += 1
         self._added_before = self.added
         self.is_clock_set = self.is_clock_set or not self.is_late

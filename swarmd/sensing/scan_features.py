@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swarmd.sensing.angles import PI, TURN, wrap
+from swarmd.sensing.buffers import view_of
 from swarmd.sensing.scan_layout import ScanLayout, layout_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Array, Scan
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -22,12 +25,14 @@ else:
 _UNSEEN = cython.declare(cython.double, 1e9)
 
 
-def nearest(scan, bearing: cython.double, half_width: cython.double):
+def nearest(
+    scan: Scan, bearing: cython.double, half_width: cython.double
+) -> tuple[Any, ...] | None:
     """Range and bearing of the ray that `rays.nearest` finds; None without one."""
-    layout: ScanLayout = layout_of(scan)
+    layout: ScanLayout | None = layout_of(scan)
     if layout is None:
         return None
-    ranges: cython.const[cython.double][::1] = layout.known
+    ranges: cython.const_double[::1] = layout.known
     n: cython.Py_ssize_t = layout.n
     least: cython.double = scan.range_min
     lowest: cython.double = INFINITY
@@ -45,21 +50,19 @@ def nearest(scan, bearing: cython.double, half_width: cython.double):
     return None if index < 0 else (lowest, layout.wrapped[index])
 
 
-def unit_vectors(bearings):
+def unit_vectors(bearings: Array) -> Array:
     """(n, 2) the unit vectors of `bearings` (n,) in rad."""
-    given: cython.const[cython.double][::1] = np.ascontiguousarray(bearings, np.float64)
-    vectors = np.empty((given.shape[0], 2))
-    out: cython.double[:, ::1] = vectors
-    if not cython.compiled:
-        given, out = memoryview(given), memoryview(vectors)
+    given: cython.const_double[::1] = view_of(np.ascontiguousarray(bearings, np.float64))
+    vectors = np.empty((len(given), 2))
+    out: cython.double[:, ::1] = view_of(vectors)
     i: cython.Py_ssize_t
-    for i in range(given.shape[0]):
+    for i in range(len(given)):
         angle = given[i]
         out[i, 0], out[i, 1] = cos(angle), sin(angle)
     return vectors
 
 
-def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
+def closest_points(scan: Scan, within: cython.double, count: cython.Py_ssize_t) -> Array:
     """The closest points of a scan: (p, 2) range in m and bearing in rad.
 
     The surroundings are divided into `count` equal sectors. A point is the nearest ray of a sector
@@ -69,7 +72,7 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     """
     if count < 1:  # C ends the process where it divides by zero
         raise ValueError(f"count is {count}; expected at least 1 sector")
-    layout: ScanLayout = layout_of(scan)
+    layout: ScanLayout | None = layout_of(scan)
     if layout is None:
         return np.empty((0, 2))
     layout.set_sectors(count)
@@ -94,7 +97,7 @@ def _store_nearest_rays(
     Sets `lowest`, the range of this ray, which is at least `range_min` m, and `nearest_ray`, its
     index. A sector without a return up to `within` has the range inf.
     """
-    ranges: cython.const[cython.double][::1] = layout.known
+    ranges: cython.const_double[::1] = layout.known
     ray_count: cython.Py_ssize_t = layout.n
     lowest: cython.double[::1] = layout.lowest
     is_seen: cython.bint = False
@@ -155,7 +158,9 @@ def _store_point(
 
 
 @cython.boundscheck(False)
-def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.double):
+def clusters(
+    scan: Scan, within: cython.double, jump: cython.double, grazing: cython.double
+) -> list[tuple[Any, ...]]:
     """The objects in a scan, as `rays.RayClusters` lists them.
 
     An object is a run of neighbouring rays with returns of a single surface. Two neighbouring
@@ -164,7 +169,7 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
 
     `scan`: the scan. `within`: m; returns beyond count as no return. `jump`: m. `grazing`: rad.
     """
-    layout: ScanLayout = layout_of(scan)
+    layout: ScanLayout | None = layout_of(scan)
     if layout is None:
         return []
     layout.set_grazing(grazing)
@@ -178,7 +183,7 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     first: cython.Py_ssize_t = _store_last_rays(layout, jump)
     last: cython.Py_ssize_t = first + ray_count - 1
     lowest: cython.double = INFINITY
-    objects: list = []
+    objects: list[tuple[Any, ...]] = []
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     for i in range(first, last + 1):
@@ -201,7 +206,7 @@ def _store_ranges(
 
     The range is _UNSEEN for a ray without a return up to `within`, and at least `range_min` m.
     """
-    known_ranges: cython.const[cython.double][::1] = layout.known
+    known_ranges: cython.const_double[::1] = layout.known
     order: cython.longlong[::1] = layout.order
     ranges: cython.double[::1] = layout.work
     is_seen: cython.bint = False
@@ -249,7 +254,7 @@ def _object(
     first: cython.Py_ssize_t,
     last: cython.Py_ssize_t,
     lowest: cython.double,
-):
+) -> tuple[Any, ...]:
     """The object of the rays `first` to `last`; indices beyond n wrap around."""
     n: cython.Py_ssize_t = layout.n
     begin: cython.Py_ssize_t = first % n

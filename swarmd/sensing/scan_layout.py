@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swarmd.sensing.angles import PI, TURN, wrap
-from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, wrapped_index
+from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of, wrapped_index
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Array, Scan
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -37,10 +39,10 @@ class ScanLayout:
     n: cython.Py_ssize_t
     capacity: cython.Py_ssize_t  # of the buffers
     given: cython.double[::1]  # bearings
-    angles: object  # the array of `wrapped`
+    angles: Array  # the array of `wrapped`
     wrapped: cython.double[::1]  # bearings within [-pi, pi)
-    scan: object  # the last one of these bearings, if nothing can change it
-    known: cython.const[cython.double][::1]  # ranges of that scan
+    scan: Scan | None  # the last one of these bearings, if nothing can change it
+    known: cython.const_double[::1]  # ranges of that scan
     # By rising bearing, see `set_grazing`.
     is_ordered: cython.bint
     order: cython.longlong[::1]
@@ -55,37 +57,37 @@ class ScanLayout:
     sector: cython.longlong[::1]  # of each ray
     lowest: cython.double[::1]  # range in each sector
     nearest_ray: cython.Py_ssize_t[::1]
-    points: object  # (count, 2) closest points: range and bearing
+    points: Array  # (count, 2) closest points: range and bearing
     point: cython.double[:, ::1]  # the view of `points`
     # Of the objects in a scan.
     work: cython.double[::1]  # ranges by rising bearing
     is_last: cython.uchar[::1]  # rays at whose end an object ends
 
-    def __init__(self, n):
+    def __init__(self, n: cython.Py_ssize_t) -> None:
         """For up to n bearings."""
         self.capacity = n
         self.angles, self.given = np.empty(n), new_doubles(n)
         self.steps = new_doubles(n)
-        self.wrapped, self.work = memoryview(self.angles), new_doubles(n)
+        self.wrapped, self.work = view_of(self.angles), new_doubles(n)
         self.rising, self.slopes = new_doubles(n), new_doubles(n)
         self.order, self.sector = new_indices(n), new_indices(n)
         self.is_apart, self.is_last = new_flags(n), new_flags(n)
 
     @cython.cfunc
-    def is_of(self, bearings: cython.const[cython.double][::1]) -> cython.bint:
+    def is_of(self, bearings: cython.const_double[::1]) -> cython.bint:
         """True if these are its bearings."""
         n: cython.Py_ssize_t = self.n
-        if bearings.shape[0] != n:
+        if len(bearings) != n:
             return False
         if cython.compiled:
             return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
         return bearings == self.given[:n]
 
     @cython.cfunc
-    def set_bearings(self, bearings: cython.const[cython.double][::1]) -> cython.int:
+    def set_bearings(self, bearings: cython.const_double[::1]) -> cython.int:
         """Take other bearings."""
         i: cython.Py_ssize_t
-        self.n = bearings.shape[0]
+        self.n = len(bearings)
         for i in range(self.n):
             if not isfinite(bearings[i]):
                 raise ValueError(f"bearing {i} of a scan is {bearings[i]}; expected a finite angle")
@@ -96,7 +98,7 @@ class ScanLayout:
 
     @cython.cfunc
     @cython.boundscheck(False)
-    def set_grazing(self, grazing: cython.double):
+    def set_grazing(self, grazing: cython.double) -> None:
         """Set the order of the rays by rising bearing, and `slopes` and `is_apart` of each ray.
 
         `slopes`: how much the range changes to the next ray on a surface at `grazing` rad to the
@@ -117,7 +119,7 @@ class ScanLayout:
 
     @cython.cfunc
     @cython.boundscheck(False)
-    def set_order(self):
+    def set_order(self) -> None:
         """Set the order of the rays by rising bearing, their `steps` and the `spacing` in rad.
 
         A step is the angle to the next ray in this order, and `spacing` the median step.
@@ -126,13 +128,15 @@ class ScanLayout:
         i: cython.Py_ssize_t
         if not self.has_sorted():
             order: cython.longlong[::1] = np.argsort(self.angles[:count], kind="stable")
-            self.order[:count] = order
+            for i in range(count):
+                self.order[i] = order[i]
         for i in range(count):
             self.rising[i] = self.wrapped[self.order[i]]
         for i in range(count - 1):
             self.steps[i] = self.rising[i + 1] - self.rising[i]
         self.steps[count - 1] = self.rising[0] - self.rising[count - 1] + TURN
-        self.slopes[:count] = self.steps[:count]  # a copy, since `_smallest` reorders
+        for i in range(count):
+            self.slopes[i] = self.steps[i]  # a copy, since `_smallest` reorders
         self.spacing = _smallest(self.slopes, count, count // 2)
         self.is_ordered = True
 
@@ -176,15 +180,15 @@ class ScanLayout:
         return True
 
     @cython.cfunc
-    def set_sectors(self, count: cython.Py_ssize_t):
+    def set_sectors(self, count: cython.Py_ssize_t) -> None:
         """Set the sector of each ray."""
         if count == self.count:
             return
         if self.points is None or len(self.points) != count:
             self.points = np.empty((count, 2))
-            self.point = memoryview(self.points)
+            self.point = view_of(self.points)
             self.lowest = new_doubles(count)
-            self.nearest_ray = memoryview(np.empty(count, np.intp))
+            self.nearest_ray = np.empty(count, np.intp).data
         share: cython.double = count / TURN
         i: cython.Py_ssize_t
         sector: cython.longlong
@@ -222,11 +226,11 @@ def _smallest(
     return values[k]
 
 
-_layouts: list = []  # a cache of the latest ones: most sensors keep their bearings
+_layouts: list[ScanLayout] = []  # a cache of the latest ones: most sensors keep their bearings
 
 
 @cython.cfunc
-def layout_of(scan) -> ScanLayout:
+def layout_of(scan: Scan) -> ScanLayout | None:
     """The layout of the known rays of a scan, with their ranges; None without any."""
     layout: ScanLayout
     for layout in _layouts:
@@ -235,7 +239,7 @@ def layout_of(scan) -> ScanLayout:
     ranges, bearings = _known_rays(scan)
     if not len(bearings):
         return None
-    view: cython.const[cython.double][::1] = bearings
+    view: cython.const_double[::1] = bearings
     for layout in _layouts:
         if layout.is_of(view):
             break
@@ -247,20 +251,18 @@ def layout_of(scan) -> ScanLayout:
 
 
 @cython.cfunc
-def _new_layout(view: cython.const[cython.double][::1]) -> ScanLayout:
+def _new_layout(view: cython.const_double[::1]) -> ScanLayout:
     """The layout of other bearings, in place of the oldest one."""
-    layout: ScanLayout = (
-        _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else ScanLayout(view.shape[0])
-    )
-    if layout.capacity < view.shape[0]:
-        layout = ScanLayout(view.shape[0])
+    layout: ScanLayout = _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else ScanLayout(len(view))
+    if layout.capacity < len(view):
+        layout = ScanLayout(len(view))
     layout.set_bearings(view)
     _layouts.insert(0, layout)
     return layout
 
 
 @cython.cfunc
-def _known_rays(scan):
+def _known_rays(scan: Scan) -> tuple[Any, ...]:
     """The known ranges and their bearings."""
     ranges = np.ascontiguousarray(scan.ranges, np.float64)
     bearings = np.ascontiguousarray(scan.bearings, np.float64)
@@ -268,13 +270,10 @@ def _known_rays(scan):
         raise ValueError(
             f"ranges {ranges.shape} and bearings {bearings.shape} of a scan; expected both (n,)"
         )
-    if not cython.compiled:
-        ranges, bearings = memoryview(ranges), memoryview(bearings)
-    view: cython.const[cython.double][::1] = ranges
+    view: cython.const_double[::1] = view_of(ranges)
     i: cython.Py_ssize_t
-    for i in range(view.shape[0]):
+    for i in range(len(view)):
         if isnan(view[i]):
             is_known = ~np.isnan(ranges)
-            ranges, bearings = np.array(ranges)[is_known], np.array(bearings)[is_known]
-            return (ranges, bearings) if cython.compiled else map(memoryview, (ranges, bearings))
-    return ranges, bearings
+            return view_of(ranges[is_known]), view_of(bearings[is_known])
+    return view_of(ranges), view_of(bearings)

@@ -28,6 +28,7 @@ from swarmd.core.values import Array, Limits, Twist
 from swarmd.protection.decision import Clearance
 from swarmd.steering.tracks import Surroundings, Track
 from swarmd.steering.velocity_obstacles import (
+    Line,
     most_violated,
     nearest,
     passage_between,
@@ -91,7 +92,7 @@ class Avoidance:
         are_near: True if a track is within `_NEAR_DISTANCE` m, and the robot is not in a passage.
     """
 
-    avoiding = cython.declare(object, visibility="public")
+    avoiding: Track | None = cython.declare(object, visibility="public")
     are_near = cython.declare(cython.bint, visibility="readonly")
     _radius: cython.double  # m, the clearance of a corridor to each side
     _width: cython.double  # m
@@ -113,7 +114,7 @@ class Avoidance:
         self._right_rad, self._last_call_at = _RIGHT_RAD, -INFINITY
 
     @cython.ccall
-    def reset(self):
+    def reset(self) -> None:
         """Forget how long the robot has been held up."""
         self._right_rad, self._held_s, self.avoiding = _RIGHT_RAD, 0.0, None
 
@@ -129,7 +130,7 @@ class Avoidance:
         `requested`: the command of the pattern. `safe`: the safe command in force. `now`: s.
         `surroundings`: the tracks and the points of walls, in m in the base frame.
         """
-        tracks: tuple = surroundings.tracks
+        tracks: tuple[Track, ...] = surroundings.tracks
         self.avoiding = None
         track: Track
         self.are_near = False
@@ -149,7 +150,7 @@ class Avoidance:
         # Without the turn: other robots track the axle, which a turn does not move.
         vx: cython.double = safe.linear
         vy: cython.double = safe.lateral
-        lines: list = wall_lines(
+        lines: list[Line] = wall_lines(
             surroundings.walls,
             self._lead,
             vx,

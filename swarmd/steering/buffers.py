@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Array
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -22,17 +24,17 @@ else:
 
 
 @cython.cfunc
-def numbers(values):
+def numbers(values: Array) -> Any:
     """`values` (n,) as the kernel reads them: in CPython as numbers of Python."""
     values = np.ascontiguousarray(values, np.float64)
     return values if cython.compiled else values.tolist()
 
 
 @cython.cfunc
-def rows(values):
+def rows(values: Array) -> Any:
     """`values` (n, m) as the kernel reads them: in CPython a memoryview, faster than an array."""
     values = np.ascontiguousarray(values, np.float64)
-    return values if cython.compiled else memoryview(values)
+    return values if cython.compiled else values.data
 
 
 @cython.cfunc
@@ -50,7 +52,7 @@ def scratch(count: cython.Py_ssize_t) -> cython.double[::1]:
     return np.empty(count) if cython.compiled else [math.nan] * count
 
 
-def places(count):
+def places(count: cython.Py_ssize_t) -> Any:
     """A buffer of `count` whole numbers."""
     return array("q", bytes(8 * count)) if cython.compiled else [0] * count
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -122,7 +122,7 @@ class _PlacedReturns:
     places: cython.double[::1]
 
     @cython.cfunc
-    def take(self, returns: ScanReturns, offset, pose) -> cython.int:
+    def take(self, returns: ScanReturns, offset: Any, pose: Pose) -> cython.int:
         """Take the returns, which the sensor at `offset` saw from `pose`, and make room."""
         yaw: cython.double = pose.yaw
         # All buffers from one allocation, which costs as much as a hundred returns.
@@ -144,7 +144,7 @@ class _PlacedReturns:
         self.y[row] = self.pose_y + self.pose_sin * x + self.pose_cos * y
 
     @cython.cfunc
-    def set_tracks(self, tracks: tuple) -> cython.int:
+    def set_tracks(self, tracks: tuple[Any, ...]) -> cython.int:
         """Set `tracks`, each given as (x, y, radius)."""
         k: cython.Py_ssize_t = 0
         x: cython.double
@@ -157,7 +157,7 @@ class _PlacedReturns:
             k += 3
 
     @cython.cfunc
-    def ends(self) -> list:
+    def ends(self) -> list[Any]:
         """The ends of surfaces where the range jumps, as (range, order, return, direction).
 
         The direction is 1 or -1: the step of the index towards the farther neighbour. `order` is
@@ -166,7 +166,7 @@ class _PlacedReturns:
         """
         n: cython.Py_ssize_t = len(self.ranges)
         i: cython.Py_ssize_t
-        ends: list = []
+        ends: list[Any] = []
         for i in range(n):
             j: cython.Py_ssize_t = i + 1 if i + 1 < n else 0
             step: cython.double = self.ranges[j] - self.ranges[i]
@@ -195,7 +195,7 @@ class _PlacedReturns:
         """Set `is_wall` of each return, and the places of the near returns."""
         n: cython.Py_ssize_t = len(self.ranges)
         row: cython.Py_ssize_t
-        self.is_wall = memoryview(np.empty(n, np.uint8))
+        self.is_wall = np.empty(n, np.uint8).data
         for row in range(n):
             if self.ranges[row] < _MAX_RANGE:
                 self.place(row)
@@ -435,7 +435,7 @@ class Openings:
     """The openings that a robot remembers. Times are in s and come with each call."""
 
     _narrowest: cython.double
-    known: list
+    known: list[Opening]
     _returns: ScanReturns
 
     def __init__(self, body: float, returns: ScanReturns | None = None) -> None:
@@ -459,7 +459,13 @@ class Openings:
         return len(self.known) < before
 
     def observe(
-        self, scan: Scan, offset: tuple, pose: Pose, now: cython.double, tracks: tuple, kept: object
+        self,
+        scan: Scan,
+        offset: Any,
+        pose: Pose,
+        now: cython.double,
+        tracks: tuple[Any, ...],
+        kept: object,
     ) -> None:
         """Take in a conditioned scan: update or add the openings that the scan shows.
 
@@ -486,7 +492,7 @@ class Openings:
             return
 
         # Forgets openings without a recent sighting.
-        remembered: list = []
+        remembered: list[Opening] = []
         for known in self.known:
             memory_time: cython.double = _FORGET if known.hits >= SIGHTINGS else _FORGET_SINGLE
             if now - known.seen_at < memory_time or known is kept:
@@ -499,7 +505,14 @@ class Openings:
         self.known = remembered
 
     @cython.cfunc
-    def _openings_in(self, scan, offset, pose, now: cython.double, tracks: tuple) -> list:
+    def _openings_in(
+        self,
+        scan: Scan,
+        offset: Any,
+        pose: Pose,
+        now: cython.double,
+        tracks: tuple[Any, ...],
+    ) -> list[Opening]:
         """The openings in a scan, measured; several sightings of an opening count as the first.
 
         `offset`: m, the place of the sensor in the base frame. `pose`: of the base at the scan, in
@@ -511,7 +524,7 @@ class Openings:
         post: cython.Py_ssize_t
         partner: cython.Py_ssize_t
         direction: cython.int
-        openings: list = []
+        openings: list[Opening] = []
 
         # 1. The returns in the order of their bearings.
         self._returns.take(scan)
@@ -522,7 +535,7 @@ class Openings:
 
         # 2. The ends of walls, as (range, order, return, direction): returns where the range jumps.
         # An end on a track is no wall.
-        wall_ends: list = returns.ends()
+        wall_ends: list[Any] = returns.ends()
         if not wall_ends:
             return openings
         returns.set_tracks(tracks)
@@ -574,7 +587,11 @@ def _opening(
 
 @cython.ccall
 def gap_middle(
-    points: Array, place: tuple, span: tuple, width: tuple, middle: tuple
+    points: Array,
+    place: tuple[Any, ...],
+    span: tuple[Any, ...],
+    width: tuple[Any, ...],
+    middle: tuple[Any, ...],
 ) -> float | None:
     """The middle of a gap between two returns, in m to the left of the axis of an opening.
 
@@ -589,7 +606,7 @@ def gap_middle(
         middle: (the expected middle, the bound of the middle's distance from the axis), m.
     """
     i: cython.Py_ssize_t
-    table: cython.const[cython.double][:, ::1] = rows(points)
+    table: cython.const_double[:, ::1] = rows(points)
     robot_along: cython.double = place[0]
     robot_aside: cython.double = place[1]
     cos_heading: cython.double = cos(place[2])
@@ -600,7 +617,7 @@ def gap_middle(
     width_error: cython.double = width[1]
     expected: cython.double = middle[0]
     farthest: cython.double = middle[1]
-    sides: list = []
+    sides: list[float] = []
 
     # 1. The returns that count, in m to the left of the axis, in rising order.
     for i in range(len(table)):

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec import Struct
@@ -38,6 +38,8 @@ from swarmd.steering.velocity_obstacles import passage_between
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Pose
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -165,20 +167,20 @@ class Recovery:
     _angular_limit: cython.double  # rad/s
     _turn_rate: cython.double  # rad/s
     _turn_weight: cython.double  # m2/s2 for each rad2/s2
-    _rng: object
+    _rng: Random
     _side: cython.double  # 1 left or -1 right
     _side_until: cython.double
     _bearing: cython.double  # rad, of the corridor
     _planned_at_yaw: cython.double  # rad
     _speed: cython.double  # m/s, the fastest that was requested during a recovery
     _is_backing: cython.bint
-    _escape: object  # the twist of state back; None without one
+    _escape: Twist | None  # the twist of state back; None without one
     _back_off_count: cython.longlong
     _back_time: cython.double
     _patience: cython.double
-    _last_block: object  # its time and pose; None without one
-    _request: object  # the last replacement
-    _last_motion: object  # its time and pose; None without one
+    _last_block: tuple[Any, Pose] | None  # its time and pose; None without one
+    _request: Twist  # the last replacement
+    _last_motion: tuple[Any, Pose] | None  # its time and pose; None without one
     _began_at: cython.double
     _blocked_since: cython.double  # inf: not blocked
     _state: str
@@ -200,7 +202,7 @@ class Recovery:
         self.reset()
 
     @cython.ccall
-    def reset(self):
+    def reset(self) -> None:
         """Become inactive: the requested command passes."""
         self._request, self._last_motion, self._began_at = ZERO, None, -INFINITY
         self._enter("follow", -INFINITY)
@@ -270,7 +272,7 @@ class Recovery:
         return self._request
 
     @cython.cfunc
-    def _start(self, requested: Twist, context: DecisionContext, points: Array):
+    def _start(self, requested: Twist, context: DecisionContext, points: Array) -> None:
         """Begin a recovery: back off if a motion was blocked; choose a corridor if a turn was."""
         self._began_at, self._speed = context.now, 0.5 * self._linear_limit
         self._last_motion = None
@@ -415,12 +417,12 @@ class Recovery:
     @cython.cfunc
     def _is_enclosed(self, points: Array) -> cython.bint:
         """True between walls: no corridor ahead is free up to the lookahead."""
-        places: cython.const[cython.double][:, ::1] = rows(points)
+        places: cython.const_double[:, ::1] = rows(points)
         ahead = [bearing for bearing in _BEARINGS if fabs(bearing) <= 0.5 * HALF_TURN]
         return all([self._free_length(places, bearing) < self.lookahead for bearing in ahead])
 
     @cython.cfunc
-    def _through_passage(self, requested: Twist, safe: Twist, points: Points):
+    def _through_passage(self, requested: Twist, safe: Twist, points: Points) -> Twist:
         """The command that keeps to the middle of a narrow passage; else `requested`.
 
         `requested` passes if the robot is not in a narrow passage, or protection does not limit it.
@@ -453,7 +455,7 @@ class Recovery:
         points: Points,
         is_blocked: cython.bint,
         safe_for: Allows | None,
-    ):
+    ) -> Twist:
         """The command of a recovery; changes the state first if necessary.
 
         Args:
@@ -491,7 +493,7 @@ class Recovery:
         return Twist(self._speed, turn)
 
     @cython.cfunc
-    def _backing(self, points: Points):
+    def _backing(self, points: Points) -> Twist:
         """The command of state back; a long back-off follows the middle line of a passage."""
         speed: cython.double = 0.5 * self._speed
         if self._escape is not None:
@@ -514,7 +516,7 @@ class Recovery:
         return fabs(angular) >= _MIN_SPEED_SHARE * self._angular_limit
 
     @cython.cfunc
-    def _leave_passage(self):
+    def _leave_passage(self) -> None:
         if self._state == "pass":
             self._enter("follow", self._state_since)
 
@@ -537,15 +539,15 @@ class Recovery:
         return target if target[0] > 0.0 else None
 
     @cython.cfunc
-    def _back_off(self, points: Array, now: cython.double):
+    def _back_off(self, points: Array, now: cython.double) -> None:
         """Move forward or backward, to the side with more room."""
-        places: cython.const[cython.double][:, ::1] = rows(points)
+        places: cython.const_double[:, ::1] = rows(points)
         ahead = self._free_length(places, 0.0)
         self._is_backing, self._escape = self._free_length(places, HALF_TURN) > ahead, None
         self._enter("back", now)
 
     @cython.cfunc
-    def _fastest_escape(self, safe_for: Allows):
+    def _fastest_escape(self, safe_for: Allows) -> Twist | None:
         """The fastest of six twists that protection allows; None if protection allows none."""
         speed, fastest, escape = 0.5 * self._speed, 0.0, None
         for sign in (-1.0, 1.0) if self._is_backing else (1.0, -1.0):
@@ -557,7 +559,7 @@ class Recovery:
         return escape
 
     @cython.cfunc
-    def _plan(self, heading: cython.double, context: DecisionContext, points: Array):
+    def _plan(self, heading: cython.double, context: DecisionContext, points: Array) -> None:
         """Choose a free corridor near `heading` (bearing in rad), and enter the state turn.
 
         A corridor costs its angle from the heading. A corridor on the side that was not chosen
@@ -567,7 +569,7 @@ class Recovery:
         if now >= self._side_until:
             self._side = 1.0 if self._rng.random() < _SIDE_FLIP_PROBABILITY else -1.0
         self._side_until = now + _SIDE_HOLD_TIME
-        places: cython.const[cython.double][:, ::1] = rows(points)
+        places: cython.const_double[:, ::1] = rows(points)
         least_cost: cython.double = INFINITY
         for bearing in _BEARINGS:
             angle_off = _positive(bearing - heading + HALF_TURN) - HALF_TURN
@@ -583,7 +585,7 @@ class Recovery:
 
     @cython.cfunc
     def _free_length(
-        self, places: cython.const[cython.double][:, ::1], bearing: cython.double
+        self, places: cython.const_double[:, ::1], bearing: cython.double
     ) -> cython.double:
         """m of free corridor from the axle along a bearing, up to `lookahead`."""
         c, s, free = cos(bearing), sin(bearing), self.lookahead
@@ -602,7 +604,7 @@ class Recovery:
         return context.odometry.pose.yaw - self._planned_at_yaw
 
     @cython.cfunc
-    def _enter(self, state: str, now: cython.double):
+    def _enter(self, state: str, now: cython.double) -> None:
         self._state, self._state_since = state, now
         self.is_active = state != "follow"
         self.has_taken_over = self.is_active and state != "pass"
@@ -610,7 +612,7 @@ class Recovery:
 
 
 @cython.cfunc
-def _turn_to(target) -> cython.double:
+def _turn_to(target: Array) -> cython.double:
     """The turn in rad/s towards a place (2,) on the middle line of a passage."""
     turn = _PASSAGE_GAIN * atan2(target[1], target[0])
     return max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)

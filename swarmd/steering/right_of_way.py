@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec import Struct
@@ -270,11 +270,11 @@ class _Traffic(Struct, frozen=True, gc=False):
 class RightOfWay:
     """Replaces the requested command of a robot before an opening. Times are in s, by argument."""
 
-    state = cython.declare(object, visibility="readonly")  # WayState
+    state: WayState = cython.declare(object, visibility="readonly")  # WayState
     _linear_limit: cython.double  # m/s
     _angular_limit: cython.double  # rad/s
     _lead: cython.double  # s of a requested turn that are looked ahead
-    _rng: object
+    _rng: Random
     _openings: Openings
     # Of the last command: the tracks in the base frame, and the pose of the base.
     _surroundings: Surroundings
@@ -286,19 +286,19 @@ class RightOfWay:
     # m to the left of the axis at which the robot drives in a corridor
     _lean: cython.double
     _speed: cython.double  # m/s; the fastest speed requested so far, as in recovery
-    _opening: Opening  # the chosen one; None: requests pass
+    _opening: Opening | None  # the chosen one; None: requests pass
     _sign: cython.double  # 1 or -1: the way through, along the angle of the opening or opposite
     _chosen_at: cython.double  # when the opening was chosen
     _wanted_yaw: cython.double  # rad, the direction of the request in the frame of the odometry
     # By the id of a track. `_sides`: _THIS_SIDE or _OTHER_SIDE, from which the track came.
     # `_farthest`: its farthest place in m along the axis. `_seen_since`: in s.
-    _sides = cython.declare(dict, visibility="readonly")
-    _farthest: dict
-    _seen_since: dict
+    _sides: dict[int, Any] = cython.declare(dict, visibility="readonly")
+    _farthest: dict[int, float]
+    _seen_since: dict[int, float]
     # By the id of a track that came out: s, when the robot last saw the track in the opening.
     # Dropped when the robot sees the track elsewhere.
-    _within_at: dict
-    _came_out: set  # ids of the tracks that have come out to this side
+    _within_at: dict[int, float]
+    _came_out: set[int]  # ids of the tracks that have come out to this side
     _progress_along: cython.double  # m along the axis: where the robot last made progress
     _progress_at: cython.double  # s, when this was
     _is_backing: cython.bint
@@ -309,7 +309,7 @@ class RightOfWay:
     _waiting_side: cython.double  # 1 left or -1 right of the axis; 0: not chosen
     _is_lined_up: cython.bint
     # m to the left: the middle measured between the posts less that of the sightings; None before.
-    _middle_offset: object
+    _middle_offset: float | None = cython.declare(object)
     _held_since: cython.double  # when the robot began to wait for a robot ahead
     _held_along: cython.double  # m along the axis, where this was
 
@@ -326,13 +326,13 @@ class RightOfWay:
         self.reset()
 
     @cython.ccall
-    def reset(self):
+    def reset(self) -> None:
         """Forget the request; keep all openings that the robot knows."""
         self._speed = _UNKNOWN_SPEED_SHARE * self._linear_limit
         self._release()
 
     @cython.ccall
-    def on_odometry(self, odometry: Odometry):
+    def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
         last: Motion = self._motion
         motion: Motion = Motion(odometry)
@@ -342,7 +342,7 @@ class RightOfWay:
             self._release()
 
     @cython.cfunc
-    def _release(self):
+    def _release(self) -> None:
         """Drop the chosen opening: requests pass until another opening is on the way."""
         self._opening, self._middle_offset, self.state = None, None, WayState.NONE
         self._wanted_yaw = self._keep_clear_for = self._waiting_side = 0.0
@@ -359,7 +359,7 @@ class RightOfWay:
 
     def passed(self, context: DecisionContext) -> Avoided | None:
         """The opening because of which the request is replaced; None while no opening is."""
-        opening: Opening = self._opening
+        opening: Opening | None = self._opening
         odometry = context.odometry
         if self.state is WayState.NONE or opening is None or odometry is None:
             return None
@@ -370,7 +370,7 @@ class RightOfWay:
         return Avoided(bearing, math.hypot(x, y), self.state)
 
     @cython.cfunc
-    def _motion_of(self, odometry) -> Motion:
+    def _motion_of(self, odometry: Odometry) -> Motion:
         """The numbers of a reading, which is the last one as a rule."""
         motion: Motion = self._motion
         if motion is None or motion.odometry is not odometry:
@@ -378,14 +378,14 @@ class RightOfWay:
         return motion
 
     @cython.ccall
-    def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext):
+    def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
         """Take in a conditioned scan; `offset` in m is the place of the sensor in the base frame.
 
         Sets `_lean`.
         """
         odometry = context.odometry
         # Read with each scan: the tracker takes in the scan next.
-        tracks: tuple = () if self._surroundings is None else self._surroundings.tracks
+        tracks: tuple[Track, ...] = () if self._surroundings is None else self._surroundings.tracks
         ages = scan.ages if self._opening is not None else None
         if ages is not None and len(ages) == len(scan.bearings):
             left_ages = ages[np.abs(scan.bearings - _ABEAM) < _ABEAM_WIDTH]
@@ -402,7 +402,7 @@ class RightOfWay:
         c: cython.double = cos(self._yaw)
         s: cython.double = sin(self._yaw)
         track: Track
-        placed: list = []
+        placed: list[Any] = []
         for track in tracks:
             x, y = _moved(track.x, track.y, self._x, self._y, c, s)
             placed.append((x, y, track.radius))
@@ -449,7 +449,7 @@ class RightOfWay:
         # 2. Chooses an opening, if none is chosen, and places the robot in its frame.
         if self._opening is None:
             self._choose(base_x, base_y, now)
-        opening: Opening = self._opening
+        opening: Opening | None = self._opening
         if opening is None:
             return requested
         along, aside = opening.to_local(base_x, base_y, self._sign)
@@ -460,7 +460,7 @@ class RightOfWay:
         heading: cython.double = remainder(yaw_off, TURN)
 
         # 3. Drops the opening once it is passed, far away, not on the way, or after _GIVE_UP s.
-        tracks: tuple = surroundings.tracks
+        tracks: tuple[Track, ...] = surroundings.tracks
         is_passed: cython.bint = along > depth + _BEYOND
         if is_passed and tracks:
             self._passed_at = now  # others are near: next time this robot lets them pass longer
@@ -516,7 +516,7 @@ class RightOfWay:
         return yaw + bearing
 
     @cython.cfunc
-    def _choose(self, x: cython.double, y: cython.double, now: cython.double):
+    def _choose(self, x: cython.double, y: cython.double, now: cython.double) -> None:
         """Choose the nearest opening through which the request leads, or into whose wall it leads.
 
         Sets `_opening` and `_sign` (the direction through the opening), and resets what belongs to

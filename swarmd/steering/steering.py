@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
 from swarmd.core.avoided import Avoided
 from swarmd.core.messages import Reason
-from swarmd.core.values import Odometry, Platform, Scan, Twist
+from swarmd.core.values import Odometry, Platform, Scan, TouchZone, Twist
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
 from swarmd.steering.avoidance import Avoidance
 from swarmd.steering.recovery import NO_OTHERS, Allows, Others, Points, Recovery
@@ -44,17 +44,17 @@ class Steering:
     the random choices of recovery and right of way.
     """
 
-    _protection: object
-    _offset: object
+    _protection: Protection
+    _offset: Any
     _recovery: Recovery  # None: this robot is not steered
     _is_recovering: cython.bint
     _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
     _avoidance: Avoidance
-    _tracker = cython.declare(object, visibility="public")
+    _tracker: Tracker = cython.declare(object, visibility="public")
     _avoids: cython.bint  # as the platform says
     _is_avoiding: cython.bint  # as the permit says
     _has_avoided: cython.bint  # right of way may know openings
-    _odometry: object  # the last reading; None without one
+    _odometry: Odometry | None  # the last reading; None without one
     _right_of_way: RightOfWay
 
     def __init__(self, platform: Platform, protection: Protection, seed: str = "") -> None:
@@ -122,7 +122,7 @@ class Steering:
         return self._protection.decide(requested, context, is_running, hold, permit, steered)
 
     @cython.cfunc
-    def _switch_avoidance(self, is_running: cython.bint, permit):
+    def _switch_avoidance(self, is_running: cython.bint, permit: Permit) -> None:
         """Switch avoidance on or off by the permit."""
         is_avoiding: cython.bint = (
             is_running
@@ -140,7 +140,7 @@ class Steering:
         self._right_of_way.reset()
 
     @cython.cfunc
-    def _end_recovery(self):
+    def _end_recovery(self) -> None:
         """Reset recovery, avoidance and right of way, if they have decided since the last hold."""
         if self._may_recover:
             self._may_recover = self._is_recovering = False
@@ -149,7 +149,9 @@ class Steering:
             self._right_of_way.reset()
 
     @cython.cfunc
-    def _candidate(self, clipped, context, touch):
+    def _candidate(
+        self, clipped: Twist, context: DecisionContext, touch: TouchZone | None
+    ) -> Twist:
         """The command by which right of way, avoidance or recovery replaces a clipped request.
 
         The result is the object `clipped` if the request is not replaced.

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from swarmd.core.values import (
     Scan,
 )
 from swarmd.protection.decision import DecisionContext
-from swarmd.steering.buffers import doubles, numbers, places
+from swarmd.steering.buffers import doubles, numbers, places, rows
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -128,7 +128,7 @@ class Track:
     vy = cython.declare(cython.double, visibility="readonly")
     radius = cython.declare(cython.double, visibility="readonly")
 
-    def __init__(self, *numbers: float) -> None:
+    def __init__(self, *numbers: Any) -> None:
         """Set all numbers, in the order of the attributes."""
         self.id, self.x, self.y, self.vx, self.vy, self.radius = numbers
 
@@ -141,7 +141,7 @@ class Motion:
     An extension type, whose numbers are of C: each of 35 decisions a second reads them twice.
     """
 
-    odometry = cython.declare(object, visibility="readonly")
+    odometry: Odometry = cython.declare(object, visibility="readonly")
     stamp: cython.double
     x: cython.double
     y: cython.double
@@ -195,18 +195,18 @@ class ScanReturns:
     ranges: cython.double[::1]  # m
     bearings: cython.double[::1]  # rad, rising
     ages: cython.double[::1]  # s; 0 for a scan without ages
-    _scan: object  # the last scan; None before the first
+    _scan: Scan | None  # the last scan; None before the first
     _order: cython.longlong[::1]  # the rays with a return, as they come
 
     def __init__(self) -> None:
         self._make_room(0)  # a view that is not set ends the process when memory is taken
 
-    def _make_room(self, count):
+    def _make_room(self, count: cython.Py_ssize_t) -> None:
         self.ranges, self.bearings, self.ages = doubles(count), doubles(count), doubles(count)
         self._order = places(count)
 
     @cython.cfunc
-    def take(self, scan) -> cython.int:
+    def take(self, scan: Scan) -> cython.int:
         """Set the returns to those of a conditioned scan, unless it is the last scan.
 
         The bearings of a conditioned scan rise from ray to ray. In the scan of a turning robot they
@@ -216,11 +216,11 @@ class ScanReturns:
         """
         if scan is self._scan:
             return 0
-        ranges: cython.const[cython.double][::1] = numbers(scan.ranges)
-        bearings: cython.const[cython.double][::1] = numbers(scan.bearings)
+        ranges: cython.const_double[::1] = numbers(scan.ranges)
+        bearings: cython.const_double[::1] = numbers(scan.bearings)
         has_ages: cython.bint = scan.ages is not None
         # Without ages all ages are 0, and `ages` is not read: any array may take its place.
-        ages: cython.const[cython.double][::1] = numbers(scan.ages) if has_ages else ranges
+        ages: cython.const_double[::1] = ranges if scan.ages is None else numbers(scan.ages)
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
@@ -381,9 +381,9 @@ class Surroundings:
     would compute 15 tracks.
     """
 
-    _tracks: object  # a tuple of Track; None: not computed yet
-    _walls: object  # (k, 2); None: not computed yet
-    _filters: list
+    _tracks: tuple[Track, ...] | None  # None: not computed yet
+    _walls: Array | None  # (k, 2); None: not computed yet
+    _filters: list[_Filter]
     _wall_x: cython.double[::1]  # places of walls in the frame of the odometry
     _wall_y: cython.double[::1]
     _wall_count: cython.Py_ssize_t
@@ -436,7 +436,7 @@ class Surroundings:
         cos_yaw: cython.double = cos(self._yaw)
         sin_yaw: cython.double = sin(self._yaw)
         walls = np.empty((self._wall_count, 2))
-        places: cython.double[:, ::1] = walls if cython.compiled else memoryview(walls)
+        places: cython.double[:, ::1] = rows(walls)
         for i in range(self._wall_count):
             dx: cython.double = self._wall_x[i] - self._x
             dy: cython.double = self._wall_y[i] - self._y
@@ -456,9 +456,9 @@ class Tracker:
     _fastest: cython.double  # m/s, of an object
     _widest: cython.double  # m, of an object that is no wall
     _spacing: cython.double  # rad between two rays
-    _history: object  # readings of odometry, as Motion
-    _latest: Motion  # of them; None without one
-    _filters: list
+    _history: deque[Motion]  # readings of odometry, as Motion
+    _latest: Motion | None  # of them; None without one
+    _filters: list[_Filter]
     _next_id: cython.longlong
     # Places of walls in the frame of the odometry.
     _wall_x: cython.double[::1]
@@ -501,7 +501,7 @@ class Tracker:
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all objects are forgotten."""
-        latest: Motion = self._latest
+        latest: Motion | None = self._latest
         motion: Motion = Motion(odometry)
         if latest is not None and (motion.stamp <= latest.stamp or motion.jumps_from(latest)):
             if motion.stamp == latest.stamp:
@@ -525,14 +525,14 @@ class Tracker:
         scan_time: cython.double = (
             self._latest.stamp + odometry_age - newest_age - context.scan_delay
         )
-        x, y, yaw = self._pose(scan_time)
+        x, y, yaw = self._pose(self._latest, scan_time)
         cluster: _Cluster
         track: _Filter
 
         # 2. Clusters of the scan, and of places that peers shared.
         self._wall_count = 0
         self._take_returns(scan, x, y, yaw)
-        clusters: list = self._clusters(scan_time)
+        clusters: list[_Cluster] = self._clusters(scan_time)
         self._add_shared_places(clusters, context)
 
         # 3. Filters of known objects.
@@ -568,13 +568,14 @@ class Tracker:
         around._filters, around._time = self._filters, time
         around._wall_x, around._wall_y = self._wall_x, self._wall_y
         around._wall_count = self._wall_count
-        around._x, around._y, around._yaw = self._pose(time)
+        around._x, around._y, around._yaw = self._pose(self._latest, time)
         return around
 
     @cython.cfunc
-    def _pose(self, time: cython.double) -> tuple[cython.double, cython.double, cython.double]:
-        """The pose (x, y, yaw) at a time, interpolated, or extrapolated from the last reading."""
-        later: Motion = self._latest
+    def _pose(
+        self, later: Motion, time: cython.double
+    ) -> tuple[cython.double, cython.double, cython.double]:
+        """The pose (x, y, yaw) at a time, interpolated, or extrapolated from the latest one."""
         earlier: Motion
         if time >= later.stamp or len(self._history) == 1:
             seconds: cython.double = time - later.stamp
@@ -594,13 +595,13 @@ class Tracker:
         return later.x, later.y, later.yaw
 
     @cython.cfunc
-    def _add_shared_places(self, clusters: list, context):
+    def _add_shared_places(self, clusters: list[_Cluster], context: DecisionContext) -> None:
         """Add a cluster for each place that a peer shared; its radius contains the error."""
-        if not context.told:
+        if not context.told or self._latest is None or context.odometry_age is None:
             return
         now: cython.double = self._latest.stamp + context.odometry_age
         for obstacle in context.told:
-            base_x, base_y, yaw = self._pose(now - obstacle.age)
+            base_x, base_y, yaw = self._pose(self._latest, now - obstacle.age)
             c: cython.double = cos(yaw)
             s: cython.double = sin(yaw)
             x: cython.double = obstacle.x
@@ -621,7 +622,7 @@ class Tracker:
 
     @cython.cfunc
     def _take_returns(
-        self, scan, base_x: cython.double, base_y: cython.double, yaw: cython.double
+        self, scan: Scan, base_x: cython.double, base_y: cython.double, yaw: cython.double
     ) -> cython.int:
         """Store the returns of a scan, sorted by bearing, with their places by odometry.
 
@@ -645,7 +646,7 @@ class Tracker:
             x[k], y[k] = lidar_x + ranges[k] * cos(angle), lidar_y + ranges[k] * sin(angle)
         return 0
 
-    def _make_room(self, count):
+    def _make_room(self, count: cython.Py_ssize_t) -> None:
         """Make the arrays of places, runs and walls for `count` rays."""
         self._x, self._y = doubles(count), doubles(count)
         self._is_gap = places(count)
@@ -688,9 +689,9 @@ class Tracker:
         return cuts
 
     @cython.cfunc
-    def _clusters(self, at: cython.double) -> list:
+    def _clusters(self, at: cython.double) -> list[_Cluster]:
         """The clusters that are compact objects; also adds the places of walls."""
-        clusters: list = []
+        clusters: list[_Cluster] = []
         n: cython.Py_ssize_t = self._returns.count
         if n < 2:
             return clusters
@@ -732,7 +733,7 @@ class Tracker:
     @cython.cfunc
     def _add_surface(
         self,
-        clusters: list,
+        clusters: list[_Cluster],
         index: cython.Py_ssize_t,
         end: cython.Py_ssize_t,
         scan_time: cython.double,
@@ -863,13 +864,13 @@ class Tracker:
         return 0
 
     @cython.cfunc
-    def _associate(self, clusters: list) -> cython.int:
+    def _associate(self, clusters: list[_Cluster]) -> cython.int:
         """Update each filter by the nearest cluster within its gate."""
         filter_index: cython.Py_ssize_t
         cluster_index: cython.Py_ssize_t
         track: _Filter
         cluster: _Cluster
-        pairs: list = []
+        pairs: list[Any] = []
         for filter_index in range(len(self._filters)):
             track = self._filters[filter_index]
             track.misses += 1
@@ -908,7 +909,7 @@ class Tracker:
     ) -> cython.int:
         """End the tracks whose place was seen empty, or that were hidden for too long."""
         track: _Filter
-        kept: list = []
+        kept: list[_Filter] = []
         for track in self._filters:
             if track.misses and not self._is_hidden(track, x, y, yaw):
                 if track.misses >= _MAX_MISSES or track.hits < _MIN_HITS:

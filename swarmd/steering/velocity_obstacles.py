@@ -10,13 +10,15 @@ A kernel (see `core/kernels.py`), since each decision passes it. avoidance.py ca
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from swarmd.steering.buffers import rows
 from swarmd.steering.tracks import Track
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
+
+    from swarmd.core.values import Array
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -122,17 +124,17 @@ def line_of(
 
 @cython.ccall
 def wall_lines(
-    walls,
+    walls: Array,
     lead: cython.double,
     robot_vx: cython.double,
     robot_vy: cython.double,
     radius: cython.double,
     reach: cython.double,
     horizon: cython.double,
-) -> list:
+) -> list[Line]:
     """A line for each place of `walls` (k, 2) within `reach` m of a point `lead` m ahead."""
     places: cython.double[:, ::1] = rows(walls)
-    lines: list = []
+    lines: list[Line] = []
     for i in range(len(places)):
         x: cython.double = places[i, 0] - lead
         y: cython.double = places[i, 1]
@@ -145,7 +147,7 @@ def wall_lines(
 
 @cython.ccall
 def track_lines(
-    tracks: tuple,
+    tracks: tuple[Track, ...],
     lead: cython.double,
     robot_vx: cython.double,
     robot_vy: cython.double,
@@ -153,7 +155,7 @@ def track_lines(
     share: cython.double,
     standing_speed: cython.double,
     horizon: cython.double,
-) -> list:
+) -> list[Line]:
     """A line for each track, for a point `lead` m ahead of the axle.
 
     The robot makes the whole change of velocity for an object that stands, since such an object
@@ -170,7 +172,7 @@ def track_lines(
         horizon: s.
     """
     track: Track
-    lines: list = []
+    lines: list[Line] = []
     for track in tracks:
         vx: cython.double = track.vx
         vy: cython.double = track.vy
@@ -192,7 +194,7 @@ def track_lines(
 
 @cython.ccall
 def most_violated(
-    lines: list, first: cython.Py_ssize_t, x: cython.double, y: cython.double
+    lines: list[Line], first: cython.Py_ssize_t, x: cython.double, y: cython.double
 ) -> cython.Py_ssize_t:
     """The index of the line, from `first` on, that a velocity violates most; -1 without one."""
     worst: cython.Py_ssize_t = -1
@@ -206,11 +208,11 @@ def most_violated(
 
 @cython.ccall
 def passage_between(
-    walls,
+    walls: Array,
     nearest_ahead: cython.double,
     farthest_ahead: cython.double,
     farthest_aside: cython.double,
-) -> tuple:
+) -> tuple[Any, ...]:
     """The least distance in m between a place of a wall to the left and a place to the right.
 
     With the rows of both places; (inf, 0, 0) without places on both sides.
@@ -220,7 +222,7 @@ def passage_between(
     """
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    places: cython.const[cython.double][:, ::1] = rows(walls)
+    places: cython.const_double[:, ::1] = rows(walls)
     best = INFINITY, 0, 0
     least_width: cython.double = INFINITY
     for i in range(len(places)):
@@ -245,7 +247,7 @@ def passage_between(
 
 @cython.ccall
 def nearest(
-    lines: list,
+    lines: list[Line],
     wall_count: cython.Py_ssize_t,
     x: cython.double,
     y: cython.double,
@@ -275,7 +277,7 @@ class _Programme:
 
     @cython.cfunc
     def solve(
-        self, lines: list, x: cython.double, y: cython.double, is_direction: cython.bint
+        self, lines: list[Line], x: cython.double, y: cython.double, is_direction: cython.bint
     ) -> cython.Py_ssize_t:
         """Set the best velocity that satisfies the lines, and return how many lines it satisfies.
 
@@ -302,7 +304,7 @@ class _Programme:
     @cython.cfunc
     def _place(
         self,
-        lines: list,
+        lines: list[Line],
         line_count: cython.Py_ssize_t,
         x: cython.double,
         y: cython.double,
@@ -356,7 +358,7 @@ class _Programme:
 
     @cython.cfunc
     def relax(
-        self, lines: list, wall_count: cython.Py_ssize_t, begin: cython.Py_ssize_t
+        self, lines: list[Line], wall_count: cython.Py_ssize_t, begin: cython.Py_ssize_t
     ) -> cython.int:
         """Set the velocity that minimises the greatest violation of the lines from `wall_count` on.
 
@@ -376,7 +378,7 @@ class _Programme:
                 continue
 
             # 1. For each line before: the border of equal violation.
-            projected: list = lines[:wall_count]
+            projected: list[Line] = lines[:wall_count]
             for k in range(wall_count, i):
                 other = lines[k]
                 cross: cython.double = line.dx * other.dy - line.dy * other.dx

@@ -10,11 +10,11 @@ import pytest
 from swarmd.core import cython_shadow as cython
 
 DECLARED = {
-    "count": cython.Py_ssize_t,
-    "is_due": cython.bint,
-    "way": cython.double[::1],
-    "places": cython.double[2],
-    "name": object,
+    "count": "cython.Py_ssize_t",
+    "is_due": "cython.bint",
+    "way": "cython.double[::1]",
+    "places": "cython.double[2]",
+    "name": "Absent | None",  # a type that no interpreter sees
 }
 READABLE = cython.declare(cython.double, visibility="readonly")
 Counter = cython.cclass(type("Counter", (), {"__annotations__": DECLARED, "seen": READABLE}))

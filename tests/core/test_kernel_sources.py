@@ -71,7 +71,7 @@ class Function:
         """All that the function asks."""
         found: list[ast.expr] = []
         for node in self.nodes:
-            if isinstance(node, ast.If | ast.IfExp | ast.While):
+            if isinstance(node, ast.If | ast.IfExp | ast.While | ast.Assert):
                 found.append(node.test)
             elif isinstance(node, ast.BoolOp):
                 found += node.values
@@ -299,7 +299,7 @@ def objects_that_may_be_none(kernel: Kernel) -> Iterator[str]:
     """`nonecheck` is False: a part of None is other memory."""
     for owner in kernel.classes.values():
         kinds = {ast.unparse(node.target) for node in owner.body if isinstance(node, ast.AnnAssign)
-                 and ast.unparse(node.annotation) in kernel.classes}  # fmt: skip
+                 and ast.unparse(node.annotation).split(" |")[0] in kernel.classes}  # fmt: skip
         functions = [f for f in kernel.functions if f.node in owner.body]
         pairs = [
             [(ast.unparse(target), ast.unparse(value)) for target, value in function.assigned()]

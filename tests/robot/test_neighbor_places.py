@@ -164,7 +164,7 @@ def test_a_robot_with_a_pose_hands_the_places_of_its_neighbors_to_its_pattern() 
     robot.on_neighbors((HEARD, Neighbor("c", 0.0)), 10.0)
     robot.on_place(place(1.0, 5.0, math.pi / 2), 10.0)
     peer, other = robot.inputs(10.0, 0.1).neighbors
-    assert (peer.distance, peer.bearing) == (pytest.approx(3.0), pytest.approx(0.0))
+    assert [peer.distance, peer.bearing] == pytest.approx([3.0, 0.0])
     assert peer.age == pytest.approx(0.1)  # of the place: the own pose is FASTEST_POSE / 2 old
     assert other == Neighbor("c", 0.0)
     assert robot.inputs(11.0 - 0.5 * FASTEST_POSE + 0.01, 0.1).neighbors[0].distance is None

@@ -301,7 +301,8 @@ def test_a_hold_ends_how_long_a_robot_was_held_up(ends_with: Reason | None) -> N
     A hold ends the delay: the robot then chooses as one that meets the two for the first time.
     """
     commander = Commander(AVOIDING)
-    commander.steering._tracker = Blocked()
+    steering: Any = commander.steering
+    steering._tracker = Blocked()
     permit, now = Permit(may_recover=True), 10.0
     commander.observe(clear_scan(), DecisionContext(now, 0.0))
 

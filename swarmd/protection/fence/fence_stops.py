@@ -8,7 +8,7 @@ follow each other. Units: m, s, rad, in the shared frame.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -112,7 +112,9 @@ def clearance(edges: Array, x: cython.double, y: cython.double, radius: cython.d
 
 
 @cython.cfunc
-def _nearby(edges: cython.double[:, ::1], x: cython.double, y: cython.double, way: cython.double):
+def _nearby(
+    edges: cython.double[:, ::1], x: cython.double, y: cython.double, way: cython.double
+) -> tuple[Any, cython.Py_ssize_t]:
     """The edges that may be the nearest of a place within `way` of (x, y), and their number."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t

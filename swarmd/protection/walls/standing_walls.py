@@ -130,7 +130,7 @@ class StandingWalls(ReturnLayer):
     is_trusted: cython.bint  # False: no return stands, since a wall was found to move
     # s: the time at which the returns within _NEAR m of this and of all earlier scans have stood
     ripe_at: cython.double
-    moved: object  # MovedWall: what the last scan showed; None without a wall that moved
+    moved: MovedWall | None  # MovedWall: what the last scan showed; None without a wall that moved
     _length: cython.double
     _seconds: cython.double
     _period: cython.double  # s of a revolution of the lidar
@@ -170,11 +170,11 @@ class StandingWalls(ReturnLayer):
     @cython.cfunc
     def observe(
         self,
-        ranges: cython.const[cython.double][::1],
+        ranges: cython.const_double[::1],
         directions: cython.double[::1],
-        ages: cython.const[cython.double][::1],
+        ages: cython.const_double[::1],
         motion: ScanMotion,
-    ):
+    ) -> None:
         """Take in a scan, and set `moved` if it shows a moved wall."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)

@@ -98,7 +98,7 @@ class StraightRuns:
         self.fields, self._stack = doubles(RUN_FIELDS * _RUNS), indices(_STACK)
         self._allocate(len(platform.scan.bearings))
 
-    def _allocate(self, rays):
+    def _allocate(self, rays: cython.Py_ssize_t) -> None:
         """Make the arrays of a scan anew, for so many rays."""
         self.ray, self._is_cut = indices(rays), indices(rays)
         self.x, self.y, self._sums = doubles(rays), doubles(rays), doubles(_SUMS * (rays + 1))
@@ -108,9 +108,9 @@ class StraightRuns:
     @cython.exceptval(-1)
     def find(
         self,
-        ranges: cython.const[cython.double][::1],
+        ranges: cython.const_double[::1],
         directions: cython.double[::1],
-        ages: cython.const[cython.double][::1],
+        ages: cython.const_double[::1],
     ) -> cython.int:
         """Find the runs of a scan, as StandingWalls.observe gives it."""
         j: cython.Py_ssize_t
@@ -179,9 +179,9 @@ class StraightRuns:
     @cython.exceptval(-1)
     def _place(
         self,
-        ranges: cython.const[cython.double][::1],
+        ranges: cython.const_double[::1],
         directions: cython.double[::1],
-        ages: cython.const[cython.double][::1],
+        ages: cython.const_double[::1],
     ) -> cython.int:
         """Place the returns of this revolution within REACH m, and add them to the running sums.
 
