@@ -33,6 +33,7 @@ _MAX_NAMES = 20  # robots with names
 _COLUMNS, _MAX_KEY = 6, 18  # of the key: columns, and entries
 _MIN_PIXELS = 20.0  # the least length of a robot
 _MOST = 2.0  # the largest enlargement of a robot
+_NOTED = 1.05  # the least enlargement that a note tells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +157,7 @@ class Drawing:
         diameter = 2.0 * min(map(radius, trace.footprints.values()))
         pixels = diameter * axes.bbox.width / extent.width
         self._factor = min(max(_MIN_PIXELS / pixels, 1.0), _MOST)
-        if self._factor > 1.0:
+        if self._factor >= _NOTED:
             axes.set_xlabel(f"{notes}; robots enlarged {self._factor:.1f}x")
         self._kept = {*axes.get_children()}
         self.show(trace, colouring)
