@@ -32,17 +32,18 @@ def test_a_killed_tuning_continues_with_the_same_command(
     first = subprocess.Popen(
         [sys.executable, "-c", MAIN, *words], stderr=subprocess.DEVNULL, cwd=tmp_path
     )
-    table = folder / "batches" / "01" / "runs.csv"
-    wait_until(lambda: table.exists() and table.read_bytes().count(b"\n") > 1, "a run")
+    table = folder / "batches" / "00" / "runs.csv"
+
+    wait_until(lambda: table.exists() and table.read_bytes().count(b"\n") > 1, "a run", 120.0)
     workers = children(first.pid)
     first.kill()
     first.wait()
-    kept = walls(folder / "batches" / "01")
+    kept = walls(folder / "batches" / "00")
     assert kept
     wait_until(lambda: not any(map(is_running, workers)), "the end of the workers")
     done = swarmctl(*words, "-o", "json")
     assert done.returncode == 0, done.stderr
-    assert walls(folder / "batches" / "01").items() >= kept.items()  # they are not repeated
+    assert walls(folder / "batches" / "00").items() >= kept.items()  # they are not repeated
     found = json.loads(done.stdout)
     assert found["kind"] == "Tuning"
     serial = tune(
