@@ -138,7 +138,7 @@ def replace_trackers(run: Lockstep, kind: Any) -> list[Any]:
     made = []
     for row, shell in enumerate(run.shells):
         assert shell is not None
-        steering = shell.robot._steering
+        steering: Any = shell.robot._steering
         if steering._tracker is not None:
             steering._tracker = kind(steering._tracker, run.world, row)
             made.append(steering._tracker)
