@@ -27,6 +27,8 @@ ODOMETRY_RATE = 20.0
 IN_FLIGHT = 3
 LATE = 0.2
 """s between two messages of odometry, meant 0.05 s apart, of a body that a stall has stopped."""
+LOST = 2.0
+"""s after such a stall, in which zeros of a lost base may be read."""
 ScanScript = Callable[[int, float], Scan | bytes | None]
 
 
@@ -168,7 +170,7 @@ class Body:
         with self._changed:
             return all(
                 min(one.scan_seq, one.requested_scan_seq) >= 0
-                or (one.scan_seq == one.requested_scan_seq and self._late_at > moving.at)
+                or (one.scan_seq == one.requested_scan_seq and self._late_at > moving.at - LOST)
                 for one in self.commands
                 if one.at >= moving.at
             )

@@ -40,6 +40,7 @@ _DAEMON_MODULES = (
     "swarmd.pattern_host",
     "swarmd.driver_api.watchdog",
     "ros1/adapter_process.py",
+    "tests.support.other_version",
 )
 _OPERATORS = ("swarmctl", "python", "pt_main_thread", "test-forks")
 _FORK_SERVER = "multiprocessing.forkserver"
