@@ -230,7 +230,7 @@ class BlindSectors:
         turned: cython.double = remainder(yaw - before.yaw, TURN)
         is_new: cython.bint = False
         # 1. Sectors that have lost their returns: mostly too few for a look.
-        if self._count_gone(turned) >= _least_sectors:
+        if not isnan(turned) and self._count_gone(turned) >= _least_sectors:
             motion: cython.double = hypot(pose.x - before.x, pose.y - before.y)
             motion += _OTHERS_SPEED * (now - self._scan_at)
             shown = np.array([self._mean_before[k] for k in range(_SECTORS)])
