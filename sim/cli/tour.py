@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from swarmd.cli.consent import has_terminal
 from swarmd.cli.output import signals_end, warn
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.texts.values import counted
@@ -48,7 +49,7 @@ def tour(ctx: click.Context, /, yes: bool, **world: Any) -> None:
     Each command is shown first and runs after Enter; Ctrl-C ends the tour and the swarm. Exit code
     0 if each command succeeds, else the exit code of the first command that fails.
     """
-    if not yes and not sys.stdin.isatty():
+    if not yes and not has_terminal():
         raise click.UsageError("the tour waits for Enter, and this is no terminal; give --yes")
     need("mujoco")
     from swarmd.sim.live.simulated_swarm import kept_folder

@@ -52,6 +52,8 @@ def plan_of_task(
         text = f"{scenario}: metric is {name}; expected one with a better direction, and no file"
         raise ConfigError(f"{text}; see `exp metrics`")
     chosen = [] if patterns else [*loaded.effective["patterns"]]
+    if not (chosen or patterns):
+        on_misfit(f"{scenario} names no patterns; give --pattern NAME")
     for pattern in patterns:
         find_pattern(pattern, loaded.plugin_dir)
         try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import platform as machine
 import socket
-import sys
 import time
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -16,6 +15,7 @@ import click
 import msgspec
 
 from swarmd.cli import completion
+from swarmd.cli.consent import has_terminal
 from swarmd.cli.dialogue import Talk, Terminal, say
 from swarmd.cli.options import (
     EXISTING_FILE,
@@ -81,7 +81,7 @@ def acceptance(
     if prints:
         _print_checklist(options, robot, only)
         return
-    if not sys.stdin.isatty():
+    if not has_terminal():
         raise click.UsageError("acceptance asks before each motion, and there is no terminal")
     folder = folder or Path(f"acceptance-{robot}")
     record = _test(options, robot, folder, only, daemon_config, keep_names)

@@ -262,7 +262,8 @@ class TestedRobot:
                     pose = Pose(state.x, state.y, state.yaw)
                     is_estopped = state.state is State.ESTOPPED
                     is_held = bool(pattern) and state.reason not in _NO_HOLD
-                    text = f"held: {state.reason}" if is_held else state.report.get("step", "")
+                    step = state.report.get("step", "") if pattern else ""  # of this run
+                    text = f"held: {state.reason}" if is_held else step
                     self.inputs.put(Sight(pattern or "", is_estopped, pose, str(text)))
                 return
             except SwarmError:

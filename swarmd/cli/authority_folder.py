@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from swarmd.cli.consent import has_terminal
 from swarmd.cli.options import CommonOptions
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.security.identity import user_folder
@@ -55,7 +55,7 @@ def ask_passphrase(*, is_new: bool = False) -> bytes:
     given = os.environ.get(PASSPHRASE)
     if given:
         return given.encode()
-    if sys.stdin is None or not sys.stdin.isatty():
+    if not has_terminal():
         raise ConfigError(
             f"the authority needs its passphrase; run on a terminal or set ${PASSPHRASE}"
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import math
 import os
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli import completion
+from swarmd.cli.consent import has_terminal
 from swarmd.cli.dialogue import GivenYes, Talk, Terminal
 from swarmd.cli.options import FILE, CommonOptions, Failure, common_options
 from swarmd.cli.output import print_json, signals_end, warn
@@ -75,7 +75,7 @@ def calibrate(
     """
     if floor is not None and math.isnan(floor):
         raise click.UsageError("--floor nan is no length; give metres, such as 2.5")
-    if not yes and not sys.stdin.isatty():
+    if not yes and not has_terminal():
         raise click.UsageError(
             "calibrate asks before the robot moves, and there is no terminal; nothing was sent;"
             " check that the floor is free, and add --yes"
@@ -102,9 +102,9 @@ def calibrate(
         if verdict.result is not Result.PASS:
             code = FAILED if verdict.result is Result.FAIL else REFUSED
             raise Failure(f"{robot}: {verdict.reason}", code)
+        _show(options, robot, status.platform, verdict.values, write)
         if (last_status := tested.status()) is not None:
             _end_findings(operator, robot, last_status, tested.platform, verdict)
-        _show(options, robot, status.platform, verdict.values, write)
 
 
 def _ask_and_drive(
@@ -146,7 +146,7 @@ def _check_file(write: Path | None) -> None:
     if not os.access(write if write.exists() else write.parent, os.W_OK):
         raise click.UsageError(f"--write {write}: cannot be written; check folder and permissions")
     if write.exists():
-        if not sys.stdin.isatty():
+        if not has_terminal():
             raise click.UsageError(f"{write} exists, and there is no terminal to ask; remove it")
         click.confirm(f"Overwrite {write}?", err=True, abort=True)
 
@@ -169,7 +169,7 @@ def _end_findings(
     figure_texts: dict[str, str] = {}
     for finding in status.findings:
         axis = axis_of(finding)
-        remedy = "give it the platform file that follows"
+        remedy = "give it the new platform file"
         if axis is None:  # the finding is not about brakes
             remedy = "a calibration does not measure it; see `swarmctl reset --findings`"
         elif (verdict := brakes("C2", f"braking_{axis}")(evidence)).result is Result.PASS:

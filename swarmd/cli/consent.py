@@ -7,9 +7,14 @@ import sys
 import click
 
 
+def has_terminal() -> bool:
+    """True if a person can answer: the standard input is open, and a terminal."""
+    return sys.stdin is not None and sys.stdin.isatty()
+
+
 def need_consent(what: str, to_check: str, question: str) -> None:
     """Ask before robots are changed: UsageError without a terminal, ClickException after a no."""
-    if not sys.stdin.isatty():
+    if not has_terminal():
         raise click.UsageError(
             f"{what} asks for confirmation, and there is no terminal; nothing was sent; check that"
             f" {to_check}, and add --yes"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _PERIOD = 0.05  # s between two looks at the keyboard and at the robot
 _WIDEST = 78  # columns of a line
 _YES_AFTER = 2.5  # s from a question to a yes that was given before: the robot must be seen at rest
-_YES_TIMES = 10  # questions that are answered by it; the robot may still come to rest
+_YES_TIMES = 2  # questions that are answered by it: a robot refuses a start that is 8 s old
 
 
 class Talk:
@@ -222,6 +222,9 @@ class Terminal:
                 self.close()
             else:
                 tty.setcbreak(self._descriptor)
+                mode = termios.tcgetattr(self._descriptor)
+                mode[0] &= ~termios.IXON  # Ctrl-S is a key, too, and blocks no line of progress
+                termios.tcsetattr(self._descriptor, termios.TCSANOW, mode)
         now = boottime()
         if not select.select([self._descriptor], [], [], seconds)[0]:
             self._watch.look(now)

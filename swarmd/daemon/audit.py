@@ -32,8 +32,10 @@ OTHER_RATE, OTHER_BURST = 0.2, 5.0
 """Lines per second: refused junk must not displace the lines of applied requests."""
 APPLIED_ENTRIES, OTHER_ENTRIES, ENTRY_BURST = 20.0, 0.1, 200.0
 """Entries per second, and the burst: the files have room for more than the log has. `OTHER` holds
-for repeats of the last stop, too. At 2 a second refused stops filled the files in 97 minutes; by
+for repeats of a stop, too. At 2 a second refused stops filled the files in 97 minutes; by
 the rate of applied requests a node that repeats a stop filled them in 11."""
+MAX_STOPS = 16
+"""Stops that are known again between two other requests."""
 PEER_RATE, PEER_BURST = 0.1, 50.0
 """Lines and entries per second for messages that robots relay: a stolen robot can invent stops,
 latches and goals, which must not displace the requests of operators in the files."""
@@ -60,7 +62,8 @@ class Audit:
         self._entries = _Limits(APPLIED_ENTRIES, ENTRY_BURST, OTHER_ENTRIES, ENTRY_BURST)
         self._peer_lines = _Limits(PEER_RATE, PEER_BURST, PEER_RATE, PEER_BURST)
         self._peer_entries = _Limits(PEER_RATE, PEER_BURST, PEER_RATE, PEER_BURST)
-        self._last: tuple[str | bool, ...] = ()  # of the request before: see `record`
+        # Verb, operator, source and code of the stops that were kept since another request.
+        self._stops: set[tuple[str, ...]] = set()
 
     def record(
         self,
@@ -90,15 +93,18 @@ class Audit:
 
         # `take` returns how many entries were left out since the last entry, None if the rate does
         # not permit this entry.
-        request = what, operator, source, is_applied
-        is_repeat = is_stop and request == self._last
-        omitted_entries = entry_limits.take(is_applied and not is_repeat, now)
-        self._last = request
+        stop = what.partition(" ")[0], operator, source, reply.code
+        is_counted = is_applied and stop not in self._stops
+        omitted_entries = entry_limits.take(is_counted, now)
+        if is_applied and not is_stop:
+            self._stops.clear()
         if omitted_entries is not None:
+            if is_stop and len(self._stops) < MAX_STOPS:
+                self._stops.add(stop)
             entry = self._entry(what, operator, source, result, reply.text, now)
             self._keep(replace(entry, targets=targets, left_out=omitted_entries))
 
-        omitted_lines = line_limits.take(is_applied, now)
+        omitted_lines = line_limits.take(is_counted, now)
         if omitted_lines is not None:
             # "by anna from 10.0.0.2", or "by anna, handed on by robot2"
             link = "," if is_relayed else " from"
@@ -115,7 +121,7 @@ class Audit:
 
     def note(self, what: str, operator: str, source: str, text: str, now: float) -> None:
         """Make the entry of a change without a request, such as a latch of a peer; no line."""
-        self._last = ()  # a stop after a change is no repeat
+        self._stops.clear()  # a stop after a change is no repeat
         omitted = self._peer_entries.take(True, now)
         if omitted is not None:
             entry = self._entry(what, operator, source, "taken", text, now)

@@ -285,7 +285,7 @@ def test_a_yes_that_was_given_before_answers_questions_and_at_last_no(
         assert keyboard.read(False, 0.0) is None
         words.append(keyboard.read(True, 0.0))
     assert words[-1] == Line("n")
-    assert 3 < len(words) < 30
+    assert len(words) == 3
 
 
 def test_a_run_counts_as_issued_when_the_person_said_yes(robot: FakeRobot, keyboard: int) -> None:

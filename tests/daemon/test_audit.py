@@ -20,7 +20,6 @@ from swarmd.core.verbs import (
     StopRequest,
 )
 from swarmd.daemon.audit import (
-    APPLIED_BURST,
     ENTRY_BURST,
     MAX_LINE,
     OTHER_BURST,
@@ -120,7 +119,7 @@ def test_a_flood_of_stops_is_bounded_too() -> None:
     audit = Audit(lines.append)
     for _ in range(1000):
         audit.record("stop to all robots", "eve", "zenoh", APPLIED, 1.0)
-    assert len(lines) == APPLIED_BURST
+    assert len(lines) == 1 + OTHER_BURST  # the first, and its repeats as refused requests
 
 
 def test_texts_of_an_operator_are_bounded_and_stay_in_one_line() -> None:
@@ -205,6 +204,27 @@ def test_a_stop_that_fails_amid_a_flood_of_refused_stops_is_kept() -> None:
     moving = Reply(id="x", robot="r1", code=Code.FAILED, refusal=Refusal.NOT_STOPPED)
     audit.record("stop to 1 robot", "anna", "10.0.0.5", moving, 1.0)
     assert (kept[-1].operator, kept[-1].result) == ("anna", "failed (not_stopped)")
+
+
+def test_a_stop_that_was_applied_first_and_failed_then_is_kept_twice() -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append)
+    for _ in range(1000):
+        audit.record("stop to 1 robot", "ROS", "ROS topic /r/swarmd/stop", REFUSED, 1.0)
+    moving = Reply(id="x", robot="r1", code=Code.FAILED, refusal=Refusal.NOT_STOPPED)
+    for at, reply in ((2.0, APPLIED), (4.0, moving)):
+        audit.record("stop to 1 robot", "anna", "10.0.0.5", reply, at)
+    assert [entry.result for entry in kept[-2:]] == ["applied", "failed (not_stopped)"]
+
+
+def test_two_stops_in_turn_with_new_reasons_leave_room_for_what_others_asked() -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append)
+    for now in range(1, 43_201):
+        audit.record("stop to 1 robot", "ROS", "ROS topic /r/swarmd/stop", APPLIED, float(now))
+        what = f"estop to 1 robot: obstacle at {now} mm"
+        audit.record(what, "ROS", "ROS topic /r/swarmd/estop", APPLIED, float(now))
+    assert 200 <= len(kept) < ROOM
 
 
 def test_each_applied_run_is_kept() -> None:

@@ -184,6 +184,15 @@ def test_a_faulty_task_is_one_line_with_its_name(tmp_path: Path, fault: str) -> 
     assert "\n" not in str(refusal.value)
 
 
+def test_a_task_without_patterns_is_named(tmp_path: Path) -> None:
+    lines: list[str] = []
+    path = write(tmp_path, lambda data: data.pop("patterns"))
+    assert plan_of_task(path, [0], on_misfit=lines.append) is None
+    (line,) = lines
+    assert "mine.yaml" in line
+    assert "--pattern" in line
+
+
 def _short(data: dict[str, Any]) -> None:
     data["duration"] = 1.0
     data["groups"]["team"]["count"] = 1
