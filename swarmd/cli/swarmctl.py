@@ -176,7 +176,8 @@ def main(args: list[str] | None = None) -> NoReturn:
         code = run_cli(cli, args, "swarmctl", exit_code_of, options)
     except SystemExit as end:  # a signal ended the command
         code = end.code if isinstance(end.code, int) else 1
-    code = code or _flushed()
+    left = _flushed()  # also after an error, which may be that of a full disk
+    code = code or left
     if "zenoh" in sys.modules:
         # A session that is still dialling takes seconds to close, and a thread of Zenoh that calls
         # into an interpreter which ends aborts the process. The answer is out.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -153,6 +154,7 @@ def test_a_stop_that_was_applied_is_not_lost_with_stdout(
     done = subprocess.run(
         ["sh", "-c", f"{swarmctl} estop --swarm {settings.swarm} {where}"],
         cwd=tmp_path,
+        env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         capture_output=True,
         text=True,
         timeout=60,
