@@ -96,7 +96,7 @@ def bench(
     ]
     planned = [one for one in found if one is not None]
     if not planned:
-        raise ConfigError("no task has a pattern to run; give --pattern one that fits")
+        raise ConfigError("no task has a pattern to run; give --pattern NAME")
 
     # 2. The runs: an experiment for each task.
     folder = out or new_folder(Path("runs"), (f"bench-{n}" for n in count(1)))

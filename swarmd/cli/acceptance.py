@@ -191,7 +191,7 @@ class Results:
         return self.record.verdicts_on(self._steps, time.time())
 
     def outdated(self, step: Step) -> str:
-        """A step whose pass is too old to let `step` move the robot; empty if there is none."""
+        """The step whose pass is too old to let `step` move the robot; empty without one."""
         known = self.known
         return next((id for id in step.needs if id not in known), "")
 

@@ -14,7 +14,7 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import FILE, PROFILES, LazyGroup, LazyVerb
-from swarmd.cli.swarmctl import run_cli
+from swarmd.cli.swarmctl import flushed, run_cli
 from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.numbers import read_number
 from swarmd.core.processes import die_with_parent as tie_to
@@ -208,7 +208,7 @@ def check_descriptors() -> None:
 
 def main(args: list[str] | None = None) -> NoReturn:
     """Run swarmd and exit with its code; every error is one line on stderr."""
-    sys.exit(run_cli(swarmd, args, "swarmd", exit_code_of))
+    sys.exit(flushed(run_cli(swarmd, args, "swarmd", exit_code_of)))
 
 
 def exit_code_of(error: SwarmError) -> int:

@@ -168,7 +168,7 @@ class Talk:
 
 
 class GivenYes:
-    """Answers for a person who has said yes at `said_at`, in s on the clock since boot."""
+    """Answers with the consent that was given at `said_at`, in s on the clock since boot."""
 
     stop = "Ctrl-C"
 

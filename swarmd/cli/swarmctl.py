@@ -176,8 +176,7 @@ def main(args: list[str] | None = None) -> NoReturn:
         code = run_cli(cli, args, "swarmctl", exit_code_of, options)
     except SystemExit as end:  # a signal ended the command
         code = end.code if isinstance(end.code, int) else 1
-    left = _flushed()  # also after an error, which may be that of a full disk
-    code = code or left
+    code = flushed(code)
     if "zenoh" in sys.modules:
         # A session that is still dialling takes seconds to close, and a thread of Zenoh that calls
         # into an interpreter which ends aborts the process. The answer is out.
@@ -187,21 +186,20 @@ def main(args: list[str] | None = None) -> NoReturn:
     sys.exit(code)
 
 
-def _flushed() -> int:
-    """Write buffered output, and return the exit code.
+def flushed(code: int) -> int:
+    """Write buffered output, and return the exit code of a program whose command gave `code`.
 
-    0 if all is written, CLOSED_PIPE if the reader has gone, 1 for another error such as a full
-    disk. Output that cannot be written is discarded. Else Python would try again at the end of the
-    process, and fail with exit code 120.
+    A `code` of 0 becomes CLOSED_PIPE if the reader has gone, and 1 for another error such as a full
+    disk. Output that cannot be written is discarded, also after an error. Else Python would try
+    again at the end of the process, and fail with exit code 120.
     """
-    code = 0
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except AttributeError:  # it was closed before the start
             continue
         except OSError as error:
-            code = CLOSED_PIPE if isinstance(error, BrokenPipeError) else 1
+            code = code or (CLOSED_PIPE if isinstance(error, BrokenPipeError) else 1)
             _discard_output(stream.fileno())
     return code
 

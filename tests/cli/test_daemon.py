@@ -325,3 +325,21 @@ def test_5_for_a_driver_that_cannot_be_used(tmp_path: Path) -> None:
 def test_the_version_is_that_of_the_package() -> None:
     done = CliRunner().invoke(command, ["--version"])
     assert (done.exit_code, done.output) == (0, f"swarmd {version('swarmd')}\n")
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("program", ["swarmd", "swarmctl"])
+def test_output_on_a_full_disk_is_one_line_and_exit_1(program: str) -> None:
+    """Not 120, with which Python ends if it writes buffered output too late."""
+    environ = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    with Path("/dev/full").open("wb") as full:
+        ended = subprocess.run(
+            [Path(sys.executable).with_name(program), "--help"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            env=environ,
+            text=True,
+            timeout=CAP,
+            check=False,
+        )
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1), ended.stderr

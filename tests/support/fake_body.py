@@ -164,8 +164,8 @@ class Body:
     def ran_since(self, moving: Commanded) -> bool:
         """True if from then on every command was of a running pattern, held up or not.
 
-        `moving` is one that moves and was requested for a scan: see `wait_stepped`. If this process
-        stood still, the driver has lost its base, whose zeros have neither scan.
+        `moving`: a command to move that a scan caused (see `wait_stepped`). After a stall of this
+        process the driver may have lost its base; the zeros of a lost base have no scan.
         """
         with self._changed:
             return all(

@@ -25,8 +25,8 @@ from typing import TextIO
 LONG = (0.3, 1.5)
 """s, of a stall of pytest, a world, a bridge or a hub."""
 COMMAND = (0.3, 0.9)
-"""s, of a stall of a `swarmctl`: one that stands still for 1 s starts nothing, and says so. A test
-of that stops it itself."""
+"""s, of a stall of a `swarmctl`: after a stall of 1 s it refuses to start a run. A test of that
+refusal stops the process itself."""
 SHORT = (0.05, 0.25)
 """s, of a stall of a daemon and its processes. A robot whose daemon stands still for longer must
 hold: a test of that stops its daemon itself."""
