@@ -98,7 +98,9 @@ def watch_canary(
                 break
             # 1. Judge the next status.
             status = next_status(status_queue, min(time_left, MAX_STATUS_WAIT))
-            loops.turn(boottime(), MAX_STATUS_WAIT)
+            stood = loops.turn(boottime(), MAX_STATUS_WAIT)
+            if stood:  # this program heard no robot: not a silence of robots
+                last_heard = {robot: heard_at + stood for robot, heard_at in last_heard.items()}
             if status is not None and status.robot in last_heard:
                 robot = status.robot
                 last_heard[robot] = boottime()

@@ -302,7 +302,13 @@ def run_with_canary(
     present_view = operator.members(timeout=session.timeout)
     # Newer than any goal that was issued meanwhile.
     goal = signed_again(operator, goal, generation=next_generation(operator, present_view))
-    outcome = send_goal(session, epochs, goal, timeout=session.timeout)
+    try:
+        outcome = send_goal(session, epochs, goal, timeout=session.timeout)
+    except RequestError as error:  # a standstill: a stop might end what its user ordered meanwhile
+        names = ", ".join(canaries)
+        raise RequestError(
+            f"{error}; {names} started before, and may run", error.exit_code
+        ) from error
     return outcome, {"canary": list(canaries), "others": list(others)}
 
 

@@ -176,6 +176,11 @@ class Running(ForkedProcess):
         for end in (self.out, self.err):
             end.close()
 
+    def goes_on_until(self, condition: Callable[[], bool], what: str) -> bool:
+        """Wait until the condition holds or it has ended; True if it goes on."""
+        wait_until(lambda: condition() or self.poll() is not None, what)
+        return self.poll() is None
+
     def finish(self, cap: float = CAP) -> Finished:
         """Its answer; a swarmctl that has not ended after `cap` s is aborted and shows where."""
         with self, ThreadPoolExecutor(2) as pool:

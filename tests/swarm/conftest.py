@@ -20,8 +20,8 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, resting_body
-from tests.support.processes import DaemonProcess, unique_swarm, wait_until
-from tests.support.swarmctl import Finished, Running, swarmctl, swarmctl_in_time
+from tests.support.processes import DaemonProcess, attempts, unique_swarm, wait_until
+from tests.support.swarmctl import STALLED, Finished, Running, swarmctl, swarmctl_in_time
 from tests.support.viewer import Viewer
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -111,6 +111,18 @@ class Swarm:
         """A `swarmctl` by this user in a process of its own, under way."""
         return self._left.enter_context(Running(*words, environ=self.environ(user)))
 
+    def begin_until(
+        self, condition: Callable[[], bool], what: str, *words: str, user: str = "anna"
+    ) -> Running:
+        """`begin`, once the condition holds; begun again if a stall of the machine ended it."""
+        for _ in attempts(what):
+            process = self.begin(*words, user=user)
+            if process.goes_on_until(condition, what):
+                break
+            done = process.finish()
+            assert STALLED.search(done.err), done
+        return process
+
     def ctl(self, *words: str, user: str = "anna") -> Finished:
         """A `swarmctl` in this process; asked again if the machine was too busy to answer it."""
         return swarmctl_in_time(*words, environ=self.environ(user))
@@ -178,6 +190,10 @@ class Swarm:
 
     def await_state(self, robot: str, state: State) -> Status:
         return self.await_status(robot, state, lambda status: status.state is state)
+
+    def are(self, state: State, *robots: str) -> bool:
+        """True if each of the robots is in the state now."""
+        return all(self.status(robot).state is state for robot in robots)
 
 
 @pytest.fixture

@@ -4,17 +4,18 @@ canaries, leases, waits, and swarm files."""
 from __future__ import annotations
 
 import signal
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Reason, State
+from swarmd.core.messages import STATUS_SILENCE, Reason, State
 from swarmd.core.values import Value
 from swarmd.network.operator.exit_codes import NO_TARGET, REFUSED, TIMEOUT
 from tests.support.fake_body import Body
-from tests.support.processes import wait_until
-from tests.support.swarmctl import Finished, ask_in_time
+from tests.support.processes import stop_process, wait_until
+from tests.support.swarmctl import STALLED, Finished, ask_in_time
 from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -73,8 +74,13 @@ def test_runs_start_at_one_moment_by_measured_clocks(swarm: Swarm, bodies: dict[
 
 def test_ctrl_c_before_the_moment_stops_the_start(swarm: Swarm) -> None:
     before = swarm.status("r1").epoch.revision
-    with swarm.begin("run", "drive", "r1", "--at", "+30s") as process:
-        asked = swarm.await_status("r1", "asked", lambda one: one.epoch.revision > before)
+    words = ("run", "drive", "r1", "--at", "+30s")
+
+    def is_asked() -> bool:
+        return swarm.status("r1").epoch.revision > before
+
+    with swarm.begin_until(is_asked, "r1 is asked", *words) as process:
+        asked = swarm.status("r1")
         process.send_signal(signal.SIGINT)
         assert process.finish().code == 130
     assert swarm.status("r1").epoch.revision > asked.epoch.revision
@@ -119,8 +125,8 @@ def test_a_robot_that_is_stopped_while_the_canary_runs_is_not_started_after_it(
     def stopped() -> Finished:
         swarm.ctl("stop")
         words = ("run", "drive", "--all", "--canary", "r1", "--canary-time", "6s")
-        with swarm.begin(*words) as process:
-            swarm.await_state("r1", State.RUNNING)
+        runs = partial(swarm.are, State.RUNNING, "r1")
+        with swarm.begin_until(runs, "r1 is running", *words) as process:
             assert swarm.ctl("stop", "r2", user="bob").code == 0
             return process.finish()
 
@@ -129,10 +135,28 @@ def test_a_robot_that_is_stopped_while_the_canary_runs_is_not_started_after_it(
     assert [swarm.status(name).state for name in NAMES] == [State.RUNNING, State.STOPPED]
 
 
+def test_a_program_that_stood_still_calls_no_canary_silent_and_tells_what_it_started(
+    swarm: Swarm,
+) -> None:
+    words = ("run", "drive", "--all", "--canary", "r1", "--canary-time", "4s")
+    runs = partial(swarm.are, State.RUNNING, "r1")
+    with swarm.begin_until(runs, "r1 is running", *words) as process:
+        assert process.err.readline().startswith("canary: r1")
+        stop_process(process.pid)
+        stood = boottime()
+        wait_until(lambda: boottime() > stood + STATUS_SILENCE + 0.1, "a silence, were it one")
+        process.send_signal(signal.SIGCONT)
+        done = process.finish()
+    assert done.code == 1, done
+    assert STALLED.search(done.err)
+    assert "r1 started before" in done.err
+    assert swarm.are(State.RUNNING, "r1")
+    assert not swarm.are(State.RUNNING, "r2")
+
+
 def test_a_run_with_a_lease_ends_with_its_operator(swarm: Swarm) -> None:
-    with swarm.begin("run", "drive", "--all", "--lease", "1s"):
-        for name in NAMES:
-            swarm.await_state(name, State.RUNNING)
+    run = partial(swarm.are, State.RUNNING, *NAMES)
+    with swarm.begin_until(run, "both are running", "run", "drive", "--all", "--lease", "1s"):
         since = swarm.status("r1").uptime
         # It goes on beyond its lease while the operator is there.
         swarm.await_status("r1", "longer there", lambda status: status.uptime > since + 2.0)
@@ -150,8 +174,8 @@ def test_a_run_with_a_lease_ends_with_its_operator(swarm: Swarm) -> None:
 
 
 def test_ctrl_c_stops_a_run_with_a_lease(swarm: Swarm) -> None:
-    with swarm.begin("run", "drive", "r1", "--lease", "10s") as keeper:
-        swarm.await_state("r1", State.RUNNING)
+    runs, words = partial(swarm.are, State.RUNNING, "r1"), ("run", "drive", "r1", "--lease", "10s")
+    with swarm.begin_until(runs, "r1 is running", *words) as keeper:
         keeper.send_signal(signal.SIGINT)
         assert keeper.finish().outcome == (0, "1 targeted, 1 applied")
     assert swarm.status("r1").reason is Reason.OPERATOR

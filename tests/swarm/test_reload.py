@@ -84,9 +84,12 @@ class Own:
         """A reload of code that hangs, whose trial is under way."""
         self.run()
         self.write(HANGS)
-        begun = self.swarm.begin("plugin", "reload", "own", "r1", *words, user=user)
-        wait_until(lambda: len(self.hosts()) == 2, "the trial is under way")
-        return begun
+        return self.swarm.begin_until(
+            lambda: len(self.hosts()) == 2,
+            "the trial is under way",
+            *("plugin", "reload", "own", "r1", *words),
+            user=user,
+        )
 
     def hosts(self) -> list[int]:
         """The processes of its daemon."""
