@@ -1,10 +1,13 @@
-"""Records a robot by a process of its own, and hands recordings to operators.
+"""Records a robot by a process of its own and in the ring of the black box; hands out recordings.
 
 The recorder sends entries (inputs, decisions, events) to that process by a socket, and never blocks
 the loop. Entries are sent in batches, twice a second. A process that wakes at each tick costs twice
 as much, since the code of the process has then left the CPU's caches. If the disk is slower than
 the robot, the socket fills; then a batch is dropped and counted. If the process ends, an event
 reports the end, and the robot continues.
+
+The ring gets the entries of each tick at its end, after the command has gone to the base. So a
+daemon that is killed loses the entries of one tick, and no command is later than without the ring.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import math
 import os
 import socket
 import subprocess
@@ -22,7 +26,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -52,6 +56,7 @@ from swarmd.plugins import need
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
+from swarmd.recording.ring import Ring
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import remember
 from swarmd.robot.robot import Robot
@@ -66,6 +71,12 @@ MAX_ENTRIES = 500
 """Entries that are sent at once, before BATCH_PERIOD is over."""
 BATCH_PERIOD = 0.5
 """Seconds between two batches: a daemon that is killed loses the entries of that time."""
+SEGMENT_TIME = 30.0
+"""Seconds after which a segment of the ring is followed by another one."""
+FIRST_COST = 0.01
+"""Seconds that a memory is expected to take before one was taken."""
+HEADROOM = 1.5
+"""The time left for a memory, to the time that the last one took."""
 DROPS_PERIOD = 10.0
 """Seconds between two events that count dropped entries."""
 BUFFER = 1 << 20
@@ -109,6 +120,15 @@ class _Process:
         self.pidfd = os.pidfd_open(self.process.pid)
 
 
+class _Step(NamedTuple):
+    """A step of the robot that has no entries so far; `state`: after it."""
+
+    input: Input
+    now: float
+    actions: Actions | None
+    state: str = ""
+
+
 class Recorder:
     """Records one robot between `start` and `stop`.
 
@@ -122,7 +142,12 @@ class Recorder:
         self.began = 0.0  # s; start of the present or last recording
         self._open: _Process | None = None
         self._ending: list[_Process] = []
-        self._entries: list[frames.Entry] = []
+        self._steps: list[_Step] = []  # without entries so far
+        self._entries: list[bytes] = []  # encoded, for the process
+        self.ring: Ring | None = None
+        self._ring_entries: list[bytes] = []
+        self._segment_at = -math.inf  # s; the begin of the present segment of the ring
+        self._memory_cost = FIRST_COST  # s that the last memory took
         # The last input of each lasting kind; a recording begins with these inputs.
         self._lasting: dict[type[Input], Input] = {}
         self._scans: dict[type[Input], Scan] = {}  # the last scan of each kind
@@ -166,8 +191,8 @@ class Recorder:
         )
         # A replay begins with the inputs that still hold, such as the neighbors. Then follows the
         # robot's memory, which is recorded at the next step.
-        for lasting in tuple(self._lasting.values()):  # a copy: `self.input` changes `_lasting`
-            self.input(lasting, began)
+        for lasting in self._lasting.values():
+            self._entries.append(frames.encode(frames.input_entry(lasting, began)))
         self._is_memory_due = True
 
     def _forget_drops(self) -> None:
@@ -191,25 +216,39 @@ class Recorder:
             self._on_end(recorder)
 
     def step(self, robot: Robot, input: Input, now: float) -> Actions | None:
-        """Step `robot`; record the input and the decision that follows from it."""
-        if not self.is_on:
-            if type(input) in _LASTING:
-                self._lasting[type(input)] = input
+        """Step `robot`; `settle` records the input and the decision that follows from it."""
+        if type(input) in _LASTING:
+            self._lasting[type(input)] = input
+        if not self.is_on and self.ring is None:
             return robot.step(input, now)
-        if self._is_memory_due:
+        if self._is_memory_due and self.is_on:
+            self.settle(robot)
             self._memory(robot, now)
-        self.input(input, now)
-        actions = robot.step(input, now)
-        if actions is not None:
-            self._decided(robot, input, actions, now)
-        if type(input) is TickInput:
-            self.flush_if_due(now)
+        try:
+            actions = robot.step(input, now)
+        except Exception:  # the daemon ends: the black box keeps what ended it
+            self._steps.append(_Step(input, now, None))
+            self.settle(robot)
+            raise
+        self._steps.append(_Step(input, now, actions, robot.state))
         return actions
+
+    def settle(self, robot: Robot) -> None:
+        """Record the steps since the last call; call it once their actions are carried out."""
+        if not self._steps:
+            return
+        steps, self._steps = self._steps, []
+        for input, now, actions, state in steps:
+            self.input(input, now)
+            if actions is not None:
+                self._decided(robot, input, actions, now, state)
+            if type(input) is TickInput:
+                self.flush_if_due(now)
+            if type(input) is TickInput or actions is None or not actions.is_quiet:
+                self._write_ring()
 
     def input(self, input: Input, now: float) -> None:
         """Record an input; a scan whose geometry equals that of the last scan omits it."""
-        if type(input) in _LASTING:
-            self._lasting[type(input)] = input
         if isinstance(input, ScanInput | RangesInput):
             scan, last = input.scan, self._scans.get(type(input))
             self._scans[type(input)] = scan
@@ -229,9 +268,11 @@ class Recorder:
         for number, part in enumerate(parts):
             self.add(frames.MemoryEntry(now, part, number, len(parts)))
 
-    def _decided(self, robot: Robot, input: Input, actions: Actions, now: float) -> None:
+    def _decided(
+        self, robot: Robot, input: Input, actions: Actions, now: float, state: str
+    ) -> None:
         reason = actions.decision.reason or ""
-        cause, state = tag_of(input), robot.state
+        cause = tag_of(input)
         self.add(frames.DecisionEntry(now, cause, state, reason, actions.decision))
         for channel, value in actions.messages.items():
             self.add(frames.SentEntry(now, channel, value))
@@ -249,11 +290,54 @@ class Recorder:
 
     def add(self, entry: frames.Entry) -> None:
         """Add an entry to the next batch; ignored while nothing is recorded."""
-        if self._open is None:
+        if self._open is None and self.ring is None:
             return
-        self._entries.append(entry)
-        if len(self._entries) >= MAX_ENTRIES:
-            self.flush()
+        encoded = frames.encode(entry)
+        if self.ring is not None:
+            self._ring_entries.append(encoded)
+        if self._open is not None:
+            self._entries.append(encoded)
+            if len(self._entries) >= MAX_ENTRIES:
+                self.flush()
+
+    # The ring
+
+    def remember(self, robot: Robot, now: float, time_left: float) -> None:
+        """Begin a segment of the ring with the memory of the robot if one is due.
+
+        Call it after a decision. `time_left`: s until the next input that may change the command;
+        the memory waits for a greater one if it took longer the last time.
+        """
+        ring = self.ring
+        if ring is None or time_left < HEADROOM * self._memory_cost:
+            return
+        if now - self._segment_at < SEGMENT_TIME and not ring.is_long:
+            return
+        self.settle(robot)
+        self._write_ring()
+        began = boottime()
+        try:
+            data = remember(robot, MAX_MEMORY)
+        except CodecError as error:  # tried again after SEGMENT_TIME
+            self._segment_at = now
+            self._on_event(f"black box: {error}")
+            return
+        self._scans = {}  # the first scan of the segment has its geometry
+        ring.begin_segment(now)
+        self._segment_at = now
+        self._ring_entries.append(frames.encode(frames.MemoryEntry(now, data)))
+        self._write_ring()
+        self._memory_cost = boottime() - began
+
+    def _write_ring(self) -> None:
+        entries, self._ring_entries = self._ring_entries, []
+        if self.ring is None or not entries:
+            return
+        try:
+            self.ring.write(frames.batch(entries[-frames.MAX_BATCH :]))
+        except OSError as error:
+            self.ring = None
+            self._on_event(f"black box ends: {error.strerror}")
 
     def flush_if_due(self, now: float) -> None:
         """Send the entries if the last batch is BATCH_PERIOD old."""
@@ -268,8 +352,7 @@ class Recorder:
         entries, self._entries = self._entries, []
         part: list[bytes] = []
         size = 0
-        for number, entry in enumerate(entries):
-            encoded = frames.encode(entry)
+        for number, encoded in enumerate(entries):
             if size + len(encoded) > MAX_BATCH and part:
                 if not self._send(part):
                     # Later entries may depend on the dropped part (scans without geometry).
