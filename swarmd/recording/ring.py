@@ -189,7 +189,7 @@ def memory_folder(environ: Mapping[str, str]) -> Path:
     systemd's `RuntimeDirectory`, else `/dev/shm/swarmd-<uid>`.
     """
     given = environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    folder = Path(given or f"/dev/shm/swarmd-{os.geteuid()}")  # noqa: S108  # checked below
+    folder = Path(given or f"/dev/shm/swarmd-{os.geteuid()}")  # checked below
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     found = folder.lstat()

@@ -1,4 +1,4 @@
-"""Signatures of goals, manifests of pushed patterns, rosters and incidents: ECDSA with P-256 and SHA-256.
+"""Signatures of goals, manifests, rosters and incidents: ECDSA with P-256 and SHA-256.
 
 FIPS 186-5. A signature has 64 bytes, `r || s`, big endian.
 

@@ -1,0 +1,102 @@
+"""The file of an incident on a robot, and the recording (MCAP) that a fetched one becomes.
+
+A file is its head as MessagePack, preceded by the size of the head, then the frames of the ring,
+compressed. Robots write it without the libraries for MCAP, and without work for the daemon.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, Struct
+
+from swarmd.core.bounds import Count, Line, Seconds
+from swarmd.core.errors import CodecError
+from swarmd.core.files import read_regular
+from swarmd.core.incident import Incident
+from swarmd.recording.ring import Left, begin_of, entries_of
+
+SUFFIX = ".incident"
+MAX_FILE = 1 << 26
+_SIZE = struct.Struct("<I")
+
+
+class IncidentHead(Struct, frozen=True, kw_only=True):
+    """The head of a file.
+
+    - `at`: s of the incident on the clock `clock` of the robot that keeps the file.
+    - `begin`, `end`: s on that clock between which it has entries. `missing`: why it has no others.
+    - `size`: bytes of the frames before compression.
+    - `about`, `boot`, `wall`, `revision`: as in `Left`.
+    """
+
+    incident: Incident
+    at: Seconds
+    clock: Annotated[str, Meta(max_length=32)]
+    begin: Seconds
+    end: Seconds
+    missing: Line = ""
+    size: Annotated[int, Meta(ge=0, le=MAX_FILE)]
+    about: dict[str, str]
+    boot: Seconds
+    wall: float
+    revision: Count = 0
+
+
+_head = msgspec.msgpack.Decoder(IncidentHead)
+
+
+def pack(head: IncidentHead, frames: bytes) -> bytes:
+    """The bytes of a file."""
+    packed = msgspec.msgpack.encode(head)
+    return _SIZE.pack(len(packed)) + packed + zlib.compress(frames, 1)
+
+
+def read_head(data: bytes) -> IncidentHead:
+    """The head of a file, from its first bytes; CodecError if it is none of this version."""
+    try:
+        (size,) = _SIZE.unpack_from(data)
+        return _head.decode(data[_SIZE.size : _SIZE.size + size])
+    except (struct.error, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise CodecError(f"no incident of this version: {error}") from error
+
+
+def read(path: Path) -> tuple[IncidentHead, Left]:
+    """The head and the frames of a file; CodecError or OSError if it cannot be read."""
+    data = read_regular(path, MAX_FILE)
+    head = read_head(data)
+    (size,) = _SIZE.unpack_from(data)
+    packed = zlib.decompressobj()
+    try:
+        frames = packed.decompress(data[_SIZE.size + size :], max(head.size, 1))
+    except zlib.error as error:
+        raise CodecError(f"damaged: {error}") from error
+    if len(frames) != head.size:
+        raise CodecError(f"it has {len(frames)} bytes of frames; expected {head.size}")
+    return head, Left(head.about, frames, head.boot, head.wall, head.revision, ended=True)
+
+
+def to_recording(path: Path) -> Path:
+    """Write the recording of a fetched file beside it, in place of an earlier one; its path.
+
+    CodecError or OSError if the file cannot be read or written. Needs the extra `record`.
+    """
+    from swarmd.recording.process import Converter
+
+    head, left = read(path)
+    entries = entries_of(left)
+    if not entries:
+        raise CodecError("it has no entries")
+    name = path.name.removesuffix(SUFFIX)
+    for earlier in path.parent.glob(f"{name}-*.mcap"):
+        earlier.unlink()
+    converter = Converter(begin_of(left, entries[0].at, path.parent, name))
+    for entry in entries:
+        converter.add(entry)
+    converter.writer.close()
+    assert converter.writer.path is not None
+    return converter.writer.path
