@@ -11,7 +11,7 @@ import numpy as np
 from mcap.writer import Writer
 from msgspec import structs
 
-from swarmd.core.events import RangesInput
+from swarmd.core.events import Input, RangesInput
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan, Twist
@@ -29,6 +29,7 @@ from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.recording.writer import Channels
 from swarmd.replay.replay import Parity, prepare
 from swarmd.replay.swarm import repeat_together
+from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.settings.file_limits import FileLimits
@@ -49,14 +50,21 @@ class FileRecorder(Recorder):
         super().__init__(cast("object", None), lambda text: None)  # type: ignore[arg-type]
         self._folder = folder
         self._converter: Converter | None = None
+        self.entries: list[bytes] = []  # encoded, as the black box gets them
 
     @property
     def is_on(self) -> bool:
         return self._converter is not None
 
+    def step(self, robot: Robot, input: Input, now: float) -> Actions | None:
+        actions = super().step(robot, input, now)
+        self.settle(robot)
+        return actions
+
     def add(self, entry: frames.Entry) -> None:
         if self._converter is not None:
-            (copy,) = frames.decode_batch(frames.batch([frames.encode(entry)]))
+            self.entries.append(frames.encode(entry))
+            (copy,) = frames.decode_batch(frames.batch(self.entries[-1:]))
             self._converter.add(copy)
 
     def begin(self, robot: RobotHarness) -> None:
