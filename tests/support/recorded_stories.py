@@ -101,10 +101,11 @@ class Story:
         fence: FenceSettings | None = None,
         on_low_battery: LowBatterySettings | None = None,
         patterns: Mapping[str, type[Pattern[Any]]] = PATTERNS,
+        robot: str = "tb3-01",
     ) -> None:
         self.recorder = FileRecorder(folder)
         record = LatchRecord(held=dict(latches or {}))
-        make = partial(_made, has_ring=has_ring)
+        make = partial(_made, robot, has_ring=has_ring)
         self.provisional: set[int] = set()
         self.robot = RobotHarness(
             patterns=patterns,
@@ -137,8 +138,10 @@ class Story:
         return repeat([self.recorder.finish()], origins)[1]
 
 
-def _made(id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any) -> Robot:
-    return Robot(id, with_ring(platform) if has_ring else platform, *args, **kwargs)
+def _made(
+    name: str, id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any
+) -> Robot:
+    return Robot(name, with_ring(platform) if has_ring else platform, *args, **kwargs)
 
 
 def repeat(
