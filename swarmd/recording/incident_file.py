@@ -77,7 +77,7 @@ def read(path: Path) -> tuple[IncidentHead, Left]:
         raise CodecError(f"damaged: {error}") from error
     if len(frames) != head.size:
         raise CodecError(f"it has {len(frames)} bytes of frames; expected {head.size}")
-    return head, Left(head.about, frames, head.boot, head.wall, head.revision, ended=True)
+    return head, Left(head.about, frames, head.boot, head.wall, head.revision)
 
 
 def to_recording(path: Path) -> Path:
@@ -87,7 +87,7 @@ def to_recording(path: Path) -> Path:
     """
     from swarmd.recording.process import Converter
 
-    head, left = read(path)
+    _, left = read(path)
     entries = entries_of(left)
     if not entries:
         raise CodecError("it has no entries")

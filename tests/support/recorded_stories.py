@@ -11,7 +11,7 @@ import numpy as np
 from mcap.writer import Writer
 from msgspec import structs
 
-from swarmd.core.events import RangesInput
+from swarmd.core.events import Input, RangesInput
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan, Twist
@@ -29,6 +29,7 @@ from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.recording.writer import Channels
 from swarmd.replay.replay import Parity, prepare
 from swarmd.replay.swarm import repeat_together
+from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.settings.file_limits import FileLimits
@@ -58,6 +59,11 @@ class FileRecorder(Recorder):
         if self._converter is not None:
             (copy,) = frames.decode_batch(frames.batch([frames.encode(entry)]))
             self._converter.add(copy)
+
+    def step(self, robot: Robot, input: Input, now: float) -> Actions | None:
+        actions = super().step(robot, input, now)
+        self.settle(robot)
+        return actions
 
     def begin(self, robot: RobotHarness) -> None:
         head = head_at(robot)
