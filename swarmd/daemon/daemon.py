@@ -24,7 +24,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from swarmd.core import events
-from swarmd.core.clock import ClockSample, boottime, clock_id
+from swarmd.core.clock import TICK, ClockSample, boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.goal import Goal
@@ -39,6 +39,7 @@ from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
 from swarmd.daemon.driver_commands import DriverCommands
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
+from swarmd.daemon.incidents import IncidentService
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
@@ -147,6 +148,7 @@ class Daemon:
         self._notify = Notifier()  # tells systemd that the daemon is ready, and that it is alive
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
+        self._scan_at = -math.inf  # s; the arrival of the last scan
         self._periods = 0  # `TickTimer.periods` at the last tick
         self._provisional: tuple[int, ...] = ()  # the generations in the last ProvisionalInput
         folder = settings.state_dir / settings.network.swarm / settings.id
@@ -154,7 +156,7 @@ class Daemon:
         self._begin_records(folder)
         self._begin_code(folder)
         self._begin_network()
-        self._begin_requests()
+        self._begin_requests(folder)
         self._begin_robot(driver)
 
     def _begin_driver(self, driver: Driver) -> None:
@@ -191,7 +193,9 @@ class Daemon:
         self._pattern_pull = PatternPull(
             state, intake, self._puller, self._on_pulled_code, self._drops
         )
-        self._pulled = {RecordKind.PATTERN: self._pattern_pull}
+        self._pulled: dict[RecordKind, PatternPull | IncidentService] = {
+            RecordKind.PATTERN: self._pattern_pull
+        }
         identity = settings.identity
         self._runner = ProcessRunner(
             self._loop,
@@ -219,11 +223,23 @@ class Daemon:
             hears_programs=settings.file.neighbors.programs,
         )
 
-    def _begin_requests(self) -> None:
+    def _begin_requests(self, folder: Path) -> None:
         """Make the services of the daemon, and the server that hands requests to them."""
         settings = self._settings
         self._recording = RecordingService(
             settings.id, settings.recording, self._head, self.on_event
+        )
+        self._recorder = self._recording.recorder
+        self._incidents = self._pulled[RecordKind.INCIDENT] = IncidentService(
+            settings.id,
+            folder,
+            settings.blackbox,
+            recorder=self._recorder,
+            puller=self._puller,
+            head=self._head,
+            identity=lambda: self._rosters.identity,
+            is_member=lambda name: name in self._network.members,
+            on_event=self.on_event,
         )
         self._tools = FieldTools(
             settings,
@@ -242,6 +258,7 @@ class Daemon:
             self._audit,
             Services(
                 recording=self._recording,
+                incidents=self._incidents,
                 rosters=self._rosters,
                 pushes=self._pattern_intake,
                 pushed=self._pattern_pull,
@@ -271,6 +288,8 @@ class Daemon:
             self._loop,
         )
         self.sink = DriverSink(self.step, self._neighborhood)
+        if self._gathering_driver is not None:  # odometry waits until a decision needs it
+            self._gathering_driver.gather(self.sink.take_late)
         self._commands: DriverCommands | None = None
         if (source := command_source(driver)) is not None:
             self._commands = DriverCommands(
@@ -323,6 +342,7 @@ class Daemon:
     async def _live(self) -> None:
         """Join the network, then run the driver until this task is cancelled."""
         self._recording.start_if_wanted()  # before any input, so that a replay has all inputs
+        self._incidents.open()
         self._check_storage()
         await self._join()
         gc.collect()
@@ -395,6 +415,7 @@ class Daemon:
             for pulled in self._pulled.values():
                 pulled.close()
             self._pattern_intake.close()
+            self._incidents.close()
             self._recording.close()
             self._runner.close()
             self._network.close(is_leaving=self._crash is None)
@@ -417,20 +438,18 @@ class Daemon:
         # A decision uses all odometry that has arrived.
         if kind not in _MEASURED and not _is_stop(input) and self._gathering_driver is not None:
             self._gathering_driver.read()
-        actions = self._recording.recorder.step(self._robot, input, boottime() - age)
+        actions = self._recorder.step(self._robot, input, boottime() - age)
         if actions is not None:
             self._carry_out(actions, may_repeat=may_repeat and kind not in _FREQUENT)
+        self._recorder.settle(self._robot)
         if kind is events.ScanInput:
             self._timer.tick_early()
-
-    def _gather(self, may_gather: bool) -> None:
-        """Let the driver leave odometry in its socket until a decision needs it, or end that.
-
-        While a recording is made, each reading is taken when it arrives: entries of a recording are
-        in the order of their times.
-        """
-        if self._gathering_driver is not None:
-            self._gathering_driver.gather(self.sink.take_late if may_gather else None)
+            self._scan_at = boottime()
+        elif kind is events.HostInput or (kind is events.TickInput and not self._robot.is_running):
+            # The command of this tick has gone to the base: the next scan or tick changes it.
+            now = boottime()
+            is_between = now - self._scan_at < TICK  # lidars turn at most once in two ticks
+            self._recorder.remember(self._robot, now, self._timer.left if is_between else 0.0)
 
     def _tell_provisional(self) -> None:
         """Hand the robot the generations of the present run and load that are provisional code."""
@@ -470,7 +489,7 @@ class Daemon:
 
     def on_clock(self, sample: ClockSample) -> None:
         """Record a reading of the clock of a peer."""
-        self._recording.recorder.add(frames.ClockEntry(boottime(), *sample))
+        self._recorder.add(frames.ClockEntry(boottime(), *sample))
 
     def on_interface(self, change: InterfaceChange) -> None:
         """Log a change of the interface; a change of address also stops the robot."""
@@ -520,6 +539,7 @@ class Daemon:
         A driver that senses neighbors itself replaces the neighbors of the network.
         """
         self.step(events.PeersInput(dict(self._network.bodies)))
+        self._incidents.on_members(self._network.members.values(), self._network.last_beacon)
         if not self._has_joined or self.sink.has_neighbors:
             return
         alive = tuple(Neighbor(robot, 0.0) for robot in sorted(self._network.alive))
@@ -579,12 +599,12 @@ class Daemon:
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_active = boottime() < self._active_until  # stops of the last second may be on their way
         self._timer.rest(self._may_rest and self._robot.is_at_rest and not is_active)
-        self._gather(not self._recording.recorder.is_on)
         if self._commands is not None:
             self._commands.note_epoch(boottime())
         self._network.advance(may_wait=not (is_active or is_due(NETWORK_PERIOD)))
-        if self._recording.recorder.is_on:
+        if self._recorder.is_on or self._incidents.is_pending:
             self._network.ask_clocks()  # to merge this recording with recordings of peers
+        self._incidents.advance(boottime())
         if pose_and_age := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
@@ -706,7 +726,6 @@ class Daemon:
         )
 
     def _head(self) -> RecordingHead:
-        self._gather(False)  # a recording begins
         return recording_head(self._robot, self._settings.network.swarm, boottime())
 
 

@@ -175,6 +175,10 @@ class Network:
         """By id: the other robots that were heard since the start and not forgotten."""
         return {} if self._peer is None else self._peer.membership.members(boottime())
 
+    def last_beacon(self, robot: str) -> Beacon | None:
+        """The last beacon of the latest life of a robot; None if it was never heard."""
+        return None if self._peer is None else self._peer.membership.last_beacon(robot)
+
     @property
     def bodies(self) -> Mapping[str, Body | None]:
         """By id: the body that each member reports, None before the report."""

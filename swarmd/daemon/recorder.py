@@ -145,6 +145,7 @@ class Recorder:
         self._steps: list[_Step] = []  # without entries so far
         self._entries: list[bytes] = []  # encoded, for the process
         self.ring: Ring | None = None
+        self.on_status: Callable[[Status], object] = lambda status: None
         self._ring_entries: list[bytes] = []
         self._segment_at = -math.inf  # s; the begin of the present segment of the ring
         self._memory_cost = FIRST_COST  # s that the last memory took
@@ -238,14 +239,20 @@ class Recorder:
         if not self._steps:
             return
         steps, self._steps = self._steps, []
+        statuses: list[Status] = []
         for input, now, actions, state in steps:
             self.input(input, now)
             if actions is not None:
-                self._decided(robot, input, actions, now, state)
+                self._decided(input, actions, now, state)
+                if actions.has_status:
+                    statuses.append(robot.status(now))
+                    self._status(statuses[-1], now)
             if type(input) is TickInput:
                 self.flush_if_due(now)
             if type(input) is TickInput or actions is None or not actions.is_quiet:
                 self._write_ring()
+        for status in statuses:
+            self.on_status(status)
 
     def input(self, input: Input, now: float) -> None:
         """Record an input; a scan whose geometry equals that of the last scan omits it."""
@@ -268,16 +275,12 @@ class Recorder:
         for number, part in enumerate(parts):
             self.add(frames.MemoryEntry(now, part, number, len(parts)))
 
-    def _decided(
-        self, robot: Robot, input: Input, actions: Actions, now: float, state: str
-    ) -> None:
+    def _decided(self, input: Input, actions: Actions, now: float, state: str) -> None:
         reason = actions.decision.reason or ""
         cause = tag_of(input)
         self.add(frames.DecisionEntry(now, cause, state, reason, actions.decision))
         for channel, value in actions.messages.items():
             self.add(frames.SentEntry(now, channel, value))
-        if actions.has_status:
-            self._status(robot.status(now), now)
 
     def _status(self, status: Status, now: float) -> None:
         self.add(frames.TextEntry(now, "/status", frames.as_json(status)))
@@ -532,7 +535,7 @@ class RecordingService:
 
     def on_fetch(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:
         """Bytes of a recording file; the returned function runs in a thread."""
-        return partial(self._fetch, query)
+        return partial(piece_of, self._robot, self._folder, ".mcap", query)
 
     def close(self) -> None:
         """Finish the recording."""
@@ -559,28 +562,30 @@ class RecordingService:
             fault=recorder.fault[:1000],
         )
 
-    def _fetch(self, query: verbs.FetchQuery) -> verbs.FetchReply:
-        data, size, text = b"", 0, ""
-        try:
-            if not query.file.endswith(".mcap"):
-                raise FileNotFoundError
-            with (self._folder / query.file).open("rb") as file:
-                size = file.seek(0, 2)
-                file.seek(query.offset)
-                data = file.read(query.length)
-        except FileNotFoundError:
-            text = "there is no such recording"
-        except OSError as error:
-            text = error.strerror or "cannot be read"
-        return verbs.FetchReply(
-            robot=self._robot,
-            file=query.file,
-            offset=query.offset,
-            size=size,
-            data=data,
-            crc=zlib.crc32(data),
-            text=text,
-        )
+
+def piece_of(robot: str, folder: Path, suffix: str, query: verbs.FetchQuery) -> verbs.FetchReply:
+    """Bytes of a file in `folder` whose name ends in `suffix`, for an operator."""
+    data, size, text = b"", 0, ""
+    try:
+        if not query.file.endswith(suffix):
+            raise FileNotFoundError
+        with (folder / query.file).open("rb") as file:
+            size = file.seek(0, 2)
+            file.seek(query.offset)
+            data = file.read(query.length)
+    except FileNotFoundError:
+        text = "there is no such recording"
+    except OSError as error:
+        text = error.strerror or "cannot be read"
+    return verbs.FetchReply(
+        robot=robot,
+        file=query.file,
+        offset=query.offset,
+        size=size,
+        data=data,
+        crc=zlib.crc32(data),
+        text=text,
+    )
 
 
 def _is_told(name: str) -> bool:

@@ -79,7 +79,7 @@ def read(path: Path) -> tuple[IncidentHead, Left]:
         raise CodecError(f"damaged: {error}") from error
     if len(frames) != head.size or not packed.eof:
         raise CodecError(f"it has {len(frames)} bytes of frames; expected {head.size}, whole")
-    return head, Left(head.about, frames, head.boot, head.wall, head.revision, ended=True)
+    return head, Left(head.about, frames, head.boot, head.wall, head.revision)
 
 
 def to_recording(path: Path) -> Path:

@@ -31,19 +31,20 @@ from swarmd.recording.frames import Begin, Entry, decode_batch
 from swarmd.settings.file_limits import FileLimits
 
 _MAGIC = b"swarmd1\0"
-_HEADER = struct.Struct("<8sQQddQIB")  # magic, tail, head, boot, wall, revision, capacity, flags
+_HEADER = struct.Struct("<8sQQddQI")  # magic, tail, head, boot, wall, revision, capacity
 _SIZE = struct.Struct("<I")
 _HEADER_SIZE = 64
-_IN_ORDER = 1  # flag: the daemon ended in order, so the ring tells nothing new
+OLD = 86400.0
+"""Seconds after which the ring of a process that does not come back is removed."""
 MAX_FILE = 1 << 26
 """Bytes of a file that are read, at most."""
 
 
 class Left(msgspec.Struct, frozen=True):
-    """What the ring of an earlier process has.
+    """What the ring of an earlier process has, which did not end in order.
 
     `frames`: whole frames, each with its size before it. `boot`, `wall`: one instant on the clock
-    of the robot, and in s since 1970. `revision`: the last one noted. `ended`: in order.
+    of the robot, and in s since 1970. `revision`: the last one noted.
     """
 
     about: dict[str, str]
@@ -51,7 +52,6 @@ class Left(msgspec.Struct, frozen=True):
     boot: float
     wall: float
     revision: int
-    ended: bool
 
 
 class Ring:
@@ -72,7 +72,7 @@ class Ring:
         boot: float,
         wall: float,
     ) -> None:
-        self._file = _open(path)
+        self._path, self._file = path, _open(path)
         try:
             packed = msgspec.msgpack.encode(dict(about))
             os.ftruncate(self._file, 0)
@@ -138,16 +138,15 @@ class Ring:
         return _left(self._file)
 
     def close(self) -> None:
-        """End in order: a later process finds nothing new."""
+        """End in order: remove the file, so that a later process finds nothing."""
         with suppress(OSError):
-            self._write_header(_IN_ORDER)
+            self._path.unlink()
         os.close(self._file)
 
-    def _write_header(self, flags: int = 0) -> None:
+    def _write_header(self) -> None:
         header = _HEADER.pack(
-            _MAGIC, self._tail, self._head, self._boot, self._wall, self.revision,
-            self._capacity, flags,
-        )  # fmt: skip
+            _MAGIC, self._tail, self._head, self._boot, self._wall, self.revision, self._capacity
+        )
         os.pwrite(self._file, header, 0)
 
 
@@ -200,6 +199,15 @@ def memory_folder(environ: Mapping[str, str]) -> Path:
     return folder
 
 
+def remove_old(folder: Path, wall: float) -> None:
+    """Remove the rings in `folder` that nobody has written for OLD s; `wall`: s since 1970."""
+    for path in folder.iterdir():
+        with suppress(OSError):
+            if wall - path.stat().st_mtime > OLD:
+                os.close(_open(path, os.O_RDONLY))  # no process uses it
+                path.unlink()
+
+
 def _open(path: Path, flags: int = os.O_RDWR | os.O_CREAT) -> int:
     """A locked file; OSError if another process has locked it."""
     file = os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -214,7 +222,7 @@ def _open(path: Path, flags: int = os.O_RDWR | os.O_CREAT) -> int:
 def _left(file: int) -> Left:
     data = os.pread(file, min(os.fstat(file).st_size, MAX_FILE), 0)
     try:
-        magic, tail, head, boot, wall, revision, capacity, flags = _HEADER.unpack_from(data)
+        magic, tail, head, boot, wall, revision, capacity = _HEADER.unpack_from(data)
         (size,) = _SIZE.unpack_from(data, _HEADER_SIZE + capacity)
         about_at = _HEADER_SIZE + capacity + _SIZE.size
         about = msgspec.msgpack.decode(data[about_at : about_at + size], type=dict[str, str])
@@ -225,4 +233,4 @@ def _left(file: int) -> Left:
     ring = memoryview(data)[_HEADER_SIZE : _HEADER_SIZE + capacity]
     begin, length = tail % max(capacity, 1), head - tail
     frames = bytes(ring[begin : begin + length]) + bytes(ring[: max(begin + length - capacity, 0)])
-    return Left(about, frames, boot, wall, revision, bool(flags & _IN_ORDER))
+    return Left(about, frames, boot, wall, revision)

@@ -151,7 +151,7 @@ def nested(depth: int) -> bytes:
 )
 def test_frames_count_up_to_the_first_damaged_one(more: bytes) -> None:
     whole = frames_of(frames.EventEntry(1.0, "whole"))
-    left = Left({}, whole + more + whole, 1.0, WALL, 0, False)
+    left = Left({}, whole + more + whole, 1.0, WALL, 0)
     assert entries_of(left) == [frames.EventEntry(1.0, "whole")]
 
 
@@ -162,8 +162,10 @@ def ring_bytes(path: Path) -> bytes:
         ring.write(frames.batch([frames.encode(frames.EventEntry(1.0 + number, "x" * 20))]))
         if number % 20 == 19:
             ring.begin_segment(1.0 + number)
+    data = path.read_bytes()
     ring.close()
-    return path.read_bytes()
+    path.write_bytes(data)  # as a process leaves it that was killed
+    return data
 
 
 def put(form: str, at: int, value: object) -> Callable[[bytes], bytes]:

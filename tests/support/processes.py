@@ -164,7 +164,7 @@ class DaemonProcess:
         self.out = folder / f"{robot}.out"
         self.process: subprocess.Popen[bytes] | ForkedProcess
         words: tuple[str, ...] = ("--config", str(config))
-        given = environ or {}
+        given = {"RUNTIME_DIRECTORY": str(folder), **(environ or {})}  # its black box goes with it
         is_cold = "SWARMD_COMPILED" in os.environ or _READ_AT_START & given.keys()
         if is_forked and not is_cold and module == DAEMON and not prefix:
             start_server(MODULES)

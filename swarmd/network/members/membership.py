@@ -290,6 +290,11 @@ class Membership:
             age=max(0.0, now - known.since),
         )
 
+    def last_beacon(self, robot: str) -> Beacon | None:
+        """The last beacon of the latest life of a robot; None if it was never heard."""
+        known = self._robots.get(robot)
+        return None if known is None else known.latest.beacon
+
     def members(self, now: float) -> dict[str, Member]:
         """All members by id, in the order of their names."""
         members = ((robot, self.member(robot, now)) for robot in sorted(self._robots))
