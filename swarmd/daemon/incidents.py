@@ -102,7 +102,7 @@ class IncidentService:
         is_member: Callable[[str], bool],
         on_event: Callable[[str], None],
     ) -> None:
-        self._robot, self._seconds = robot, section.seconds
+        self._robot, self._section, self._seconds = robot, section, section.seconds
         self._folder = folder / LIST
         digest = hashlib.blake2b(str(folder).encode(), digest_size=6).hexdigest()
         self._ring_name = f"{robot}-{digest}"
@@ -129,11 +129,13 @@ class IncidentService:
         if not self._seconds:
             return
         try:
-            folder, left = memory_folder(os.environ), None
+            folder, left = memory_folder(self._section.folder, os.environ), None
             remove_old(folder, time.time())
             path = folder / self._ring_name
-            with suppress(CodecError):  # of another version
+            try:
                 left = read_left(path)
+            except CodecError as error:  # of another version
+                log.warning("what the daemon before left is lost: %s", error)
             head, now = self._head(), boottime()
             self._recorder.ring = Ring(
                 path,
@@ -147,8 +149,10 @@ class IncidentService:
             self._fail(f"no file in memory: {error.strerror or error}")
             return
         if left is not None and left.frames:
-            with suppress(CodecError, ConfigError, OSError):
+            try:
                 self._on_left(left, head)
+            except (CodecError, ConfigError, OSError) as error:
+                log.warning("what the daemon before left is lost: %s", error)
 
     def _read_kept(self) -> None:
         """Read the heads of the files that earlier daemons wrote."""

@@ -182,15 +182,14 @@ def begin_of(left: Left, at: float, folder: Path, name: str) -> Begin:
     return Begin(at, str(folder), name, left.about, wall, FileLimits(file_seconds=86400.0))
 
 
-def memory_folder(environ: Mapping[str, str]) -> Path:
-    """The folder in memory for this user's rings, made if it is absent; OSError if it is not safe.
+def memory_folder(given: str | None, environ: Mapping[str, str]) -> Path:
+    """The folder for this user's rings, made if it is absent; OSError if it is not safe.
 
-    systemd's `RuntimeDirectory`, else `/dev/shm/swarmd-<uid>`.
+    `given`, else systemd's `RuntimeDirectory`, else `/dev/shm/swarmd-<uid>`.
     """
-    given = environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    folder = Path(given or f"/dev/shm/swarmd-{os.geteuid()}")  # checked below
-    with suppress(FileExistsError):
-        folder.mkdir(mode=0o700)
+    service = environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    folder = Path(given or service or f"/dev/shm/swarmd-{os.geteuid()}")  # checked below
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     found = folder.lstat()
     is_ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
     if not is_ours or found.st_mode & 0o022:
