@@ -16,7 +16,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import Id, Line, Name, Seconds, Word
+from swarmd.core.bounds import IncidentId, Line, Name, Seconds, Word
 from swarmd.core.messages import Reason, State, Status
 
 Wall = Annotated[float, Meta(ge=0.0, le=1e11)]
@@ -61,7 +61,7 @@ class Incident(Struct, frozen=True, kw_only=True):
     - `text`: why, in a line. `wall`: s since 1970 by the clock of `by`; 0: not set.
     """
 
-    id: Id
+    id: IncidentId
     robot: Name
     kind: Word
     text: Line

@@ -26,6 +26,7 @@ from swarmd.core.bounds import (
     Count,
     FileName,
     Id,
+    IncidentId,
     Line,
     Name,
     ParamValues,
@@ -206,7 +207,7 @@ class MarkRequest(_EpochRequest, frozen=True, kw_only=True, tag="mark"):
     """
 
     words: ReasonText
-    incident: Id
+    incident: IncidentId
 
 
 class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):

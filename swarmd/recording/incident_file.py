@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import Count, Line, Seconds
 from swarmd.core.errors import CodecError
 from swarmd.core.files import read_regular
-from swarmd.core.incident import Incident
+from swarmd.core.incident import Incident, Wall
 from swarmd.recording.ring import Left, begin_of, entries_of
 
 SUFFIX = ".incident"
@@ -43,10 +43,12 @@ class IncidentHead(Struct, frozen=True, kw_only=True):
     size: Annotated[int, Meta(ge=0, le=MAX_FILE)]
     about: dict[str, str]
     boot: Seconds
-    wall: float
+    wall: Wall
     revision: Count = 0
 
 
+_DAMAGED = (ArithmeticError, IndexError, TypeError, ValueError, struct.error)
+"""What values that no robot writes raise when they are converted."""
 _head = msgspec.msgpack.Decoder(IncidentHead)
 
 
@@ -72,11 +74,11 @@ def read(path: Path) -> tuple[IncidentHead, Left]:
     (size,) = _SIZE.unpack_from(data)
     packed = zlib.decompressobj()
     try:
-        frames = packed.decompress(data[_SIZE.size + size :], max(head.size, 1))
+        frames = packed.decompress(data[_SIZE.size + size :], head.size + 1)
     except zlib.error as error:
         raise CodecError(f"damaged: {error}") from error
-    if len(frames) != head.size:
-        raise CodecError(f"it has {len(frames)} bytes of frames; expected {head.size}")
+    if len(frames) != head.size or not packed.eof:
+        raise CodecError(f"it has {len(frames)} bytes of frames; expected {head.size}, whole")
     return head, Left(head.about, frames, head.boot, head.wall, head.revision)
 
 
@@ -92,11 +94,27 @@ def to_recording(path: Path) -> Path:
     if not entries:
         raise CodecError("it has no entries")
     name = path.name.removesuffix(SUFFIX)
-    for earlier in path.parent.glob(f"{name}-*.mcap"):
-        earlier.unlink()
-    converter = Converter(begin_of(left, entries[0].at, path.parent, name))
-    for entry in entries:
-        converter.add(entry)
-    converter.writer.close()
-    assert converter.writer.path is not None
-    return converter.writer.path
+    _remove(path.parent, name)
+    writer = None
+    try:
+        converter = Converter(begin_of(left, entries[0].at, path.parent, name))
+        writer = converter.writer
+        for entry in entries:
+            converter.add(entry)
+        writer.close()
+    except BaseException as error:
+        if writer is not None:
+            writer.abandon()
+            _remove(path.parent, name)
+        if isinstance(error, _DAMAGED):
+            raise CodecError(f"damaged: {error!r:.200}") from error
+        raise
+    assert writer.path is not None
+    return writer.path
+
+
+def _remove(folder: Path, name: str) -> None:
+    """Remove a recording, with its index."""
+    for path in folder.glob(f"{name}-*.mcap"):
+        path.unlink()
+        path.with_suffix(".index.json").unlink(missing_ok=True)

@@ -36,7 +36,8 @@ _SIZE = struct.Struct("<I")
 _HEADER_SIZE = 64
 OLD = 86400.0
 """Seconds after which the ring of a process that does not come back is removed."""
-MAX_ABOUT = 1 << 20
+MAX_FILE = 1 << 26
+"""Bytes of a file that are read, at most."""
 
 
 class Left(msgspec.Struct, frozen=True):
@@ -168,7 +169,7 @@ def entries_of(left: Left) -> list[Entry]:
     """The entries of all frames, up to the first one that is damaged."""
     entries: list[Entry] = []
     data, at = left.frames, 0
-    with suppress(msgspec.MsgspecError, struct.error):
+    with suppress(msgspec.MsgspecError, ValueError, RecursionError, struct.error):
         while at < len(data):
             (size,) = _SIZE.unpack_from(data, at)
             at += _SIZE.size + size
@@ -218,7 +219,7 @@ def _open(path: Path, flags: int = os.O_RDWR | os.O_CREAT) -> int:
 
 
 def _left(file: int) -> Left:
-    data = os.pread(file, os.fstat(file).st_size, 0)
+    data = os.pread(file, min(os.fstat(file).st_size, MAX_FILE), 0)
     try:
         magic, tail, head, boot, wall, revision, capacity = _HEADER.unpack_from(data)
         (size,) = _SIZE.unpack_from(data, _HEADER_SIZE + capacity)

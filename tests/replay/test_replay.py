@@ -12,7 +12,14 @@ import pytest
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.events import CodeInput, HazardsInput, PoseInput, ReadingsInput
+from swarmd.core.events import (
+    CodeInput,
+    HazardsInput,
+    Input,
+    OdometryInput,
+    PoseInput,
+    ReadingsInput,
+)
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
 from swarmd.core.libm import digest_of_libm
@@ -24,9 +31,11 @@ from swarmd.pattern_host.loader import PatternLoader
 from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.recording import frames
 from swarmd.recording.head import head_of
-from swarmd.recording.inputs import GEOMETRY
+from swarmd.recording.inputs import GEOMETRY, InputReader
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.replay.replay import Compared, Parity, recordings_of, total
+from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
 from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story, repeat, rewritten
 
 
@@ -52,6 +61,31 @@ def test_a_change_of_pattern_parameters_and_an_estop_are_repeated(tmp_path: Path
     story.robot.advance(0.5)
     story.run("drive", speed=0.15)
     assert_equal(story.replayed(), 300)
+
+
+def test_inputs_that_the_robot_got_with_an_earlier_time_are_repeated_in_their_order(
+    tmp_path: Path,
+) -> None:
+    story = Story(tmp_path)
+    taken: list[float] = []
+
+    def take(robot: Robot, input: Input, now: float) -> Actions | None:
+        taken.append(now - 0.06 if type(input) is OdometryInput else now)
+        return story.recorder.step(robot, input, taken[-1])
+
+    story.robot._take = take
+    story.recorder.begin(story.robot)
+    taken.clear()
+    story.robot.advance(1.0)
+    story.run("drive", speed=0.1)
+    assert taken != sorted(taken)
+    file = story.recorder.finish()
+    times = [message.at for message in file.messages]
+    assert times == sorted(times)
+    reader = InputReader()
+    read = [timed.now for one in file.messages if (timed := reader.read(one)) is not None]
+    assert read[-len(taken) :] == taken
+    assert_equal(repeat([file], ORIGINS)[1], 60)
 
 
 def test_a_pattern_that_is_not_here_is_named_with_the_option_for_it(tmp_path: Path) -> None:

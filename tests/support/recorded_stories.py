@@ -50,20 +50,22 @@ class FileRecorder(Recorder):
         super().__init__(cast("object", None), lambda text: None)  # type: ignore[arg-type]
         self._folder = folder
         self._converter: Converter | None = None
+        self.entries: list[bytes] = []  # encoded, as the black box gets them
 
     @property
     def is_on(self) -> bool:
         return self._converter is not None
 
-    def add(self, entry: frames.Entry) -> None:
-        if self._converter is not None:
-            (copy,) = frames.decode_batch(frames.batch([frames.encode(entry)]))
-            self._converter.add(copy)
-
     def step(self, robot: Robot, input: Input, now: float) -> Actions | None:
         actions = super().step(robot, input, now)
         self.settle(robot)
         return actions
+
+    def add(self, entry: frames.Entry) -> None:
+        if self._converter is not None:
+            self.entries.append(frames.encode(entry))
+            (copy,) = frames.decode_batch(frames.batch(self.entries[-1:]))
+            self._converter.add(copy)
 
     def begin(self, robot: RobotHarness) -> None:
         head = head_at(robot)
@@ -99,10 +101,11 @@ class Story:
         fence: FenceSettings | None = None,
         on_low_battery: LowBatterySettings | None = None,
         patterns: Mapping[str, type[Pattern[Any]]] = PATTERNS,
+        robot: str = "tb3-01",
     ) -> None:
         self.recorder = FileRecorder(folder)
         record = LatchRecord(held=dict(latches or {}))
-        make = partial(_made, has_ring=has_ring)
+        make = partial(_made, robot, has_ring=has_ring)
         self.provisional: set[int] = set()
         self.robot = RobotHarness(
             patterns=patterns,
@@ -135,8 +138,10 @@ class Story:
         return repeat([self.recorder.finish()], origins)[1]
 
 
-def _made(id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any) -> Robot:
-    return Robot(id, with_ring(platform) if has_ring else platform, *args, **kwargs)
+def _made(
+    name: str, id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any
+) -> Robot:
+    return Robot(name, with_ring(platform) if has_ring else platform, *args, **kwargs)
 
 
 def repeat(
