@@ -33,20 +33,7 @@ from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.obstacles import ReturnLayer
 from swarmd.protection.settings import ODOMETRY_SHARE
-from swarmd.protection.walls.straight_runs import (
-    RUN_FIELDS,
-    RUN_FROM,
-    RUN_IS_LONG,
-    RUN_LENGTH,
-    RUN_TAKEN,
-    RUN_TO,
-    RUN_UX,
-    RUN_UY,
-    RUN_X,
-    RUN_Y,
-    SPACING,
-    StraightRuns,
-)
+from swarmd.protection.walls.straight_runs import SPACING, Run, StraightRuns
 from swarmd.protection.walls.walls_settings import STILL, WallsStand
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -111,18 +98,10 @@ class Wall:
 
 @cython.cfunc
 @cython.exceptval(-3)
-def _bin_at(
-    wall: Wall,
-    runs: cython.double[::1],
-    run: cython.Py_ssize_t,
-    along: cython.double,
-) -> cython.Py_ssize_t:
-    """The bin of a wall beside the place `along` m on a run; -2 or _BINS: beyond the bins.
-
-    `run`: the index of the run in `runs`.
-    """
-    dx: cython.double = runs[run + RUN_X] + along * runs[run + RUN_UX] - wall.here_x
-    dy: cython.double = runs[run + RUN_Y] + along * runs[run + RUN_UY] - wall.here_y
+def _bin_at(wall: Wall, run: Run, along: cython.double) -> cython.Py_ssize_t:
+    """The bin of a wall beside the place `along` m on a run; -2 or _BINS: beyond the bins."""
+    dx: cython.double = run.x + along * run.ux - wall.here_x
+    dy: cython.double = run.y + along * run.uy - wall.here_y
     place: cython.double = wall.here_ux * dx + wall.here_uy * dy
     place = place / _BIN + 0.5 * _BINS
     if place >= _BINS:
@@ -204,47 +183,46 @@ class StandingWalls(ReturnLayer):
     def _compare(self, motion: ScanMotion) -> cython.int:
         """Find by the runs which walls stand, have moved, are gone or are new."""
         j: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
         self._place_walls(motion)
         # 1. Walls that a run continues: first the long runs, whose returns may stand.
         for j in range(self._runs.count):
-            if runs[RUN_FIELDS * j + RUN_IS_LONG] > 0.0:
-                self._match(RUN_FIELDS * j, True, motion)
+            run: Run = self._runs.runs[j]
+            if run.is_long:
+                self._match(run, True, motion)
         # 2. Then the short runs that meet a long run at a corner, such as the posts of a door. The
         # returns of such a run may stand if the return of the long run at the corner stands.
         for j in range(self._runs.count):
-            if runs[RUN_FIELDS * j + RUN_IS_LONG] == 0.0:
+            run = self._runs.runs[j]
+            if not run.is_long:
                 corner: cython.Py_ssize_t = self._runs.corner_of(j)
                 if corner >= 0:
                     is_on_wall: cython.bint = self.kinds[self._runs.ray[corner]] == WALL
-                    self._match(RUN_FIELDS * j, is_on_wall, motion)
+                    self._match(run, is_on_wall, motion)
         # 3. Walls that are elsewhere now, and walls that no run has continued for too long.
         self._find_moved(motion)
         self._drop_walls()
         # 4. New walls, of the runs that continue no wall.
         for j in range(self._runs.count):
-            run: cython.Py_ssize_t = RUN_FIELDS * j
-            if runs[run + RUN_TAKEN] > 0.0 or self._wall_count == _WALLS:
+            run = self._runs.runs[j]
+            if run.owner >= 0 or self._wall_count == _WALLS:
                 continue
-            if runs[run + RUN_IS_LONG] > 0.0 or self._runs.corner_of(j) >= 0:
+            if run.is_long or self._runs.corner_of(j) >= 0:
                 self._add_wall(run, motion)
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _match(
-        self, run: cython.Py_ssize_t, is_on_wall: cython.bint, motion: ScanMotion
-    ) -> cython.int:
+    def _match(self, run: Run, is_on_wall: cython.bint, motion: ScanMotion) -> cython.int:
         """Continue the first wall on whose line a run lies.
 
-        A wall that the scan before showed elsewhere is left out. `run`: the index of the run in
-        `_runs.fields`. `is_on_wall`: the returns of the run may stand (see `_continue`).
+        A wall that the scan before showed elsewhere is left out. `is_on_wall`: the returns of the
+        run may stand (see `_continue`).
         """
         i: cython.Py_ssize_t
         for i in range(self._wall_count):
             wall: Wall = self._walls[i]
             if not wall.moves and self._is_still(wall, run):
                 self._continue(wall, run, is_on_wall, motion)
-                self._runs.fields[run + RUN_TAKEN] = i + 1.0
+                run.owner = i
                 break
 
     @cython.cfunc
@@ -291,30 +269,29 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _overlap(self, wall: Wall, run: cython.Py_ssize_t) -> cython.int:
+    def _overlap(self, wall: Wall, run: Run) -> cython.int:
         """Find the part of a run beside the covered bins of a wall; 0 without such a part.
 
         Sets `_overlap_first` and `_overlap_last`, the ends of the part, and `_off_first` and
         `_off_last`, how far the line of the wall is from the run at both ends.
         """
-        runs: cython.double[::1] = self._runs.fields
         ux: cython.double = wall.here_ux
         uy: cython.double = wall.here_uy
-        cosine: cython.double = ux * runs[run + RUN_UX] + uy * runs[run + RUN_UY]
-        sine: cython.double = ux * runs[run + RUN_UY] - uy * runs[run + RUN_UX]
+        cosine: cython.double = ux * run.ux + uy * run.uy
+        sine: cython.double = ux * run.uy - uy * run.ux
         if not fabs(sine) <= _PARALLEL:
             return 0
         # 1. The ends of the covered bins in m along the run, cut off at the ends of the run.
-        dx: cython.double = wall.here_x - runs[run + RUN_X]
-        dy: cython.double = wall.here_y - runs[run + RUN_Y]
-        middle: cython.double = dx * runs[run + RUN_UX] + dy * runs[run + RUN_UY]
+        dx: cython.double = wall.here_x - run.x
+        dy: cython.double = wall.here_y - run.y
+        middle: cython.double = dx * run.ux + dy * run.uy
         direction: cython.double = 1.0 if cosine >= 0.0 else -1.0
         low: cython.double = _BIN * (wall.low - 0.5 * _BINS)
         high: cython.double = _BIN * (wall.high + 1.0 - 0.5 * _BINS)
         first: cython.double = middle + direction * (low if direction > 0.0 else high)
         last: cython.double = middle + direction * (high if direction > 0.0 else low)
-        first = first if first > runs[run + RUN_FROM] else runs[run + RUN_FROM]
-        last = last if last < runs[run + RUN_TO] else runs[run + RUN_TO]
+        first = first if first > run.begin else run.begin
+        last = last if last < run.end else run.end
         if not last > first:
             return 0
         # 2. How far the line is from the point of the run at 0 m. The distance changes along the
@@ -326,7 +303,7 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _is_still(self, wall: Wall, run: cython.Py_ssize_t) -> cython.int:
+    def _is_still(self, wall: Wall, run: Run) -> cython.int:
         """1 if a run is where a wall was when its line was measured.
 
         Each end of their overlap may be off by STILL plus the error of odometry since then.
@@ -343,19 +320,16 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
-    def _odometry_error(
-        self, wall: Wall, run: cython.Py_ssize_t, along: cython.double
-    ) -> cython.double:
+    def _odometry_error(self, wall: Wall, run: Run, along: cython.double) -> cython.double:
         """The error of odometry in m since the line of a wall was measured.
 
         The error is that of the place `along` m on a run: the farther the place is from the robot,
         the more an error of the turn moves the place.
         """
-        runs: cython.double[::1] = self._runs.fields
         way: cython.double = self._way - wall.way
         turn: cython.double = self._turn - wall.turn
-        x: cython.double = runs[run + RUN_X] + along * runs[run + RUN_UX]
-        y: cython.double = runs[run + RUN_Y] + along * runs[run + RUN_UY]
+        x: cython.double = run.x + along * run.ux
+        y: cython.double = run.y + along * run.uy
         return _odometry_share * (way + turn * hypot(x, y))
 
     @cython.cfunc
@@ -363,7 +337,7 @@ class StandingWalls(ReturnLayer):
     def _continue(
         self,
         wall: Wall,
-        run: cython.Py_ssize_t,
+        run: Run,
         is_on_wall: cython.bint,
         motion: ScanMotion,
     ) -> cython.int:
@@ -387,11 +361,10 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _cover_bins(self, wall: Wall, run: cython.Py_ssize_t, now: cython.double) -> cython.int:
+    def _cover_bins(self, wall: Wall, run: Run, now: cython.double) -> cython.int:
         """Cover the bins of a wall between returns of a run that are at most SPACING apart."""
         k: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
-        count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
+        count: cython.Py_ssize_t = run.length + 1
         before: cython.double = -INFINITY  # m along the run, of the return before
         for k in range(count):
             along: cython.double = self._runs.along(run, k)
@@ -403,21 +376,20 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _mark_standing(self, wall: Wall, run: cython.Py_ssize_t, now: cython.double) -> cython.int:
+    def _mark_standing(self, wall: Wall, run: Run, now: cython.double) -> cython.int:
         """Mark the returns of a run in bins of a wall that have stood, or beside such a bin.
 
         Sets `kinds` and `has_kinds`, and `ripe_at` by the returns in bins that will stand.
         """
         k: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
-        count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
+        count: cython.Py_ssize_t = run.length + 1
         for k in range(count):
             along: cython.double = self._runs.along(run, k)
             is_on_line: cython.bint = along == along  # NaN for a return off the line
             if not is_on_line:
                 continue
             place: cython.Py_ssize_t = self._runs.return_of(run, k)
-            bin_of_wall: cython.Py_ssize_t = _bin_at(wall, runs, run, along)
+            bin_of_wall: cython.Py_ssize_t = _bin_at(wall, run, along)
             if self._has_stood(wall, bin_of_wall, now):
                 self.kinds[self._runs.ray[place]] = WALL
                 self.has_kinds = True
@@ -426,15 +398,12 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _move_line(self, wall: Wall, run: cython.Py_ssize_t, motion: ScanMotion) -> cython.int:
+    def _move_line(self, wall: Wall, run: Run, motion: ScanMotion) -> cython.int:
         """Move the line of a wall to that of a run; the bins keep their places."""
-        runs: cython.double[::1] = self._runs.fields
-        dx: cython.double = wall.here_x - runs[run + RUN_X]
-        dy: cython.double = wall.here_y - runs[run + RUN_Y]
-        middle: cython.double = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
-        cosine: cython.double = (
-            wall.here_ux * runs[run + RUN_UX] + wall.here_uy * runs[run + RUN_UY]
-        )
+        dx: cython.double = wall.here_x - run.x
+        dy: cython.double = wall.here_y - run.y
+        middle: cython.double = run.ux * dx + run.uy * dy
+        cosine: cython.double = wall.here_ux * run.ux + wall.here_uy * run.uy
         return self._set_line(wall, run, middle, 1.0 if cosine >= 0.0 else -1.0, motion)
 
     @cython.cfunc
@@ -442,18 +411,18 @@ class StandingWalls(ReturnLayer):
     def _cover(
         self,
         wall: Wall,
-        run: cython.Py_ssize_t,
+        run: Run,
         begin: cython.double,
         end: cython.double,
         now: cython.double,
     ) -> cython.int:
         """Cover the bins between two places of a run; bins that were covered keep their time.
 
-        `run`: the index of the run in `StraightRuns.fields`. `begin`, `end`: m along the run.
+        `begin`, `end`: m along the run.
         """
         k: cython.Py_ssize_t
-        low: cython.Py_ssize_t = _bin_at(wall, self._runs.fields, run, begin)
-        high: cython.Py_ssize_t = _bin_at(wall, self._runs.fields, run, end)
+        low: cython.Py_ssize_t = _bin_at(wall, run, begin)
+        high: cython.Py_ssize_t = _bin_at(wall, run, end)
         if low > high:
             low, high = high, low
         for k in range(low if low > 0 else 0, high + 1 if high < _BINS else _BINS):
@@ -491,7 +460,7 @@ class StandingWalls(ReturnLayer):
     def _set_line(
         self,
         wall: Wall,
-        run: cython.Py_ssize_t,
+        run: Run,
         along: cython.double,
         direction: cython.double,
         motion: ScanMotion,
@@ -501,13 +470,12 @@ class StandingWalls(ReturnLayer):
         `along`: m along the run, where the middle of the bins is. `direction`: 1 if the wall has
         the direction of the run, -1 if the wall has the opposite direction.
         """
-        runs: cython.double[::1] = self._runs.fields
         c: cython.double = cos(motion.pose.yaw)
         s: cython.double = sin(motion.pose.yaw)
-        ux: cython.double = runs[run + RUN_UX]
-        uy: cython.double = runs[run + RUN_UY]
-        x: cython.double = runs[run + RUN_X] + along * ux
-        y: cython.double = runs[run + RUN_Y] + along * uy
+        ux: cython.double = run.ux
+        uy: cython.double = run.uy
+        x: cython.double = run.x + along * ux
+        y: cython.double = run.y + along * uy
         wall.x = motion.pose.x + c * x - s * y
         wall.y = motion.pose.y + s * x + c * y
         wall.ux = direction * (c * ux - s * uy)
@@ -553,24 +521,23 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_wall(self, run: cython.Py_ssize_t, motion: ScanMotion) -> cython.int:
+    def _add_wall(self, run: Run, motion: ScanMotion) -> cython.int:
         """Add a wall whose bins have been covered since this scan."""
         k: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
         wall: Wall = self._walls[self._wall_count]
-        half: cython.double = 0.5 * (runs[run + RUN_TO] - runs[run + RUN_FROM])
+        half: cython.double = 0.5 * (run.end - run.begin)
         bins: cython.double = floor(half / _BIN) + 1.0
         covered: cython.Py_ssize_t = _BINS // 2  # on each side of the middle
         if bins <= covered:
             covered = cython.cast(cython.Py_ssize_t, bins)
-        self._set_line(wall, run, runs[run + RUN_FROM] + half, 1.0, motion)
+        self._set_line(wall, run, run.begin + half, 1.0, motion)
         wall.since = wall.confirmed = motion.measured_at
         wall.is_seen, wall.off = True, 0.0
         wall.moves, wall.missed = 0, 0
         wall.low, wall.high = _BINS // 2 - covered, _BINS // 2 + covered - 1
         for k in range(_BINS):
             wall.bins[k] = motion.measured_at if wall.low <= k <= wall.high else INFINITY
-        for k in range(cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1):
+        for k in range(run.length + 1):
             self._ripen(self._runs.return_of(run, k), motion.measured_at)
         self._wall_count += 1
         return 0
@@ -643,8 +610,8 @@ class StandingWalls(ReturnLayer):
         j: cython.Py_ssize_t
         least: cython.double = farthest
         for j in range(self._runs.count):
-            run: cython.Py_ssize_t = RUN_FIELDS * j
-            if self._runs.fields[run + RUN_TAKEN] > 0.0 and not was_elsewhere:
+            run: Run = self._runs.runs[j]
+            if run.owner >= 0 and not was_elsewhere:
                 continue
             off: cython.double = self._distance(wall, run)
             if off < least:
@@ -660,14 +627,12 @@ class StandingWalls(ReturnLayer):
         wall, and shows nothing. A wall that has come nearer hides its old place.
         """
         j: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
         least: cython.double = farthest
         for j in range(self._runs.count):
-            run: cython.Py_ssize_t = RUN_FIELDS * j
-            owner: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_TAKEN]) - 1
+            run: Run = self._runs.runs[j]
             is_known: cython.bint = False
-            if owner >= 0:
-                other: Wall = self._walls[owner]
+            if run.owner >= 0:
+                other: Wall = self._walls[run.owner]
                 is_known = other.since <= wall.confirmed
             off: cython.double = self._distance(wall, run)
             if not is_known and off < least and self._is_seen_through(wall, run):
@@ -676,7 +641,7 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
-    def _distance(self, wall: Wall, run: cython.Py_ssize_t) -> cython.double:
+    def _distance(self, wall: Wall, run: Run) -> cython.double:
         """The m from the line of a wall to a run that lies beside it; inf if the run does not.
 
         The run must lie beside at least half of `length` of the wall, off its line. The distance is
@@ -694,7 +659,7 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _is_seen_through(self, wall: Wall, run: cython.Py_ssize_t) -> cython.int:
+    def _is_seen_through(self, wall: Wall, run: Run) -> cython.int:
         """1 if the rays to a run pass through at least half of `length` of a wall's old place.
 
         A ray passes through if it crosses the line of the wall among covered bins, and ends at
@@ -702,9 +667,7 @@ class StandingWalls(ReturnLayer):
         """
         k: cython.Py_ssize_t
         b: cython.Py_ssize_t
-        count: cython.Py_ssize_t = (
-            cython.cast(cython.Py_ssize_t, self._runs.fields[run + RUN_LENGTH]) + 1
-        )
+        count: cython.Py_ssize_t = run.length + 1
         ux: cython.double = wall.here_ux
         uy: cython.double = wall.here_uy
         from_x: cython.double = self._runs.lidar_x - wall.here_x
