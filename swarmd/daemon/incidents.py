@@ -188,12 +188,15 @@ class IncidentService:
             left=(left, entries[0].at, end),
         )
 
-    def close(self) -> None:
-        """End in order; incidents whose last seconds are not over are written as they are."""
+    def close(self, *, has_crashed: bool) -> None:
+        """Write the incidents whose last seconds are not over as they are, and end the ring.
+
+        `has_crashed`: the next daemon writes what the ring has.
+        """
         for id in list(self._due):
             self._write_due(id, is_waiting=True)
         if self._recorder.ring is not None:
-            self._recorder.ring.close()
+            self._recorder.ring.close(keeps_file=has_crashed)
             self._recorder.ring = None
 
     # What begins an incident
@@ -435,6 +438,15 @@ class IncidentService:
             crc=crc,
         )
 
+    @property
+    def text(self) -> str:
+        """What is kept, in a line, or why nothing is."""
+        ring = self._recorder.ring
+        fault = self.fault or self._recorder.ring_fault
+        begin = boottime() if ring is None or ring.begin is None else ring.begin
+        kept = f"keeps the last {boottime() - begin:.0f} s, {len(self._kept)} incidents"
+        return fault or kept
+
     def _fail(self, fault: str) -> None:
         self.fault = fault[:MAX_LINE]
         self._on_event(f"black box: {self.fault}")
@@ -461,7 +473,7 @@ class IncidentService:
             clock=clock_id(),
             incidents=tuple(kept),
             kept=None if begin is None else max(now - begin, 0.0),
-            fault=self.fault,
+            fault=self.fault or self._recorder.ring_fault,
         )
 
     def on_incident(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:

@@ -137,10 +137,11 @@ class Ring:
         """A copy of all frames."""
         return _left(self._file)
 
-    def close(self) -> None:
-        """End in order: remove the file, so that a later process finds nothing."""
-        with suppress(OSError):
-            self._path.unlink()
+    def close(self, *, keeps_file: bool = True) -> None:
+        """Close the file; without `keeps_file` remove it, so that a later process finds nothing."""
+        if not keeps_file:
+            with suppress(OSError):
+                self._path.unlink()
         os.close(self._file)
 
     def _write_header(self) -> None:

@@ -89,3 +89,18 @@ def test_a_mark_is_kept_by_robots_that_are_not_asked(
 
     swarm.operator.request(MarkRequest, epochs, words="it shook", incident="abcdefabcdef")
     assert await_kept(swarm, IncidentKind.MARK) == "abcdefabcdef"
+
+
+def test_a_fetched_incident_is_replayed_to_the_bit_with_its_cause(
+    swarm: Swarm, four: Mapping[str, tuple[DaemonProcess, Body]], tmp_path: Path
+) -> None:
+    since = swarm.status("r1").uptime
+    swarm.await_status("r1", "longer there", lambda status: status.uptime > since + 3.0)
+    assert swarm.ctl("estop", "--reason", "a cat").code == 0
+    id = await_kept(swarm, IncidentKind.ESTOP)
+    done = swarm.ctl("incidents", "fetch", id, "-d", str(tmp_path))
+    assert done.code == 0, done
+    done = swarm.ctl("replay", str(tmp_path), "--why", "r2")
+    print(done.out)
+    assert done.code == 0, done
+    assert "a cat" in done.out
