@@ -548,6 +548,9 @@ def _roles(plane: str, name: str, message: str = "query") -> str:
 def _on_wire(kind: msgspec.inspect.Type, known: list[type]) -> str:
     """The type of a field, in words; a struct is named, and added to `known`."""
     match kind:
+        case msgspec.inspect.Metadata(type=inner, extra=words):
+            unit = (words or {}).get("unit")
+            return f"{_on_wire(inner, known)}, in {unit}" if unit else _on_wire(inner, known)
         case msgspec.inspect.StructType(cls=cls):
             if cls not in known:
                 known.append(cls)

@@ -236,6 +236,7 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
         "driver": ready.driver,
         "driver_options": {**ready.driver_options, **_detections(spec, robot)},
         "state_dir": str((spec.folder / "state").absolute()),
+        "blackbox": {"folder": str((spec.folder / "blackbox").absolute())},
     }
     if spec.live is not None:
         config |= spec.live.daemon_config(robot, spec.folder)

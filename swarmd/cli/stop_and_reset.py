@@ -77,8 +77,7 @@ def reset(
         robots, latches = asked.names, asked.view.latches(asked.names)
         # Say what the reset clears.
         for latch_id, latch in latches.items():
-            stopped = "all robots" if latch.scope == "swarm" else "named robots"
-            warn(f"clears emergency stop {latch_id} of {stopped}, {stop_text(latch)}")
+            warn(f"clears emergency stop {latch_id} {stop_text(latch)}")
         # A finding is a doubt of a robot, such as brakes that are weaker than declared.
         finding_action = "ends" if findings else "keeps (--findings ends it)"
         for robot, finding in findings_of(asked.view, robots):

@@ -36,6 +36,14 @@ STATUS_SILENCE = 3.0
 """A status older than this, in s, is not the present one: robots send one each second."""
 
 
+def shown(group: str, title: str, unit: str = "") -> Meta:
+    """The words of a field, for `describe`, pages and Python: its group, its title and its unit.
+
+    A required field is always shown, any other field unless its value is empty.
+    """
+    return Meta(title=title, extra={"group": group, "unit": unit})
+
+
 class State(StrEnum):
     """The state of a robot; `robot/state.py` has the transitions."""
 
@@ -201,8 +209,8 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     safe_linear: Speed = 0.0
     safe_angular: Speed = 0.0
     safe_lateral: Speed = 0.0
-    min_gap: Metres | None = None
-    scan_age: Seconds | None = None
+    min_gap: Annotated[Metres | None, shown("Protection", "nearest", "m")] = None
+    scan_age: Annotated[Seconds | None, shown("Protection", "scan age", "s")] = None
     rows: tuple[LimitingObstacle, ...] = ()
     is_recovering: bool = False
     duty: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
@@ -346,23 +354,25 @@ class Health(Struct, frozen=True, kw_only=True):
 
     - `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`.
     - `storage`: why a restart would lose latches; empty if latches are on disk.
+    - `black_box`: how much it keeps for incidents, or why nothing.
     - `usage`, `pattern_usage`: the usage of the daemon and of its pattern host. None: unknown, in
       the first second.
     - `sandbox`: the sandbox of the pattern host; None until the first host has started.
     """
 
-    scan_rate: Rate = 0.0
-    loop_p99: Seconds = 0.0
-    loop_stalls: Count = 0
-    host_restarts: Count = 0
+    scan_rate: Annotated[Rate, shown("Health", "scan rate", "Hz")] = 0.0
+    loop_p99: Annotated[Seconds, shown("Health", "loop p99", "s")] = 0.0
+    loop_stalls: Annotated[Count, shown("Health", "loop stalls")] = 0
+    host_restarts: Annotated[Count, shown("Health", "host restarts")] = 0
     dropped: dict[Word, Count] = {}
-    driver: Line = ""
+    driver: Annotated[Line, shown("Health", "driver")] = ""
     driver_up: bool = False
-    network: Line = ""
-    storage: Line = ""
-    usage: ProcessUsage | None = None
-    pattern_usage: ProcessUsage | None = None
-    sandbox: Sandbox | None = None
+    network: Annotated[Line, shown("Health", "network")] = ""
+    storage: Annotated[Line, shown("Health", "storage")] = ""
+    black_box: Annotated[Line, shown("Health", "black box")] = ""
+    usage: Annotated[ProcessUsage | None, shown("Health", "daemon")] = None
+    pattern_usage: Annotated[ProcessUsage | None, shown("Health", "pattern host")] = None
+    sandbox: Annotated[Sandbox | None, shown("Health", "sandbox")] = None
 
 
 class Latch(Struct, frozen=True, kw_only=True):
@@ -373,7 +383,7 @@ class Latch(Struct, frozen=True, kw_only=True):
     """
 
     issuer: Annotated[str, Meta(max_length=128)]
-    scope: Literal["swarm", "robots"]
+    scope: Annotated[Literal["swarm", "robots"], shown("Emergency stops", "for")]
     reason: Line = ""
     age: Seconds | None = None
 
@@ -456,46 +466,46 @@ class Status(Struct, frozen=True, kw_only=True):
     """
 
     robot: Name
-    instance: Name
-    platform: Word
+    instance: Annotated[Name, shown("Robot", "instance")]
+    platform: Annotated[Word, shown("Robot", "platform")]
     driver: Word
-    host: Word
+    host: Annotated[Word, shown("Robot", "host")]
     profile: Word
     is_secured: bool
     state: State
-    reason: Reason | None
-    detail: Line
-    pattern: Word | None
-    generation: Count
+    reason: Annotated[Reason | None, shown("State", "reason")]
+    detail: Annotated[Line, shown("State", "detail")]
+    pattern: Annotated[Word | None, shown("State", "pattern")]
+    generation: Annotated[Count, shown("State", "generation")]
     since: Seconds
-    epoch: Epoch
-    changed_by: Line
+    epoch: Annotated[Epoch, shown("State", "revision")]
+    changed_by: Annotated[Line, shown("State", "changed by")]
     latches: dict[Name, Latch]
-    labels: tuple[Word, ...]
+    labels: Annotated[tuple[Word, ...], shown("Robot", "labels")]
     params: dict[Word, Param]
     report: dict[Word, BoundedScalar]
     decision: DecisionSummary
     health: Health
-    uptime: Seconds
+    uptime: Annotated[Seconds, shown("Robot", "up for", "s")]
     readings: dict[Word, BoundedScalar] = {}
     stale_readings: tuple[Word, ...] = ()
     events: tuple[LoggedEvent, ...] = ()
-    version: Word = ""
-    kernels: Line = ""
+    version: Annotated[Word, shown("Robot", "version")] = ""
+    kernels: Annotated[Line, shown("Robot", "kernels")] = ""
     scan_delay: ScanDelaySummary | None = None
-    body: Body | None = None
+    body: Annotated[Body | None, shown("Robot", "body")] = None
     peers: tuple[PeerFinding, ...] = ()
-    passage: NarrowestPassage | None = None
-    walls_stand: WallsStandSummary | None = None
-    fence: FenceSummary | None = None
-    battery: BatterySummary | None = None
+    passage: Annotated[NarrowestPassage | None, shown("Protection", "passes")] = None
+    walls_stand: Annotated[WallsStandSummary | None, shown("Protection", "walls stand")] = None
+    fence: Annotated[FenceSummary | None, shown("Protection", "fence")] = None
+    battery: Annotated[BatterySummary | None, shown("State", "battery")] = None
     findings: tuple[Line, ...] = ()
-    not_following: Line = ""
-    neighbors: tuple[Name, ...] = ()
-    recording: RecordingSummary | None = None
+    not_following: Annotated[Line, shown("Protection", "base")] = ""
+    neighbors: Annotated[tuple[Name, ...], shown("Health", "neighbors")] = ()
+    recording: Annotated[RecordingSummary | None, shown("State", "recording")] = None
     goal: GoalStatus | None = None
     keys: KeySummary | None = None
-    programs: tuple[Name, ...] = ()
+    programs: Annotated[tuple[Name, ...], shown("Health", "programs")] = ()
     words: dict[Word, Line] = {}
 
 

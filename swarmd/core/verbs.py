@@ -92,6 +92,11 @@ class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
         return str(self.__struct_config__.tag)
 
 
+def shared_fields(source: Struct, kind: type[Struct]) -> dict[str, Any]:
+    """The fields of `source` that `kind` has by the same name: a field that is added is carried."""
+    return {name: getattr(source, name) for name in kind.__struct_fields__ if hasattr(source, name)}
+
+
 class _EpochRequest(_AnyRequest, frozen=True, kw_only=True):
     """A request that changes a robot only if the robot's epoch is still the quoted one."""
 

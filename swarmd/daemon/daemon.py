@@ -238,7 +238,7 @@ class Daemon:
             puller=self._puller,
             head=self._head,
             identity=lambda: self._rosters.identity,
-            is_member=lambda name: name in self._network.members,
+            is_member=self._network.is_robot,
             on_event=self.on_event,
         )
         self._tools = FieldTools(
@@ -412,10 +412,9 @@ class Daemon:
             self._neighborhood.close()
             self._rosters.close()
             self._puller.close()
-            for pulled in self._pulled.values():
-                pulled.close()
+            self._pattern_pull.close()
             self._pattern_intake.close()
-            self._incidents.close()
+            self._incidents.close(has_crashed=self._crash is not None)
             self._recording.close()
             self._runner.close()
             self._network.close(is_leaving=self._crash is None)
@@ -715,6 +714,7 @@ class Daemon:
             status.health,
             network=self._network.interface_text,
             storage=self._latches.fault,
+            black_box=self._incidents.text,
             sandbox=self._runner.sandbox,
         )
         return replace(

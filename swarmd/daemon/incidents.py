@@ -102,7 +102,7 @@ class IncidentService:
         is_member: Callable[[str], bool],
         on_event: Callable[[str], None],
     ) -> None:
-        self._robot, self._seconds = robot, section.seconds
+        self._robot, self._section, self._seconds = robot, section, section.seconds
         self._folder = folder / LIST
         digest = hashlib.blake2b(str(folder).encode(), digest_size=6).hexdigest()
         self._ring_name = f"{robot}-{digest}"
@@ -129,11 +129,13 @@ class IncidentService:
         if not self._seconds:
             return
         try:
-            folder, left = memory_folder(os.environ), None
+            folder, left = memory_folder(self._section.folder, os.environ), None
             remove_old(folder, time.time())
             path = folder / self._ring_name
-            with suppress(CodecError):  # of another version
+            try:
                 left = read_left(path)
+            except CodecError as error:  # of another version
+                log.warning("what the daemon before left is lost: %s", error)
             head, now = self._head(), boottime()
             self._recorder.ring = Ring(
                 path,
@@ -147,8 +149,10 @@ class IncidentService:
             self._fail(f"no file in memory: {error.strerror or error}")
             return
         if left is not None and left.frames:
-            with suppress(CodecError, ConfigError, OSError):
+            try:
                 self._on_left(left, head)
+            except (CodecError, ConfigError, OSError) as error:
+                log.warning("what the daemon before left is lost: %s", error)
 
     def _read_kept(self) -> None:
         """Read the heads of the files that earlier daemons wrote."""
@@ -184,12 +188,15 @@ class IncidentService:
             left=(left, entries[0].at, end),
         )
 
-    def close(self) -> None:
-        """End in order; incidents whose last seconds are not over are written as they are."""
+    def close(self, *, has_crashed: bool) -> None:
+        """Write the incidents whose last seconds are not over as they are, and end the ring.
+
+        `has_crashed`: the next daemon writes what the ring has.
+        """
         for id in list(self._due):
             self._write_due(id, is_waiting=True)
         if self._recorder.ring is not None:
-            self._recorder.ring.close()
+            self._recorder.ring.close(keeps_file=has_crashed)
             self._recorder.ring = None
 
     # What begins an incident
@@ -431,6 +438,15 @@ class IncidentService:
             crc=crc,
         )
 
+    @property
+    def text(self) -> str:
+        """What is kept, in a line, or why nothing is."""
+        ring = self._recorder.ring
+        fault = self.fault or self._recorder.ring_fault
+        begin = boottime() if ring is None or ring.begin is None else ring.begin
+        kept = f"keeps the last {boottime() - begin:.0f} s, {len(self._kept)} incidents"
+        return fault or kept
+
     def _fail(self, fault: str) -> None:
         self.fault = fault[:MAX_LINE]
         self._on_event(f"black box: {self.fault}")
@@ -457,7 +473,7 @@ class IncidentService:
             clock=clock_id(),
             incidents=tuple(kept),
             kept=None if begin is None else max(now - begin, 0.0),
-            fault=self.fault,
+            fault=self.fault or self._recorder.ring_fault,
         )
 
     def on_incident(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:

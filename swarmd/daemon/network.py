@@ -605,14 +605,15 @@ class Network:
         if bus is not None and self._is_settled:
             # Behind routers the bus would also deliver the messages of robots, a second time.
             takes_messages = self._hears_programs and self._settings.profile != "routed"
-            bus.meet_programs(self._is_robot, takes_messages=takes_messages)
+            bus.meet_programs(self.is_robot, takes_messages=takes_messages)
             self._owner.serve(bus)
 
-    def _is_robot(self, name: str) -> bool:
-        """True for this robot, for robots of the roster, and for robots heard since the start."""
+    def is_robot(self, name: str) -> bool:
+        """True for this robot, for robots of the roster, and for robots heard here or by others."""
         if name == self._robot.name or name in self._roster or self._peer is None:
             return True
-        return self._peer.membership.member(name, boottime()) is not None
+        membership = self._peer.membership
+        return name in membership.indirect or membership.member(name, boottime()) is not None
 
 
 def _as_relayed(stop: Stop) -> Stop:

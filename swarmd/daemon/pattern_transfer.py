@@ -38,7 +38,13 @@ from swarmd.core.pattern_manifest import (
     read_entry,
 )
 from swarmd.core.record import may_replace
-from swarmd.core.verbs import Nothing, PushedPatternsReply, PushRequest, ReloadRequest
+from swarmd.core.verbs import (
+    Nothing,
+    PushedPatternsReply,
+    PushRequest,
+    ReloadRequest,
+    shared_fields,
+)
 from swarmd.daemon.pattern_versions import Candidate, PatternVersions
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
@@ -292,17 +298,8 @@ class PatternIntake:
         # changes) that the operator saw, and the time at which it was issued. Any other trial
         # quotes the present epoch, which the robot does not refuse.
         if request is not None and request.is_rerun:
-            reload = replace(
-                reload,
-                targets=request.targets,
-                is_rerun=True,
-                keeps_running=False,
-                age=request.age,
-                planned=request.planned,
-                issued_at=request.issued_at,
-                clock=request.clock,
-                issued=request.issued,
-            )
+            asked = {**shared_fields(request, ReloadRequest), "id": id, "keeps_running": False}
+            reload = replace(reload, **asked)
         self._state.control.try_code(reload)
 
     def on_event(self, event: HostEvent) -> HostEvent | None:

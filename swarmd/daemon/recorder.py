@@ -145,6 +145,7 @@ class Recorder:
         self._steps: list[_Step] = []  # without entries so far
         self._entries: list[bytes] = []  # encoded, for the process
         self.ring: Ring | None = None
+        self.ring_fault = ""  # why the ring ended by itself
         self.on_status: Callable[[Status], object] = lambda status: None
         self._ring_entries: list[bytes] = []
         self._segment_at = -math.inf  # s; the begin of the present segment of the ring
@@ -235,9 +236,19 @@ class Recorder:
         return actions
 
     def settle(self, robot: Robot) -> None:
-        """Record the steps since the last call; call it once their actions are carried out."""
+        """Record the steps since the last call; call it once their actions are carried out.
+
+        An error ends the black box, and not the daemon.
+        """
         if not self._steps:
             return
+        try:
+            self._settle(robot)
+        except Exception as error:
+            log.exception("the black box ends")
+            self._end_ring(repr(error))
+
+    def _settle(self, robot: Robot) -> None:
         steps, self._steps = self._steps, []
         statuses: list[Status] = []
         for input, now, actions, state in steps:
@@ -339,8 +350,11 @@ class Recorder:
         try:
             self.ring.write(frames.batch(entries[-frames.MAX_BATCH :]))
         except OSError as error:
-            self.ring = None
-            self._on_event(f"black box ends: {error.strerror}")
+            self._end_ring(error.strerror or str(error))
+
+    def _end_ring(self, fault: str) -> None:
+        self.ring, self.ring_fault = None, fault
+        self._on_event(f"black box ends: {fault}")
 
     def flush_if_due(self, now: float) -> None:
         """Send the entries if the last batch is BATCH_PERIOD old."""

@@ -203,34 +203,20 @@ class RequestServer:
         targets = None if stop.targets is None else dict.fromkeys(stop.targets)
         if targets is not None and self._robot not in targets:
             return
-        request: verbs.StopRequest | verbs.EstopRequest
-        operator = stop.operator or "unknown"
-        age = min(stop.age / 1000.0, MAX_SECONDS)  # s; `stop.age` is in ms
-        is_relayed = stop.hops > 0  # the audit notes this for both verbs
+        kind: type[verbs.StopRequest | verbs.EstopRequest]
+        kind = verbs.StopRequest if stop.verb == "stop" else verbs.EstopRequest
         # Only an estop has `is_relayed`: a relayed estop does not renew a latch that was reset. A
         # stop leaves no latch, and the robot treats a relayed stop as any other stop.
-        if stop.verb == "stop":
-            request = verbs.StopRequest(
-                id=stop.id,
-                operator=operator,
-                targets=targets,
-                age=age,
-                clock=stop.clock,
-                issued=stop.issued,
-            )
-        else:
-            request = verbs.EstopRequest(
-                id=stop.id,
-                operator=operator,
-                targets=targets,
-                scope=stop.scope,
-                reason=stop.reason,
-                is_relayed=is_relayed,
-                age=age,
-                clock=stop.clock,
-                issued=stop.issued,
-            )
-        self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=is_relayed)
+        request = msgspec.structs.replace(
+            kind(**verbs.shared_fields(stop, kind)),
+            operator=stop.operator or "unknown",
+            targets=targets,
+            age=min(stop.age / 1000.0, MAX_SECONDS),  # s; `stop.age` is in ms
+        )
+        # The audit notes `is_relayed` for both verbs.
+        self._pending[stop.id] = _Pending(
+            request, answer, lambda: source, is_relayed=stop.is_relayed
+        )
         self._on_request(request)
 
     def take(self, request: verbs.Request, source: str, answer: Callable[[Reply], None]) -> None:

@@ -231,6 +231,11 @@ class Stop(_Datagram, frozen=True, kw_only=True):
     clock: Word = ""
     issued: Seconds = 0.0
 
+    @property
+    def is_relayed(self) -> bool:
+        """True for a copy that a robot sent."""
+        return self.hops > 0
+
 
 class Ack(_Datagram, frozen=True, kw_only=True):
     """The answer of `robot` to a stop or emergency stop.

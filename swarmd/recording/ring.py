@@ -137,10 +137,11 @@ class Ring:
         """A copy of all frames."""
         return _left(self._file)
 
-    def close(self) -> None:
-        """End in order: remove the file, so that a later process finds nothing."""
-        with suppress(OSError):
-            self._path.unlink()
+    def close(self, *, keeps_file: bool = True) -> None:
+        """Close the file; without `keeps_file` remove it, so that a later process finds nothing."""
+        if not keeps_file:
+            with suppress(OSError):
+                self._path.unlink()
         os.close(self._file)
 
     def _write_header(self) -> None:
@@ -183,15 +184,14 @@ def begin_of(left: Left, at: float, folder: Path, name: str) -> Begin:
     return Begin(at, str(folder), name, left.about, wall, FileLimits(file_seconds=86400.0))
 
 
-def memory_folder(environ: Mapping[str, str]) -> Path:
-    """The folder in memory for this user's rings, made if it is absent; OSError if it is not safe.
+def memory_folder(given: str | None, environ: Mapping[str, str]) -> Path:
+    """The folder for this user's rings, made if it is absent; OSError if it is not safe.
 
-    systemd's `RuntimeDirectory`, else `/dev/shm/swarmd-<uid>`.
+    `given`, else systemd's `RuntimeDirectory`, else `/dev/shm/swarmd-<uid>`.
     """
-    given = environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    folder = Path(given or f"/dev/shm/swarmd-{os.geteuid()}")  # checked below
-    with suppress(FileExistsError):
-        folder.mkdir(mode=0o700)
+    service = environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    folder = Path(given or service or f"/dev/shm/swarmd-{os.geteuid()}")  # checked below
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     found = folder.lstat()
     is_ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
     if not is_ours or found.st_mode & 0o022:

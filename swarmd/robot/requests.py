@@ -193,9 +193,7 @@ class RequestHandler:
             lifecycle = self._lifecycle
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, "reset since it was issued")
             return
-        latch = Latch(
-            issuer=request.operator, scope=request.scope, reason=request.reason, age=request.age
-        )
+        latch = Latch(issuer=request.operator, **verbs.shared_fields(request, Latch))
         self._lifecycle.latch(latch_id, latch, effects)
         self._lifecycle.stops.note(self._time_of(request, effects.now).issued, request.operator)
         self._obeyed_until = effects.now

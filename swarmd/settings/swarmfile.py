@@ -150,9 +150,13 @@ class BlackboxSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """The black box: what a robot keeps for the recording of an incident.
 
     - `seconds`: how much it keeps in memory, from 10 to 600 s; 0 turns it off. 60 s take 4 MB.
+    - `folder`: of its file, on a file system in memory; by default the `RuntimeDirectory` of the
+      service, else `/dev/shm/swarmd-<uid>`. A file on a disk would be written to the disk all the
+      time.
     """
 
     seconds: Annotated[float, Meta(ge=0.0, le=600.0)] = 60.0
+    folder: str | None = None
 
 
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -10,18 +10,25 @@ from typing import Any
 from swarmd.core.messages import (
     BatterySummary,
     Body,
+    Epoch,
+    FenceSummary,
     LimitingObstacle,
     Member,
     NarrowestPassage,
     Presence,
+    ProcessUsage,
+    RecordingSummary,
+    Sandbox,
     ScanDelaySummary,
     State,
     Status,
+    WallsStandSummary,
 )
 from swarmd.protection.fence.fence_settings import fence_text
 from swarmd.protection.walls.walls_settings import walls_stand_text
 from swarmd.texts.keys import day
-from swarmd.texts.values import NOTHING, megabytes, quantity, sandbox_text, seconds, short_number
+from swarmd.texts.shown_fields import Texts, shown_lines
+from swarmd.texts.values import megabytes, quantity, sandbox_text, seconds, short_number
 from swarmd.texts.why import activity, obstacles, stop_text
 
 _LEAST_COST = 0.005  # m/s that the text names
@@ -40,13 +47,16 @@ def sections(
     return [
         ("Robot", _robot(status, seen)),
         ("State", _state(status)),
-        ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
+        ("Emergency stops", [(i, stop_text(one)) for i, one in sorted(status.latches.items())]),
         ("Protection", _protection(status)),
         ("Peers", [(f.robot, f"holds it: {f.text}" if f.holds else f.text) for f in status.peers]),
         ("Parameters", _parameters(status, described)),
         (_report_title(status), _report(status, described)),
         ("Readings", _readings(status)),
-        ("Health", _health(status)),
+        (
+            "Health",
+            [*shown_lines(status.health, "Health", _TEXTS), *shown_lines(status, "Health", _TEXTS)],
+        ),
         ("Meaning of words", list(status.words.items())),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
     ]
@@ -84,16 +94,9 @@ def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
             f", roster {status.keys.generation}, certificate until {day(status.keys.expires)}"
         )
     return [
-        ("platform", status.platform),
-        ("body", NOTHING if status.body is None else body_text(status.body)),
+        *shown_lines(status, "Robot", _TEXTS),
         ("driver", f"{status.driver} {'(up)' if status.health.driver_up else '(lost)'}"),
-        ("host", status.host),
-        ("version", status.version or NOTHING),
-        ("kernels", status.kernels or NOTHING),
         ("network", f"profile {status.profile}, {secured}"),
-        ("labels", ", ".join(status.labels) or NOTHING),
-        ("instance", status.instance),
-        ("up for", seconds(status.uptime)),
         ("seen", seen),
     ]
 
@@ -121,16 +124,8 @@ def passage_text(passage: NarrowestPassage) -> str:
 
 
 def _state(status: Status) -> list[tuple[str, str]]:
-    return [
-        ("state", f"{status.state} for {seconds(status.since)}"),
-        ("reason", status.reason or NOTHING),
-        ("detail", status.detail or NOTHING),
-        ("pattern", status.pattern or NOTHING),
-        ("generation", str(status.generation)),
-        ("revision", str(status.epoch.revision)),
-        ("changed by", status.changed_by or NOTHING),
-        *([] if status.battery is None else [("battery", battery_text(status.battery))]),
-    ]
+    state = f"{status.state} for {seconds(status.since)}"
+    return [("state", state), *shown_lines(status, "State", _TEXTS)]
 
 
 def battery_text(battery: BatterySummary) -> str:
@@ -143,11 +138,6 @@ def battery_text(battery: BatterySummary) -> str:
     return f"{charge}: low, since it was below {battery.below:g}{has_run}"
 
 
-def _latch(status: Status, latch_id: str) -> str:
-    latch = status.latches[latch_id]
-    return f"for {latch.scope}, {stop_text(latch)}"
-
-
 def _titled(title: str, texts: Iterable[str]) -> list[tuple[str, str]]:
     """Rows of texts; only the first row has the title."""
     return [("" if number else title, text) for number, text in enumerate(texts)]
@@ -155,7 +145,6 @@ def _titled(title: str, texts: Iterable[str]) -> list[tuple[str, str]]:
 
 def _protection(status: Status) -> list[tuple[str, str]]:
     decision = status.decision
-    gap, age = decision.min_gap, decision.scan_age
     limits = [f"{text}, {_cap_text(row)}" for text, row in obstacles(decision.rows)]
     return [
         ("mode", f"{decision.mode}, {activity(decision)}"),
@@ -167,14 +156,10 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         ),
         ("safe", _twist_text(decision.safe_linear, decision.safe_angular, decision.safe_lateral)),
         *_titled("limited by", limits),
-        ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
-        ("scan age", NOTHING if age is None else seconds(age)),
-        ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
-        *([("walls stand", walls_stand_text(status.walls_stand))] if status.walls_stand else []),
-        *([("fence", fence_text(status.fence))] if status.fence else []),
+        *shown_lines(decision, "Protection", _TEXTS),
+        *shown_lines(status, "Protection", _TEXTS),
         *_scan_delay(status.scan_delay),
         *_titled("findings", status.findings),
-        *([("base", status.not_following)] if status.not_following else []),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]
 
@@ -207,27 +192,22 @@ def _parameters(status: Status, described: Mapping[str, Any]) -> list[tuple[str,
     ]
 
 
-def _health(status: Status) -> list[tuple[str, str]]:
-    health = status.health
-    return [
-        ("scan rate", f"{health.scan_rate:.1f} Hz"),
-        ("loop p99", seconds(health.loop_p99)),
-        ("loop stalls", str(health.loop_stalls)),
-        ("host restarts", str(health.host_restarts)),
-        *(
-            (name, f"{usage.cpu:.0%} of a core, {megabytes(usage.memory)}")
-            for name, usage in (("daemon", health.usage), ("pattern host", health.pattern_usage))
-            if usage is not None
-        ),
-        *([] if health.sandbox is None else [("sandbox", sandbox_text(health.sandbox))]),
-        ("driver", health.driver or NOTHING),
-        ("network", health.network or NOTHING),
-        *([("storage", health.storage)] if health.storage else []),
-        ("neighbors", ", ".join(status.neighbors) or NOTHING),
-    ]
-
-
 def _twist_text(linear: float, angular: float, lateral: float) -> str:
     """Such as `0.100 m/s, 0.500 rad/s`; with the lateral speed if the base slides sideways."""
     sideways = f", {lateral:z.3f} m/s to the left" if lateral else ""
     return f"{linear:z.3f} m/s, {angular:z.3f} rad/s{sideways}"
+
+
+_TEXTS: Texts = MappingProxyType(
+    {
+        BatterySummary: battery_text,
+        Body: body_text,
+        Epoch: lambda epoch: str(epoch.revision),
+        FenceSummary: fence_text,
+        NarrowestPassage: passage_text,
+        ProcessUsage: lambda usage: f"{usage.cpu:.0%} of a core, {megabytes(usage.memory)}",
+        RecordingSummary: lambda one: f"{one.file}, {megabytes(one.size)}, {one.dropped} dropped",
+        Sandbox: sandbox_text,
+        WallsStandSummary: walls_stand_text,
+    }
+)

@@ -18,6 +18,7 @@ from swarmd.core.messages import (
 )
 from swarmd.core.verbs import shortened
 from swarmd.network.operator.members_view import Contact, SeenMember
+from swarmd.texts.shown_fields import shown_lines
 from swarmd.texts.values import NOTHING, printable, seconds
 
 _SAME_OBSTACLE = math.radians(10.0)
@@ -188,13 +189,14 @@ def _text_if_standing(robot: str, status: Status) -> str:
 
 
 def stop_text(latch: Latch) -> str:
-    """Who issued an emergency stop, when and why: `by bob@desk, 12.0 s ago: smoke`.
+    """Who issued an emergency stop, when and why: `by bob@desk, 12.0 s ago, for swarm: smoke`.
 
     Operators and robots wrote the texts: a long reason is cut, and control characters become `?`.
     """
     when = "at an unknown time" if latch.age is None else f"{seconds(latch.age)} ago"
+    facts = (f", {title} {text}" for title, text in shown_lines(latch, "Emergency stops", {}))
     reason = f": {shortened(latch.reason, _MAX_REASON)}" if latch.reason else ", without a reason"
-    return printable(f"by {latch.issuer}, {when}{reason}")
+    return printable(f"by {latch.issuer}, {when}{''.join(facts)}{reason}")
 
 
 def stops_text(latches: Collection[Latch]) -> str:

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -50,7 +51,7 @@ class Control(pattern_versions.PatternControl):
     def __init__(self) -> None:
         self.store: PatternIntake
         self.trial_fault = ""
-        self.tried: list[str] = []
+        self.tried: list[ReloadRequest] = []
         self.faults: list[str] = []
         self.replies: list[Reply] = []
         self.events: list[str] = []
@@ -58,7 +59,7 @@ class Control(pattern_versions.PatternControl):
         self.changes = 0
 
     def try_code(self, request: ReloadRequest) -> None:
-        self.tried.append(request.id)
+        self.tried.append(request)
         done = self.store.on_event(TrialDone(1, self.trial_fault))
         if done is not None:
             assert isinstance(done, TrialDone)
@@ -71,7 +72,7 @@ class Control(pattern_versions.PatternControl):
 
     def answer(self, code: Code, refusal: Refusal | None, text: str) -> None:
         """The robot's answer to the latest trial."""
-        reply = Reply(id=self.tried[-1], robot="r1", code=code, refusal=refusal, text=text)
+        reply = Reply(id=self.tried[-1].id, robot="r1", code=code, refusal=refusal, text=text)
         self.reply(self.store.on_reply(reply))
 
     def code_changed(self) -> None:
@@ -154,9 +155,14 @@ class Rig:
         self.operators = self.keys.authority.roster.operators
 
     async def push(
-        self, code: bytes = CODE, signer: str = "alice", issuer: str = "alice", **fields: Any
+        self,
+        code: bytes = CODE,
+        signer: str = "alice",
+        issuer: str = "alice",
+        asked: Mapping[str, Any] = MappingProxyType({}),
+        **fields: Any,
     ) -> Reply:
-        """Push code as one file, and return the robot's reply."""
+        """Push code as one file by a request with `asked`, and return the robot's reply."""
         self._generation += 1
         digest = hashlib.sha256(code).digest()
         wanted = {"kind": "file", "digest": digest, "size": len(code), "name": "own", **fields}
@@ -173,6 +179,7 @@ class Rig:
             content=content,
             signature=signature,
             data=code,
+            **asked,
         )
         replies, count = list[Reply](), len(self.control.replies)
         self.store.on_push(request, lambda reply, **_: replies.append(reply))
@@ -213,6 +220,15 @@ async def test_pushed_code_is_there_after_a_restart(rig: Rig) -> None:
     assert rig.origin() == ""
     await rig.start()
     assert rig.origin() == ""
+
+
+async def test_a_push_that_runs_again_starts_as_issued(rig: Rig) -> None:
+    times = {"age": 1.0, "planned": 2.0, "clock": "c", "issued": 3.0, "issued_at": {"r1": 4.0}}
+    await rig.push(asked={"is_rerun": True, **times})
+    (reload,) = rig.control.tried
+    assert {name: getattr(reload, name) for name in times} == times
+    assert (reload.id, reload.targets, reload.pattern) == ("p1", {"r1": EPOCH}, "own")
+    assert (reload.is_rerun, reload.keeps_running) == (True, False)
 
 
 async def test_with_keys_only_code_that_an_operator_signed_is_taken(rig: Rig) -> None:

@@ -76,6 +76,7 @@ from swarmd.core.values import (
 )
 from swarmd.core.verbs import (
     ForgetRequest,
+    MarkRequest,
     PushRequest,
     RecordRequest,
     ReloadRequest,
@@ -119,6 +120,10 @@ PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pus
 SPEEDS = {"drive": 0.1, "circle": 0.05}
 ROSTER = ("r1", "r2", "r3", "r4", "r5", "r6", "r7")
 NO_DATA = np.full(8, np.inf)
+
+
+_OF_SERVICES = ForgetRequest | RecordRequest | MarkRequest | RosterRequest | PushRequest
+"""The requests that the robot itself does not answer."""
 
 
 class Disturbance(Protocol):
@@ -792,9 +797,7 @@ class VirtualDaemon(Node):
         for reply in actions.replies:
             if self.swarm.judge is not None:
                 pending = self.server._pending.get(reply.id)
-                if pending is not None and not isinstance(
-                    pending.request, ForgetRequest | RecordRequest | RosterRequest | PushRequest
-                ):
+                if pending is not None and not isinstance(pending.request, _OF_SERVICES):
                     self.swarm.judge.on_reply(self, pending.request, reply)
             robot = self.robot
             if self._unwritten is None or robot.is_running or robot.latches:

@@ -156,6 +156,8 @@ class DaemonProcess:
             "state_dir": str(folder / "state"),
             **(options or {}),
         }
+        black_box = Path(str(settings["state_dir"])).parent / "blackbox"
+        settings.setdefault("blackbox", {"folder": str(black_box)})  # it goes with the test
         if plugin_dir is not None:
             settings["plugin_dir"] = str(plugin_dir)
         config.write_text(yaml.safe_dump(settings))
@@ -164,7 +166,7 @@ class DaemonProcess:
         self.out = folder / f"{robot}.out"
         self.process: subprocess.Popen[bytes] | ForkedProcess
         words: tuple[str, ...] = ("--config", str(config))
-        given = {"RUNTIME_DIRECTORY": str(folder), **(environ or {})}  # its black box goes with it
+        given = environ or {}
         is_cold = "SWARMD_COMPILED" in os.environ or _READ_AT_START & given.keys()
         if is_forked and not is_cold and module == DAEMON and not prefix:
             start_server(MODULES)

@@ -105,7 +105,7 @@ def test_newcomers_take_over_an_estop_of_the_swarm_alone(swarm: Swarm) -> None:
     asked = boottime()
     assert asked - restarted < age_of(swarm.status("r4")) < boottime() - issued
     (issuer, _, _) = next(iter(held.values()))
-    note = re.compile(rf"by {re.escape(issuer)}, [0-9.]+ \w+ ago: smoke\?\[2J")
+    note = re.compile(rf"by {re.escape(issuer)}, [0-9.]+ \w+ ago, for swarm: smoke\?\[2J")
     (line,) = (one for one in swarm.ctl("members").out.splitlines() if "emergency" in one)
     assert line.startswith("# emergency stop: r3, r4 (")
     assert note.search(line)

@@ -63,7 +63,7 @@ def test_a_run_that_an_emergency_stop_ended_is_told_apart_from_an_emergency_stop
 def test_an_emergency_stop_names_its_issuer() -> None:
     latches = {"e1": Latch(issuer="bob", scope="swarm", reason="smoke", age=3.0)}
     found = line(member_with("r1", goal_status(DRIVE), state=State.ESTOPPED, latches=latches))
-    assert found.reason == "estopped by bob, 3.0 s ago: smoke"
+    assert found.reason == "estopped by bob, 3.0 s ago, for swarm: smoke"
 
 
 def test_a_goal_that_another_robot_holds_has_not_come_yet() -> None:

@@ -240,6 +240,6 @@ def test_each_emergency_stop_is_told_once_with_its_robots() -> None:
         ESTOPPED, make_member("r1"), make_member("r3", latches={**own, **swarm_wide}, uptime=1.0)
     )
     assert [note for note in health(view) if "emergency" in note] == [
-        "emergency stop: r2, r3 (by bob@desk, 12.0 s ago: smoke)",
-        "emergency stop: r3 (by anna, 3.0 s ago: wheel)",
+        "emergency stop: r2, r3 (by bob@desk, 12.0 s ago, for swarm: smoke)",
+        "emergency stop: r3 (by anna, 3.0 s ago, for robots: wheel)",
     ]

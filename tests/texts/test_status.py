@@ -52,7 +52,7 @@ def test_shows_the_status_in_groups() -> None:
     }
     for group, rows in expected.items():
         assert rows.items() <= groups[group].items()
-    assert shown(ESTOPPED)["Emergency stops"] == {"e1": "for swarm, by bob@desk, 12.0 s ago: smoke"}
+    assert shown(ESTOPPED)["Emergency stops"] == {"e1": "by bob@desk, 12.0 s ago, for swarm: smoke"}
 
 
 def test_events_are_in_the_whole_status_alone() -> None:

@@ -67,21 +67,21 @@ def test_a_standing_robot_whose_base_others_drive_says_so(state: State, reason: 
 
 def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
     text = why(ESTOPPED)
-    assert "emergency stop by bob@desk, 12.0 s ago: smoke; " in text
+    assert "emergency stop by bob@desk, 12.0 s ago, for swarm: smoke; " in text
     assert "`swarmctl reset r2`" in text
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "by bob, 12.0 s ago: smoke"),
-        ({"reason": ""}, "by bob, 12.0 s ago, without a reason"),
-        ({"age": None}, "by bob, at an unknown time: smoke"),
-        ({"age": 7200.0}, "by bob, 2 h ago: smoke"),
-        ({"reason": "a\nb\x1b[2J\u202ec\u2066"}, "by bob, 12.0 s ago: a?b?[2J?c?"),
-        ({"issuer": "b\rob\u200f"}, "by b?ob?, 12.0 s ago: smoke"),
-        ({"reason": "<b>שלום</b>"}, "by bob, 12.0 s ago: <b>שלום</b>"),
-        ({"reason": "x" * 1000}, f"by bob, 12.0 s ago: {'x' * 253}..."),
+        ({}, "by bob, 12.0 s ago, for swarm: smoke"),
+        ({"reason": ""}, "by bob, 12.0 s ago, for swarm, without a reason"),
+        ({"age": None}, "by bob, at an unknown time, for swarm: smoke"),
+        ({"age": 7200.0}, "by bob, 2 h ago, for swarm: smoke"),
+        ({"reason": "a\nb\x1b[2J\u202ec\u2066"}, "by bob, 12.0 s ago, for swarm: a?b?[2J?c?"),
+        ({"issuer": "b\rob\u200f"}, "by b?ob?, 12.0 s ago, for swarm: smoke"),
+        ({"reason": "<b>שלום</b>"}, "by bob, 12.0 s ago, for swarm: <b>שלום</b>"),
+        ({"reason": "x" * 1000}, f"by bob, 12.0 s ago, for swarm: {'x' * 253}..."),
     ],
 )
 def test_who_when_and_why_of_an_emergency_stop_are_one_bounded_line(

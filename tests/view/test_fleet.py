@@ -116,7 +116,8 @@ def test_an_estop_is_shown_on_all_pages_until_all_have_acknowledged(
         page.evaluate("swarm.model.select(['tb3-001'])")
         card = "document.getElementById('detail-why').textContent"
         page.until(
-            f"{card}.includes('by anna, 5 min ago from the page; clear')", "who, when and why"
+            f"{card}.includes('by anna, 5 min ago, for swarm from the page; clear')",
+            "who, when and why",
         )
 
 

@@ -12,6 +12,7 @@ import hashlib
 from collections.abc import Mapping
 
 import msgspec
+from msgspec.structs import asdict, replace
 
 from swarmd.core.bounds import keep_newest
 from swarmd.core.messages import Latch
@@ -24,8 +25,7 @@ STRANGERS_ASKED = 4  # strangers that are asked in one period
 MAX_PARTIAL = 64
 MAX_LATCHES = 64
 ROOM = 1200  # bytes for latches in a datagram
-OTHER_FIELDS = 70  # bytes at most of a latch beside its texts
-MAX_ISSUER, MAX_REASON = 128, 256  # bytes of the texts as they are sent
+MAX_ISSUER, MAX_TEXT = 128, 256  # bytes of the issuer and of any other text as they are sent
 
 
 def digest_of(latches: Mapping[str, Latch]) -> bytes:
@@ -43,12 +43,14 @@ def latch_parts(robot: str, instance: bytes, latches: Mapping[str, Latch]) -> li
     for name, latch in sorted(latches.items()):
         if latch.scope != "swarm":
             continue
-        issuer, reason = _cut(latch.issuer, MAX_ISSUER), _cut(latch.reason, MAX_REASON)
-        size = len(name) + len(issuer.encode()) + len(reason.encode()) + OTHER_FIELDS
+        texts = {key: text for key, text in asdict(latch).items() if isinstance(text, str)}
+        texts = {key: _cut(text, MAX_TEXT) for key, text in texts.items()}
+        sent = replace(latch, **{**texts, "issuer": _cut(latch.issuer, MAX_ISSUER)})
+        size = len(msgspec.msgpack.encode({name: sent}))
         if not parts or size > room:
             parts.append({})
             room = ROOM
-        parts[-1][name] = msgspec.structs.replace(latch, issuer=issuer, reason=reason)
+        parts[-1][name] = sent
         room -= size
     return [Latches(robot=robot, instance=instance, digest=digest, held=part) for part in parts]
 

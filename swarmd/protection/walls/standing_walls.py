@@ -33,20 +33,7 @@ from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.obstacles import ReturnLayer
 from swarmd.protection.settings import ODOMETRY_SHARE
-from swarmd.protection.walls.straight_runs import (
-    RUN_FIELDS,
-    RUN_FROM,
-    RUN_IS_LONG,
-    RUN_LENGTH,
-    RUN_TAKEN,
-    RUN_TO,
-    RUN_UX,
-    RUN_UY,
-    RUN_X,
-    RUN_Y,
-    SPACING,
-    StraightRuns,
-)
+from swarmd.protection.walls.straight_runs import SPACING, Run, StraightRuns
 from swarmd.protection.walls.walls_settings import STILL, WallsStand
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -63,58 +50,59 @@ _still = cython.declare(cython.double, STILL)
 _NEAR = cython.declare(cython.double, 0.5)  # m from the lidar, within which `ripe_at` counts
 # Periods between two scans: after more, a revolution of the lidar was lost.
 _LATE_TURN = cython.declare(cython.double, 1.6)
-_MISSED = cython.declare(cython.double, 1.0)  # scans in a row that need not show a wall
+_MISSED = cython.declare(cython.Py_ssize_t, 1)  # scans in a row that need not show a wall
 _BIN = cython.declare(cython.double, 0.04)  # m along a wall
 _BINS = cython.declare(cython.Py_ssize_t, 128)  # of a wall
 _WALLS = cython.declare(cython.Py_ssize_t, 16)  # the most walls
 _PARALLEL = cython.declare(cython.double, 0.3)  # sine of the angle by which a wall may have turned
 _FASTEST_WALL = cython.declare(cython.double, 1.0)  # m/s at which a moving wall is recognised
-_SHOWN_TWICE = cython.declare(cython.double, 2.0)  # scans in a row that show a wall elsewhere
+_SHOWN_TWICE = cython.declare(cython.Py_ssize_t, 2)  # scans in a row that show a wall elsewhere
 # m, beyond the error of odometry, by which rays must pass through the old place of a wall. Lines of
 # robots that turned among walls at rest were up to 9 cm off in two scans in a row.
 _MOVED = cython.declare(cython.double, 0.1)
 _EDGE = cython.declare(cython.Py_ssize_t, 2)  # covered bins on both sides of a ray through a wall
 _AT_REST = cython.declare(cython.double, 1e-3)  # m and rad by odometry
 
-# The fields of a wall in `_walls`.
-_W_X = cython.declare(cython.Py_ssize_t, 0)  # the middle of its bins, in the odometry frame
-_W_Y = cython.declare(cython.Py_ssize_t, 1)
-_W_UX = cython.declare(cython.Py_ssize_t, 2)  # its direction, in the odometry frame
-_W_UY = cython.declare(cython.Py_ssize_t, 3)
-_W_HERE_X = cython.declare(cython.Py_ssize_t, 4)  # the same in the base frame of the present scan
-_W_HERE_Y = cython.declare(cython.Py_ssize_t, 5)
-_W_HERE_UX = cython.declare(cython.Py_ssize_t, 6)
-_W_HERE_UY = cython.declare(cython.Py_ssize_t, 7)
-_W_AT = cython.declare(cython.Py_ssize_t, 8)  # the time at which its line was measured
-_W_WAY = cython.declare(cython.Py_ssize_t, 9)  # `_way` at that time
-_W_TURN = cython.declare(cython.Py_ssize_t, 10)  # `_turn` at that time
-_W_SINCE = cython.declare(cython.Py_ssize_t, 11)  # the time since which it stands
-_W_CONFIRMED = cython.declare(cython.Py_ssize_t, 12)  # the time at which it was last confirmed
-_W_OFF = cython.declare(cython.Py_ssize_t, 13)  # m by which its line then was off
-_W_SEEN = cython.declare(cython.Py_ssize_t, 14)  # 1 if a run of this scan continues it
-_W_MOVES = cython.declare(cython.Py_ssize_t, 15)  # scans in a row that showed it elsewhere
-_W_LOW = cython.declare(cython.Py_ssize_t, 16)  # its first covered bin
-_W_HIGH = cython.declare(cython.Py_ssize_t, 17)  # its last covered bin
-_W_MISSED = cython.declare(cython.Py_ssize_t, 18)  # scans in a row that have not shown it
-_W_FIELDS = cython.declare(cython.Py_ssize_t, 19)
+
+@cython.final
+@cython.cclass
+class Wall:
+    """A wall: a line in the odometry frame, with bins along it."""
+
+    x: cython.double  # the middle of its bins, in the odometry frame
+    y: cython.double
+    ux: cython.double  # its direction, in the odometry frame
+    uy: cython.double
+    here_x: cython.double  # the same in the base frame of the present scan
+    here_y: cython.double
+    here_ux: cython.double
+    here_uy: cython.double
+    measured_at: cython.double  # the time at which its line was measured
+    way: cython.double  # `_way` at that time
+    turn: cython.double  # `_turn` at that time
+    since: cython.double  # the time since which it stands
+    confirmed: cython.double  # the time at which it was last confirmed
+    off: cython.double  # m by which its line then was off
+    is_seen: cython.bint  # a run of this scan continues it
+    moves: cython.Py_ssize_t  # scans in a row that showed it elsewhere
+    low: cython.Py_ssize_t  # its first covered bin
+    high: cython.Py_ssize_t  # its last covered bin
+    missed: cython.Py_ssize_t  # scans in a row that have not shown it
+    # For each bin: since when it is covered, and the same after this scan; inf: not.
+    bins: cython.double[::1]
+    next_bins: cython.double[::1]
+
+    def __init__(self) -> None:
+        self.bins, self.next_bins = doubles(_BINS), doubles(_BINS)
 
 
 @cython.cfunc
 @cython.exceptval(-3)
-def _bin_at(
-    walls: cython.double[::1],
-    runs: cython.double[::1],
-    at: cython.Py_ssize_t,
-    run: cython.Py_ssize_t,
-    along: cython.double,
-) -> cython.Py_ssize_t:
-    """The bin of a wall beside the place `along` m on a run; -2 or _BINS: beyond the bins.
-
-    `at`: the index of the wall in `walls`. `run`: the index of the run in `runs`.
-    """
-    dx: cython.double = runs[run + RUN_X] + along * runs[run + RUN_UX] - walls[at + _W_HERE_X]
-    dy: cython.double = runs[run + RUN_Y] + along * runs[run + RUN_UY] - walls[at + _W_HERE_Y]
-    place: cython.double = walls[at + _W_HERE_UX] * dx + walls[at + _W_HERE_UY] * dy
+def _bin_at(wall: Wall, run: Run, along: cython.double) -> cython.Py_ssize_t:
+    """The bin of a wall beside the place `along` m on a run; -2 or _BINS: beyond the bins."""
+    dx: cython.double = run.x + along * run.ux - wall.here_x
+    dy: cython.double = run.y + along * run.uy - wall.here_y
+    place: cython.double = wall.here_ux * dx + wall.here_uy * dy
     place = place / _BIN + 0.5 * _BINS
     if place >= _BINS:
         return _BINS
@@ -135,11 +123,8 @@ class StandingWalls(ReturnLayer):
     _seconds: cython.double
     _period: cython.double  # s of a revolution of the lidar
     _runs: StraightRuns  # of the last scan
-    _walls: cython.double[::1]
+    _walls: list[Wall]  # _WALLS, of which the first `_wall_count` are in use
     _wall_count: cython.Py_ssize_t
-    # For each bin of each wall: since when it is covered, and the same after this scan; inf: not.
-    _since: cython.double[::1]
-    _next_since: cython.double[::1]
     # What `_overlap` has found: the ends of the part of a run beside a wall in m along the run, and
     # how far the line of the wall is from the run at both ends in m.
     _overlap_first: cython.double
@@ -159,8 +144,7 @@ class StandingWalls(ReturnLayer):
         self.is_trusted = True
         self.ripe_at = -INFINITY
         self._runs = StraightRuns(platform, walls_stand.length)
-        self._walls = doubles(_W_FIELDS * _WALLS)
-        self._since, self._next_since = doubles(_BINS * _WALLS), doubles(_BINS * _WALLS)
+        self._walls = [Wall() for _ in range(_WALLS)]
         self.forget()
 
     def forget(self) -> None:
@@ -199,47 +183,46 @@ class StandingWalls(ReturnLayer):
     def _compare(self, motion: ScanMotion) -> cython.int:
         """Find by the runs which walls stand, have moved, are gone or are new."""
         j: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
         self._place_walls(motion)
         # 1. Walls that a run continues: first the long runs, whose returns may stand.
         for j in range(self._runs.count):
-            if runs[RUN_FIELDS * j + RUN_IS_LONG] > 0.0:
-                self._match(RUN_FIELDS * j, True, motion)
+            run: Run = self._runs.runs[j]
+            if run.is_long:
+                self._match(run, True, motion)
         # 2. Then the short runs that meet a long run at a corner, such as the posts of a door. The
         # returns of such a run may stand if the return of the long run at the corner stands.
         for j in range(self._runs.count):
-            if runs[RUN_FIELDS * j + RUN_IS_LONG] == 0.0:
+            run = self._runs.runs[j]
+            if not run.is_long:
                 corner: cython.Py_ssize_t = self._runs.corner_of(j)
                 if corner >= 0:
                     is_on_wall: cython.bint = self.kinds[self._runs.ray[corner]] == WALL
-                    self._match(RUN_FIELDS * j, is_on_wall, motion)
+                    self._match(run, is_on_wall, motion)
         # 3. Walls that are elsewhere now, and walls that no run has continued for too long.
         self._find_moved(motion)
         self._drop_walls()
         # 4. New walls, of the runs that continue no wall.
         for j in range(self._runs.count):
-            run: cython.Py_ssize_t = RUN_FIELDS * j
-            if runs[run + RUN_TAKEN] > 0.0 or self._wall_count == _WALLS:
+            run = self._runs.runs[j]
+            if run.owner >= 0 or self._wall_count == _WALLS:
                 continue
-            if runs[run + RUN_IS_LONG] > 0.0 or self._runs.corner_of(j) >= 0:
+            if run.is_long or self._runs.corner_of(j) >= 0:
                 self._add_wall(run, motion)
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _match(
-        self, run: cython.Py_ssize_t, is_on_wall: cython.bint, motion: ScanMotion
-    ) -> cython.int:
+    def _match(self, run: Run, is_on_wall: cython.bint, motion: ScanMotion) -> cython.int:
         """Continue the first wall on whose line a run lies.
 
-        A wall that the scan before showed elsewhere is left out. `run`: the index of the run in
-        `_runs.fields`. `is_on_wall`: the returns of the run may stand (see `_continue`).
+        A wall that the scan before showed elsewhere is left out. `is_on_wall`: the returns of the
+        run may stand (see `_continue`).
         """
         i: cython.Py_ssize_t
         for i in range(self._wall_count):
-            was_elsewhere: cython.bint = self._walls[_W_FIELDS * i + _W_MOVES] != 0.0
-            if not was_elsewhere and self._is_still(i, run):
-                self._continue(i, run, is_on_wall, motion)
-                self._runs.fields[run + RUN_TAKEN] = i + 1.0
+            wall: Wall = self._walls[i]
+            if not wall.moves and self._is_still(wall, run):
+                self._continue(wall, run, is_on_wall, motion)
+                run.owner = i
                 break
 
     @cython.cfunc
@@ -247,74 +230,68 @@ class StandingWalls(ReturnLayer):
     def _place_walls(self, motion: ScanMotion) -> cython.int:
         """Place the walls in the base frame of the scan; none of their bins is covered yet."""
         i: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
+        k: cython.Py_ssize_t
         c: cython.double = cos(motion.pose.yaw)
         s: cython.double = sin(motion.pose.yaw)
         for i in range(self._wall_count):
-            wall: cython.Py_ssize_t = _W_FIELDS * i
-            self._centre_bins(i)
-            dx: cython.double = walls[wall + _W_X] - motion.pose.x
-            dy: cython.double = walls[wall + _W_Y] - motion.pose.y
-            walls[wall + _W_HERE_X], walls[wall + _W_HERE_Y] = c * dx + s * dy, c * dy - s * dx
-            dx, dy = walls[wall + _W_UX], walls[wall + _W_UY]
-            walls[wall + _W_HERE_UX], walls[wall + _W_HERE_UY] = c * dx + s * dy, c * dy - s * dx
-            walls[wall + _W_SEEN] = 0.0
-        for i in range(_BINS * self._wall_count):
-            self._next_since[i] = INFINITY
+            wall: Wall = self._walls[i]
+            self._centre_bins(wall)
+            dx: cython.double = wall.x - motion.pose.x
+            dy: cython.double = wall.y - motion.pose.y
+            wall.here_x, wall.here_y = c * dx + s * dy, c * dy - s * dx
+            dx, dy = wall.ux, wall.uy
+            wall.here_ux, wall.here_uy = c * dx + s * dy, c * dy - s * dx
+            wall.is_seen = False
+            for k in range(_BINS):
+                wall.next_bins[k] = INFINITY
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _centre_bins(self, i: cython.Py_ssize_t) -> cython.int:
-        """Move the bins of wall `i` along its line if the covered bins are far off the middle.
+    def _centre_bins(self, wall: Wall) -> cython.int:
+        """Move the bins of a wall along its line if the covered bins are far off the middle.
 
         Far off is more than an eighth of all bins. If the bins were not moved, the end of a wall
         along which the robot drives would soon lie beyond the last bin.
         """
         k: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
-        wall: cython.Py_ssize_t = _W_FIELDS * i
-        off_middle: cython.double = 0.5 * (walls[wall + _W_LOW] + walls[wall + _W_HIGH] - _BINS)
+        off_middle: cython.double = 0.5 * (wall.low + wall.high - _BINS)
         shift: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(off_middle))
         if -(_BINS // 8) <= shift <= _BINS // 8:
             return 0
-        for k in range(_BINS):  # a copy; `_place_walls` clears `_next_since` afterwards
-            self._next_since[k] = self._since[_BINS * i + k]
+        wall.bins, wall.next_bins = wall.next_bins, wall.bins  # `_place_walls` clears `next_bins`
         for k in range(_BINS):
             is_inside: cython.bint = 0 <= k + shift < _BINS
-            self._since[_BINS * i + k] = self._next_since[k + shift] if is_inside else INFINITY
-        walls[wall + _W_LOW] -= shift
-        walls[wall + _W_HIGH] -= shift
-        walls[wall + _W_X] += _BIN * shift * walls[wall + _W_UX]
-        walls[wall + _W_Y] += _BIN * shift * walls[wall + _W_UY]
+            wall.bins[k] = wall.next_bins[k + shift] if is_inside else INFINITY
+        wall.low -= shift
+        wall.high -= shift
+        wall.x += _BIN * shift * wall.ux
+        wall.y += _BIN * shift * wall.uy
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _overlap(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.int:
+    def _overlap(self, wall: Wall, run: Run) -> cython.int:
         """Find the part of a run beside the covered bins of a wall; 0 without such a part.
 
         Sets `_overlap_first` and `_overlap_last`, the ends of the part, and `_off_first` and
         `_off_last`, how far the line of the wall is from the run at both ends.
         """
-        walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
-        at: cython.Py_ssize_t = _W_FIELDS * wall
-        ux: cython.double = walls[at + _W_HERE_UX]
-        uy: cython.double = walls[at + _W_HERE_UY]
-        cosine: cython.double = ux * runs[run + RUN_UX] + uy * runs[run + RUN_UY]
-        sine: cython.double = ux * runs[run + RUN_UY] - uy * runs[run + RUN_UX]
+        ux: cython.double = wall.here_ux
+        uy: cython.double = wall.here_uy
+        cosine: cython.double = ux * run.ux + uy * run.uy
+        sine: cython.double = ux * run.uy - uy * run.ux
         if not fabs(sine) <= _PARALLEL:
             return 0
         # 1. The ends of the covered bins in m along the run, cut off at the ends of the run.
-        dx: cython.double = walls[at + _W_HERE_X] - runs[run + RUN_X]
-        dy: cython.double = walls[at + _W_HERE_Y] - runs[run + RUN_Y]
-        middle: cython.double = dx * runs[run + RUN_UX] + dy * runs[run + RUN_UY]
+        dx: cython.double = wall.here_x - run.x
+        dy: cython.double = wall.here_y - run.y
+        middle: cython.double = dx * run.ux + dy * run.uy
         direction: cython.double = 1.0 if cosine >= 0.0 else -1.0
-        low: cython.double = _BIN * (walls[at + _W_LOW] - 0.5 * _BINS)
-        high: cython.double = _BIN * (walls[at + _W_HIGH] + 1.0 - 0.5 * _BINS)
+        low: cython.double = _BIN * (wall.low - 0.5 * _BINS)
+        high: cython.double = _BIN * (wall.high + 1.0 - 0.5 * _BINS)
         first: cython.double = middle + direction * (low if direction > 0.0 else high)
         last: cython.double = middle + direction * (high if direction > 0.0 else low)
-        first = first if first > runs[run + RUN_FROM] else runs[run + RUN_FROM]
-        last = last if last < runs[run + RUN_TO] else runs[run + RUN_TO]
+        first = first if first > run.begin else run.begin
+        last = last if last < run.end else run.end
         if not last > first:
             return 0
         # 2. How far the line is from the point of the run at 0 m. The distance changes along the
@@ -326,7 +303,7 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _is_still(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.int:
+    def _is_still(self, wall: Wall, run: Run) -> cython.int:
         """1 if a run is where a wall was when its line was measured.
 
         Each end of their overlap may be off by STILL plus the error of odometry since then.
@@ -343,29 +320,24 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
-    def _odometry_error(
-        self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t, along: cython.double
-    ) -> cython.double:
+    def _odometry_error(self, wall: Wall, run: Run, along: cython.double) -> cython.double:
         """The error of odometry in m since the line of a wall was measured.
 
         The error is that of the place `along` m on a run: the farther the place is from the robot,
         the more an error of the turn moves the place.
         """
-        walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
-        at: cython.Py_ssize_t = _W_FIELDS * wall
-        way: cython.double = self._way - walls[at + _W_WAY]
-        turn: cython.double = self._turn - walls[at + _W_TURN]
-        x: cython.double = runs[run + RUN_X] + along * runs[run + RUN_UX]
-        y: cython.double = runs[run + RUN_Y] + along * runs[run + RUN_UY]
+        way: cython.double = self._way - wall.way
+        turn: cython.double = self._turn - wall.turn
+        x: cython.double = run.x + along * run.ux
+        y: cython.double = run.y + along * run.uy
         return _odometry_share * (way + turn * hypot(x, y))
 
     @cython.cfunc
     @cython.exceptval(-1)
     def _continue(
         self,
-        wall: cython.Py_ssize_t,
-        run: cython.Py_ssize_t,
+        wall: Wall,
+        run: Run,
         is_on_wall: cython.bint,
         motion: ScanMotion,
     ) -> cython.int:
@@ -374,113 +346,88 @@ class StandingWalls(ReturnLayer):
         No return is marked unless `is_on_wall`: the run is long, or meets a standing return of a
         long run at a corner.
         """
-        walls: cython.double[::1] = self._walls
-        at: cython.Py_ssize_t = _W_FIELDS * wall
         now: cython.double = motion.measured_at
         self._cover_bins(wall, run, now)
         if is_on_wall:
             self._mark_standing(wall, run, now)
         # 1. Confirms the wall: the mean distance of the line from the run, and the time.
         has_overlap: cython.bint = self._overlap(wall, run) != 0
-        walls[at + _W_OFF] = 0.5 * (self._off_first + self._off_last) if has_overlap else 0.0
-        walls[at + _W_SEEN], walls[at + _W_CONFIRMED] = 1.0, now
+        wall.off = 0.5 * (self._off_first + self._off_last) if has_overlap else 0.0
+        wall.is_seen, wall.confirmed = True, now
         # 2. Measures the line anew each `_seconds`.
-        if now - walls[at + _W_AT] >= self._seconds:
-            self._move_line(at, run, motion)
-            walls[at + _W_OFF] = 0.0
+        if now - wall.measured_at >= self._seconds:
+            self._move_line(wall, run, motion)
+            wall.off = 0.0
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _cover_bins(
-        self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
-    ) -> cython.int:
+    def _cover_bins(self, wall: Wall, run: Run, now: cython.double) -> cython.int:
         """Cover the bins of a wall between returns of a run that are at most SPACING apart."""
         k: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
-        at: cython.Py_ssize_t = _W_FIELDS * wall
-        first: cython.Py_ssize_t = _BINS * wall
-        count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
+        count: cython.Py_ssize_t = run.length + 1
         before: cython.double = -INFINITY  # m along the run, of the return before
         for k in range(count):
             along: cython.double = self._runs.along(run, k)
             is_on_line: cython.bint = along == along  # NaN for a return off the line
             if is_on_line:
                 is_near: cython.bint = fabs(along - before) <= SPACING
-                self._cover(first, at, run, before if is_near else along, along, now)
+                self._cover(wall, run, before if is_near else along, along, now)
                 before = along
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _mark_standing(
-        self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
-    ) -> cython.int:
+    def _mark_standing(self, wall: Wall, run: Run, now: cython.double) -> cython.int:
         """Mark the returns of a run in bins of a wall that have stood, or beside such a bin.
 
         Sets `kinds` and `has_kinds`, and `ripe_at` by the returns in bins that will stand.
         """
         k: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
-        at: cython.Py_ssize_t = _W_FIELDS * wall
-        first: cython.Py_ssize_t = _BINS * wall
-        count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
+        count: cython.Py_ssize_t = run.length + 1
         for k in range(count):
             along: cython.double = self._runs.along(run, k)
             is_on_line: cython.bint = along == along  # NaN for a return off the line
             if not is_on_line:
                 continue
             place: cython.Py_ssize_t = self._runs.return_of(run, k)
-            bin_of_wall: cython.Py_ssize_t = _bin_at(self._walls, runs, at, run, along)
-            if self._has_stood(first, bin_of_wall, now):
+            bin_of_wall: cython.Py_ssize_t = _bin_at(wall, run, along)
+            if self._has_stood(wall, bin_of_wall, now):
                 self.kinds[self._runs.ray[place]] = WALL
                 self.has_kinds = True
             elif 0 <= bin_of_wall < _BINS:
-                self._ripen(place, self._next_since[first + bin_of_wall])
+                self._ripen(place, wall.next_bins[bin_of_wall])
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _move_line(
-        self, at: cython.Py_ssize_t, run: cython.Py_ssize_t, motion: ScanMotion
-    ) -> cython.int:
-        """Move the line of the wall at index `at` to that of a run; the bins keep their places."""
-        walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
-        dx: cython.double = walls[at + _W_HERE_X] - runs[run + RUN_X]
-        dy: cython.double = walls[at + _W_HERE_Y] - runs[run + RUN_Y]
-        middle: cython.double = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
-        cosine: cython.double = (
-            walls[at + _W_HERE_UX] * runs[run + RUN_UX]
-            + walls[at + _W_HERE_UY] * runs[run + RUN_UY]
-        )
-        return self._set_line(at, run, middle, 1.0 if cosine >= 0.0 else -1.0, motion)
+    def _move_line(self, wall: Wall, run: Run, motion: ScanMotion) -> cython.int:
+        """Move the line of a wall to that of a run; the bins keep their places."""
+        dx: cython.double = wall.here_x - run.x
+        dy: cython.double = wall.here_y - run.y
+        middle: cython.double = run.ux * dx + run.uy * dy
+        cosine: cython.double = wall.here_ux * run.ux + wall.here_uy * run.uy
+        return self._set_line(wall, run, middle, 1.0 if cosine >= 0.0 else -1.0, motion)
 
     @cython.cfunc
     @cython.exceptval(-1)
     def _cover(
         self,
-        first: cython.Py_ssize_t,
-        at: cython.Py_ssize_t,
-        run: cython.Py_ssize_t,
+        wall: Wall,
+        run: Run,
         begin: cython.double,
         end: cython.double,
         now: cython.double,
     ) -> cython.int:
         """Cover the bins between two places of a run; bins that were covered keep their time.
 
-        Args:
-            first: the index of the first bin of the wall.
-            at: the index of the wall in `_walls`.
-            run: the index of the run in `StraightRuns.fields`.
-            begin, end: m along the run.
-            now: s.
+        `begin`, `end`: m along the run.
         """
         k: cython.Py_ssize_t
-        low: cython.Py_ssize_t = _bin_at(self._walls, self._runs.fields, at, run, begin)
-        high: cython.Py_ssize_t = _bin_at(self._walls, self._runs.fields, at, run, end)
+        low: cython.Py_ssize_t = _bin_at(wall, run, begin)
+        high: cython.Py_ssize_t = _bin_at(wall, run, end)
         if low > high:
             low, high = high, low
         for k in range(low if low > 0 else 0, high + 1 if high < _BINS else _BINS):
-            since: cython.double = self._since[first + k]
-            self._next_since[first + k] = since if since < INFINITY else now
+            since: cython.double = wall.bins[k]
+            wall.next_bins[k] = since if since < INFINITY else now
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -495,16 +442,16 @@ class StandingWalls(ReturnLayer):
     @cython.cfunc
     @cython.exceptval(-1)
     def _has_stood(
-        self, first: cython.Py_ssize_t, bin_of_wall: cython.Py_ssize_t, now: cython.double
+        self, wall: Wall, bin_of_wall: cython.Py_ssize_t, now: cython.double
     ) -> cython.int:
         """1 if a bin, or a bin beside it, has been covered for `_seconds`, this scan included.
 
         The bins beside count, since the visible end of a wall changes from scan to scan with the
-        last ray that meets the wall. `first`: the index of the first bin of the wall.
+        last ray that meets the wall.
         """
         k: cython.Py_ssize_t
         for k in range(bin_of_wall - 1, bin_of_wall + 2):
-            if 0 <= k < _BINS and now - self._next_since[first + k] >= self._seconds:
+            if 0 <= k < _BINS and now - wall.next_bins[k] >= self._seconds:
                 return 1
         return 0
 
@@ -512,31 +459,29 @@ class StandingWalls(ReturnLayer):
     @cython.exceptval(-1)
     def _set_line(
         self,
-        at: cython.Py_ssize_t,
-        run: cython.Py_ssize_t,
+        wall: Wall,
+        run: Run,
         along: cython.double,
         direction: cython.double,
         motion: ScanMotion,
     ) -> cython.int:
-        """Set the line of the wall at index `at` to that of a run, in the odometry frame.
+        """Set the line of a wall to that of a run, in the odometry frame.
 
         `along`: m along the run, where the middle of the bins is. `direction`: 1 if the wall has
         the direction of the run, -1 if the wall has the opposite direction.
         """
-        walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
         c: cython.double = cos(motion.pose.yaw)
         s: cython.double = sin(motion.pose.yaw)
-        ux: cython.double = runs[run + RUN_UX]
-        uy: cython.double = runs[run + RUN_UY]
-        x: cython.double = runs[run + RUN_X] + along * ux
-        y: cython.double = runs[run + RUN_Y] + along * uy
-        walls[at + _W_X] = motion.pose.x + c * x - s * y
-        walls[at + _W_Y] = motion.pose.y + s * x + c * y
-        walls[at + _W_UX] = direction * (c * ux - s * uy)
-        walls[at + _W_UY] = direction * (s * ux + c * uy)
-        walls[at + _W_AT] = motion.measured_at
-        walls[at + _W_WAY], walls[at + _W_TURN] = self._way, self._turn
+        ux: cython.double = run.ux
+        uy: cython.double = run.uy
+        x: cython.double = run.x + along * ux
+        y: cython.double = run.y + along * uy
+        wall.x = motion.pose.x + c * x - s * y
+        wall.y = motion.pose.y + s * x + c * y
+        wall.ux = direction * (c * ux - s * uy)
+        wall.uy = direction * (s * ux + c * uy)
+        wall.measured_at = motion.measured_at
+        wall.way, wall.turn = self._way, self._turn
         return 0
 
     @cython.cfunc
@@ -544,73 +489,55 @@ class StandingWalls(ReturnLayer):
     def _drop_walls(self) -> cython.int:
         """Drop the walls that more than _MISSED scans in a row have not shown."""
         i: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
         kept: cython.Py_ssize_t = 0
         for i in range(self._wall_count):
-            wall: cython.Py_ssize_t = _W_FIELDS * i
-            if walls[wall + _W_SEEN] != 0.0:
-                walls[wall + _W_MISSED] = 0.0
-            elif walls[wall + _W_MOVES] != 0.0:
+            wall: Wall = self._walls[i]
+            if wall.is_seen:
+                wall.missed = 0
+                self._keep_covered(wall)
+            elif wall.moves:
                 # The wall is elsewhere. The next scan must show the wall, else the wall is dropped.
-                walls[wall + _W_MISSED] = _MISSED
+                wall.missed = _MISSED
             else:
-                walls[wall + _W_MISSED] += 1.0
-            if walls[wall + _W_MISSED] <= _MISSED:
-                self._keep_wall(i, kept)
+                wall.missed += 1
+            if wall.missed <= _MISSED:  # takes the place of a wall that is dropped
+                self._walls[i] = self._walls[kept]
+                self._walls[kept] = wall
                 kept += 1
         self._wall_count = kept
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _keep_wall(self, i: cython.Py_ssize_t, kept: cython.Py_ssize_t) -> cython.int:
-        """Move wall `i` to the place of wall `kept`.
-
-        A wall that a run continues keeps the bins that this scan covers; other walls keep all bins.
-        """
-        j: cython.Py_ssize_t
+    def _keep_covered(self, wall: Wall) -> cython.int:
+        """Keep the bins of a wall that this scan covers, and find the first and the last one."""
         k: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
-        to: cython.Py_ssize_t = _W_FIELDS * kept
-        is_at_place: cython.bint = walls[_W_FIELDS * i + _W_SEEN] != 0.0
-        for j in range(_W_FIELDS):
-            walls[to + j] = walls[_W_FIELDS * i + j]
-        if not is_at_place:
-            for k in range(_BINS):
-                self._since[_BINS * kept + k] = self._since[_BINS * i + k]
-            return 0
-        # Finds the first and the last covered bin anew.
-        walls[to + _W_LOW], walls[to + _W_HIGH] = _BINS, -1.0
+        wall.bins, wall.next_bins = wall.next_bins, wall.bins
+        wall.low, wall.high = _BINS, -1
         for k in range(_BINS):
-            since: cython.double = self._next_since[_BINS * i + k]
-            self._since[_BINS * kept + k] = since
-            if since < INFINITY:
-                walls[to + _W_HIGH] = k
-                if walls[to + _W_LOW] == _BINS:
-                    walls[to + _W_LOW] = k
+            if wall.bins[k] < INFINITY:
+                wall.high = k
+                if wall.low == _BINS:
+                    wall.low = k
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_wall(self, run: cython.Py_ssize_t, motion: ScanMotion) -> cython.int:
+    def _add_wall(self, run: Run, motion: ScanMotion) -> cython.int:
         """Add a wall whose bins have been covered since this scan."""
         k: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
-        at: cython.Py_ssize_t = _W_FIELDS * self._wall_count
-        half: cython.double = 0.5 * (runs[run + RUN_TO] - runs[run + RUN_FROM])
+        wall: Wall = self._walls[self._wall_count]
+        half: cython.double = 0.5 * (run.end - run.begin)
         bins: cython.double = floor(half / _BIN) + 1.0
-        if not bins <= 0.5 * _BINS:
-            bins = 0.5 * _BINS
-        self._set_line(at, run, runs[run + RUN_FROM] + half, 1.0, motion)
-        walls[at + _W_SINCE] = walls[at + _W_CONFIRMED] = motion.measured_at
-        walls[at + _W_SEEN], walls[at + _W_OFF], walls[at + _W_MOVES] = 1.0, 0.0, 0.0
-        walls[at + _W_MISSED] = 0.0
-        walls[at + _W_LOW], walls[at + _W_HIGH] = 0.5 * _BINS - bins, 0.5 * _BINS + bins - 1.0
+        covered: cython.Py_ssize_t = _BINS // 2  # on each side of the middle
+        if bins <= covered:
+            covered = cython.cast(cython.Py_ssize_t, bins)
+        self._set_line(wall, run, run.begin + half, 1.0, motion)
+        wall.since = wall.confirmed = motion.measured_at
+        wall.is_seen, wall.off = True, 0.0
+        wall.moves, wall.missed = 0, 0
+        wall.low, wall.high = _BINS // 2 - covered, _BINS // 2 + covered - 1
         for k in range(_BINS):
-            is_covered: cython.bint = walls[at + _W_LOW] <= k <= walls[at + _W_HIGH]
-            self._since[_BINS * self._wall_count + k] = (
-                motion.measured_at if is_covered else INFINITY
-            )
-        for k in range(cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1):
+            wall.bins[k] = motion.measured_at if wall.low <= k <= wall.high else INFINITY
+        for k in range(run.length + 1):
             self._ripen(self._runs.return_of(run, k), motion.measured_at)
         self._wall_count += 1
         return 0
@@ -624,49 +551,46 @@ class StandingWalls(ReturnLayer):
         present scan.
         """
         i: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
         for i in range(self._wall_count):
-            at: cython.Py_ssize_t = _W_FIELDS * i
+            wall: Wall = self._walls[i]
             # 1. Scans in a row before this scan that showed the wall elsewhere. The count begins
             # anew unless this scan shows the wall elsewhere, too.
-            scans_elsewhere: cython.double = walls[at + _W_MOVES]
-            walls[at + _W_MOVES] = 0.0
-            is_at_place: cython.bint = walls[at + _W_SEEN] > 0.0
+            scans_elsewhere: cython.Py_ssize_t = wall.moves
+            wall.moves = 0
             was_examined: cython.bint = scans_elsewhere >= _SHOWN_TWICE
-            if is_at_place or was_examined:
+            if wall.is_seen or was_examined:
                 continue
-            seconds: cython.double = motion.measured_at - walls[at + _W_CONFIRMED]
-            if not seconds > 0.0 or not self._may_judge(at):
+            seconds: cython.double = motion.measured_at - wall.confirmed
+            if not seconds > 0.0 or not self._may_judge(wall):
                 continue
             # 2. The wall is elsewhere if a run lies within the m that a wall can have moved.
             farthest: cython.double = _still + _FASTEST_WALL * seconds
-            was_elsewhere: cython.bint = scans_elsewhere > 0.0
-            is_elsewhere: cython.bint = self._moved_by(i, was_elsewhere, farthest) < farthest
+            was_elsewhere: cython.bint = scans_elsewhere > 0
+            is_elsewhere: cython.bint = self._moved_by(wall, was_elsewhere, farthest) < farthest
             if not is_elsewhere:
                 continue
             # 3. The wall has moved if the scan before showed the wall elsewhere, too, and rays pass
             # through its old place to a run that was no wall before.
-            walls[at + _W_MOVES] = scans_elsewhere + 1.0
-            if scans_elsewhere + 1.0 < _SHOWN_TWICE:
+            wall.moves = scans_elsewhere + 1
+            if wall.moves < _SHOWN_TWICE:
                 continue
-            distance: cython.double = self._moved_away_by(i, farthest)
+            distance: cython.double = self._moved_away_by(wall, farthest)
             if distance < farthest:
-                stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
+                stood: cython.double = wall.confirmed - wall.since
                 self.moved = MovedWall(stood, distance, distance / seconds)
 
     @cython.cfunc
     @cython.inline
     @cython.exceptval(-1)
-    def _may_judge(self, at: cython.Py_ssize_t) -> cython.int:
-        """1 if the wall at index `at` has stood long enough, and odometry is right.
+    def _may_judge(self, wall: Wall) -> cython.int:
+        """1 if a wall has stood long enough, and odometry is right.
 
         Wrong odometry shows all walls elsewhere. Odometry is right if a wall stands in this scan,
         or if the robot has not moved by odometry since the line of the wall was measured.
         """
-        walls: cython.double[::1] = self._walls
-        stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
-        way: cython.double = self._way - walls[at + _W_WAY]
-        turn: cython.double = self._turn - walls[at + _W_TURN]
+        stood: cython.double = wall.confirmed - wall.since
+        way: cython.double = self._way - wall.way
+        turn: cython.double = self._turn - wall.turn
         is_robot_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
         is_odometry_right: cython.bint = self.has_kinds or is_robot_at_rest
         may_judge: cython.bint = stood >= self._seconds and is_odometry_right
@@ -675,7 +599,7 @@ class StandingWalls(ReturnLayer):
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
     def _moved_by(
-        self, wall: cython.Py_ssize_t, was_elsewhere: cython.bint, farthest: cython.double
+        self, wall: Wall, was_elsewhere: cython.bint, farthest: cython.double
     ) -> cython.double:
         """The m from the line of a wall to the nearest run that may show the wall elsewhere.
 
@@ -686,8 +610,8 @@ class StandingWalls(ReturnLayer):
         j: cython.Py_ssize_t
         least: cython.double = farthest
         for j in range(self._runs.count):
-            run: cython.Py_ssize_t = RUN_FIELDS * j
-            if self._runs.fields[run + RUN_TAKEN] > 0.0 and not was_elsewhere:
+            run: Run = self._runs.runs[j]
+            if run.owner >= 0 and not was_elsewhere:
                 continue
             off: cython.double = self._distance(wall, run)
             if off < least:
@@ -696,21 +620,20 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
-    def _moved_away_by(self, wall: cython.Py_ssize_t, farthest: cython.double) -> cython.double:
+    def _moved_away_by(self, wall: Wall, farthest: cython.double) -> cython.double:
         """As `_moved_by`, of the runs that are seen through the old place of the wall.
 
         A run that continues a wall which was there when `wall` was last confirmed is that other
         wall, and shows nothing. A wall that has come nearer hides its old place.
         """
         j: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
-        walls: cython.double[::1] = self._walls
         least: cython.double = farthest
         for j in range(self._runs.count):
-            run: cython.Py_ssize_t = RUN_FIELDS * j
-            owner: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_TAKEN]) - 1
-            since: cython.double = walls[_W_FIELDS * owner + _W_SINCE] if owner >= 0 else INFINITY
-            is_known: cython.bint = since <= walls[_W_FIELDS * wall + _W_CONFIRMED]
+            run: Run = self._runs.runs[j]
+            is_known: cython.bint = False
+            if run.owner >= 0:
+                other: Wall = self._walls[run.owner]
+                is_known = other.since <= wall.confirmed
             off: cython.double = self._distance(wall, run)
             if not is_known and off < least and self._is_seen_through(wall, run):
                 least = off
@@ -718,7 +641,7 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
-    def _distance(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.double:
+    def _distance(self, wall: Wall, run: Run) -> cython.double:
         """The m from the line of a wall to a run that lies beside it; inf if the run does not.
 
         The run must lie beside at least half of `length` of the wall, off its line. The distance is
@@ -727,7 +650,7 @@ class StandingWalls(ReturnLayer):
         """
         if not self._overlap(wall, run) or self._is_still(wall, run):
             return INFINITY
-        off_before: cython.double = self._walls[_W_FIELDS * wall + _W_OFF]
+        off_before: cython.double = wall.off
         off: cython.double = fabs(self._off_first - off_before)
         last_off: cython.double = fabs(self._off_last - off_before)
         off = last_off if last_off > off else off
@@ -736,7 +659,7 @@ class StandingWalls(ReturnLayer):
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _is_seen_through(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.int:
+    def _is_seen_through(self, wall: Wall, run: Run) -> cython.int:
         """1 if the rays to a run pass through at least half of `length` of a wall's old place.
 
         A ray passes through if it crosses the line of the wall among covered bins, and ends at
@@ -744,24 +667,19 @@ class StandingWalls(ReturnLayer):
         """
         k: cython.Py_ssize_t
         b: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
-        at: cython.Py_ssize_t = _W_FIELDS * wall
-        first: cython.Py_ssize_t = _BINS * wall
-        count: cython.Py_ssize_t = (
-            cython.cast(cython.Py_ssize_t, self._runs.fields[run + RUN_LENGTH]) + 1
-        )
-        ux: cython.double = walls[at + _W_HERE_UX]
-        uy: cython.double = walls[at + _W_HERE_UY]
-        from_x: cython.double = self._runs.lidar_x - walls[at + _W_HERE_X]
-        from_y: cython.double = self._runs.lidar_y - walls[at + _W_HERE_Y]
+        count: cython.Py_ssize_t = run.length + 1
+        ux: cython.double = wall.here_ux
+        uy: cython.double = wall.here_uy
+        from_x: cython.double = self._runs.lidar_x - wall.here_x
+        from_y: cython.double = self._runs.lidar_y - wall.here_y
         before: cython.double = ux * from_y - uy * from_x  # m from the line to the lidar
         least_bin: cython.Py_ssize_t = _BINS
         greatest_bin: cython.Py_ssize_t = -1
         for k in range(count):
             along: cython.double = self._runs.along(run, k)
             place: cython.Py_ssize_t = self._runs.return_of(run, k)
-            x: cython.double = self._runs.x[place] - walls[at + _W_HERE_X]
-            y: cython.double = self._runs.y[place] - walls[at + _W_HERE_Y]
+            x: cython.double = self._runs.x[place] - wall.here_x
+            y: cython.double = self._runs.y[place] - wall.here_y
             behind: cython.double = ux * y - uy * x
             is_on_line: cython.bint = along == along  # NaN for a return off the line of the run
             is_other_side: cython.bint = before * behind < 0.0
@@ -778,7 +696,7 @@ class StandingWalls(ReturnLayer):
             bin_of_wall: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(crossing))
             is_covered: cython.bint = True
             for b in range(bin_of_wall - _EDGE, bin_of_wall + _EDGE + 1):
-                is_covered = is_covered and self._since[first + b] < INFINITY
+                is_covered = is_covered and wall.bins[b] < INFINITY
             if is_covered:
                 least_bin = bin_of_wall if bin_of_wall < least_bin else least_bin
                 greatest_bin = bin_of_wall if bin_of_wall > greatest_bin else greatest_bin

@@ -48,20 +48,6 @@ _LATE_RAY = cython.declare(cython.double, 1.5)
 _RUNS = cython.declare(cython.Py_ssize_t, 64)  # the most runs of a scan
 _STACK = cython.declare(cython.Py_ssize_t, 128)  # two numbers for each part that is to be split
 
-# The fields of a run.
-RUN_FIRST = cython.declare(cython.Py_ssize_t, 0)  # the index of its first return
-RUN_LENGTH = cython.declare(cython.Py_ssize_t, 1)  # the returns that follow, a whole number
-RUN_SUMS = cython.declare(cython.Py_ssize_t, 2)  # the first of the _SUMS sums below
-RUN_X = cython.declare(cython.Py_ssize_t, 8)  # m, a point of its line
-RUN_Y = cython.declare(cython.Py_ssize_t, 9)
-RUN_UX = cython.declare(cython.Py_ssize_t, 10)  # the unit vector along its line
-RUN_UY = cython.declare(cython.Py_ssize_t, 11)
-RUN_FROM = cython.declare(cython.Py_ssize_t, 12)  # m along its line from this point to its begin
-RUN_TO = cython.declare(cython.Py_ssize_t, 13)  # m along its line from this point to its end
-RUN_TAKEN = cython.declare(cython.Py_ssize_t, 14)  # 1 + the index of the wall that it continues
-RUN_IS_LONG = cython.declare(cython.Py_ssize_t, 15)  # 1 for a long and straight run
-RUN_FIELDS = cython.declare(cython.Py_ssize_t, 16)
-
 # The sums over returns.
 _SUM_COUNT = cython.declare(cython.Py_ssize_t, 0)
 _SUM_X = cython.declare(cython.Py_ssize_t, 1)
@@ -74,11 +60,29 @@ _SUMS = cython.declare(cython.Py_ssize_t, 6)
 
 @cython.final
 @cython.cclass
+class Run:
+    """A straight run of returns that follow each other, and its line."""
+
+    first: cython.Py_ssize_t  # the index of its first return
+    length: cython.Py_ssize_t  # the returns that follow
+    sums: cython.double[6]  # the _SUMS sums over its returns
+    x: cython.double  # m, a point of its line
+    y: cython.double
+    ux: cython.double  # the unit vector along its line
+    uy: cython.double
+    begin: cython.double  # m along its line from this point to its begin
+    end: cython.double  # m along its line from this point to its end
+    owner: cython.Py_ssize_t  # the index of the wall that it continues; -1: none
+    is_long: cython.bint  # long and straight
+
+
+@cython.final
+@cython.cclass
 class StraightRuns:
     """The returns of a scan near the lidar, and the straight runs of them."""
 
-    fields: cython.double[::1]  # RUN_FIELDS of each run
-    count: cython.Py_ssize_t  # of the runs
+    runs: list[Run]  # _RUNS, of which the first `count` are those of the scan
+    count: cython.Py_ssize_t
     x: cython.double[::1]  # of each return
     y: cython.double[::1]
     ray: cython.longlong[::1]  # of each return
@@ -95,7 +99,7 @@ class StraightRuns:
     def __init__(self, platform: Platform, length: float) -> None:
         self._length, self._oldest = length, _LATE_RAY * (1.0 / platform.scan.rate)
         self.lidar_x, self.lidar_y = platform.scan.offset
-        self.fields, self._stack = doubles(RUN_FIELDS * _RUNS), indices(_STACK)
+        self.runs, self._stack = [Run() for _ in range(_RUNS)], indices(_STACK)
         self._allocate(len(platform.scan.bearings))
 
     def _allocate(self, rays: cython.Py_ssize_t) -> None:
@@ -119,16 +123,15 @@ class StraightRuns:
         self._place(ranges, directions, ages)
         self._find_runs()
         self._join_runs()
-        runs: cython.double[::1] = self.fields
         for j in range(self.count):
-            run: cython.Py_ssize_t = RUN_FIELDS * j
-            runs[run + RUN_TAKEN] = 0.0
-            is_long: cython.bint = runs[run + RUN_TO] - runs[run + RUN_FROM] >= self._length
-            runs[run + RUN_IS_LONG] = 1.0 if is_long and self._is_straight(run) else 0.0
+            run: Run = self.runs[j]
+            run.owner = -1
+            is_long: cython.bint = run.end - run.begin >= self._length
+            run.is_long = is_long and self._is_straight(run) != 0
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _is_straight(self, run: cython.Py_ssize_t) -> cython.int:
+    def _is_straight(self, run: Run) -> cython.int:
         """1 if the returns of a run bend with a radius of at least _LEAST_RADIUS m.
 
         0 also if fewer than _FEWEST returns are on the line of the run. A parabola is fitted to the
@@ -137,13 +140,12 @@ class StraightRuns:
         """
         k: cython.Py_ssize_t
         on_line: cython.Py_ssize_t = 0
-        runs: cython.double[::1] = self.fields
         places: cython.double[::1] = self._places
         # 1. The returns on the line, and the sums of the powers of their places along the line.
         first: cython.double = 0.0
         second: cython.double = 0.0
         third: cython.double = 0.0
-        for k in range(cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1):
+        for k in range(run.length + 1):
             place: cython.double = self.along(run, k)
             is_on_line: cython.bint = place == place  # NaN for a return off the line
             if is_on_line:
@@ -302,32 +304,28 @@ class StraightRuns:
     def _add_run(self, first: cython.Py_ssize_t, last: cython.Py_ssize_t) -> cython.int:
         """Add the run from return `first` to return `last`, if it is smooth."""
         j: cython.Py_ssize_t
-        runs: cython.double[::1] = self.fields
-        run: cython.Py_ssize_t = RUN_FIELDS * self.count
-        runs[run + RUN_FIRST], runs[run + RUN_LENGTH] = first, last - first
+        run: Run = self.runs[self.count]
+        run.first, run.length = first, last - first
         for j in range(_SUMS):
-            runs[run + RUN_SUMS + j] = (
-                self._sums[_SUMS * (last + 1) + j] - self._sums[_SUMS * first + j]
-            )
+            run.sums[j] = self._sums[_SUMS * (last + 1) + j] - self._sums[_SUMS * first + j]
         if self._fit(run):
             self.count += 1
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _fit(self, run: cython.Py_ssize_t) -> cython.int:
-        """Set the line of the run at index `run` of `fields` by its sums; 0 for a rough run.
+    def _fit(self, run: Run) -> cython.int:
+        """Set the line of a run by its sums; 0 for a rough run.
 
         The line is fitted by total least squares, and leads from the first return to the last. A
         run is rough if its returns are too far off this line.
         """
         # 1. The covariance of the returns.
-        runs: cython.double[::1] = self.fields
-        n: cython.double = runs[run + RUN_SUMS + _SUM_COUNT]
-        x: cython.double = runs[run + RUN_SUMS + _SUM_X] / n
-        y: cython.double = runs[run + RUN_SUMS + _SUM_Y] / n
-        xx: cython.double = runs[run + RUN_SUMS + _SUM_XX] / n - x * x
-        xy: cython.double = runs[run + RUN_SUMS + _SUM_XY] / n - x * y
-        yy: cython.double = runs[run + RUN_SUMS + _SUM_YY] / n - y * y
+        n: cython.double = run.sums[_SUM_COUNT]
+        x: cython.double = run.sums[_SUM_X] / n
+        y: cython.double = run.sums[_SUM_Y] / n
+        xx: cython.double = run.sums[_SUM_XX] / n - x * x
+        xy: cython.double = run.sums[_SUM_XY] / n - x * y
+        yy: cython.double = run.sums[_SUM_YY] / n - y * y
         # 2. The lesser eigenvalue of the covariance: the mean square of the distances to the line.
         half: cython.double = 0.5 * (xx - yy)
         root: cython.double = sqrt(half * half + xy * xy)
@@ -342,25 +340,23 @@ class StraightRuns:
         if not length > 0.0:
             return 0
         # 4. The unit vector of this direction, towards the last return.
-        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_FIRST])
-        last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
+        first: cython.Py_ssize_t = run.first
+        last: cython.Py_ssize_t = self.return_of(run, run.length)
         along: cython.double = ux * (self.x[last] - self.x[first])
         along += uy * (self.y[last] - self.y[first])
         length = -length if along < 0.0 else length  # a negative length reverses the vector
         ux, uy = ux / length, uy / length
-        runs[run + RUN_X], runs[run + RUN_Y] = x, y
-        runs[run + RUN_UX], runs[run + RUN_UY] = ux, uy
-        runs[run + RUN_FROM] = ux * (self.x[first] - x) + uy * (self.y[first] - y)
-        runs[run + RUN_TO] = ux * (self.x[last] - x) + uy * (self.y[last] - y)
+        run.x, run.y = x, y
+        run.ux, run.uy = ux, uy
+        run.begin = ux * (self.x[first] - x) + uy * (self.y[first] - y)
+        run.end = ux * (self.x[last] - x) + uy * (self.y[last] - y)
         return 1
 
     @cython.cfunc
     @cython.exceptval(-2)
-    def return_of(self, run: cython.Py_ssize_t, number: cython.double) -> cython.Py_ssize_t:
+    def return_of(self, run: Run, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
         """The index of a return of a run: `number` returns behind its first one."""
-        place: cython.Py_ssize_t = cython.cast(
-            cython.Py_ssize_t, self.fields[run + RUN_FIRST] + number
-        )
+        place: cython.Py_ssize_t = run.first + number
         return place - self._returns if place >= self._returns else place
 
     @cython.cfunc
@@ -368,40 +364,36 @@ class StraightRuns:
     def _join_runs(self) -> cython.int:
         """Join runs that follow each other on one line; the first run follows the last one."""
         i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        runs: cython.double[::1] = self.fields
         kept: cython.Py_ssize_t = 0
         for i in range(self.count):
-            if kept and self._join(RUN_FIELDS * (kept - 1), RUN_FIELDS * i):
+            run: Run = self.runs[i]
+            if kept and self._join(self.runs[kept - 1], run):
                 continue
-            for j in range(RUN_FIELDS):
-                runs[RUN_FIELDS * kept + j] = runs[RUN_FIELDS * i + j]
+            self.runs[i] = self.runs[kept]
+            self.runs[kept] = run
             kept += 1
-        if kept > 1 and self._join(RUN_FIELDS * (kept - 1), 0):
+        if kept > 1 and self._join(self.runs[kept - 1], self.runs[0]):
             kept -= 1
-            for j in range(RUN_FIELDS):
-                runs[j] = runs[RUN_FIELDS * kept + j]
+            run = self.runs[kept]
+            self.runs[kept] = self.runs[0]
+            self.runs[0] = run
         self.count = kept
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _join(self, run: cython.Py_ssize_t, after: cython.Py_ssize_t) -> cython.int:
-        """Join the run at index `after` to the run at index `run`; 0 if they are not of one line.
-
-        Both indices are of `fields`.
-        """
+    def _join(self, run: Run, after: Run) -> cython.int:
+        """Join the run `after` to a run; 0 if they are not of one line."""
         j: cython.Py_ssize_t
-        runs: cython.double[::1] = self.fields
-        last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
-        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[after + RUN_FIRST])
+        last: cython.Py_ssize_t = self.return_of(run, run.length)
+        first: cython.Py_ssize_t = after.first
         # 1. The distance from the last return of `run` to the first return of `after`: at most
         # SPACING m along the line. The distance is negative if the runs overlap: if the robot turns
         # with the lidar, the last run of the scan overlaps the first run.
         dx: cython.double = self.x[first] - self.x[last]
         dy: cython.double = self.y[first] - self.y[last]
-        along: cython.double = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
-        across: cython.double = runs[run + RUN_UX] * dy - runs[run + RUN_UY] * dx
-        most_overlap: cython.double = runs[run + RUN_FROM] - runs[run + RUN_TO]
+        along: cython.double = run.ux * dx + run.uy * dy
+        across: cython.double = run.ux * dy - run.uy * dx
+        most_overlap: cython.double = run.begin - run.end
         if not (most_overlap <= along <= SPACING and fabs(across) <= 2.0 * _STRAIGHT):
             return 0
         # 2. No ray between the two runs may pass through the line. The first return follows the
@@ -413,21 +405,21 @@ class StraightRuns:
             return 0
         # 3. Fits a line to the returns of both runs. If the joined run is rough, or contains all
         # returns of the scan, `run` becomes what it was.
-        kept: cython.double = runs[run + RUN_LENGTH]
+        kept: cython.Py_ssize_t = run.length
         for j in range(_SUMS):
-            runs[run + RUN_SUMS + j] += runs[after + RUN_SUMS + j]
-        runs[run + RUN_LENGTH] = kept + steps + runs[after + RUN_LENGTH]
-        if runs[run + RUN_LENGTH] < self._returns and self._fit(run):
+            run.sums[j] += after.sums[j]
+        run.length = kept + steps + after.length
+        if run.length < self._returns and self._fit(run):
             return 1
         for j in range(_SUMS):
-            runs[run + RUN_SUMS + j] -= runs[after + RUN_SUMS + j]
-        runs[run + RUN_LENGTH] = kept
+            run.sums[j] -= after.sums[j]
+        run.length = kept
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
     def _passes_through(
-        self, run: cython.Py_ssize_t, last: cython.Py_ssize_t, steps: cython.Py_ssize_t
+        self, run: Run, last: cython.Py_ssize_t, steps: cython.Py_ssize_t
     ) -> cython.int:
         """1 if a ray at the `steps` returns behind return `last` passes through the line of a run.
 
@@ -450,44 +442,39 @@ class StraightRuns:
         run that stands out before the line may be a body that stands at a wall.
         """
         k: cython.Py_ssize_t
-        runs: cython.double[::1] = self.fields
-        run: cython.Py_ssize_t = RUN_FIELDS * number
+        run: Run = self.runs[number]
         for k in range(2):
             beside: cython.Py_ssize_t = number - 1 if k == 0 else number + 1
             beside = beside + self.count if beside < 0 else beside
             beside = beside - self.count if beside >= self.count else beside
-            beside_start: cython.Py_ssize_t = RUN_FIELDS * beside
-            if runs[beside_start + RUN_IS_LONG] == 0.0:
+            other: Run = self.runs[beside]
+            if not other.is_long:
                 continue
-            near: cython.Py_ssize_t = self.return_of(
-                beside_start, 0.0 if k else runs[beside_start + RUN_LENGTH]
-            )
-            own: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH] if k else 0.0)
-            far: cython.Py_ssize_t = self.return_of(run, 0.0 if k else runs[run + RUN_LENGTH])
-            if self._are_within(_CORNER, near, own) and self._before(beside_start, far) <= _ON_LINE:
+            near: cython.Py_ssize_t = self.return_of(other, 0 if k else other.length)
+            own: cython.Py_ssize_t = self.return_of(run, run.length if k else 0)
+            far: cython.Py_ssize_t = self.return_of(run, 0 if k else run.length)
+            if self._are_within(_CORNER, near, own) and self._before(other, far) <= _ON_LINE:
                 return near
         return -1
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
-    def _before(self, run: cython.Py_ssize_t, place: cython.Py_ssize_t) -> cython.double:
+    def _before(self, run: Run, place: cython.Py_ssize_t) -> cython.double:
         """m by which a return lies before the line of a run, seen from the lidar; < 0: behind."""
-        runs: cython.double[::1] = self.fields
-        nx: cython.double = -runs[run + RUN_UY]
-        ny: cython.double = runs[run + RUN_UX]
-        x: cython.double = runs[run + RUN_X]
-        y: cython.double = runs[run + RUN_Y]
+        nx: cython.double = -run.uy
+        ny: cython.double = run.ux
+        x: cython.double = run.x
+        y: cython.double = run.y
         off: cython.double = nx * (self.x[place] - x) + ny * (self.y[place] - y)
         return off if nx * (self.lidar_x - x) + ny * (self.lidar_y - y) >= 0.0 else -off
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
-    def along(self, run: cython.Py_ssize_t, number: cython.Py_ssize_t) -> cython.double:
+    def along(self, run: Run, number: cython.Py_ssize_t) -> cython.double:
         """m along a run of its return `number`; NaN for a return that is not on the line."""
-        runs: cython.double[::1] = self.fields
         place: cython.Py_ssize_t = self.return_of(run, number)
-        dx: cython.double = self.x[place] - runs[run + RUN_X]
-        dy: cython.double = self.y[place] - runs[run + RUN_Y]
-        if not fabs(runs[run + RUN_UX] * dy - runs[run + RUN_UY] * dx) <= _ON_LINE:
+        dx: cython.double = self.x[place] - run.x
+        dy: cython.double = self.y[place] - run.y
+        if not fabs(run.ux * dy - run.uy * dx) <= _ON_LINE:
             return NAN
-        return runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
+        return run.ux * dx + run.uy * dy
