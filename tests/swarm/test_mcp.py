@@ -39,7 +39,10 @@ if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
 
 BOTH = ("r1", "r2")
-LOOKS = {"members", "describe", "goal", "events", "patterns", "pattern", "scenarios", "simulate"}
+LOOKS = {
+    *("members", "describe", "goal", "events", "incidents"),
+    *("patterns", "pattern", "scenarios", "simulate"),
+}
 
 
 async def called(client: Client, name: str, /, **arguments: Any) -> tuple[bool, Any]:
