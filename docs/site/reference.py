@@ -903,7 +903,6 @@ if __name__ == "__main__":
             *ROOT.glob("*.md"),
             *ROOT.glob("docs/**/*.md"),
             *ROOT.glob("patterns/**/*.md"),
-            *ROOT.glob("studies/**/*.md"),
             ROOT / "benchmarks/README.md",
         ):
             text = page.read_text()

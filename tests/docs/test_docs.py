@@ -52,7 +52,6 @@ PAGES = sorted(
         *ROOT.glob("*.md"),
         *ROOT.glob("docs/**/*.md"),
         *ROOT.glob("patterns/**/*.md"),
-        *ROOT.glob("studies/**/*.md"),
         ROOT / "benchmarks/README.md",
     ]
 )
