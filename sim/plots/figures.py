@@ -384,13 +384,16 @@ class _Gallery:
         for run in runs:
             trace = self._trace(run)
             if trace is not None:
-                variant, width = run.variant.name, self._look.width
-                fields = self._fields(variant)
-                title = f"{self._title(variant)}, seed {run.seed}"
-                title += f"\n{word} run{self._primary_value(run, has_name=True)}"
-                name = word.replace(" ", "_")
-                figure = trajectories_figure(trace, title, fields=fields, width=width)
-                return [self._save(figure, f"{name}_trajectories", variant)], run
+                variant = run.variant.name
+                figure = trajectories_figure(
+                    trace,
+                    f"{self._title(variant)}, seed {run.seed}"
+                    f"\n{word} run{self._primary_value(run, has_name=True)}",
+                    fields=self._fields(variant),
+                    width=self._look.width,
+                )
+                stem = f"{word.replace(' ', '_')}_trajectories"
+                return [self._save(figure, stem, variant)], run
         return [], None
 
     def _trace(self, run: Run) -> Trace | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from swarmd.sim.experiments.tune import Tuning, quiet_optuna
+from swarmd.sim.plots.select import Quantity, label_of
 from swarmd.sim.plots.theme import save
 
 
@@ -25,23 +26,20 @@ def draw_landscape(tuning: Tuning, path: Path) -> Path:
     matplotlib.use("agg")
     labels, distributions = {}, {}
     for one in tuning.space.parameters:
-        unit = f" [{one.unit}]" if one.unit else ""
         share = tuning.importance.get(one.key)
         importance = "" if share is None else f"\nimportance {share:.0%}"
-        labels[one.name] = label = f"{one.name}{unit}{importance}"
+        labels[one.name] = f"{Quantity(one.name, one.unit)}{importance}"
         choices = CategoricalDistribution(one.choices) if one.choices else None
-        distributions[label] = choices or one.distribution()
-    unit = f" [{tuning.metric.unit}]" if tuning.metric.unit else ""
+        distributions[labels[one.name]] = choices or one.distribution()
+    metric = Quantity(label_of(tuning.metric.name), tuning.metric.unit)
     with quiet_optuna(), matplotlib.rc_context({"figure.constrained_layout.use": True}):
         study = create_study()
         for candidate in sorted(tuning.candidates, key=lambda one: one.number):
             values = {labels[name]: value for name, value in candidate.values.items()}
-            used = distributions if values else {}  # present values out of range
-            mean = tuning.value(candidate)
-            study.add_trial(create_trial(params=values, distributions=used, value=mean))
-        plot_slice(study, target_name=f"{tuning.metric.name.replace('_', ' ')}{unit}")
+            used = distributions if values else {}  # present values may be out of range
+            trial = create_trial(params=values, distributions=used, value=tuning.value(candidate))
+            study.add_trial(trial)
+        plot_slice(study, target_name=str(metric))
         figure = pyplot.gcf()
-        try:
-            return save(figure, path)
-        finally:
-            pyplot.close(figure)
+        pyplot.close(figure)  # pyplot forgets it
+        return save(figure, path)
