@@ -854,8 +854,8 @@ def _accepted(kind: msgspec.inspect.Type) -> str:
         case msgspec.inspect.FloatType() | msgspec.inspect.IntType():
             word = "integer" if isinstance(kind, msgspec.inspect.IntType) else "number"
             above = f" from {kind.ge:.7g}" if kind.ge is not None else ""
-            above = f" above {kind.gt:g}" if kind.gt is not None else above
-            return word + above + (f" to {kind.le:g}" if kind.le is not None else "")
+            above = f" above {kind.gt:.7g}" if kind.gt is not None else above
+            return word + above + (f" to {kind.le:.7g}" if kind.le is not None else "")
         case msgspec.inspect.LiteralType(values=values):
             return "one of " + ", ".join(f"`{part}`" for part in values)
         case (

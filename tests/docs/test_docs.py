@@ -422,6 +422,14 @@ def test_each_generated_key_has_a_meaning(part: str) -> None:
     assert [name for name, meaning, *_ in rows if not meaning.strip()] == []
 
 
+@pytest.mark.parametrize("section", ["The whole file", "groups.NAME", "start", "events"])
+def test_each_key_of_a_scenario_has_a_meaning(section: str) -> None:
+    text = reference()["part"]("scenarios").partition(f"### {section}\n")[2].partition("\n### ")[0]
+    rows = [line[2:].split(" | ") for line in text.splitlines() if line.startswith("| `")]
+    assert len(rows) >= 8
+    assert [row[0] for row in rows if len(row) < 4 or not row[1].strip()] == []
+
+
 @cache
 def words_of(page: str) -> set[str]:
     """The words in code, headings and the first cells of tables, of a page below docs."""
