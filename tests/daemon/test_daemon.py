@@ -80,7 +80,11 @@ class RecordingDriver:
 
 @pytest.fixture
 def settings(tmp_path: Path) -> DaemonSettings:
-    values: dict[str, object] = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path)}
+    values: dict[str, object] = {
+        "id": "tb3-01",
+        "swarm": unique_swarm(),
+        "state_dir": str(tmp_path),
+    }
     values["blackbox"] = {"seconds": 0}  # these tests replace parts of the robot, which it keeps
     return load_daemon_settings(None, values)
 
