@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.record_merge import parts_of
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.numbers import finite_number
@@ -151,9 +152,10 @@ def report(
 ) -> None:
     """Write the experiment in DIR as one HTML file: results, figures, a run to play, the manifest.
 
-    With FILE.mcap, the recording of one robot or of a swarm (`record merge`), the report has
-    states, gaps, stops, and paths by odometry. A report needs no network and no other file, and
-    prints well.
+    With FILE.mcap, the recording of one robot or of a swarm (`record merge`), or with a folder of
+    recordings (`record fetch`, `incidents fetch`), the report has states, gaps, stops, and paths by
+    odometry. Its player begins 10 s before an incident. A report needs no network and no other
+    file, and prints well.
 
     Exit code 1 if planned runs of the experiment are missing.
     """
@@ -161,8 +163,8 @@ def report(
     need("mujoco", "matplotlib")
     from swarmd.sim.experiments.manifest import write_whole
 
-    is_recording = place.suffix == ".mcap"
-    path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
+    is_recording = place.suffix == ".mcap" or _has_recordings(place)
+    path = out or (place.with_suffix(".html") if place.is_file() else place / "report.html")
     if out is not None and (path.suffix != ".html" or not path.parent.is_dir()):
         raise ConfigError(f"{path}: expected a name that ends in .html, in a folder that exists")
 
@@ -174,9 +176,8 @@ def report(
         need("mcap", "rosbags", extra="sim,plot,record")
         from swarmd.sim.report.recording_report import recording_report
 
-        text = recording_report(place)
+        text = recording_report(parts_of((place,)), place)
     else:
-        _refuse_recordings(place)
         from swarmd.sim.experiments.results import load_results
         from swarmd.sim.report.html import report_of
 
@@ -197,15 +198,11 @@ def report(
         exit_if_incomplete(results)
 
 
-def _refuse_recordings(folder: Path) -> None:
-    """Raise ConfigError for a folder with recordings that is no experiment."""
+def _has_recordings(folder: Path) -> bool:
+    """True for a folder with recordings that is no experiment."""
     from swarmd.sim.experiments.manifest import NAME
 
-    if not (folder / NAME).exists() and folder.is_dir() and any(folder.rglob("*.mcap")):
-        raise ConfigError(
-            f"{folder}: a folder of recordings; expected an experiment or one file, such as"
-            f" that of: swarmctl record merge {folder} -o {folder.name}.mcap"
-        )
+    return not (folder / NAME).exists() and folder.is_dir() and any(folder.rglob("*.mcap"))
 
 
 @click.command(epilog="Example: swarmctl exp view runs/gather --seed 7")

@@ -72,6 +72,10 @@ class Incident(Struct, frozen=True, kw_only=True):
     by: Name
     wall: Wall = 0.0
 
+    def line(self, at: float) -> str:
+        """The incident in a line; `at`: its time in s on the timeline of a recording."""
+        return f"incident {self.id} of {self.robot} at {at:.3f} s: {self.kind}: {self.text}"
+
 
 class ToldIncident(Struct, frozen=True, kw_only=True):
     """An incident as a robot hands it on: `age` s ago.

@@ -161,6 +161,26 @@ def test_a_fetched_incident_is_replayed_as_one_swarm(
     assert all(row["safe"]["count"] > 100 for row in found["robots"])
 
 
+def test_why_names_the_incident_first_and_then_the_decisions_with_their_bound(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    keep_files(robots, files)
+    robots.swarmctl("incidents", "fetch", ID, "-d", str(tmp_path))
+    code, out, _ = robots.swarmctl("replay", str(tmp_path), "--why", "tb3-01")
+    lines = out.splitlines()
+    assert code == 0
+    assert lines[0].startswith(f"incident {ID} of tb3-02 at 13.950 s: mark: a chair fell")
+    assert "tb3-01" in lines[1]
+    before = [line for line in lines[2:] if line.startswith("  ")]
+    times = [float(line.split()[0]) for line in before]
+    assert 12.9 < times[0] <= times[-1] <= 13.95, "the last second before it, none after it"
+    assert {"odometry", "tick", "host"} <= {line.split()[2] for line in before}
+    decided = [line for line in before if "m/s" in line]
+    assert all("0.100 m/s" in line and "running" in line for line in decided)
+    found = robots.json("replay", str(tmp_path), "--why", "tb3-01")
+    assert found["why"] == lines[: 2 + len(before)]
+
+
 def test_a_fetch_that_was_cut_continues(
     robots: Robots, files: dict[str, bytes], tmp_path: Path
 ) -> None:

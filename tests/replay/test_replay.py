@@ -24,16 +24,17 @@ from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.low_battery import LowBatterySettings
-from swarmd.core.messages import State
+from swarmd.core.messages import LimitingObstacle, State
 from swarmd.core.values import Pose, SharedPose, Twist
 from swarmd.mission.mission import mission_class
 from swarmd.pattern_host.loader import PatternLoader
+from swarmd.protection.decision import Decision
 from swarmd.protection.fence.fence_settings import FenceSettings
-from swarmd.recording import frames
+from swarmd.recording import frames, messages
 from swarmd.recording.head import head_of
 from swarmd.recording.inputs import GEOMETRY, InputReader
 from swarmd.recording.reader import RecordedFile, read_file
-from swarmd.replay.replay import Compared, Parity, recordings_of, total
+from swarmd.replay.replay import Compared, Parity, decision_text, recordings_of, total
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story, repeat, rewritten
@@ -488,3 +489,19 @@ def test_commands_are_compared_to_the_bit(replayed: Twist, recorded: Twist, is_e
     compared.add(replayed, recorded, 2.5)
     assert compared.is_equal is is_equal
     assert compared.first == (None if is_equal else 2.5)
+
+
+def test_the_line_of_a_decision_names_the_tightest_obstacle() -> None:
+    near = LimitingObstacle(math.radians(-30.0), 0.21, 0.05)
+    far = LimitingObstacle(math.radians(80.0), 0.9, 0.4)
+    decision = Decision(
+        "barrier", Twist(0.2), Twist(0.05, 0.1), None, True, (near, far), 0.21, 0.0, 7
+    )
+    entry = frames.DecisionEntry(1.0, "scan", "running", "protection", decision)
+    text = decision_text(messages.deserialize(*messages.decision_message(entry, 1.0)))
+    assert text.startswith("running protection, barrier active: 0.200 m/s 0.000 rad/s -> 0.050 m/s")
+    assert text.endswith("an obstacle at -30 deg, 0.21 m, cap 0.050 m/s")
+    held = structs.replace(entry, reason="scan_stale", decision=structs.replace(decision, rows=()))
+    text = decision_text(messages.deserialize(*messages.decision_message(held, 1.0)))
+    assert "scan_stale" in text
+    assert "obstacle" not in text
