@@ -70,7 +70,7 @@ help:
 	@echo "make mutants-of  the same for all that commits changed there; ARGS=HEAD [default], or COMMIT.."
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"
-	@echo "make ros-study    faults of three robots on DDS behind that router, for studies/ros/faults.md; six minutes"
+	@echo "make ros-study    faults of three robots on DDS behind that router, for docs/ros_faults.md; six minutes"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
@@ -245,7 +245,7 @@ safety: $(VENV)/tools
 	@$(BIN)/python -m studies.safety hours $(ARGS)
 	@$(BIN)/python -m studies.safety progress
 
-# Three robots on DDS behind one bridge, and what their daemons make of thirty faults, in studies/ros/faults.md.
+# Three robots on DDS behind one bridge, and what their daemons make of thirty faults, in docs/ros_faults.md.
 ros-study: $(VENV)/tools
 	@command -v zenoh-bridge-ros2dds >/dev/null || $(MAKE) --no-print-directory ros2-router
 	@$(BIN)/python -m studies.ros $(ARGS)

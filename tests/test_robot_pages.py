@@ -13,9 +13,7 @@ import yaml
 
 from swarmd.core.events import SensorInput
 from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
-from swarmd.drivers.replay import ReplayOptions
 from swarmd.drivers.ros.options import RmwOptions, Ros1Options, RosOptions, read_options
-from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.driver_contract import DetachableRig, Rig, ScriptedRig
 
@@ -95,13 +93,6 @@ def test_options_in_tables_are_taken_by_a_driver(page: str, options: dict[str, A
     for kind in kinds:
         mine = {key: value for key, value in options.items() if key in kind.__struct_fields__}
         msgspec.convert(mine, kind)
-
-
-def test_each_option_of_a_driver_is_explained() -> None:
-    text = (ROOT / "docs" / "configuration.md").read_text().split("## A driver's options")[1]
-    kinds = (BaseOptions, RmwOptions, Ros1Options, ReplayOptions)
-    names = {name for kind in kinds for name in kind.__struct_fields__}
-    assert not [name for name in sorted(names) if f"`{name}`" not in text]
 
 
 def test_each_shipped_robot_has_a_page() -> None:

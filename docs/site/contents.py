@@ -43,7 +43,7 @@ INNER = {
     "docs/evidence/README": [
         *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals"),
         *_inside("docs/evidence", "network", "security", "simulation"),
-        *("docs/paper", "docs/ros_faults", "studies/ros/faults", "benchmarks/README"),
+        *("docs/paper", "docs/ros_faults", "benchmarks/README"),
         "ARCHITECTURE",
     ],
     "ARCHITECTURE": _inside("docs/architecture", "robot", "operator", "laboratory"),

@@ -33,6 +33,7 @@ from swarmd.cli.swarmctl import cli
 from swarmd.core.errors import ConfigError
 from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
 from swarmd.core.keys import CONTROL, SHARED, STATE, build
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.values import (
     POSE_OPTIONS,
     Detection,
@@ -50,13 +51,21 @@ from swarmd.core.values import (
 )
 from swarmd.core.verbs import VERBS
 from swarmd.daemon.driver import make_driver
+from swarmd.drivers.replay import ReplayOptions
+from swarmd.drivers.ros.options import RmwOptions, Ros1Options, RosOptions, TopicOptions
+from swarmd.drivers.simulated import SimulatedOptions
 from swarmd.kit.behavior import Context
+from swarmd.kit.touch_config import TouchSection
 from swarmd.network.access import robot_access
+from swarmd.network.members.neighbor_settings import NeighborSettings
 from swarmd.protection.compatibility import assumed_speed, body_of, sees
+from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
 from swarmd.security.roster import Roster
+from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import (
     PlatformFile,
+    ProtectionSection,
     ScanSection,
     SensorSection,
     SweepSection,
@@ -64,7 +73,14 @@ from swarmd.settings.platforms import (
     platform_names,
     platform_sources,
 )
+from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_daemon_settings
+from swarmd.settings.swarmfile import (
+    DaemonFile,
+    GoalSection,
+    ParametersSection,
+    RecordingSection,
+)
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.placed import KINDS
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names, task_names
@@ -257,9 +273,37 @@ def platforms() -> Iterator[str]:
     yield from _schema("scan.sweep", SweepSection)
     yield from _schema("heights", Heights)
     yield from _schema("sensors.NAME", SensorSection)
+    yield from _schema("protection", ProtectionSection)
     yield from _schema("protection.barrier", BarrierSettings)
     yield from _schema("protection.stop_zone", StopZoneSettings)
     yield from _schema("protection.presets.NAME", PotentialFieldSettings)
+
+
+def settings() -> Iterator[str]:
+    """The keys of the files of a swarm and of a daemon."""
+    yield from _schema("", DaemonFile, RobotSettings)
+    yield from _schema("goal", GoalSection)
+    yield from _schema("parameters", ParametersSection)
+    yield from _schema("touch.PATTERN", TouchSection)
+    yield from _schema("fence", FenceSettings)
+    yield from _schema("on_low_battery", LowBatterySettings)
+    yield from _schema("neighbors", NeighborSettings)
+    yield from _schema("recording", RecordingSection)
+
+
+def driver_options() -> Iterator[str]:
+    """The options common to all drivers, and those of the drivers that need no robot."""
+    yield from _schema("All drivers", BaseOptions)
+    yield from _schema("simulated", SimulatedOptions)
+    yield from _schema("replay", ReplayOptions)
+
+
+def ros_options() -> Iterator[str]:
+    """The options of the drivers for ROS: those of all, then those of each."""
+    yield from _schema("All drivers for ROS", TopicOptions)
+    yield from _schema("ros2dds and rmw_zenoh", RosOptions, beyond=TopicOptions)
+    yield from _schema("rmw_zenoh", RmwOptions, beyond=RosOptions)
+    yield from _schema("ros1", Ros1Options, beyond=TopicOptions)
 
 
 def mixed() -> Iterator[str]:
@@ -653,6 +697,9 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "films": films,
     "runs_on": runs_on,
     "platforms": platforms,
+    "settings": settings,
+    "driver_options": driver_options,
+    "ros_options": ros_options,
     "mixed": mixed,
     "rules": rules,
     "words": words,
@@ -735,17 +782,27 @@ def _command(command: click.Command, path: str, parent: click.Context | None) ->
                 yield from _command(verb, f"{path} {name}", ctx)
 
 
-def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
-    """A table of the keys of a section: what each accepts, its default and its meaning."""
+def _schema(
+    where: str,
+    kind: type[msgspec.Struct],
+    *explained: type[msgspec.Struct],
+    beyond: type[msgspec.Struct] | None = None,
+) -> Iterator[str]:
+    """A table of the keys of a section: what each accepts, its default and its meaning.
+
+    `explained`: further classes whose docstrings explain keys. `beyond`: without its keys.
+    """
+    explaining = (*explained, *reversed(kind.__mro__))
     yield f"### {where}" if where else "### The whole file"
     text = inspect.cleandoc(kind.__doc__ or "")
     bullets = {
         name: meaning
-        for base in reversed(kind.__mro__)
+        for base in explaining
         for name, meaning in _bullets(inspect.cleandoc(base.__doc__ or "")).items()
     }
     yield prose(re.sub(r"\n*^- `(?:.|\n  )*", "", text, flags=re.MULTILINE))
-    comments = _comments(kind)
+    comments = {name: meaning for base in explaining for name, meaning in _comments(base).items()}
+    left_out = beyond.__struct_fields__ if beyond else ()
     info = msgspec.inspect.type_info(kind)
     assert isinstance(info, msgspec.inspect.StructType)
     rows = [
@@ -756,6 +813,7 @@ def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
             "required" if field.required else _shown_default(field),
         )
         for field in info.fields
+        if field.name not in left_out
     ]
     if any(row[1] for row in rows):
         yield _table(("key", "meaning", "accepted", "default"), rows)
@@ -774,7 +832,10 @@ def _bullets(text: str) -> dict[str, str]:
 
 def _comments(kind: type) -> dict[str, str]:
     """The comment above each field of a class."""
-    comments, above = {}, []
+    comments: dict[str, str] = {}
+    above: list[str] = []
+    if kind in (object, msgspec.Struct) or kind.__name__.startswith("_"):
+        return comments  # no source: built in, or made by `defstruct`
     for line in inspect.getsource(kind).splitlines():
         text = line.strip()
         if text.startswith("#"):
@@ -795,12 +856,14 @@ def _accepted(kind: msgspec.inspect.Type) -> str:
             return " or ".join(dict.fromkeys(map(_accepted, listed)))
         case msgspec.inspect.FloatType() | msgspec.inspect.IntType():
             word = "integer" if isinstance(kind, msgspec.inspect.IntType) else "number"
-            above = f" from {kind.ge:g}" if kind.ge is not None else ""
-            above = f" above {kind.gt:g}" if kind.gt is not None else above
-            return word + above + (f" to {kind.le:g}" if kind.le is not None else "")
+            above = f" from {kind.ge:.7g}" if kind.ge is not None else ""
+            above = f" above {kind.gt:.7g}" if kind.gt is not None else above
+            return word + above + (f" to {kind.le:.7g}" if kind.le is not None else "")
         case msgspec.inspect.LiteralType(values=values):
             return "one of " + ", ".join(f"`{part}`" for part in values)
-        case msgspec.inspect.ListType(item_type=item):
+        case (
+            msgspec.inspect.ListType(item_type=item) | msgspec.inspect.VarTupleType(item_type=item)
+        ):
             return f"list of: {_accepted(item)}"
         case msgspec.inspect.TupleType(item_types=items):
             return "[" + ", ".join(map(_accepted, items)) + "]"
@@ -843,7 +906,6 @@ if __name__ == "__main__":
             *ROOT.glob("*.md"),
             *ROOT.glob("docs/**/*.md"),
             *ROOT.glob("patterns/**/*.md"),
-            *ROOT.glob("studies/**/*.md"),
             ROOT / "benchmarks/README.md",
         ):
             text = page.read_text()

@@ -51,6 +51,8 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     - `namespace`: precedes every topic that does not begin with a slash; `{robot}` in it is the
       robot's id, with `_` for `-`.
+    - `scan`, `odometry`, `cmd_vel`: the topics of the scan, of the odometry and of the commands.
+      Without `scan` it is `scan`.
     - `imu`, `battery`: subscribed to only if named. They give the readings `yaw` in rad, `battery`
       (0 to 1) and `battery_voltage`.
     - `battery_volts`: the volts of an empty and of a full pack, from which `battery` follows.
@@ -63,7 +65,8 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `scan_yaw_deg`: the direction of the lidar's zero, from the base's front to the left.
     - `scan_upside_down`: the lidar hangs upside down, so that it turns the other way.
     - `shared_pose`: a topic with the pose of the base's axle in a frame that all robots share.
-    - `shared_pose_type`: the message type of that topic.
+    - `shared_pose_type`: `pose` is PoseStamped, `pose_with_covariance` is
+      PoseWithCovarianceStamped, as of AMCL, which odometry carries on.
     - `shared_pose_error`, `shared_pose_error_deg`: bounds of the errors in m and degrees; three
       standard deviations of the message's covariance count instead if they are greater.
     - `cmd_vel_type`: the type of the commands; `auto`: the type to which the base subscribes.
@@ -178,7 +181,10 @@ class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of rmw_zenoh: `domain` is ROS_DOMAIN_ID on the robot."""
+    """Options of rmw_zenoh beside those of `ros2dds`.
+
+    - `domain`: ROS_DOMAIN_ID on the robot.
+    """
 
     domain: Annotated[int, Meta(ge=0, le=232)] = 0
 

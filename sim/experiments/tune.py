@@ -271,7 +271,7 @@ def tune(
             on_step=on_step,
             on_progress=on_progress,
         )
-        with _quiet_optuna():
+        with quiet_optuna():
             tuning = tuner.search()
         tuner.assess(tuning, held_out_seeds, pseudo_reality=pseudo_reality)
     except BaseException:
@@ -635,7 +635,7 @@ def _sampler(number: int) -> BaseSampler:
 
 
 @contextmanager
-def _quiet_optuna() -> Iterator[None]:
+def quiet_optuna() -> Iterator[None]:
     """Without optuna's log and its warnings of experimental parts; afterwards all is as before."""
     import optuna
 

@@ -31,7 +31,6 @@ from swarmd.sim.plots.intervals import (
     differences_figure,
     intervals_figure,
 )
-from swarmd.sim.plots.start_and_end import start_and_end_figure
 from swarmd.sim.plots.survival import Times, survival_figure
 from swarmd.sim.plots.theme import save
 from swarmd.sim.plots.trajectories import overview_figure, trajectories_figure
@@ -90,9 +89,9 @@ def draw_experiment(
       events as survival curves, differences from the first variant. A metric with one value in all
       runs is not drawn.
     - `runs`: for each variant a picture of all its runs from above.
-    - `trajectories`: for each variant two runs from above, by their paths and by start and end: a
-      typical run, nearest to the median, and the worst run. A metric of which neither direction is
-      better has no worst run: the run farthest from the median is drawn.
+    - `trajectories`: for each variant the paths of two runs from above: a typical run, nearest to
+      the median, and the worst run. A metric of which neither direction is better has no worst run:
+      the run farthest from the median is drawn.
 
     `out`: the folder of the pictures; None: `plots` in the experiment's folder. `metrics`: the
     metrics to draw, of which the first selects the typical run; None: default metrics. `seeds`:
@@ -312,7 +311,7 @@ class _Gallery:
         return [self._save(figure, "runs", variant)]
 
     def chosen_runs(self, variant: str) -> list[Path]:
-        """Paths, start and end of a typical run and of the worst one."""
+        """The paths of a typical run and of the worst one."""
         runs = self._of(variant)
         if not self._has_traces:
             return []
@@ -380,22 +379,21 @@ class _Gallery:
     def _first_of(self, runs: Sequence[Run], word: str) -> tuple[list[Path], Run | None]:
         """Draw the first of `runs` that has a trace, as a `word` run ("typical", "worst").
 
-        Returns the paths of two pictures and the run; no path and None if no run has a trace.
+        Returns the path of the picture and the run; no path and None if no run has a trace.
         """
         for run in runs:
             trace = self._trace(run)
             if trace is not None:
-                variant, width = run.variant.name, self._look.width
-                fields = self._fields(variant)
-                title = f"{self._title(variant)}, seed {run.seed}"
-                title += f"\n{word} run{self._primary_value(run, has_name=True)}"
-                name = word.replace(" ", "_")
-                trajectories = trajectories_figure(trace, title, fields=fields, width=width)
-                start_and_end = start_and_end_figure(trace, title, fields=fields, width=width)
-                return [
-                    self._save(trajectories, f"{name}_trajectories", variant),
-                    self._save(start_and_end, f"{name}_start_and_end", variant),
-                ], run
+                variant = run.variant.name
+                figure = trajectories_figure(
+                    trace,
+                    f"{self._title(variant)}, seed {run.seed}"
+                    f"\n{word} run{self._primary_value(run, has_name=True)}",
+                    fields=self._fields(variant),
+                    width=self._look.width,
+                )
+                stem = f"{word.replace(' ', '_')}_trajectories"
+                return [self._save(figure, stem, variant)], run
         return [], None
 
     def _trace(self, run: Run) -> Trace | None:

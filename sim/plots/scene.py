@@ -1,6 +1,6 @@
 """A run from above, painted onto axes: the arena, its obstacles and fields, and the robots.
 
-Figures and legends are made by `trajectories.py` and `start_and_end.py`.
+`trajectories.py` makes figures and legends of them, `film.py` frames.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 WALL_COLOUR = "0.3"
 FIXED_COLOUR = "0.65"
 MOVABLE_BOX_COLOUR = "#C49C6B"
-LINK_COLOUR = "0.6"
 _SMALL_PART = 0.5  # of the arena's longer side
 _MAX_STEPS = 100_000  # drawn of all paths together
 _MAX_LARGE = 100  # robots with thick outlines
@@ -263,16 +262,6 @@ def _ink(colour: str) -> str:
 def _nose(footprint: Array, pose: Array) -> Array:
     ahead = float(footprint[:, 0].max())
     return transform(np.array([[0.0, 0.0], [ahead, 0.0]]), pose)
-
-
-def paint_links(axes: Axes, a: Array, b: Array) -> None:
-    """Thin lines between places a and b (k, 2), below the robots."""
-    from matplotlib.collections import LineCollection
-
-    lines = list(np.stack((a, b), axis=1))
-    axes.add_collection(
-        LineCollection(lines, colors=LINK_COLOUR, linewidth=0.8, zorder=1.7), autolim=False
-    )
 
 
 _CELLS = 160  # along the longer side

@@ -2,85 +2,44 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from swarmd.sim.experiments.tune import Candidate, Tuning
-    from swarmd.sim.metrics.catalog import Metric
-
-_COLUMNS = 3
-_LINE = 24  # characters along an axis
-_PRESENT, _BEST, _OUT = VARIANT_COLOURS[5], VARIANT_COLOURS[1], GUIDE_COLOUR
+from swarmd.sim.experiments.tune import Tuning, quiet_optuna
+from swarmd.sim.plots.select import Quantity, label_of
+from swarmd.sim.plots.theme import save
 
 
 def draw_landscape(tuning: Tuning, path: Path) -> Path:
-    """Draw a panel for each parameter, with the mean of each candidate; returns the path.
+    """Draw optuna's slice plot of the mean of each candidate, a panel a parameter; returns `path`.
 
-    The horizontal axis has the values of the parameter, the vertical axis the metric. The best
-    candidate and the present values have colours. A small pale point is a candidate that ended
-    early, whose mean is extrapolated.
+    The colour has the number of the candidate; the present values are the palest point, unless they
+    are outside of the search space. The mean of a candidate that ended early is extrapolated. A
+    verb draws it: matplotlib then has the backend Agg, which opens no window.
     """
-    space = tuning.space
-    rows = -(-len(space.parameters) // _COLUMNS)
-    columns = min(len(space.parameters), _COLUMNS)
-    figure = new_figure(3.4 * columns, 2.8 * rows)
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for axes, parameter in zip(grid.flat, space.parameters, strict=False):
-        for candidate in tuning.candidates:
-            if parameter.name in candidate.values:  # present values out of range are left out
-                x = parameter.number_of(candidate.values[parameter.name])
-                _paint_candidate(axes, candidate, x, tuning)
-        if parameter.choices:
-            axes.set_xticks(range(len(parameter.choices)), list(map(str, parameter.choices)))
-        else:
-            low, high = parameter.low, parameter.high
-            left_margin = right_margin = 0.03 * (high - low)
-            if parameter.is_log:
-                axes.set_xscale("log")
-                left_margin, right_margin = 0.1 * low, 0.1 * high
-            left, right = axes.get_xlim()  # present values may be outside of the range
-            axes.set_xlim(min(left, low - left_margin), max(right, high + right_margin))
-        share = tuning.importance.get(parameter.key)
+    import matplotlib
+    from matplotlib import pyplot
+    from optuna import create_study
+    from optuna.distributions import CategoricalDistribution
+    from optuna.trial import create_trial
+    from optuna.visualization.matplotlib import plot_slice
+
+    matplotlib.use("agg")
+    labels, distributions = {}, {}
+    for one in tuning.space.parameters:
+        share = tuning.importance.get(one.key)
         importance = "" if share is None else f"\nimportance {share:.0%}"
-        unit = f" [{parameter.unit}]" if parameter.unit else ""
-        axes.set_xlabel(f"{parameter.name}{unit}{importance}")
-    for axes in grid.flat[len(space.parameters) :]:
-        axes.set_axis_off()
-    for axes in grid[:, 0]:
-        axes.set_ylabel(_label(tuning.metric))
-    # The marks mean the same in all panels, so the first panel gives the legend.
-    handles, labels = grid.flat[0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside upper center", ncols=2)
-    return save(figure, path)
-
-
-def _paint_candidate(axes: Axes, candidate: Candidate, x: float, tuning: Tuning) -> None:
-    """Paint the mean of a candidate at the value `x` of a parameter."""
-    colour, size, label = _OUT, 3 if candidate.is_out else 5, None
-    if candidate.number == 0:
-        colour, label = _PRESENT, "present"
-    if candidate is tuning.best:  # the present values may be the best
-        colour, size, label = _BEST, 8, "tuned"
-    axes.plot(
-        x,
-        tuning.value(candidate),
-        linestyle="none",
-        marker="D" if candidate.number == 0 else "o",
-        markersize=size,
-        color=colour,
-        alpha=0.5 if candidate.is_out else 1.0,
-        label=label,
-    )
-
-
-def _label(metric: Metric) -> str:
-    """The label of the axis of a metric: words and unit, on lines as long as the axis."""
-    unit = f" [{metric.unit}]" if metric.unit else ""
-    return textwrap.fill(metric.name.replace("_", " ") + unit, _LINE, break_long_words=False)
+        labels[one.name] = f"{Quantity(one.name, one.unit)}{importance}"
+        choices = CategoricalDistribution(one.choices) if one.choices else None
+        distributions[labels[one.name]] = choices or one.distribution()
+    metric = Quantity(label_of(tuning.metric.name), tuning.metric.unit)
+    with quiet_optuna(), matplotlib.rc_context({"figure.constrained_layout.use": True}):
+        study = create_study()
+        for candidate in sorted(tuning.candidates, key=lambda one: one.number):
+            values = {labels[name]: value for name, value in candidate.values.items()}
+            used = distributions if values else {}  # present values may be out of range
+            trial = create_trial(params=values, distributions=used, value=tuning.value(candidate))
+            study.add_trial(trial)
+        plot_slice(study, target_name=str(metric))
+        figure = pyplot.gcf()
+        pyplot.close(figure)  # pyplot forgets it
+        return save(figure, path)

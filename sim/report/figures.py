@@ -28,7 +28,6 @@ _CAPTIONS = (
     ("over_time_", "{Name} over time: median over the seeds, and bands around it."),
     ("runs", "All runs, seen from above."),
     ("trajectories", "Paths of the {name} run: hollow at the start, filled at the end."),
-    ("start_and_end", "Start and end of the {name} run."),
 )
 _COLOURS = 160  # of a picture: a quarter of its bytes, and no difference to the eye
 

@@ -227,19 +227,18 @@ def stops_of(trace: Trace) -> list[tuple[str, ...]]:
         is_zero = (np.abs(trace.safe[:, robot]) <= MOVING).all(axis=1)
         is_held = (state == "running") & is_requested & is_zero
         is_stopped = is_held | np.isin(state, ("estopped", "faulted"))
-        for first, end in _true_spans(is_stopped):
+        for first, end in _spans(is_stopped):
             start, seconds = float(trace.t[first]), float(trace.t[end - 1] - trace.t[first])
-            if seconds >= LEAST_STOP:
+            if is_stopped[first] and seconds >= LEAST_STOP:
                 why = _most_frequent(reason[first:end]) or str(state[first])
                 stops.append((start, (f"{start:.1f} s", name, f"{seconds:.1f} s", why)))
     return [cells for _, cells in sorted(stops)]
 
 
-def _true_spans(is_true: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """The spans in which `is_true` (instants,) holds: first instant, first instant after."""
-    padded = np.concatenate(([False], is_true, [False])).astype(int)
-    changes = np.flatnonzero(np.diff(padded)).tolist()  # by turns the begin and the end of a span
-    yield from zip(changes[::2], changes[1::2], strict=True)
+def _spans(values: NDArray[Any]) -> Iterator[tuple[int, int]]:
+    """The spans of equal values (instants,): first instant, first instant after."""
+    changes = np.flatnonzero(values[1:] != values[:-1]) + 1
+    return itertools.pairwise([0, *changes.tolist(), len(values)])
 
 
 def _most_frequent(reasons: Iterable[str]) -> str:
@@ -274,10 +273,10 @@ def _states_figure(trace: Trace) -> Figure:
     axes = figure.add_subplot()
     tidy(axes)
     for row in range(len(trace.ids)):
-        for first, last, state in _spans(trace.state[:, row]):
-            if state:
-                width = float(trace.t[last] - trace.t[first])
-                axes.barh(row, width, left=float(trace.t[first]), color=STATES.get(state, UNKNOWN))
+        for first, end in _spans(trace.state[:, row]):
+            if state := str(trace.state[first, row]):
+                start, stop = trace.t[first], trace.t[min(end, len(trace.t) - 1)]
+                axes.barh(row, stop - start, left=start, color=STATES.get(state, UNKNOWN))
     axes.set_yticks(range(len(trace.ids)), trace.ids)
     axes.invert_yaxis()
     axes.set_xlabel("time [s]")
@@ -288,13 +287,6 @@ def _states_figure(trace: Trace) -> Figure:
             handles=handles, loc="outside upper right", ncols=5, frameon=False, fontsize=9
         )
     return figure
-
-
-def _spans(words: Any) -> list[tuple[int, int, str]]:
-    """Runs of equal words: first instant, first instant of the next run, word."""
-    edges = [0, *(np.flatnonzero(words[1:] != words[:-1]) + 1).tolist(), len(words) - 1]
-    pairs = itertools.pairwise(edges)
-    return [(first, last, str(words[first])) for first, last in pairs if last > first]
 
 
 def _gaps_figure(trace: Trace) -> Figure:

@@ -24,7 +24,11 @@ Targets = str | list[str]
 class BoxSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A box by centre and side lengths; with a `mass` in kg it is movable.
 
-    A movable box without `at` is outside the arena until an event places it.
+    - `name`: by which events place and remove the box.
+    - `at`: the centre. A movable box without `at` is outside the arena until an event places it.
+    - `size`: the lengths of its sides.
+    - `yaw_deg`: its heading.
+    - `mass`: in kg; None: the box is fixed.
     """
 
     name: str = ""
@@ -58,7 +62,20 @@ class ArenaSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where robots start. `start_poses.KEYS` lists the layouts and their keys."""
+    """Where robots start.
+
+    - `layout`: `row`, `grid` and `paper` (a row that begins in the middle) have `spacing`; `ring`
+      has `radius`; `random` has `clearance` and `size`; `chain` has `near` and `far`; `list` has
+      `poses`. All but `list` have `center` and `heading_deg`.
+    - `spacing`: m between neighbours.
+    - `radius`: m of the ring.
+    - `clearance`: m that are free around each robot.
+    - `near`, `far`: bounds in m of the distance to the nearest robot.
+    - `size`: the lengths of the area.
+    - `center`: the middle of the robots.
+    - `heading_deg`: the heading of the robots.
+    - `poses`: x, y and heading in degrees of each robot.
+    """
 
     layout: str | None = None
     spacing: Size | None = None
@@ -75,9 +92,15 @@ class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Robots of one platform: `count` robots named `<prefix>-01` and on, or the ids in `robots`.
 
-    The robots run `pattern` from the start, but robots that join later run no pattern without a
-    `run` event. `parameters` apply whenever `pattern` runs. `touch`: by pattern, the directions in
-    which the pattern may press against obstacles, as in a daemon's file.
+    - `platform`: the platform of the robots.
+    - `count`, `prefix`: how many robots, and how their names begin.
+    - `robots`: their ids, instead.
+    - `start`: where these robots start.
+    - `pattern`: what the robots run from the start. Robots that join later run no pattern without a
+      `run` event.
+    - `parameters`: apply whenever `pattern` runs.
+    - `touch`: by pattern, the directions in which the pattern may press against obstacles, as in a
+      daemon's file. It prevails over that of the file.
     """
 
     platform: str = "waffle_pi"
@@ -93,11 +116,18 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Exactly one of the actions of `schedule.ACTIONS`, `at` a time.
 
-    - stop, estop, reset, join, leave, kill: robots, a group or `all`.
-    - run: a pattern, for `targets` (default: all). param: parameter values, for `targets`.
-    - place: a box.
-    - remove: a box, or robots, whose daemons are killed and which leave the arena for good.
-    - fields: fields that replace the fields of the same names.
+    - `at`: s after the start of the run.
+    - `run`: a pattern, for `targets`.
+    - `param`: values of parameters, for `targets`, such as `{speed: 0.2}`.
+    - `stop`, `estop`, `reset`, `join`, `leave`, `kill`: robots, a group or `all`.
+    - `place`: a box.
+    - `remove`: a box, or robots, whose daemons are killed and which leave the arena for good.
+    - `fields`: fields that replace the fields of the same names.
+    - `targets`: the robots of `run` and `param`; None: all.
+    - `parameters`: of the pattern of `run`.
+    - `seconds` (`for` in files), `until`: the run ends after this time in s, or with a condition
+      such as `nearer:0.5`.
+    - `pose`: x, y and heading in degrees of the box of `place`.
     """
 
     at: Annotated[float, Meta(ge=0.0, le=1e6)]
@@ -122,16 +152,32 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class ScenarioFile(RobotSettings, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The whole file.
 
-    - `platforms` overrides values of a platform's own file, or describes a new platform.
-    - `start` places the robots of all groups that have no `start` of their own, as one group.
-    - `parameters`, by pattern, apply to all robots; the parameters of a group prevail.
-    - The keys of `RobotSettings`, such as `on_low_battery`, are as in swarm.yaml, for all robots.
-      The shared frame is `world`. The `touch` of a group prevails.
-    - `pattern`: the groups without a pattern run it. `patterns`: parameters of further choices of
-      `pattern`, by pattern: `NAME` for all of these groups, `GROUP.NAME` for one of them. `swarmctl
-      exp bench` runs each choice, and ranks them by `metric`, which is no Python file.
-    - `plugin_dir` is relative to the file.
-    - `pseudo_reality` has bounds of keys of `realism` and `radio`, such as
+    The keys of robots (`touch` to `on_low_battery`) are as in swarm.yaml, for all robots. The
+    shared frame is `world`.
+
+    - `name`: of the scenario; None: that of its file.
+    - `description`: what `exp list` shows.
+    - `extends`: another scenario, which gives all keys that this file leaves out.
+    - `duration`: s of simulation.
+    - `trace_rate`: recorded instants a second.
+    - `lidar_visibility`: `body`: a lidar sees whole robots. `real`: it sees what is at its height.
+    - `realism`: noise of sensors and bases: `realistic`, `ideal`, or single values.
+    - `radio`: which robots receive from each other.
+    - `arena`: four walls, and the obstacles between them.
+    - `fields`: scalar fields, such as a floor, light and temperature, whose value each robot reads
+      at its place.
+    - `items`: objects that robots carry or push.
+    - `platforms`: values that replace those of a platform's own file, or a new platform.
+    - `groups`: robots of one platform each, by name.
+    - `start`: places the robots of all groups that have no `start` of their own, as one group.
+    - `parameters`: by pattern, for all robots; the parameters of a group prevail.
+    - `events`: what happens at a time.
+    - `pattern`: the groups without a pattern run it.
+    - `patterns`: parameters of further choices of `pattern`, by pattern: `NAME` for all of these
+      groups, `GROUP.NAME` for one of them. `swarmctl exp bench` runs each choice.
+    - `metric`: by which `exp bench` ranks them; no Python file.
+    - `plugin_dir`: a folder of one-file patterns and missions, relative to the file.
+    - `pseudo_reality`: bounds of keys of `realism` and `radio`, such as
       `{realism.lidar.dropout: [0, 0.1]}`. Each seed draws values within the bounds. True: the
       bounds of `pseudo_reality.BOUNDS`.
     """

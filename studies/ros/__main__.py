@@ -1,7 +1,7 @@
 """Faults of robots on DDS: `python -m studies.ros [OUT] [--seed N] [--only WORD]`, ten minutes.
 
-Writes the table to OUT/faults.md (build/ros by default) and, if all faults were injected, into the
-`faults.md` beside this file. Ends with 1 if a base got a command that it must not get.
+Writes the table to OUT/faults.md (build/ros by default) and, if all faults were injected, into
+`docs/ros_faults.md`. Ends with 1 if a base got a command that it must not get.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from studies.ros.study import Row, rows
 from studies.ros.table import HEAD, insert, line, summary
 from tests.support.ros2_bridge import why_no_bridge
 
-PAGE = Path(__file__).with_name("faults.md")
+PAGE = Path(__file__).resolve().parents[2] / "docs/ros_faults.md"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -37,21 +37,25 @@ class IncidentKind(StrEnum):
     MARK = "mark"  # an operator's words
 
 
-class Begins(Struct, frozen=True):
-    """A row: the kind of incident, and in which state of the robot before it counts."""
+class When(StrEnum):
+    """When a reason begins an incident."""
 
-    kind: IncidentKind
-    only_running: bool = False
+    ALWAYS = "always"
+    IN_A_RUN = "in a run"  # also as a hold
+    ENDS_A_RUN = "at the end of a run"
 
 
-BEGINS: Mapping[Reason, Begins] = {
-    Reason.ESTOP: Begins(IncidentKind.ESTOP),
-    Reason.QUARANTINED: Begins(IncidentKind.FAULT),
-    Reason.DUPLICATE_ID: Begins(IncidentKind.FAULT),
-    Reason.HAZARD: Begins(IncidentKind.HAZARD, only_running=True),
-    Reason.DRIVER_LOST: Begins(IncidentKind.DRIVER, only_running=True),
-    Reason.LOOP_STALLED: Begins(IncidentKind.STALL, only_running=True),
+BEGINS: Mapping[Reason, tuple[IncidentKind, When]] = {
+    Reason.ESTOP: (IncidentKind.ESTOP, When.ALWAYS),
+    Reason.QUARANTINED: (IncidentKind.FAULT, When.ALWAYS),
+    Reason.DUPLICATE_ID: (IncidentKind.FAULT, When.ALWAYS),
+    Reason.HAZARD: (IncidentKind.HAZARD, When.ENDS_A_RUN),
+    Reason.DRIVER_LOST: (IncidentKind.DRIVER, When.IN_A_RUN),
+    Reason.LOOP_STALLED: (IncidentKind.STALL, When.ENDS_A_RUN),
 }
+
+
+_NO_ROW: tuple[IncidentKind | None, When] = None, When.ALWAYS
 
 
 class Incident(Struct, frozen=True, kw_only=True):
@@ -111,19 +115,23 @@ def found(before: Status | None, now: Status) -> Found | None:
     """
     if before is None:
         return None
-    was_running = before.state is State.RUNNING
     for name, latch in now.latches.items():
         if name not in before.latches:
             text = f"emergency stop by {latch.issuer}" + f" ({latch.reason})" * bool(latch.reason)
             return Found(IncidentKind.ESTOP, text, id_of(IncidentKind.ESTOP, name))
-    row = None if now.reason is None else BEGINS.get(now.reason)
-    is_new = (now.state, now.reason) != (before.state, before.reason)
-    if row is not None and is_new and (was_running or not row.only_running):
-        text = f"{now.state} ({now.reason}) {now.detail}".rstrip()
-        is_silent = row.kind is IncidentKind.STALL
+    kind, when = BEGINS.get(now.reason, _NO_ROW) if now.reason is not None else _NO_ROW
+    is_new = now.reason is not before.reason or now.state is not before.state
+    has_run = before.state is State.RUNNING
+    counts = {
+        When.ALWAYS: is_new,
+        When.IN_A_RUN: has_run and now.reason is not before.reason,
+        When.ENDS_A_RUN: has_run and now.state is not State.RUNNING,
+    }
+    if kind is not None and counts[when]:
         epoch = before.epoch
+        is_silent = kind is IncidentKind.STALL
         id = silent_id(now.robot, epoch.instance, epoch.revision) if is_silent else ""
-        return Found(row.kind, text, id)
+        return Found(kind, f"{now.state} ({now.reason}) {now.detail}".rstrip(), id)
     for finding in now.findings:
         if finding not in before.findings:
             return Found(IncidentKind.ASSUMPTION, finding[:MAX_FINDING])

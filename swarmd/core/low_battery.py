@@ -24,8 +24,8 @@ class LowBatterySettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     - `below`: the battery is low once its charge, a share of a full battery, is below this value.
     - `recovered`: a low battery stays low until it has this charge; None: `below` plus 0.1. If
       `recovered` is near `below`, a charge that varies is low several times, and ends several runs.
-    - `pattern`: the pattern that a robot with a low battery runs, with `params`; None: the robot
-      stands.
+    - `pattern`: the pattern that a robot with a low battery runs; None: the robot stands.
+    - `params`: parameters of `pattern`.
     - `seconds`: the longest time of the run of `pattern`.
     """
 

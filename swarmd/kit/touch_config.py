@@ -17,6 +17,10 @@ class TouchSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The directions in which a pattern may press against obstacles, and its speed in m/s.
 
     A wider zone or a higher speed lets a faulty pattern push harder and more often.
+
+    - `bearing_deg`: the center of the directions, 0 ahead, 90 to the left.
+    - `half_width_deg`: half the width of the zone.
+    - `speed`: the highest speed in these directions while the pattern runs.
     """
 
     bearing_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 0.0

@@ -71,6 +71,7 @@ def parse_endpoint(
 class NetworkSettings(Struct, frozen=True, kw_only=True):
     """The settings by which a robot or operator reaches its swarm."""
 
+    # The name of the swarm. Swarms with different names neither see nor command each other.
     swarm: str = DEFAULT_SWARM
     # dev: robots on this machine. field: robots on one interface, without routers. routed: all
     # traffic by Zenoh routers at the endpoints `routers`.
@@ -83,7 +84,9 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
     # Endpoints of robots to which datagrams also go one by one: the way through networks that drop
     # multicast and broadcast, and the only way with `multicast` off.
     seeds: tuple[str, ...] = ()
+    # For routed: endpoints of Zenoh routers, such as `tcp/10.0.0.1:7447`.
     routers: tuple[str, ...] = ()
+    # Robots find each other by multicast. False: by `seeds` alone.
     multicast: bool = True
     # Answer the scouts by which Zenoh programs find robots. None: yes in dev, and in field unless
     # the swarm is secured or `multicast` is off. A scout of 3 bytes draws an answer of 40 bytes or

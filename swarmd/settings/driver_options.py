@@ -41,8 +41,9 @@ class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
       the true timeout of the base is dangerous: after the end of its daemon the robot drives on for
       longer than assumed.
     - `idle_output`: what the daemon sends to the base of an idle robot. `zeros`: zero at every
-      tick. `silent`: zeros in the first second, then nothing, so that a joystick can drive the
-      base, without protection.
+      tick, and nothing while another node drives the base. `silent`: zeros in the first second,
+      then nothing, so that a joystick can drive the base, without protection; refused with
+      `command_timeout: none`. A stopped, estopped or held robot gets zero in both cases.
     """
 
     command_timeout: Timeout | Literal["base", "none"] | None = None

@@ -78,6 +78,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
       rotating lidar. With too low a value protection acts on earlier places of obstacles.
     - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `unknown`: each
       ray counts as old as the oldest ray; `swarmctl calibrate` measures the sweep and writes it.
+      A declared sweep and None override `time_increment` of ROS messages.
     - `mask`: sectors in which the sensor sees parts of its own robot, such as `[[55, 61]]`: each
       from a bearing in degrees counter-clockwise to another one. Their rays are unknown, so that an
       object that stands within such a sector alone is not seen.
@@ -103,9 +104,15 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The protection mode, and the settings of each mode.
 
-    - `presets`, `preset`: settings of the mode `potential_field` by name, and the name in use.
-    - `avoidance`: `orca` leads a robot past moving robots, in the modes `barrier` and `stop_zone`.
-      `none`: the robot drives towards them until protection or recovery turns it away.
+    - `mode`: `barrier` requires odometry. `off` is for simulated robots only: a daemon does not
+      start with it.
+    - `presets`, `preset`: settings of the mode `potential_field` by name, and the name in use. Some
+      patterns and metrics derive distances from `threshold` in every mode.
+    - `avoidance`: `orca` leads a robot past moving robots, in the modes `barrier` and `stop_zone`,
+      if its pattern has recovery. `none`: the robot drives towards them until protection or
+      recovery turns it away. The parameter `avoidance` of a run overrides it.
+    - `barrier`, `stop_zone`: settings of the modes with these names. Within `slow` of the outline
+      mode `stop_zone` leaves three tenths of the requested command.
     """
 
     mode: Mode = "barrier"
@@ -148,7 +155,12 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `patterns`: parameters by pattern, which replace derived values.
     - `drivers`: default options by driver.
     - `heights`: None: it is not known whether this robot and other robots see each other.
-    - `body`: properties of the simulated robot, without effect on a real robot.
+    - `limits`: the highest speeds. swarmd limits no acceleration: a safe command may change at
+      once, and the base limits its own acceleration.
+    - `scan`, `protection`: the lidar, and the protection mode with its settings.
+    - `body`: properties of the simulated robot, without effect on a real robot: mass, wheel
+      separation, accelerations. `linear_acceleration` also holds sideways, unless
+      `lateral_acceleration` is given.
     - `sensors`: for the simulated world, by name of a field such as `ground`, the sensors that read
       the field. Without sensors the robot reads the field at its axle. Sensors named `detections`
       recognise robots, boxes and lamps. Without effect on a real robot.

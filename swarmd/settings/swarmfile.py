@@ -39,7 +39,11 @@ _OPTIONS = {"driver_options": "--driver-option", "seeds": "--seed"}
 
 
 class ParametersSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Pattern parameters by label and by robot, above those of the platform."""
+    """Pattern parameters by label and by robot, above those of the platform.
+
+    - `labels`: by label and pattern; each applies to robots with the label.
+    - `robots`: by robot and pattern, above those of its labels.
+    """
 
     labels: dict[str, Parameters] = {}
     robots: dict[str, Parameters] = {}
@@ -54,6 +58,7 @@ class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `seconds`, `until`: the run ends after this time, or with the first condition that is met.
     - `on_join`: for robots that join later. `offer`: such a robot waits for `swarmctl resume`.
       `run`: such a robot runs the pattern while the goal is younger than `valid` seconds.
+    - `valid`: s within which a joining robot runs the goal; required with `on_join: run`.
     """
 
     pattern: Name | None = None
@@ -110,6 +115,7 @@ class SwarmFile(_SharedKeys, Struct, frozen=True, kw_only=True, forbid_unknown_f
       this file is an error, and missing robots are reported.
     - `labels`: names for groups of robots (ids and ranges), as targets and for `parameters`.
     - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
+    - `parameters`: parameters of patterns by label and by robot, above those of the platform.
     - `neighbors`: which robots are neighbors. A pattern hears the messages of neighbors alone.
     """
 
@@ -165,7 +171,8 @@ class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     - `swarm_file`: the swarm.yaml to include; keys of this file replace keys of swarm.yaml.
     - `id`: this robot's id; by default the host name. A daemon does not start while another daemon
       has the same id.
-    - `platform`, `driver`, `driver_options`: the robot and the connection to its base.
+    - `platform`: the kind of robot: a name, or a path that ends in .yaml.
+    - `driver`, `driver_options`: the connection to its base.
     - `state_dir`: folder for files that must survive a restart, such as the latch of an emergency
       stop. If it is a memory disk, a reboot clears the emergency stop.
     - `plugin_dir`: folder of patterns and missions of your own.

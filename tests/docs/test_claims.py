@@ -15,7 +15,7 @@ PATTERNS = {path.parent.name: path for path in sorted(ROOT.glob("patterns/*/page
 PAGES = [
     path for folder in (".", "evidence", "tutorial", "robots")
     for path in sorted((DOCS / folder).glob("*.md"))
-] + [*PATTERNS.values(), ROOT / "patterns/README.md", *ROOT.glob("studies/**/*.md")]  # fmt: skip
+] + [*PATTERNS.values(), ROOT / "patterns/README.md"]  # fmt: skip
 MEASURED = {
     name: path.read_text().partition("\n## Measured\n\n")[2].partition("\n## ")[0]
     for name, path in PATTERNS.items()

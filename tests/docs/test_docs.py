@@ -52,7 +52,6 @@ PAGES = sorted(
         *ROOT.glob("*.md"),
         *ROOT.glob("docs/**/*.md"),
         *ROOT.glob("patterns/**/*.md"),
-        *ROOT.glob("studies/**/*.md"),
         ROOT / "benchmarks/README.md",
     ]
 )
@@ -392,6 +391,9 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("patterns", ["`opinions`", "`spacing`"]),
         ("comparison", ["`attraction`", "`hop_gradient`", "`voter_model`"]),
         ("platforms", [*(f"`{name}`" for name in platform_names()), "`braking_linear`"]),
+        ("settings", ["`profile`", "`on_low_battery`", "`half_width_deg`", "`keep_bytes`"]),
+        ("driver_options", ["`command_timeout`", "`loop`"]),
+        ("ros_options", ["`shared_pose_error_deg`", "`services`", "`domain`", "`shared_cmd_vel`"]),
         ("mixed", [f"`{name}`" for name in platform_names()]),
         ("words", ["`run`", "`stop`", "`estop`", "`low battery`", "`lost link, daemon killed`"]),
         ("scenarios", [*(f"`{name}`" for name in scenario_names()), "`neighborhood`"]),
@@ -408,6 +410,24 @@ def test_the_generated_reference_is_complete(part: str, rows: list[str]) -> None
     lines = reference()["part"](part).splitlines()
     found = {match[1] for line in lines if (match := re.match(r"\| (`.+?`) \| .*\w", line))}
     assert set(rows) <= found
+
+
+@pytest.mark.parametrize("part", ["settings", "driver_options", "ros_options"])
+def test_each_generated_key_has_a_meaning(part: str) -> None:
+    lines = reference()["part"](part).splitlines()
+    heads = {line for line in lines if line.startswith("| key ")}
+    assert heads == {"| key | meaning | accepted | default |"}
+    rows = [line[2:].split(" | ") for line in lines if line.startswith("| `")]
+    assert len(rows) >= 7
+    assert [name for name, meaning, *_ in rows if not meaning.strip()] == []
+
+
+@pytest.mark.parametrize("section", ["The whole file", "groups.NAME", "start", "events"])
+def test_each_key_of_a_scenario_has_a_meaning(section: str) -> None:
+    text = reference()["part"]("scenarios").partition(f"### {section}\n")[2].partition("\n### ")[0]
+    rows = [line[2:].split(" | ") for line in text.splitlines() if line.startswith("| `")]
+    assert len(rows) >= 8
+    assert [row[0] for row in rows if len(row) < 4 or not row[1].strip()] == []
 
 
 @cache

@@ -1,13 +1,14 @@
-"""Incidents of real daemons: each robot keeps its last minute under one id."""
+"""Incidents of real daemons: each of four robots keeps its last minute under one id."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
 from swarmd.core.incident import IncidentKind
+from swarmd.core.messages import Presence, State
 from swarmd.core.verbs import INCIDENTS, IncidentsReply, KeptIncident
 from tests.support.fake_body import Body
 from tests.support.processes import DaemonProcess, wait_until
@@ -16,91 +17,111 @@ from tests.swarm.conftest import Swarm
 pytestmark = pytest.mark.integration
 
 NAMES = ("r1", "r2", "r3", "r4")
+Robots = Mapping[str, tuple[DaemonProcess, Body]]
+CAP = 120.0
 
 
-@pytest.fixture
-def four(swarm: Swarm) -> Mapping[str, tuple[DaemonProcess, Body]]:
-    """Four robots that drive."""
-    bodies = {name: swarm.body(name) for name in NAMES}
-    daemons = {name: swarm.spawn(name, body) for name, body in bodies.items()}
+@pytest.fixture(scope="module")
+def robots(shared_swarm: Swarm) -> Robots:
+    """Four robots for all tests; each test gives another one an incident."""
+    bodies = {name: shared_swarm.body(name) for name in NAMES}
+    daemons = {name: shared_swarm.spawn(name, body) for name, body in bodies.items()}
     for daemon in daemons.values():
         daemon.wait_ready()
-    done = swarm.ctl("wait", "--for", "presence=alive", "--for", f"count={len(NAMES)}")
+    done = shared_swarm.ctl("wait", "--for", "presence=alive", "--for", f"count={len(NAMES)}")
     assert done.code == 0, done
-    swarm.run_drive("--all")
-    for body in bodies.values():
-        body.wait_moving(0.0)
     return {name: (daemons[name], bodies[name]) for name in NAMES}
 
 
-def incidents(swarm: Swarm, robot: str) -> Mapping[str, KeptIncident]:
-    """By id, the incidents that a robot keeps; none without an answer."""
+@pytest.fixture
+def swarm(shared_swarm: Swarm, robots: Robots) -> Swarm:
+    """The swarm, once all that can run and their beacons, one a second, have shown it."""
+    shared_swarm.ctl("run", "drive", "--all")
+    since = shared_swarm.status("r1").uptime
+    shared_swarm.await_status("r1", "longer there", lambda one: one.uptime > since + 2.5)
+    return shared_swarm
+
+
+def kept_by(swarm: Swarm, robot: str) -> Mapping[str, KeptIncident]:
+    """By id, the incidents whose files a robot has; none without an answer."""
     replies = swarm.look(robot, "control", INCIDENTS.name, IncidentsReply)
-    return {one.incident.id: one for reply in replies for one in reply.incidents}
+    return {one.incident.id: one for reply in replies for one in reply.incidents if one.size}
 
 
-def await_kept(swarm: Swarm, kind: IncidentKind, robots: tuple[str, ...] = NAMES) -> str:
-    """The id of the incident of this kind, once each of the robots has its file."""
-    found: list[str] = []
+def await_kept(
+    swarm: Swarm, what: Callable[[KeptIncident], bool], robots: tuple[str, ...] = NAMES
+) -> str:
+    """The id of the one incident for which `what` is true, once each robot has its file."""
+    found: set[str] = set()
 
     def is_kept() -> bool:
-        first = incidents(swarm, robots[0])
-        found[:] = [id for id, one in first.items() if one.incident.kind == kind]
-        return bool(found) and all(
-            (one := incidents(swarm, robot).get(found[0])) is not None and one.size > 0
-            for robot in robots
-        )
+        kept = [kept_by(swarm, robot) for robot in robots]
+        found.clear()
+        found.update(id for one in kept for id, incident in one.items() if what(incident))
+        return bool(found) and all(found <= one.keys() for one in kept)
 
-    wait_until(is_kept, f"{robots} keep an incident {kind}", cap=60.0)
-    return found[0]
+    wait_until(is_kept, f"{robots} keep it", cap=CAP)
+    (id,) = found
+    return id
 
 
-def test_a_stop_of_all_is_one_incident_of_four_robots(
-    swarm: Swarm, four: Mapping[str, tuple[DaemonProcess, Body]], tmp_path: Path
-) -> None:
-    assert swarm.ctl("estop", "--reason", "a cat").code == 0
-    id = await_kept(swarm, IncidentKind.ESTOP)
+def test_a_mark_is_kept_by_robots_that_are_not_asked(swarm: Swarm) -> None:
+    assert swarm.ctl("incident", "mark", "it shook", "r1").code == 0
+    id = await_kept(swarm, lambda one: one.incident.kind == IncidentKind.MARK)
     for name in NAMES:
-        (one,) = incidents(swarm, name).values()
-        assert one.incident.id == id
-        assert "a cat" in one.incident.text
+        told = kept_by(swarm, name)[id].incident
+        assert (told.robot, told.by) == ("r1", "r1")
+        assert "it shook" in told.text
 
 
-def test_a_daemon_that_is_killed_is_one_incident_of_all(
-    swarm: Swarm, four: Mapping[str, tuple[DaemonProcess, Body]]
-) -> None:
-    daemon, body = four["r2"]
-    since = swarm.status("r2").uptime
-    # Its beacons, one a second, have shown to all that it runs.
-    swarm.await_status("r2", "longer there", lambda status: status.uptime > since + 2.5)
+def test_a_daemon_that_is_killed_is_one_incident_of_all(swarm: Swarm, robots: Robots) -> None:
+    daemon, body = robots["r2"]
     daemon.kill()
     others = tuple(name for name in NAMES if name != "r2")
-    id = await_kept(swarm, IncidentKind.SILENT, others)
+    id = await_kept(swarm, lambda one: one.incident.robot == "r2", others)
     swarm.spawn("r2", body).wait_ready()
-    assert await_kept(swarm, IncidentKind.SILENT) == id
-    assert incidents(swarm, "r2")[id].incident.robot == "r2"
+    assert await_kept(swarm, lambda one: one.incident.robot == "r2") == id
+    own = kept_by(swarm, "r2")[id]
+    assert own.begin is not None
+    assert own.begin < 0.0  # what it did before it was killed
 
 
-def test_a_mark_is_kept_by_robots_that_are_not_asked(
-    swarm: Swarm, four: Mapping[str, tuple[DaemonProcess, Body]]
+def test_a_daemon_that_is_frozen_is_one_incident_of_all(swarm: Swarm, robots: Robots) -> None:
+    daemon, _ = robots["r4"]
+    daemon.freeze()
+    try:
+        swarm.await_presence("r1", "r4", Presence.FAILED)
+    finally:
+        daemon.thaw()
+    id = await_kept(swarm, lambda one: one.incident.robot == "r4")
+    assert kept_by(swarm, "r1")[id].incident.kind == IncidentKind.SILENT
+
+
+def test_a_full_disk_is_told_and_stops_nothing(swarm: Swarm, robots: Robots) -> None:
+    folder = swarm.folder / "state" / swarm.name / "r1" / "incidents"
+    aside = folder.with_name("aside")
+    kept = sorted(kept_by(swarm, "r1"))
+    folder.rename(aside)
+    folder.write_text("in the way")
+    assert swarm.ctl("incident", "mark", "no room", "r1").code == 0
+    full = swarm.await_status("r1", "told", lambda one: "not on disk" in one.health.black_box)
+    assert full.state is State.RUNNING
+    folder.unlink()
+    aside.rename(folder)
+    assert sorted(kept_by(swarm, "r1")) == kept
+
+
+def test_a_lost_base_is_replayed_to_the_bit_with_its_cause(
+    swarm: Swarm, robots: Robots, tmp_path: Path
 ) -> None:
-    epochs = swarm.operator.members().epochs(["r1"])
-    from swarmd.core.verbs import MarkRequest
-
-    swarm.operator.request(MarkRequest, epochs, words="it shook", incident="abcdefabcdef")
-    assert await_kept(swarm, IncidentKind.MARK) == "abcdefabcdef"
-
-
-def test_a_fetched_incident_is_replayed_to_the_bit_with_its_cause(
-    swarm: Swarm, four: Mapping[str, tuple[DaemonProcess, Body]], tmp_path: Path
-) -> None:
-    since = swarm.status("r1").uptime
-    swarm.await_status("r1", "longer there", lambda status: status.uptime > since + 3.0)
-    assert swarm.ctl("estop", "--reason", "a cat").code == 0
-    id = await_kept(swarm, IncidentKind.ESTOP)
+    robots["r3"][1].close()
+    id = await_kept(swarm, lambda one: one.incident.kind == IncidentKind.DRIVER)
     done = swarm.ctl("incidents", "fetch", id, "-d", str(tmp_path))
     assert done.code == 0, done
-    done = swarm.ctl("replay", str(tmp_path), "--why", "r2")
-    print(done.out)
+    assert {path.name for path in tmp_path.iterdir() if path.is_dir()} == {*NAMES}
+    done = swarm.ctl("replay", str(tmp_path), "--why", "r3")
     assert done.code == 0, done
-    assert "a cat" in done.out
+    (line,) = (line for line in done.out.splitlines() if line.startswith(f"incident {id}"))
+    assert "driver_lost" in line
+    listed = swarm.ctl("incidents", "-o", "json").json
+    assert id in str(listed)

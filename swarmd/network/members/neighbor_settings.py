@@ -13,8 +13,10 @@ class NeighborSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     - `neighborhood`: `all`: all robots. `range`: robots within `range` m, measured by hardware for
       range and bearing, or by poses in a shared frame. `link`: robots with a good radio link.
-    - `quality`: with `link`, the share of a robot's beacons that must arrive.
-    - `signal`: with `link`, the least signal strength in dBm, where the radio reports it.
+    - `range`: m between the axles. A robot whose distance is unknown for a second is no neighbor.
+    - `quality`: with `link`, the share of a robot's beacons that must arrive, of its last 32.
+    - `signal`: with `link`, the least signal strength in dBm, where the radio reports it, as
+      `iw` does. For a robot whose signal is unknown, `quality` alone counts.
     - `programs`: whether a pattern gets the messages of Zenoh programs, too.
     """
 

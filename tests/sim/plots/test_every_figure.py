@@ -23,7 +23,6 @@ from swarmd.sim.plots.intervals import (
     differences_figure,
     intervals_figure,
 )
-from swarmd.sim.plots.start_and_end import start_and_end_figure
 from swarmd.sim.plots.survival import Times, survival_curve, survival_figure
 from swarmd.sim.plots.theme import save
 from swarmd.sim.plots.trajectories import overview_figure, trajectories_figure
@@ -83,15 +82,11 @@ def overview(runs: int, n: int) -> Figure:
     return overview_figure(loads, "paper_exp1_hardware", note=LABEL)
 
 
-def trajectories(n: int) -> Figure:
+def trajectories(n: int, arena: str = "") -> Figure:
     trace = full(n)
     ids = tuple(f"{robot}-waffle_pi-WWW" for robot in trace.ids)
-    return trajectories_figure(replace(trace, ids=ids), TITLE)
-
-
-def start_and_end(arena: str) -> Figure:
-    trace = full(7)
-    return start_and_end_figure(replace(trace, meta={**trace.meta, "arena": arena}), TITLE)
+    meta = {**trace.meta, "arena": arena or trace.meta["arena"]}
+    return trajectories_figure(replace(trace, ids=ids, meta=meta), TITLE)
 
 
 @pytest.mark.short_rows(3)
@@ -114,8 +109,8 @@ def start_and_end(arena: str) -> Figure:
         pytest.param(lambda: trajectories(2), id="trajectories of two robots"),
         pytest.param(lambda: trajectories(20), id="trajectories with names"),
         pytest.param(lambda: trajectories(200), id="trajectories by time"),
-        pytest.param(lambda: start_and_end("90x90"), id="start and end in a large arena"),
-        pytest.param(lambda: start_and_end("3x9"), id="start and end in a narrow arena"),
+        pytest.param(lambda: trajectories(7, "90x90"), id="trajectories in a large arena"),
+        pytest.param(lambda: trajectories(7, "3x9"), id="trajectories in a narrow arena"),
     ],
 )
 def test_no_texts_overlap(make: Make) -> None:
@@ -127,7 +122,6 @@ def test_no_texts_overlap(make: Make) -> None:
     [
         lambda: trajectories_figure(walk(1, 1)),
         lambda: trajectories_figure(walk(30, 1)),
-        lambda: start_and_end_figure(walk(7, 1)),
     ],
 )
 def test_one_instant_is_a_picture(make: Make, tmp_path: Path) -> None:
@@ -227,7 +221,7 @@ NOTHING: Array = np.zeros(0)
         (lambda: survival_figure({"": {"x": Times(NOTHING, NOTHING)}}, event="gather"), "gather"),
         (lambda: overview_figure([]), "there is no run"),
         (lambda: trajectories_figure(walk(2, 0)), "no instant"),
-        (lambda: start_and_end_figure(walk(0)), "no robot"),
+        (lambda: trajectories_figure(walk(0)), "no robot"),
     ],
 )
 def test_nothing_to_draw_is_an_error(make: Make, subject: str) -> None:

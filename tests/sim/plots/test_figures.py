@@ -16,9 +16,7 @@ from swarmd.sim.plots.figures import KINDS, Look, compared_over_time, draw_exper
 pytest.importorskip("matplotlib")
 
 OF_A_VARIANT = {
-    "runs.png",
-    *("typical_trajectories.png", "typical_start_and_end.png"),
-    *("least_typical_trajectories.png", "least_typical_start_and_end.png"),
+    *("runs.png", "typical_trajectories.png", "least_typical_trajectories.png"),
 }
 BOTH = {f"law-{law}_{name}" for law in ("settling", "paper") for name in OF_A_VARIANT}
 
@@ -65,7 +63,7 @@ def test_one_run_has_no_worst_and_a_metric_of_one_value_is_not_drawn_and_named(
     assert names(made) == {
         f"law-{law}_{name}.svg"
         for law in ("settling", "paper")
-        for name in ("runs", "typical_trajectories", "typical_start_and_end")
+        for name in ("runs", "typical_trajectories")
     } | {"intervals.svg", "over_time_minimum_gap.svg"}
     assert warnings(caplog) == ["failed_patterns is 0 in all runs; it is not drawn"]
 
@@ -126,7 +124,7 @@ def test_an_experiment_without_finished_runs_is_one_clear_error(experiment: Path
 def test_a_metric_without_any_value_leaves_the_first_run_to_be_drawn(experiment: Path) -> None:
     made = names(draw_experiment(experiment, metrics=["box_contacts"], seeds=[0]))
     assert {name.removeprefix("law-paper_") for name in made if "paper" in name} == {
-        *("runs.png", "first_trajectories.png", "first_start_and_end.png")
+        *("runs.png", "first_trajectories.png")
     }
     assert "intervals.png" not in made
 

@@ -1,0 +1,211 @@
+"""Which files of incidents give way, whose tales count, and what a killed writer leaves."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarmd.core.incident import Incident, IncidentKind, ToldIncident
+from swarmd.core.verbs import KeptIncident
+from swarmd.daemon.incidents import MAX_BYTES, MAX_KEPT, _checked, _signed, to_remove
+from swarmd.recording import frames, ring
+from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left
+from tests.support.examples import examples
+from tests.support.keys import SwarmKeys
+
+MEGABYTE = 2**20
+
+
+def incident(id: str, by: str = "r1", kind: str = IncidentKind.ESTOP) -> Incident:
+    return Incident(id=id, robot=by, kind=kind, text="a cat", by=by)
+
+
+def kept(*told: Incident, size: int = MEGABYTE) -> list[KeptIncident]:
+    return [
+        KeptIncident(incident=one, age=None, file=f"{one.id}.incident", size=size) for one in told
+    ]
+
+
+def test_a_robot_that_tells_too_much_hides_only_what_it_told() -> None:
+    honest = [incident(f"h{n}", f"r{n}", IncidentKind.HAZARD) for n in range(6)]
+    files = kept(*honest)
+    for number in range(200):
+        new = incident(f"w{number}", "wolf", IncidentKind.FAULT)
+        gone = to_remove(files, new, MEGABYTE)
+        files = [*(one for one in files if one.incident.id not in gone), *kept(new)]
+        assert len(files) <= MAX_KEPT
+    assert {one.incident.id for one in files} >= {one.id for one in honest}
+
+
+def test_the_first_of_each_kind_stays_and_the_oldest_of_the_rest_goes() -> None:
+    kinds = list(IncidentKind)[:4]
+    files = kept(*(incident(f"i{n}", "r1", kinds[n % 4]) for n in range(MAX_KEPT)))
+    assert to_remove(files, incident("new"), MEGABYTE) == ["i4"]
+
+
+def test_unknown_kinds_of_a_stranger_are_not_firsts() -> None:
+    files = kept(*(incident(f"i{n}", "r1", f"kind{n}") for n in range(MAX_KEPT)))
+    assert to_remove(files, incident("new"), MEGABYTE) == ["i0"]
+
+
+def test_marks_take_at_most_half() -> None:
+    estops = [incident(f"e{n}") for n in range(5)]
+    marks = [incident(f"m{n}", kind=IncidentKind.MARK) for n in range(MAX_KEPT // 2)]
+    new = incident("new", kind=IncidentKind.MARK)
+    assert to_remove(kept(*estops, *marks), new, MEGABYTE) == ["m0"]
+    large = kept(*estops, size=1000) + kept(*marks[:1], size=MAX_BYTES // 2 - 10)
+    assert to_remove(large, new, 11) == ["m0"]
+
+
+def test_files_are_limited_by_their_bytes() -> None:
+    files = kept(*(incident(f"i{n}") for n in range(4)), size=MAX_BYTES // 4)
+    assert to_remove(files, incident("new"), MAX_BYTES // 2) == ["i1", "i2"]
+
+
+# What peers tell
+
+
+def listed(*told: ToldIncident | None) -> bytes:
+    return msgspec.msgpack.encode([one for one in told if one is not None])
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> SwarmKeys:
+    folder = tmp_path_factory.mktemp("keys")
+    return SwarmKeys(folder, "meadow", ("r1", "r2", "r3"), operators=("anna",))
+
+
+def test_an_incident_counts_if_its_robot_has_signed_it(keys: SwarmKeys) -> None:
+    told = _signed(incident("aaaaaaaaaaaa", "r1"), keys["r1"])
+    assert told is not None
+    (found,) = _checked(listed(told), keys["r3"], ())
+    assert isinstance(found, msgspec.Struct)
+    assert found.incident.by == "r1"
+    assert _checked(listed(told), keys["r3"], {"aaaaaaaaaaaa"}) == []
+
+
+@pytest.mark.parametrize(("name", "signer"), [("r1", "r2"), ("r1", "anna"), ("anna", "anna")])
+def test_an_incident_that_another_name_signed_is_refused(
+    keys: SwarmKeys, name: str, signer: str
+) -> None:
+    told = _signed(incident("aaaaaaaaaaaa", name), keys[signer])
+    assert isinstance(_checked(listed(told), keys["r3"], ()), str)
+
+
+def test_an_incident_of_another_authority_or_unsigned_or_changed_is_refused(
+    keys: SwarmKeys, tmp_path: Path
+) -> None:
+    other = SwarmKeys(tmp_path, "meadow", ("r1",))
+    told = _signed(incident("aaaaaaaaaaaa", "r1"), keys["r1"])
+    assert told is not None
+    content = msgspec.msgpack.encode(incident("abababababab", "r1"))
+    for wrong in (
+        _signed(incident("aaaaaaaaaaaa", "r1"), other["r1"]),
+        _signed(incident("aaaaaaaaaaaa", "r1"), None),
+        msgspec.structs.replace(told, content=content),
+        msgspec.structs.replace(told, certificate=b""),
+        msgspec.structs.replace(told, signature=b"\0" * 64),
+    ):
+        assert isinstance(_checked(listed(wrong), keys["r3"], ()), str)
+
+
+@settings(max_examples=examples(200))
+@given(
+    st.one_of(
+        st.binary(max_size=300),
+        st.lists(
+            st.builds(
+                ToldIncident,
+                content=st.one_of(
+                    st.binary(max_size=99),
+                    st.builds(lambda text: msgspec.msgpack.encode(incident(text)), st.text()),
+                ),
+                age=st.floats(0.0, 1e9),
+                signature=st.binary(max_size=64),
+                certificate=st.binary(max_size=99),
+            ),
+            max_size=3,
+        ).map(msgspec.msgpack.encode),
+    )
+)
+def test_no_list_raises(blob: bytes) -> None:
+    assert isinstance(_checked(blob, None, ()), list | str)
+
+
+# The ring
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(
+    sizes=st.lists(st.integers(0, 300), min_size=1, max_size=60),
+    dies_at=st.integers(1, 400),
+    every=st.integers(1, 9),
+)
+def test_a_writer_that_dies_at_any_write_leaves_whole_frames(
+    tmp_path_factory: pytest.TempPathFactory, sizes: list[int], dies_at: int, every: int
+) -> None:
+    path = tmp_path_factory.mktemp("ring") / "ring"
+    calls = 0
+    written = 0
+
+    class Dead(BaseException):
+        pass
+
+    def pwrite(file: int, data: bytes, at: int) -> int:
+        nonlocal calls
+        calls += 1
+        if calls == dies_at:
+            _pwrite(file, data[: len(data) // 2], at)  # the kernel has copied a part
+            raise Dead
+        return _pwrite(file, data, at)
+
+    _pwrite = os.pwrite
+    made = None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ring.os, "pwrite", pwrite)
+        try:
+            made = Ring(path, {"a": "b"}, capacity=2000, seconds=20.0, boot=1.0, wall=2.0)
+            for number, size in enumerate(sizes):
+                if number % every == 0:
+                    made.begin_segment(float(number))
+                entry = frames.EventEntry(float(number), "x" * size)
+                made.write(frames.batch([frames.encode(entry)]))
+                written = number
+        except Dead:
+            pass
+    if made is None:
+        return
+    made.close()
+    left = read_left(path)
+    assert left is not None
+    times = [entry.at for entry in entries_of(left)]
+    assert times == [float(n) for n in range(int(times[0]), int(times[-1]) + 1)] if times else True
+    if times:
+        assert times[-1] in (written, written + 1)
+        assert times[0] % every == 0
+
+
+def test_a_ring_that_a_process_writes_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "ring"
+    made = Ring(path, {}, capacity=1000, seconds=9.0, boot=1.0, wall=2.0)
+    assert read_left(path) is None
+    with pytest.raises(OSError, match="unavailable"):
+        Ring(path, {}, capacity=1000, seconds=9.0, boot=1.0, wall=2.0)
+    made.close(keeps_file=False)
+    assert not path.exists()
+
+
+def test_the_folder_in_memory_is_of_this_user_alone(tmp_path: Path) -> None:
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    (tmp_path / "link").symlink_to(tmp_path)
+    for name in ("open", "link"):
+        with pytest.raises(OSError, match="alone"):
+            memory_folder(str(tmp_path / name), {})
+    made = memory_folder(None, {"RUNTIME_DIRECTORY": str(tmp_path / "run")})
+    assert made.stat().st_mode & 0o777 == 0o700
