@@ -68,7 +68,7 @@ def test_only_stops_need_no_epoch_of_the_robot() -> None:
     assert {row.name for row in VERBS.values() if row.is_datagram} == {"stop", "estop"}
 
 
-def test_viewers_may_ask_questions_alone_but_not_for_audit_logs_and_files_of_incidents_or_the_file_of_an_incident() -> (
+def test_viewers_may_ask_questions_alone_but_not_for_the_audit_log_or_the_file_of_an_incident() -> (
     None
 ):
     asked = {row.name for row in VERBS.values() if row.is_for_viewers}
