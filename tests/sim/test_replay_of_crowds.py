@@ -93,7 +93,7 @@ def test_the_first_robot_instant_and_field_that_differ_are_told(recorded: Path) 
     assert life.head.identity.robot == "tb3-02"
     assert difference.field == "safe"
     assert difference.at == pytest.approx(at, abs=1e-6)
-    assert difference.inputs[-1][1] == pytest.approx(at, abs=1e-6)
+    assert difference.last[-1][1] == pytest.approx(at, abs=1e-6)
 
 
 def altered(life: Life, share: float) -> float:
