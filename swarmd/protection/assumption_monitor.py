@@ -45,6 +45,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from swarmd.core.angles import TURN
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Array, Odometry, Platform, Twist
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import BarrierSettings
@@ -129,7 +130,6 @@ _BRAKED = "braked at"
 _LATE_WHY = "commands, base or odometry are slow"
 _UNITS = "m/s2", "rad/s2", "m/s2 sideways"
 
-_turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
 _inf = cython.declare(cython.double, math.inf)
@@ -828,7 +828,7 @@ class AssumptionMonitor:
         yaw: cython.double = pose.yaw
         dx: cython.double = x - self._x
         dy: cython.double = y - self._y
-        turned: cython.double = remainder(yaw - self._yaw, _turn)
+        turned: cython.double = remainder(yaw - self._yaw, TURN)
         middle_yaw: cython.double = self._yaw + 0.5 * turned
         distance: cython.double = sqrt(dx * dx + dy * dy)
         self._stamp, self._x, self._y, self._yaw = end, x, y, yaw

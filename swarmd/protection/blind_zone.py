@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.angles import PI, TURN, angle_between, mod_turn
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
 
@@ -44,7 +45,6 @@ if cython.compiled:
         atan2,
         cos,
         fabs,
-        fmod,
         hypot,
         isfinite,
         isinf,
@@ -56,7 +56,6 @@ else:
         atan2,
         cos,
         fabs,
-        fmod,
         hypot,
         isfinite,
         isinf,
@@ -95,34 +94,6 @@ _MAX_SLOPE = cython.declare(cython.double, 0.06)  # m per ray by which a face ap
 # half width: an obstacle in a narrower sector is level at its ends
 _FLAT = cython.declare(cython.double, math.radians(20.0))
 
-_PI = cython.declare(cython.double, math.pi)
-_TURN = cython.declare(cython.double, 2.0 * math.pi)
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _mod(angle: cython.double) -> cython.double:
-    """The angle modulo a full turn, with the bits of numpy's %."""
-    if 0.0 <= angle < _TURN:
-        return angle
-    if -_TURN < angle < 0.0:  # as fmod, which is exact and slow
-        return angle + _TURN
-    if _TURN <= angle < 2.0 * _TURN:
-        return angle - _TURN
-    rest: cython.double = fmod(angle, _TURN)
-    if rest < 0.0:
-        rest += _TURN
-    return rest
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _apart(angle: cython.double, direction: cython.double) -> cython.double:
-    """The angle between two directions."""
-    return fabs(_mod(angle - direction + _PI) - _PI)
-
 
 @cython.cfunc
 @cython.inline
@@ -137,7 +108,7 @@ def _nearest(
     rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double
 ) -> cython.Py_ssize_t:
     """The index of the angle nearest to `wanted`, of n > 0 rising angles."""
-    angle: cython.double = _mod(wanted)
+    angle: cython.double = mod_turn(wanted)
     low: cython.Py_ssize_t = 0
     high: cython.Py_ssize_t = n
     middle: cython.Py_ssize_t
@@ -149,7 +120,7 @@ def _nearest(
             high = middle
     after: cython.Py_ssize_t = low if low < n else 0
     before: cython.Py_ssize_t = after - 1 if after else n - 1
-    if _apart(rising[before], wanted) < _apart(rising[after], wanted):
+    if angle_between(rising[before], wanted) < angle_between(rising[after], wanted):
         return before
     return after
 
@@ -319,11 +290,11 @@ def _turn_rays(
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     for i in range(1, count):
-        if _mod(bearings[i] - turned) < _mod(bearings[i - 1] - turned):
+        if mod_turn(bearings[i] - turned) < mod_turn(bearings[i - 1] - turned):
             first = i
     for i in range(count):
         k = first + i
-        angle = _mod(bearings[k - count if k >= count else k] - turned)
+        angle = mod_turn(bearings[k - count if k >= count else k] - turned)
         k = i
         while k > 0 and rising[k - 1] > angle:  # by rounding
             rising[k] = rising[k - 1]
@@ -490,9 +461,9 @@ class BlindZoneMemory:
         self._given_bearings, self._ray_count = bearings, n
         i: cython.Py_ssize_t
         for i in range(n):
-            self._turned_angle[i] = _mod(values[i])
+            self._turned_angle[i] = mod_turn(values[i])
         if not _sort_rays(values, self._turned_angle, self._rising, self._order):
-            sorted_rays: cython.longlong[::1] = np.argsort(table % _TURN, kind="stable")
+            sorted_rays: cython.longlong[::1] = np.argsort(table % TURN, kind="stable")
             for i in range(n):
                 self._order[i] = sorted_rays[i]
         for i in range(n):
@@ -662,7 +633,7 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         for i in range(first, first + width):
             self._is_empty[_wrapped(i, ray_count)] = True
-        half_angle: cython.double = width * _PI / ray_count
+        half_angle: cython.double = width * PI / ray_count
         is_flat: cython.bint = half_angle < _FLAT
         self._sector_first[k], self._sector_width[k] = first, width
         self._crossings[k] = 0
@@ -730,7 +701,7 @@ class BlindZoneMemory:
             bearing = atan2(y - sensor_y, x - sensor_x)
             ray = _nearest(self._rising, self._ray_count, bearing)
             if isinf(self._range[ray]):
-                return_width = hypot(x - sensor_x, y - sensor_y) * _TURN / self._ray_count
+                return_width = hypot(x - sensor_x, y - sensor_y) * TURN / self._ray_count
                 self._emerged_m -= return_width
                 self._vanished_m += return_width
             # 4. Adds the candidate. The obstacle can be `obstacle_step` within the rim by now. If
@@ -775,7 +746,7 @@ class BlindZoneMemory:
             if not self._is_hidden[k]:
                 continue
             i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
-            angle_off = _apart(self._angles[i], self._hidden_bearing[k])
+            angle_off = angle_between(self._angles[i], self._hidden_bearing[k])
             if angle_off > sideways_shift:
                 continue
             ray = self._angle_rays[i]
@@ -783,7 +754,7 @@ class BlindZoneMemory:
             self._nearest_by_ray[ray] = min(self._nearest_by_ray[ray], self._nearest_range[k])
             self._is_face_by_ray[ray] = self._is_face_by_ray[ray] and self._is_face[k] != 0.0
             # The bearing is not rounded to that of the ray, which would lose a slow turn.
-            if angle_off <= _PI / ray_count:
+            if angle_off <= PI / ray_count:
                 self._exact_bearing[ray] = self._hidden_bearing[k]
         return 0
 
@@ -806,7 +777,7 @@ class BlindZoneMemory:
         # The candidates behind these vanished in this scan, so they have not reappeared.
         for k in range(self._hidden_count):
             i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
-            angle_off = _apart(self._angles[i], self._hidden_bearing[k])
+            angle_off = angle_between(self._angles[i], self._hidden_bearing[k])
             if angle_off <= sideways_shift:
                 self._is_hidden[k] = False
             elif angle_off <= farthest_shift:
@@ -846,10 +817,10 @@ class BlindZoneMemory:
                     _turn_rays(self._old_empty, old_empty_count, turned, self._turned_angle)
                     is_turned = True
                 k = _nearest(self._turned_angle, old_empty_count, self._bearing[i])
-                if _apart(self._turned_angle[k], self._bearing[i]) <= _PI / ray_count:
+                if angle_between(self._turned_angle[k], self._bearing[i]) <= PI / ray_count:
                     self._angles[self._angle_total] = self._rising[i]
                     self._angle_total += 1
-                    self._emerged_m += self._range[i] * _TURN / ray_count
+                    self._emerged_m += self._range[i] * TURN / ray_count
 
     @cython.cfunc
     def _fill(self, seconds: cython.double) -> cython.int:
@@ -870,7 +841,7 @@ class BlindZoneMemory:
             for i in range(first, after_last):
                 least_age = min(least_age, self._age_by_ray[_wrapped(i, ray_count)])
             is_obstacle_hidden: cython.bint = least_age < INFINITY
-            width_rad = self._sector_width[k] * 2.0 * _PI / ray_count
+            width_rad = self._sector_width[k] * 2.0 * PI / ray_count
             if self._crossings[k] == 2 and width_rad < _MAX_FACE:
                 self._fill_with_box(k)
             elif is_obstacle_hidden and width_rad <= _MAX_SECTOR:

@@ -5,9 +5,9 @@ Part of the library of barrier.py. Units: m, s, rad.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
+from swarmd.core.angles import TURN
 from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP, Pose
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.buffers import doubles, maximum
@@ -40,7 +40,6 @@ _R_LINEAR = cython.declare(cython.Py_ssize_t, 4)  # the measured speeds
 _R_ANGULAR = cython.declare(cython.Py_ssize_t, 5)
 _R_LATERAL = cython.declare(cython.Py_ssize_t, 6)
 _R_FIELDS = cython.declare(cython.Py_ssize_t, 7)
-_turn = cython.declare(cython.double, 2.0 * math.pi)
 
 
 @cython.final
@@ -161,7 +160,7 @@ class DeadReckoning:
         readings: cython.double[::1] = self._readings
         start: cython.Py_ssize_t = _R_FIELDS * self._newest
         distance: cython.double = hypot(x - readings[start + _R_X], y - readings[start + _R_Y])
-        turned: cython.double = fabs(remainder(yaw - readings[start + _R_YAW], _turn))
+        turned: cython.double = fabs(remainder(yaw - readings[start + _R_YAW], TURN))
         jump: cython.double = maximum(distance, turned)
         longest_jump: cython.double = _max_step + _max_speed * (stamp - readings[start + _R_STAMP])
         is_reset: cython.bint = stamp <= readings[start + _R_STAMP] or jump > longest_jump
@@ -205,7 +204,7 @@ class DeadReckoning:
                 return into.set(
                     x + fraction * (readings[later + _R_X] - x),
                     y + fraction * (readings[later + _R_Y] - y),
-                    yaw + fraction * remainder(readings[later + _R_YAW] - yaw, _turn),
+                    yaw + fraction * remainder(readings[later + _R_YAW] - yaw, TURN),
                 )
             later = earlier
 

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from swarmd.core.angles import TURN
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
 from swarmd.protection.settings import BarrierSettings
 
@@ -76,7 +77,6 @@ _UNITS = "m/s", "rad/s", "m/s to the left"
 _WHY = "a reflex of the base, a stuck wheel, or another node drives"
 _WRONG = "one of both stands still, jumps, or has a wrong sign, scale or frame"
 
-_turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
 _inf = cython.declare(cython.double, math.inf)
@@ -400,7 +400,7 @@ class FollowingMonitor:
         period: cython.double = stamp - self._stamp
         dx: cython.double = x - self._x
         dy: cython.double = y - self._y
-        turned: cython.double = remainder(yaw - self._yaw, _turn)
+        turned: cython.double = remainder(yaw - self._yaw, TURN)
         middle_yaw: cython.double = self._yaw + 0.5 * turned
         if had_last and period == 0.0:
             return
@@ -438,6 +438,6 @@ class FollowingMonitor:
         )
         self.blocked_bearing = NAN
         if self._linear.blocked:
-            self.blocked_bearing = 0.0 if self._linear.blocked > 0.0 else 0.5 * _turn
+            self.blocked_bearing = 0.0 if self._linear.blocked > 0.0 else 0.5 * TURN
         elif self._lateral.blocked:
-            self.blocked_bearing = 0.25 * _turn * self._lateral.blocked
+            self.blocked_bearing = 0.25 * TURN * self._lateral.blocked

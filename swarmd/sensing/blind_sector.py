@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.angles import TURN
 from swarmd.core.values import Array, Odometry, ScanSpec
-from swarmd.sensing.angles import TURN
 from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of
 from swarmd.sensing.sector_history import (
     EQUAL,

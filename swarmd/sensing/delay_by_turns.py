@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.angles import TURN
 from swarmd.core.messages import DelayFigure
-from swarmd.sensing.angles import TURN
 from swarmd.sensing.buffers import new_doubles, view_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.angles import TURN
 from swarmd.core.values import (
     HISTORY,
     MAX_COORDINATE,
@@ -15,7 +16,6 @@ from swarmd.core.values import (
     MAX_STEP,
     Odometry,
 )
-from swarmd.sensing.angles import TURN
 from swarmd.sensing.buffers import view_of
 from swarmd.sensing.scan_delay import ScanDelay
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.sensing.angles import PI, TURN, angle_between, mod_turn, wrap
+from swarmd.core.angles import PI, TURN, angle_between, mod_turn, wrap
 from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of, wrapped_index
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other

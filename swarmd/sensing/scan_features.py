@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.sensing.angles import PI, TURN, wrap
+from swarmd.core.angles import PI, TURN, wrap
 from swarmd.sensing.buffers import view_of
 from swarmd.sensing.scan_layout import ScanLayout, layout_of
 

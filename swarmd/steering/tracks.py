@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.angles import TURN
 from swarmd.core.values import (
     HISTORY,
     MAX_EXTRAPOLATION,
@@ -106,7 +107,6 @@ _MAX_EXTRAPOLATED = cython.declare(
     cython.double, 1.0
 )  # s for which a track moves on without a scan
 
-TURN = cython.declare(cython.double, 2.0 * math.pi)
 _SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # sectors in a rad
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
 _max_step = cython.declare(cython.double, MAX_STEP)
