@@ -50,11 +50,13 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.kit._points": ("swarmd.kit.points",),
     "swarmd.protection._assumption_monitor": (
         "swarmd.core.angles",
+        "swarmd.core.buffers",
         "swarmd.protection.assumption_monitor",
     ),
     "swarmd.protection._barrier": (
         "swarmd.core.angles",
-        "swarmd.protection.buffers",
+        "swarmd.core.buffers",
+        "swarmd.protection.comparisons",
         "swarmd.protection.closing_speed",
         "swarmd.protection.barrier_assumptions",
         "swarmd.protection.outline",
@@ -73,8 +75,16 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.feasible_set",
         "swarmd.protection.barrier",
     ),
-    "swarmd.protection._blind_zone": ("swarmd.core.angles", "swarmd.protection.blind_zone"),
-    "swarmd.protection._following": ("swarmd.core.angles", "swarmd.protection.following"),
+    "swarmd.protection._blind_zone": (
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.protection.blind_zone",
+    ),
+    "swarmd.protection._following": (
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.protection.following",
+    ),
     "swarmd.protection._protection": ("swarmd.protection.protection",),
     "swarmd.robot._ticker": (
         "swarmd.robot.effects",
@@ -84,7 +94,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ),
     "swarmd.sensing._scans": (
         "swarmd.core.angles",
-        "swarmd.sensing.buffers",
+        "swarmd.core.buffers",
         "swarmd.sensing.ray_memory",
         "swarmd.sensing.blind_sector",
         "swarmd.sensing.conditioning",
@@ -99,7 +109,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     ),
     "swarmd.steering._steering": (
         "swarmd.core.angles",
-        "swarmd.steering.buffers",
+        "swarmd.core.buffers",
         "swarmd.steering.tracks",
         "swarmd.steering.velocity_obstacles",
         "swarmd.steering.openings",

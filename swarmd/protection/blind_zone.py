@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.angles import PI, TURN, angle_between, mod_turn
+from swarmd.core.buffers import doubles, flags, indices, view, wrapped_index
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
 
@@ -93,14 +94,6 @@ _MIN_APPROACH = cython.declare(cython.double, 0.02)
 _MAX_SLOPE = cython.declare(cython.double, 0.06)  # m per ray by which a face approaches at most
 # half width: an obstacle in a narrower sector is level at its ends
 _FLAT = cython.declare(cython.double, math.radians(20.0))
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _wrapped(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """i modulo n, for i below 2 n, without a slow division."""
-    return i - n if i >= n else i
 
 
 @cython.cfunc
@@ -173,14 +166,10 @@ def _find_match(
 _NOTHING = np.empty(0)
 
 
-def _zeros(n: cython.Py_ssize_t, kind: type[np.generic] = np.float64) -> Any:
-    """A buffer of n zeros; in CPython a list."""
-    return np.zeros(n, kind) if cython.compiled else np.zeros(n, kind).tolist()
-
-
-def _grown(old: Any, n: cython.Py_ssize_t) -> Any:
+@cython.cfunc
+def _grown(old: cython.double[::1], n: cython.Py_ssize_t) -> cython.double[::1]:
     """A buffer of n numbers that begins with those of `old`."""
-    new = _zeros(n)
+    new: cython.double[::1] = doubles(n)
     new[: len(old)] = old
     return new
 
@@ -263,7 +252,7 @@ def _sort_rays(
     # 2. Inserts the rays from the lowest angle on, in the direction in which most angles rise.
     for i in range(ray_count):
         ray = lowest + i if rising_count >= 0 else lowest - i + ray_count
-        ray = _wrapped(ray, ray_count)
+        ray = wrapped_index(ray, ray_count)
         angle, k = angles[ray], i
         while k > 0 and (rising[k - 1] > angle or (rising[k - 1] == angle and order[k - 1] > ray)):
             rising[k], order[k] = rising[k - 1], order[k - 1]
@@ -335,9 +324,9 @@ class BlindZoneMemory:
     # Empty sectors: the first ray, the number of rays, at how many ends (0 to 2) an obstacle
     # crosses the rim, and m to the square corner of rule 2.
     _sector_count: cython.Py_ssize_t
-    _sector_first: cython.Py_ssize_t[::1]
-    _sector_width: cython.Py_ssize_t[::1]
-    _crossings: cython.Py_ssize_t[::1]
+    _sector_first: cython.longlong[::1]
+    _sector_width: cython.longlong[::1]
+    _crossings: cython.longlong[::1]
     _corner: cython.double[::1]
     # Near points of this scan, of the last one, and rays without return of the last one.
     _point_count: cython.Py_ssize_t
@@ -352,7 +341,7 @@ class BlindZoneMemory:
     # `_angle_total` rising angles, in which `_nearest` searches, and the rays to which they belong.
     _angle_total: cython.Py_ssize_t
     _angles: cython.double[::1]
-    _angle_rays: cython.Py_ssize_t[::1]
+    _angle_rays: cython.longlong[::1]
     # The hidden obstacles, then the candidates: near returns of the scan before that may have
     # crossed the rim. Of each: bearing in rad, age in s, least range in m, and whether it only
     # continues a face that is in view (1.0).
@@ -382,13 +371,13 @@ class BlindZoneMemory:
         self._x = self._y = self._old_x = self._old_y = self._old_empty = _NOTHING
         self._hidden_bearing = self._age = self._nearest_range = self._is_face = _NOTHING
         self.bearings = self.nearest = _NOTHING
-        self._order = _zeros(0, np.int64)
-        self._sector_first = self._sector_width = _zeros(0, np.intp)
+        self._order = indices(0)
+        self._sector_first = self._sector_width = indices(0)
         self._crossings = self._angle_rays = self._sector_first
         self._bearing = self._rising = self._range = _NOTHING
         self._age_by_ray = self._nearest_by_ray = _NOTHING
         self._exact_bearing = self._corner = self._turned_angle = self._angles = _NOTHING
-        self._is_empty = self._is_in_entered_sector = _zeros(0, np.uint8)
+        self._is_empty = self._is_in_entered_sector = flags(0)
         self._is_face_by_ray = self._is_hidden = self._is_empty
 
     def update(
@@ -407,8 +396,7 @@ class BlindZoneMemory:
                 as moving away from a hidden obstacle (rule 4).
             seconds: s between the two scans.
         """
-        table = np.ascontiguousarray(scan.ranges, np.float64)  # interpreted, a list is read faster
-        ranges: cython.const_double[::1] = table if cython.compiled else table.tolist()
+        ranges: cython.const_double[::1] = view(scan.ranges)
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
         # After a pause at most 5 periods count, else all returns would be near.
         counted_s: cython.double = min(seconds, 5.0 * self._period)
@@ -453,8 +441,7 @@ class BlindZoneMemory:
     @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:
         """Take new bearings of the rays, and sort the rays by them."""
-        table = np.ascontiguousarray(bearings, np.float64)
-        values: cython.const_double[::1] = table if cython.compiled else table.tolist()
+        values: cython.const_double[::1] = view(bearings)
         n: cython.Py_ssize_t = len(values)
         if n > self._reserved:
             self._reserve(n + n // 4)
@@ -463,7 +450,7 @@ class BlindZoneMemory:
         for i in range(n):
             self._turned_angle[i] = mod_turn(values[i])
         if not _sort_rays(values, self._turned_angle, self._rising, self._order):
-            sorted_rays: cython.longlong[::1] = np.argsort(table % TURN, kind="stable")
+            sorted_rays: cython.longlong[::1] = np.argsort(bearings % TURN, kind="stable")
             for i in range(n):
                 self._order[i] = sorted_rays[i]
         for i in range(n):
@@ -474,23 +461,23 @@ class BlindZoneMemory:
     def _reserve(self, size: cython.Py_ssize_t) -> None:
         """Make room for `size` rays; the hidden obstacles and the near points stay."""
         self._reserved = size
-        self._order = _zeros(size, np.int64)
-        self._bearing, self._rising = _zeros(size), _zeros(size)
-        self._range, self._exact_bearing, self._corner = _zeros(size), _zeros(size), _zeros(size)
-        self._age_by_ray, self._nearest_by_ray = _zeros(size), _zeros(size)
-        self._is_empty, self._is_in_entered_sector = _zeros(size, np.uint8), _zeros(size, np.uint8)
-        self._is_face_by_ray = _zeros(size, np.uint8)
-        self._sector_first, self._sector_width = _zeros(size, np.intp), _zeros(size, np.intp)
-        self._crossings, self._angle_rays = _zeros(size, np.intp), _zeros(size, np.intp)
+        self._order = indices(size)
+        self._bearing, self._rising = doubles(size), doubles(size)
+        self._range, self._exact_bearing, self._corner = doubles(size), doubles(size), doubles(size)
+        self._age_by_ray, self._nearest_by_ray = doubles(size), doubles(size)
+        self._is_empty, self._is_in_entered_sector = flags(size), flags(size)
+        self._is_face_by_ray = flags(size)
+        self._sector_first, self._sector_width = indices(size), indices(size)
+        self._crossings, self._angle_rays = indices(size), indices(size)
         self._x, self._y = _grown(self._x, size), _grown(self._y, size)
         self._old_x, self._old_y = _grown(self._old_x, size), _grown(self._old_y, size)
         self._old_empty = _grown(self._old_empty, size)
-        self._angles, self._turned_angle = _zeros(size), _zeros(size)
+        self._angles, self._turned_angle = doubles(size), doubles(size)
         # Candidates: at most a hidden obstacle for each ray, and one for each earlier near point.
         self._bearings = self._hidden_bearing = _grown(self._hidden_bearing, 2 * size)
         self._ranges = self._nearest_range = _grown(self._nearest_range, 2 * size)
         self._age, self._is_face = _grown(self._age, 2 * size), _grown(self._is_face, 2 * size)
-        self._is_hidden = _zeros(2 * size, np.uint8)
+        self._is_hidden = flags(2 * size)
 
     @cython.cfunc
     def _leave(
@@ -540,7 +527,7 @@ class BlindZoneMemory:
                 for i in range(
                     self._sector_first[k], self._sector_first[k] + self._sector_width[k]
                 ):
-                    self._is_in_entered_sector[_wrapped(i, ray_count)] = True
+                    self._is_in_entered_sector[wrapped_index(i, ray_count)] = True
         # 2. The hidden obstacles approach, and vanished returns become candidates.
         self._approach(turned, seconds)
         self._candidate_count = self._hidden_count
@@ -615,10 +602,10 @@ class BlindZoneMemory:
         i = first
         while i < last:
             end = i
-            while end < last and isinf(self._range[_wrapped(end, ray_count)]):
+            while end < last and isinf(self._range[wrapped_index(end, ray_count)]):
                 end += 1
             if end - i >= _MIN_EMPTY_RUN:
-                self._add_sector(_wrapped(i, ray_count), end - i)
+                self._add_sector(wrapped_index(i, ray_count), end - i)
             i = end + 1
 
     @cython.cfunc
@@ -632,7 +619,7 @@ class BlindZoneMemory:
         k: cython.Py_ssize_t = self._sector_count
         i: cython.Py_ssize_t
         for i in range(first, first + width):
-            self._is_empty[_wrapped(i, ray_count)] = True
+            self._is_empty[wrapped_index(i, ray_count)] = True
         half_angle: cython.double = width * PI / ray_count
         is_flat: cython.bint = half_angle < _FLAT
         self._sector_first[k], self._sector_width[k] = first, width
@@ -839,7 +826,7 @@ class BlindZoneMemory:
             first, after_last = self._sector_first[k], self._sector_first[k] + self._sector_width[k]
             least_age: cython.double = INFINITY  # inf without a hidden obstacle in the sector
             for i in range(first, after_last):
-                least_age = min(least_age, self._age_by_ray[_wrapped(i, ray_count)])
+                least_age = min(least_age, self._age_by_ray[wrapped_index(i, ray_count)])
             is_obstacle_hidden: cython.bint = least_age < INFINITY
             width_rad = self._sector_width[k] * 2.0 * PI / ray_count
             if self._crossings[k] == 2 and width_rad < _MAX_FACE:
@@ -859,10 +846,10 @@ class BlindZoneMemory:
                 # Open space, into which no obstacle reaches: doubtful obstacles will expire.
                 for i in range(first, after_last):
                     is_doubtful: cython.bint = (
-                        0.0 < self._age_by_ray[_wrapped(i, ray_count)] < INFINITY
+                        0.0 < self._age_by_ray[wrapped_index(i, ray_count)] < INFINITY
                     )
                     if is_doubtful:
-                        self._age_by_ray[_wrapped(i, ray_count)] += seconds
+                        self._age_by_ray[wrapped_index(i, ray_count)] += seconds
 
     @cython.cfunc
     def _fill_with_box(self, k: cython.Py_ssize_t) -> cython.int:
@@ -874,7 +861,7 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         ray: cython.Py_ssize_t
         for i in range(self._sector_first[k], self._sector_first[k] + self._sector_width[k]):
-            ray = _wrapped(i, self._ray_count)
+            ray = wrapped_index(i, self._ray_count)
             self._age_by_ray[ray] = min(self._age_by_ray[ray], _DOUBTFUL)  # inf without an obstacle
             if self._is_face_by_ray[ray]:  # True without an obstacle, too
                 self._nearest_by_ray[ray] = self._corner[k]
@@ -887,7 +874,7 @@ class BlindZoneMemory:
         after_last: cython.Py_ssize_t = first + self._sector_width[k]
         nearest: cython.double = INFINITY
         for i in range(first, after_last):
-            nearest = min(nearest, self._nearest_by_ray[_wrapped(i, self._ray_count)])
+            nearest = min(nearest, self._nearest_by_ray[wrapped_index(i, self._ray_count)])
         for i in range(first, after_last):
-            self._age_by_ray[_wrapped(i, self._ray_count)] = age
-            self._nearest_by_ray[_wrapped(i, self._ray_count)] = nearest
+            self._age_by_ray[wrapped_index(i, self._ray_count)] = age
+            self._nearest_by_ray[wrapped_index(i, self._ray_count)] = nearest

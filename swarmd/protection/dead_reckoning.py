@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core.angles import TURN
+from swarmd.core.buffers import doubles
 from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP, Pose
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
-from swarmd.protection.buffers import doubles, maximum
+from swarmd.protection.comparisons import maximum
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.angles import TURN
+from swarmd.core.buffers import view_of
 from swarmd.core.values import Array, Scan, ScanSpec, Sweep
-from swarmd.sensing.buffers import view_of
 from swarmd.sensing.odometry_history import OdometryHistory
 from swarmd.sensing.ray_motion import move_rays, rays_in_sector
 

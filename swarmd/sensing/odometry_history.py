@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.core.angles import TURN
+from swarmd.core.buffers import view_of
 from swarmd.core.values import (
     HISTORY,
     MAX_COORDINATE,
@@ -16,7 +17,6 @@ from swarmd.core.values import (
     MAX_STEP,
     Odometry,
 )
-from swarmd.sensing.buffers import view_of
 from swarmd.sensing.scan_delay import ScanDelay
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other

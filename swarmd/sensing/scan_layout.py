@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.angles import PI, TURN, wrap
-from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of, wrapped_index
+from swarmd.core.buffers import flags, indices, scratch, view_of, wrapped_index
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -66,12 +66,12 @@ class ScanLayout:
     def __init__(self, n: cython.Py_ssize_t) -> None:
         """For up to n bearings."""
         self.capacity = n
-        self.angles, self.given = np.empty(n), new_doubles(n)
-        self.steps = new_doubles(n)
-        self.wrapped, self.work = view_of(self.angles), new_doubles(n)
-        self.rising, self.slopes = new_doubles(n), new_doubles(n)
-        self.order, self.sector = new_indices(n), new_indices(n)
-        self.is_apart, self.is_last = new_flags(n), new_flags(n)
+        self.angles, self.given = np.empty(n), scratch(n)
+        self.steps = scratch(n)
+        self.wrapped, self.work = view_of(self.angles), scratch(n)
+        self.rising, self.slopes = scratch(n), scratch(n)
+        self.order, self.sector = indices(n), indices(n)
+        self.is_apart, self.is_last = flags(n), flags(n)
 
     @cython.cfunc
     def is_of(self, bearings: cython.const_double[::1]) -> cython.bint:
@@ -81,7 +81,7 @@ class ScanLayout:
             return False
         if cython.compiled:
             return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
-        return bearings == self.given[:n]
+        return list(bearings) == self.given[:n]
 
     @cython.cfunc
     def set_bearings(self, bearings: cython.const_double[::1]) -> cython.int:
@@ -187,7 +187,7 @@ class ScanLayout:
         if self.points is None or len(self.points) != count:
             self.points = np.empty((count, 2))
             self.point = view_of(self.points)
-            self.lowest = new_doubles(count)
+            self.lowest = scratch(count)
             self.nearest_ray = np.empty(count, np.intp).data
         share: cython.double = count / TURN
         i: cython.Py_ssize_t

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.angles import PI, TURN
+from swarmd.core.buffers import scratch, view
 from swarmd.core.values import Array, Pose, Scan
-from swarmd.steering.buffers import rows, scratch
 from swarmd.steering.tracks import ScanReturns
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -604,7 +604,7 @@ def gap_middle(
         middle: (the expected middle, the bound of the middle's distance from the axis), m.
     """
     i: cython.Py_ssize_t
-    table: cython.const_double[:, ::1] = rows(points)
+    table: cython.const_double[:, ::1] = view(points)
     robot_along: cython.double = place[0]
     robot_aside: cython.double = place[1]
     cos_heading: cython.double = cos(place[2])

@@ -29,10 +29,11 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.angles import PI, TURN, wrap
+from swarmd.core.buffers import view
 from swarmd.core.values import ZERO, Array, Limits, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.avoidance import PASSAGE_WIDTHS
-from swarmd.steering.buffers import rows, speed_of
+from swarmd.steering.tracks import speed_of
 from swarmd.steering.velocity_obstacles import passage_between
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -414,7 +415,7 @@ class Recovery:
     @cython.cfunc
     def _is_enclosed(self, points: Array) -> cython.bint:
         """True between walls: no corridor ahead is free up to the lookahead."""
-        places: cython.const_double[:, ::1] = rows(points)
+        places: cython.const_double[:, ::1] = view(points)
         ahead = [bearing for bearing in _BEARINGS if fabs(bearing) <= 0.5 * PI]
         return all([self._free_length(places, bearing) < self.lookahead for bearing in ahead])
 
@@ -538,7 +539,7 @@ class Recovery:
     @cython.cfunc
     def _back_off(self, points: Array, now: cython.double) -> None:
         """Move forward or backward, to the side with more room."""
-        places: cython.const_double[:, ::1] = rows(points)
+        places: cython.const_double[:, ::1] = view(points)
         ahead = self._free_length(places, 0.0)
         self._is_backing, self._escape = self._free_length(places, PI) > ahead, None
         self._enter("back", now)
@@ -566,7 +567,7 @@ class Recovery:
         if now >= self._side_until:
             self._side = 1.0 if self._rng.random() < _SIDE_FLIP_PROBABILITY else -1.0
         self._side_until = now + _SIDE_HOLD_TIME
-        places: cython.const_double[:, ::1] = rows(points)
+        places: cython.const_double[:, ::1] = view(points)
         least_cost: cython.double = INFINITY
         for bearing in _BEARINGS:
             angle_off = wrap(bearing - heading)

@@ -27,10 +27,9 @@ from swarmd.core.angles import PI, TURN
 from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
-from swarmd.steering.buffers import speed_of
 from swarmd.steering.openings import SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
-from swarmd.steering.tracks import Motion, ScanReturns, Surroundings, Track
+from swarmd.steering.tracks import Motion, ScanReturns, Surroundings, Track, speed_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython

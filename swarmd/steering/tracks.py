@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.angles import TURN
+from swarmd.core.buffers import doubles, indices, view, view_of
 from swarmd.core.values import (
     HISTORY,
     MAX_EXTRAPOLATION,
@@ -37,7 +38,6 @@ from swarmd.core.values import (
     Scan,
 )
 from swarmd.protection.decision import DecisionContext
-from swarmd.steering.buffers import doubles, numbers, places, rows
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -111,6 +111,15 @@ _SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # sectors i
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
+
+
+@cython.cfunc
+def speed_of(linear: cython.double, lateral: cython.double) -> cython.double:
+    """The speed in m/s of a twist by `math.hypot`, which rounds differently from C's hypot.
+
+    Most bases do not move sideways, and need no call of Python.
+    """
+    return fabs(linear) if lateral == 0.0 else math.hypot(linear, lateral)
 
 
 @cython.final
@@ -203,7 +212,7 @@ class ScanReturns:
 
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         self.ranges, self.bearings, self.ages = doubles(count), doubles(count), doubles(count)
-        self._order = places(count)
+        self._order = indices(count)
 
     @cython.cfunc
     def take(self, scan: Scan) -> cython.int:
@@ -216,11 +225,11 @@ class ScanReturns:
         """
         if scan is self._scan:
             return 0
-        ranges: cython.const_double[::1] = numbers(scan.ranges)
-        bearings: cython.const_double[::1] = numbers(scan.bearings)
+        ranges: cython.const_double[::1] = view(scan.ranges)
+        bearings: cython.const_double[::1] = view(scan.bearings)
         has_ages: cython.bint = scan.ages is not None
         # Without ages all ages are 0, and `ages` is not read: any array may take its place.
-        ages: cython.const_double[::1] = ranges if scan.ages is None else numbers(scan.ages)
+        ages: cython.const_double[::1] = ranges if scan.ages is None else view(scan.ages)
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
@@ -436,7 +445,7 @@ class Surroundings:
         cos_yaw: cython.double = cos(self._yaw)
         sin_yaw: cython.double = sin(self._yaw)
         walls = np.empty((self._wall_count, 2))
-        places: cython.double[:, ::1] = rows(walls)
+        places: cython.double[:, ::1] = view_of(walls)
         for i in range(self._wall_count):
             dx: cython.double = self._wall_x[i] - self._x
             dy: cython.double = self._wall_y[i] - self._y
@@ -649,8 +658,8 @@ class Tracker:
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         """Make the arrays of places, runs and walls for `count` rays."""
         self._x, self._y = doubles(count), doubles(count)
-        self._is_gap = places(count)
-        self._run_first, self._run_last = places(count), places(count)
+        self._is_gap = indices(count)
+        self._run_first, self._run_last = indices(count), indices(count)
         # Each place of a wall is a return, or the mean of a run.
         self._wall_x, self._wall_y = doubles(count), doubles(count)
 
