@@ -78,6 +78,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.protection._blind_zone": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
+        "swarmd.core.ray_order",
         "swarmd.protection.blind_zone",
     ),
     "swarmd.protection._following": (
@@ -95,6 +96,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.sensing._scans": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
+        "swarmd.core.ray_order",
         "swarmd.sensing.ray_memory",
         "swarmd.sensing.blind_sector",
         "swarmd.sensing.conditioning",
@@ -110,6 +112,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.steering._steering": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
+        "swarmd.core.ray_order",
         "swarmd.steering.tracks",
         "swarmd.steering.velocity_obstacles",
         "swarmd.steering.openings",

@@ -33,6 +33,7 @@ import numpy as np
 
 from swarmd.core.angles import PI, TURN, angle_between, mod_turn
 from swarmd.core.buffers import doubles, flags, indices, view, wrapped_index
+from swarmd.core.ray_order import sort_rays
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
 
@@ -222,49 +223,6 @@ def _crosses_rim(
 
 
 @cython.cfunc
-def _sort_rays(
-    bearings: cython.const_double[::1],
-    angles: cython.double[::1],
-    rising: cython.double[::1],
-    order: cython.longlong[::1],
-) -> cython.bint:
-    """Order rays by rising angles; False if this takes more than 8 moves per ray.
-
-    `bearings` (n,) in rad are those of the scan, `angles` the same within a turn. Writes the rising
-    angles into `rising`, and the indices of their rays into `order`. Rays of the same angle stay in
-    their order.
-
-    An insertion sort is fast here: along the indices of the rays, the angles of most sensors rise
-    all the time or fall all the time, but for a few rays and the jump by a full turn.
-    """
-    ray_count: cython.Py_ssize_t = len(bearings)
-    lowest: cython.Py_ssize_t = 0
-    rising_count: cython.Py_ssize_t = 0
-    move_count: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    ray: cython.Py_ssize_t
-    # 1. The ray with the lowest angle, and whether more angles rise than fall.
-    for i in range(1, ray_count):
-        rising_count += 1 if bearings[i] > bearings[i - 1] else -1
-        if angles[i] < angles[lowest]:
-            lowest = i
-    # 2. Inserts the rays from the lowest angle on, in the direction in which most angles rise.
-    for i in range(ray_count):
-        ray = lowest + i if rising_count >= 0 else lowest - i + ray_count
-        ray = wrapped_index(ray, ray_count)
-        angle, k = angles[ray], i
-        while k > 0 and (rising[k - 1] > angle or (rising[k - 1] == angle and order[k - 1] > ray)):
-            rising[k], order[k] = rising[k - 1], order[k - 1]
-            k -= 1
-        rising[k], order[k] = angle, ray
-        move_count += i - k
-        if move_count > 8 * ray_count:
-            return False
-    return True
-
-
-@cython.cfunc
 def _turn_rays(
     bearings: cython.double[::1],
     count: cython.Py_ssize_t,
@@ -449,13 +407,9 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         for i in range(n):
             self._turned_angle[i] = mod_turn(values[i])
-        if not _sort_rays(values, self._turned_angle, self._rising, self._order):
-            sorted_rays: cython.longlong[::1] = np.argsort(bearings % TURN, kind="stable")
-            for i in range(n):
-                self._order[i] = sorted_rays[i]
+        sort_rays(self._turned_angle, n, self._rising, self._order)
         for i in range(n):
             self._bearing[i] = values[self._order[i]]
-            self._rising[i] = self._turned_angle[self._order[i]]
 
     @cython.cfunc
     def _reserve(self, size: cython.Py_ssize_t) -> None:

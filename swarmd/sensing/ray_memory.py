@@ -13,6 +13,7 @@ import numpy as np
 
 from swarmd.core.angles import PI, TURN, angle_between, mod_turn, wrap
 from swarmd.core.buffers import flags, indices, scratch, view_of, wrapped_index
+from swarmd.core.ray_order import sort_rays
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -298,13 +299,15 @@ class RayMemory:
         count: cython.Py_ssize_t = len(bearings)
         old_count: cython.Py_ssize_t = self._ray_count
         old_rising: cython.double[::1] = self._rising
+        i: cython.Py_ssize_t
         values = np.array(bearings, dtype=np.float64, order="C")
-        order = np.argsort(values % TURN, kind="stable")
+        angles: cython.double[::1] = view_of(values % TURN)
         self._given, self._ray_count = bearings, count
-        self._direction = 1.0
-        self._bearings, self._order = values.data, order.data
-        self._rising = (values[order] % TURN).data
-        self._place = np.argsort(order).data  # of each ray in `order`, its inverse
+        self._direction, self._bearings = 1.0, values.data
+        self._rising, self._order, self._place = scratch(count), indices(count), indices(count)
+        sort_rays(angles, count, self._rising, self._order)
+        for i in range(count):
+            self._place[self._order[i]] = i
         if count > 1:
             last_step = math.remainder(values[count - 1] - values[count - 2], TURN)
             self._direction = math.copysign(1.0, last_step)

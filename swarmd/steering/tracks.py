@@ -27,6 +27,7 @@ import numpy as np
 
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles, indices, view, view_of
+from swarmd.core.ray_order import sort_rays
 from swarmd.core.values import (
     HISTORY,
     MAX_EXTRAPOLATION,
@@ -206,22 +207,21 @@ class ScanReturns:
     ages: cython.double[::1]  # s; 0 for a scan without ages
     _scan: Scan | None  # the last scan; None before the first
     _order: cython.longlong[::1]  # the rays with a return, as they come
+    _sorted: cython.longlong[::1]  # the places in `_order` by rising bearing; unused if they rise
 
     def __init__(self) -> None:
         self._make_room(0)  # a view that is not set ends the process when memory is taken
 
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         self.ranges, self.bearings, self.ages = doubles(count), doubles(count), doubles(count)
-        self._order = indices(count)
+        self._order, self._sorted = indices(count), indices(count)
 
     @cython.cfunc
     def take(self, scan: Scan) -> cython.int:
         """Set the returns to those of a conditioned scan, unless it is the last scan.
 
-        The bearings of a conditioned scan rise from ray to ray. In the scan of a turning robot they
-        may fall once, from half a turn to minus half a turn. So most scans need no sorting: the
-        returns from this fall on come first, then the returns before the fall. Returns of the same
-        bearing keep their order.
+        The bearings of most conditioned scans rise from ray to ray, and need no sorting. Returns of
+        the same bearing keep their order.
         """
         if scan is self._scan:
             return 0
@@ -233,34 +233,28 @@ class ScanReturns:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
-        falls: cython.Py_ssize_t = 0  # how often the bearing falls from a return to the next
-        lowest: cython.Py_ssize_t = 0  # the return behind the last fall; 0 without a fall
+        is_rising: cython.bint = True
 
-        # 1. Rays with a return, and where their bearings fall.
+        # 1. Rays with a return, and whether their bearings rise.
         if len(self._order) < len(ranges):
             self._make_room(len(ranges))
         order: cython.longlong[::1] = self._order
         for i in range(len(ranges)):
             if ranges[i] > 0.0 and ranges[i] < INFINITY:
                 if count > 0 and not bearings[i] >= bearings[order[count - 1]]:
-                    falls, lowest = falls + 1, count
+                    is_rising = False
                 order[count] = i
                 count += 1
-        # With a single fall, and with the last bearing below the first, the bearings rise from
-        # `lowest` on, and go on at the first return. Otherwise the returns must be sorted.
-        is_rotated: cython.bint = falls == 1 and bearings[order[count - 1]] < bearings[order[0]]
-        if falls > 0 and not is_rotated:
-            rays = np.array(order[:count])
-            rays = rays[scan.bearings[rays].argsort(kind="stable")]
-            order = rays if cython.compiled else rays.tolist()
-            lowest = 0
-
         # 2. The returns in the order of their bearings.
         own_ranges: cython.double[::1] = self.ranges
         own_bearings: cython.double[::1] = self.bearings
         own_ages: cython.double[::1] = self.ages
+        if not is_rising:
+            for k in range(count):
+                own_ages[k] = bearings[order[k]]
+            sort_rays(own_ages, count, own_bearings, self._sorted)
         for k in range(count):
-            i = order[k + lowest if k + lowest < count else k + lowest - count]
+            i = order[k if is_rising else self._sorted[k]]
             own_ranges[k], own_bearings[k] = ranges[i], bearings[i]
             own_ages[k] = ages[i] if has_ages else 0.0
         self.count, self._scan = count, scan
