@@ -56,6 +56,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.protection._barrier": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
+        "swarmd.core.odometry_trail",
         "swarmd.protection.comparisons",
         "swarmd.protection.closing_speed",
         "swarmd.protection.barrier_assumptions",
@@ -96,6 +97,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.sensing._scans": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
+        "swarmd.core.odometry_trail",
         "swarmd.core.ray_order",
         "swarmd.sensing.ray_memory",
         "swarmd.sensing.blind_sector",
@@ -112,6 +114,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.steering._steering": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
+        "swarmd.core.odometry_trail",
         "swarmd.core.ray_order",
         "swarmd.steering.tracks",
         "swarmd.steering.velocity_obstacles",

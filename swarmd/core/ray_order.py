@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.buffers import wrapped_index
+from swarmd.core.buffers import checked, checked_indices, wrapped_index
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -43,25 +43,28 @@ def sort_rays(
     ray: cython.Py_ssize_t = 0
     if count == 0:
         return
+    given: cython.p_double = checked(angles, count)
+    risen: cython.p_double = checked(rising, count)
+    rays: cython.p_longlong = checked_indices(order, count)
 
     # 1. Begins at the smallest angle, in the direction in which angles rise.
     for i in range(count):
-        if angles[i] < angles[ray]:
+        if given[i] < given[ray]:
             ray = i
-    before: cython.double = angles[ray - 1 if ray else count - 1]
+    before: cython.double = given[ray - 1 if ray else count - 1]
     index_step: cython.Py_ssize_t = 1
-    if before < angles[wrapped_index(ray + 1, count)]:
+    if before < given[wrapped_index(ray + 1, count)]:
         index_step = count - 1  # angles fall with the index: one back, modulo the number
 
     # 2. Inserts each angle.
     moves_left: cython.Py_ssize_t = _MOVES_A_RAY * count
     for i in range(count):
-        angle: cython.double = angles[ray]
+        angle: cython.double = given[ray]
         k = i
-        while k > 0 and (rising[k - 1] > angle or (rising[k - 1] == angle and order[k - 1] > ray)):
-            rising[k], order[k] = rising[k - 1], order[k - 1]
+        while k > 0 and (risen[k - 1] > angle or (risen[k - 1] == angle and rays[k - 1] > ray)):
+            risen[k], rays[k] = risen[k - 1], rays[k - 1]
             k, moves_left = k - 1, moves_left - 1
-        rising[k], order[k] = angle, ray
+        risen[k], rays[k] = angle, ray
         if moves_left < 0 or not isfinite(angle):
             break
         ray = wrapped_index(ray + index_step, count)

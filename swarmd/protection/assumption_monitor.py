@@ -46,7 +46,7 @@ import msgspec
 import numpy as np
 
 from swarmd.core.angles import TURN
-from swarmd.core.buffers import view
+from swarmd.core.buffers import view_of
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Array, Odometry, Platform, Twist
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import BarrierSettings
@@ -510,20 +510,20 @@ def _misfits(stop: _Stop, commands: list[Any], full_braking: float) -> tuple[Arr
 
     # 1. The commands that the base may have followed. Before the first command the speed is 0.
     stamps, speeds = np.array(_since(commands, readings[0, 0] - _LONGEST_DELAY)).T
-    stamps = view(np.concatenate(([-np.inf], stamps)))
+    stamps = view_of(np.concatenate(([-np.inf], stamps)))
     speeds = np.maximum(stop.sign * speeds, 0.0)
-    speeds = view(np.concatenate(([0.0], speeds)))
+    speeds = view_of(np.concatenate(([0.0], speeds)))
 
     # 2. Weights: the noise of a distance grows with the distance. A reading near standstill has the
     # noise of a share of the speed before the stop.
     cruise_count = len(stop.cruise)
     cruise_speed = float(distances[:cruise_count].sum() / periods[:cruise_count].sum())
     weights = 1.0 / (distances**2 + (_STILL_SHARE * cruise_speed * periods) ** 2)
-    table = view(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
+    table = view_of(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
 
     # 3. The braking of each share, scaled from speeds by odometry to the commanded speeds of the
     # model: before the stop, `cruise_speed` by odometry was `begin_speed` by the command.
-    brakings = view(_SHARES * full_braking * stop.begin_speed / cruise_speed)
+    brakings = view_of(_SHARES * full_braking * stop.begin_speed / cruise_speed)
 
     # 4. The least weighted residuals for each braking.
     misfits, delays = np.asarray(
@@ -571,10 +571,10 @@ def _weighted_residuals(
     """
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    coarse: cython.double[::1] = view(_DELAYS)
-    fine: cython.double[::1] = view(_FINE_DELAYS)
-    model_speeds: cython.double[::1] = view(np.zeros(len(stamps)))
-    result: cython.double[:, ::1] = view(np.zeros((2, len(brakings))))
+    coarse: cython.double[::1] = view_of(_DELAYS)
+    fine: cython.double[::1] = view_of(_FINE_DELAYS)
+    model_speeds: cython.double[::1] = view_of(np.zeros(len(stamps)))
+    result: cython.double[:, ::1] = view_of(np.zeros((2, len(brakings))))
     for j in range(len(brakings)):
         braking: cython.double = brakings[j]
         _model_speeds_at(stamps, speeds, braking, model_speeds)
@@ -650,7 +650,7 @@ def _residual(
     part: cython.Py_ssize_t
     command: cython.Py_ssize_t = 0  # the index of the command that holds
     count: cython.Py_ssize_t = len(stamps)
-    parts: cython.double[::1] = view(_PARTS)
+    parts: cython.double[::1] = view_of(_PARTS)
     cross_sum: cython.double = 0.0
     model_sum: cython.double = 0.0
     for i in range(len(periods)):

@@ -170,8 +170,10 @@ _NOTHING = np.empty(0)
 @cython.cfunc
 def _grown(old: cython.double[::1], n: cython.Py_ssize_t) -> cython.double[::1]:
     """A buffer of n numbers that begins with those of `old`."""
+    i: cython.Py_ssize_t
     new: cython.double[::1] = doubles(n)
-    new[: len(old)] = old
+    for i in range(len(old)):
+        new[i] = old[i]
     return new
 
 

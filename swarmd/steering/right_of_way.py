@@ -25,11 +25,12 @@ from msgspec.structs import astuple, replace
 
 from swarmd.core.angles import PI, TURN
 from swarmd.core.avoided import Avoided, WayState
+from swarmd.core.odometry_trail import is_jump
 from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.openings import SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
-from swarmd.steering.tracks import Motion, ScanReturns, Surroundings, Track, speed_of
+from swarmd.steering.tracks import ScanReturns, Surroundings, Track, speed_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -263,6 +264,52 @@ class _Traffic(Struct, frozen=True, gc=False):
     is_met: bool = False  # this robot is in the opening; a robot comes towards it from deeper in
     is_close: bool = False  # another robot that goes in is close ahead
     is_queued: bool = False  # a robot that has not come out waits on the side of this robot
+
+
+@cython.final
+@cython.cclass
+class Motion:
+    """The pose and the twist of a reading of odometry: m, rad, m/s, rad/s.
+
+    An extension type, whose numbers are of C: each of 35 decisions a second reads them twice.
+    """
+
+    odometry: Odometry = cython.declare(object, visibility="readonly")
+    stamp: cython.double
+    x: cython.double
+    y: cython.double
+    yaw: cython.double
+    linear: cython.double
+    angular: cython.double
+    lateral: cython.double
+
+    def __init__(self, odometry: Odometry) -> None:
+        """Read the numbers of `odometry`."""
+        pose, twist = odometry.pose, odometry.twist
+        self.odometry, self.stamp = odometry, odometry.stamp
+        self.x, self.y, self.yaw = pose.x, pose.y, pose.yaw
+        self.linear, self.angular, self.lateral = twist.linear, twist.angular, twist.lateral
+
+    @cython.cfunc
+    def pose_after(
+        self, seconds: cython.double
+    ) -> tuple[cython.double, cython.double, cython.double]:
+        """The pose (x, y, yaw) some time after the reading, at its twist."""
+        middle_yaw: cython.double = self.yaw + 0.5 * seconds * self.angular
+        c: cython.double = cos(middle_yaw)
+        s: cython.double = sin(middle_yaw)
+        return (
+            self.x + seconds * (c * self.linear - s * self.lateral),
+            self.y + seconds * (s * self.linear + c * self.lateral),
+            self.yaw + seconds * self.angular,
+        )
+
+    @cython.cfunc
+    def jumps_from(self, last: Motion) -> cython.bint:
+        """True if an estimator has shifted the pose since `last`."""
+        dx: cython.double = self.x - last.x
+        dy: cython.double = self.y - last.y
+        return is_jump(dx, dy, self.yaw - last.yaw, self.stamp - last.stamp)
 
 
 @cython.final

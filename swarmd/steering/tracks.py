@@ -20,24 +20,15 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles, indices, view, view_of
+from swarmd.core.odometry_trail import ANEW, OdometryTrail
 from swarmd.core.ray_order import sort_rays
-from swarmd.core.values import (
-    HISTORY,
-    MAX_EXTRAPOLATION,
-    MAX_SPEED,
-    MAX_STEP,
-    Array,
-    Odometry,
-    Platform,
-    Scan,
-)
+from swarmd.core.values import Array, Odometry, Platform, Scan
 from swarmd.protection.decision import DecisionContext
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -52,7 +43,6 @@ if cython.compiled:
         fabs,
         floor,
         hypot,
-        remainder,
         sin,
         sqrt,
     )
@@ -64,7 +54,6 @@ else:
         fabs,
         floor,
         hypot,
-        remainder,
         sin,
         sqrt,
     )
@@ -109,9 +98,6 @@ _MAX_EXTRAPOLATED = cython.declare(
 )  # s for which a track moves on without a scan
 
 _SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # sectors in a rad
-_max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
-_max_step = cython.declare(cython.double, MAX_STEP)
-_max_speed = cython.declare(cython.double, MAX_SPEED)
 
 
 @cython.cfunc
@@ -141,53 +127,6 @@ class Track:
     def __init__(self, *numbers: Any) -> None:
         """Set all numbers, in the order of the attributes."""
         self.id, self.x, self.y, self.vx, self.vy, self.radius = numbers
-
-
-@cython.final
-@cython.cclass
-class Motion:
-    """The pose and the twist of a reading of odometry: m, rad, m/s, rad/s.
-
-    An extension type, whose numbers are of C: each of 35 decisions a second reads them twice.
-    """
-
-    odometry: Odometry = cython.declare(object, visibility="readonly")
-    stamp: cython.double
-    x: cython.double
-    y: cython.double
-    yaw: cython.double
-    linear: cython.double
-    angular: cython.double
-    lateral: cython.double
-
-    def __init__(self, odometry: Odometry) -> None:
-        """Read the numbers of `odometry`."""
-        pose, twist = odometry.pose, odometry.twist
-        self.odometry, self.stamp = odometry, odometry.stamp
-        self.x, self.y, self.yaw = pose.x, pose.y, pose.yaw
-        self.linear, self.angular, self.lateral = twist.linear, twist.angular, twist.lateral
-
-    @cython.cfunc
-    def pose_after(
-        self, seconds: cython.double
-    ) -> tuple[cython.double, cython.double, cython.double]:
-        """The pose (x, y, yaw) some time after the reading, at its twist."""
-        middle_yaw: cython.double = self.yaw + 0.5 * seconds * self.angular
-        c: cython.double = cos(middle_yaw)
-        s: cython.double = sin(middle_yaw)
-        return (
-            self.x + seconds * (c * self.linear - s * self.lateral),
-            self.y + seconds * (s * self.linear + c * self.lateral),
-            self.yaw + seconds * self.angular,
-        )
-
-    @cython.cfunc
-    def jumps_from(self, last: Motion) -> cython.bint:
-        """As `Odometry.jumps_from`, which takes ten times as long."""
-        turn: cython.double = fabs(remainder(self.yaw - last.yaw, TURN))
-        seconds: cython.double = self.stamp - last.stamp
-        distance: cython.double = hypot(self.x - last.x, self.y - last.y)
-        return max(distance, turn) > _max_step + _max_speed * seconds
 
 
 _no_doubles = cython.declare(cython.double[::1], doubles(0))
@@ -459,8 +398,7 @@ class Tracker:
     _fastest: cython.double  # m/s, of an object
     _widest: cython.double  # m, of an object that is no wall
     _spacing: cython.double  # rad between two rays
-    _history: deque[Motion]  # readings of odometry, as Motion
-    _latest: Motion | None  # of them; None without one
+    _trail: OdometryTrail
     _filters: list[_Filter]
     _next_id: cython.longlong
     # Places of walls in the frame of the odometry.
@@ -490,7 +428,7 @@ class Tracker:
         self._fastest = float(barrier.get("others_speed", platform.limits.linear))
         self._widest = _MAX_COMPACT_SIZE * outer
         self._spacing = 2.0 * math.pi / max(len(spec.bearings), 1)
-        self._history = deque(maxlen=HISTORY)
+        self._trail = OdometryTrail()
         self._filters = []
         self._next_id = 1
         self._returns = returns or ScanReturns()
@@ -499,19 +437,12 @@ class Tracker:
     def reset(self) -> None:
         """Forget all objects."""
         self._filters, self._wall_count = [], 0
-        self._history.clear()
-        self._latest = None
+        self._trail.clear()
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all objects are forgotten."""
-        latest: Motion | None = self._latest
-        motion: Motion = Motion(odometry)
-        if latest is not None and (motion.stamp <= latest.stamp or motion.jumps_from(latest)):
-            if motion.stamp == latest.stamp:
-                return
-            self.reset()
-        self._history.append(motion)
-        self._latest = motion
+        if self._trail.take(odometry) == ANEW:
+            self._filters, self._wall_count = [], 0
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan that has arrived at the time of `context`.
@@ -520,15 +451,19 @@ class Tracker:
         objects, and begins a filter for each new object. Does nothing before the first odometry.
         """
         odometry_age = context.odometry_age
-        if self._latest is None or odometry_age is None:
+        if self._trail.count == 0 or odometry_age is None:
             return
 
         # 1. When and where the scan was measured, on the clock of odometry.
         newest_age = self._latency if scan.newest_age is None else scan.newest_age
         scan_time: cython.double = (
-            self._latest.stamp + odometry_age - newest_age - context.scan_delay
+            self._trail.latest + odometry_age - newest_age - context.scan_delay
         )
-        x, y, yaw = self._pose(self._latest, scan_time)
+        trail: OdometryTrail = self._trail
+        trail.set_pose(scan_time)
+        x: cython.double = trail.x
+        y: cython.double = trail.y
+        yaw: cython.double = trail.yaw
         cluster: _Cluster
         track: _Filter
 
@@ -564,53 +499,32 @@ class Tracker:
         Read the result before the tracker takes in the next scan. Empty before the first odometry.
         """
         odometry_age = context.odometry_age
-        if self._latest is None or odometry_age is None:
+        if self._trail.count == 0 or odometry_age is None:
             return Surroundings((), np.empty((0, 2)))
-        time: cython.double = self._latest.stamp + odometry_age
+        time: cython.double = self._trail.latest + odometry_age
         around: Surroundings = Surroundings(None, None)
         around._filters, around._time = self._filters, time
         around._wall_x, around._wall_y = self._wall_x, self._wall_y
         around._wall_count = self._wall_count
-        around._x, around._y, around._yaw = self._pose(self._latest, time)
+        self._trail.set_pose(time)
+        around._x, around._y, around._yaw = self._trail.x, self._trail.y, self._trail.yaw
         return around
-
-    @cython.cfunc
-    def _pose(
-        self, later: Motion, time: cython.double
-    ) -> tuple[cython.double, cython.double, cython.double]:
-        """The pose (x, y, yaw) at a time, interpolated, or extrapolated from the latest one."""
-        earlier: Motion
-        if time >= later.stamp or len(self._history) == 1:
-            seconds: cython.double = time - later.stamp
-            return later.pose_after(min(max(seconds, -_max_extrapolation), _max_extrapolation))
-        for earlier in reversed(self._history):
-            if earlier.stamp <= time:
-                share: cython.double = (time - earlier.stamp) / max(
-                    later.stamp - earlier.stamp, 1e-9
-                )
-                turn: cython.double = remainder(later.yaw - earlier.yaw, TURN)
-                return (
-                    earlier.x + share * (later.x - earlier.x),
-                    earlier.y + share * (later.y - earlier.y),
-                    earlier.yaw + share * turn,
-                )
-            later = earlier
-        return later.x, later.y, later.yaw
 
     @cython.cfunc
     def _add_shared_places(self, clusters: list[_Cluster], context: DecisionContext) -> None:
         """Add a cluster for each place that a peer shared; its radius contains the error."""
-        if not context.told or self._latest is None or context.odometry_age is None:
+        if not context.told or self._trail.count == 0 or context.odometry_age is None:
             return
-        now: cython.double = self._latest.stamp + context.odometry_age
+        trail: OdometryTrail = self._trail
+        now: cython.double = trail.latest + context.odometry_age
         for obstacle in context.told:
-            base_x, base_y, yaw = self._pose(self._latest, now - obstacle.age)
-            c: cython.double = cos(yaw)
-            s: cython.double = sin(yaw)
+            trail.set_pose(now - obstacle.age)
+            c: cython.double = cos(trail.yaw)
+            s: cython.double = sin(trail.yaw)
             x: cython.double = obstacle.x
             y: cython.double = obstacle.y
             cluster: _Cluster = _Cluster()
-            cluster.x, cluster.y = base_x + c * x - s * y, base_y + s * x + c * y
+            cluster.x, cluster.y = trail.x + c * x - s * y, trail.y + s * x + c * y
             cluster.half_width, cluster.range = obstacle.radius, hypot(x, y)
             cluster.visible_ends = 1
             cluster.measured_at, cluster.is_shared = now - obstacle.age, True
