@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.angles import TURN
-from swarmd.core.buffers import doubles, indices, view, view_of
+from swarmd.core.buffers import doubles, indices, view, view_of, wrapped_index
 from swarmd.core.odometry_trail import ANEW, OdometryTrail
 from swarmd.core.ray_order import sort_rays
 from swarmd.core.values import Array, Odometry, Platform, Scan
@@ -146,7 +146,7 @@ class ScanReturns:
     ages: cython.double[::1]  # s; 0 for a scan without ages
     _scan: Scan | None  # the last scan; None before the first
     _order: cython.longlong[::1]  # the rays with a return, as they come
-    _sorted: cython.longlong[::1]  # the places in `_order` by rising bearing; unused if they rise
+    _sorted: cython.longlong[::1]  # these rays by rising bearing; of a scan that was sorted
 
     def __init__(self) -> None:
         self._make_room(0)  # a view that is not set ends the process when memory is taken
@@ -159,8 +159,10 @@ class ScanReturns:
     def take(self, scan: Scan) -> cython.int:
         """Set the returns to those of a conditioned scan, unless it is the last scan.
 
-        The bearings of most conditioned scans rise from ray to ray, and need no sorting. Returns of
-        the same bearing keep their order.
+        The bearings of a conditioned scan rise from ray to ray. In the scan of a turning robot they
+        may fall once, from half a turn to minus half a turn. So most scans need no sorting: the
+        returns from this fall on come first, then the returns before the fall. Returns of the same
+        bearing keep their order.
         """
         if scan is self._scan:
             return 0
@@ -172,28 +174,33 @@ class ScanReturns:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
-        is_rising: cython.bint = True
+        falls: cython.Py_ssize_t = 0  # how often the bearing falls from a return to the next
+        lowest: cython.Py_ssize_t = 0  # the return behind the last fall; 0 without a fall
 
-        # 1. Rays with a return, and whether their bearings rise.
+        # 1. Rays with a return, and where their bearings fall.
         if len(self._order) < len(ranges):
             self._make_room(len(ranges))
         order: cython.longlong[::1] = self._order
         for i in range(len(ranges)):
             if ranges[i] > 0.0 and ranges[i] < INFINITY:
                 if count > 0 and not bearings[i] >= bearings[order[count - 1]]:
-                    is_rising = False
+                    falls, lowest = falls + 1, count
                 order[count] = i
                 count += 1
+
         # 2. The returns in the order of their bearings.
         own_ranges: cython.double[::1] = self.ranges
         own_bearings: cython.double[::1] = self.bearings
         own_ages: cython.double[::1] = self.ages
-        if not is_rising:
+        if falls > 1 or (falls == 1 and not bearings[order[count - 1]] < bearings[order[0]]):
             for k in range(count):
                 own_ages[k] = bearings[order[k]]
             sort_rays(own_ages, count, own_bearings, self._sorted)
+            for k in range(count):
+                self._sorted[k] = order[self._sorted[k]]
+            order, lowest = self._sorted, 0
         for k in range(count):
-            i = order[k if is_rising else self._sorted[k]]
+            i = order[wrapped_index(k + lowest, count)]
             own_ranges[k], own_bearings[k] = ranges[i], bearings[i]
             own_ages[k] = ages[i] if has_ages else 0.0
         self.count, self._scan = count, scan
