@@ -16,7 +16,6 @@ from benchmarks import (
     learning,
     lidar,
     lockstep,
-    peers,
     protection,
     recording,
     resources,
@@ -27,7 +26,6 @@ from benchmarks import (
     subscribers,
     switch,
     view,
-    world,
 )
 from benchmarks.compare import compare
 from benchmarks.table import machine
@@ -37,10 +35,8 @@ ALL: Mapping[str, Callable[[], None]] = {
     "cdr": cdr.main,
     "protection": protection.main,
     "lidar": lidar.main,
-    "world": world.main,
     "lockstep": lambda: lockstep.main([]),
     "learning": learning.main,
-    "peers": peers.main,
     "latency": lambda: latency.main([]),
     "resources": lambda: resources.main([]),
     "subscribers": lambda: subscribers.main([]),
