@@ -22,6 +22,7 @@ import subprocess
 import sys
 import time
 import zlib
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
@@ -75,6 +76,7 @@ SEGMENT_TIME = 30.0
 """Seconds after which a segment of the ring is followed by another one."""
 FIRST_COST = 0.01
 """Seconds that a memory is expected to take before one was taken."""
+COSTS = 3  # memories whose shortest time counts
 HEADROOM = 1.5
 """The time left for a memory, to the time that the last one took."""
 DROPS_PERIOD = 10.0
@@ -149,7 +151,8 @@ class Recorder:
         self.on_status: Callable[[Status], object] = lambda status: None
         self._ring_entries: list[bytes] = []
         self._segment_at = -math.inf  # s; the begin of the present segment of the ring
-        self._memory_cost = FIRST_COST  # s that the last memory took
+        # s that the last memories took; a busy machine makes some of them slow.
+        self._memory_costs = deque([FIRST_COST], maxlen=COSTS)
         # The last input of each lasting kind; a recording begins with these inputs.
         self._lasting: dict[type[Input], Input] = {}
         self._scans: dict[type[Input], Scan] = {}  # the last scan of each kind
@@ -320,12 +323,12 @@ class Recorder:
         """Begin a segment of the ring with the memory of the robot if one is due.
 
         Call it after a decision. `time_left`: s until the next input that may change the command;
-        the memory waits for a greater one if it took longer the last time.
+        0: a scan may come at any time. The memory waits for time enough, for SEGMENT_TIME at most.
         """
-        ring = self.ring
-        if ring is None or time_left < HEADROOM * self._memory_cost:
+        ring, age = self.ring, now - self._segment_at
+        if ring is None or not time_left or (age < SEGMENT_TIME and not ring.is_long):
             return
-        if now - self._segment_at < SEGMENT_TIME and not ring.is_long:
+        if time_left < HEADROOM * min(self._memory_costs) and age < 2.0 * SEGMENT_TIME:
             return
         self.settle(robot)
         self._write_ring()
@@ -341,7 +344,7 @@ class Recorder:
         self._segment_at = now
         self._ring_entries.append(frames.encode(frames.MemoryEntry(now, data)))
         self._write_ring()
-        self._memory_cost = boottime() - began
+        self._memory_costs.append(boottime() - began)
 
     def _write_ring(self) -> None:
         entries, self._ring_entries = self._ring_entries, []
