@@ -65,7 +65,7 @@ class Run:
 
     first: cython.Py_ssize_t  # the index of its first return
     length: cython.Py_ssize_t  # the returns that follow
-    sums: cython.double[6]  # the _SUMS sums over its returns
+    sums: cython.double[::1]  # the _SUMS sums over its returns
     x: cython.double  # m, a point of its line
     y: cython.double
     ux: cython.double  # the unit vector along its line
@@ -74,6 +74,9 @@ class Run:
     end: cython.double  # m along its line from this point to its end
     owner: cython.Py_ssize_t  # the index of the wall that it continues; -1: none
     is_long: cython.bint  # long and straight
+
+    def __init__(self) -> None:
+        self.sums = doubles(_SUMS)
 
 
 @cython.final
