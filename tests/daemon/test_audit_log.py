@@ -82,6 +82,8 @@ def test_files_are_rotated_and_bounded(tmp_path: Path, events: list[str]) -> Non
     with opened(tmp_path, events, max_bytes=1000) as log:
         for boot in range(60):
             log.add(replace(ENTRY, boot=float(boot)))
+    assert log._thread is not None
+    log._thread.join(CAP)  # `close` does not wait for a thread that a busy machine delays
     files = sorted(tmp_path.iterdir())
     assert len(files) == FILES
     assert all(file.stat().st_size <= 1000 for file in files)
