@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
+import math
 import os
 import time
 import zlib
@@ -32,7 +33,15 @@ from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import FIRST_WALL, boottime, clock_id
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import read_regular, write_whole
-from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, found, silent_id
+from swarmd.core.incident import (
+    Found,
+    Incident,
+    IncidentKind,
+    ToldIncident,
+    found,
+    id_of,
+    silent_id,
+)
 from swarmd.core.messages import Code, Member, Presence, Refusal, Reply, State, Status
 from swarmd.core.record import DIGEST_BYTES
 from swarmd.core.verbs import KeptIncident, shortened
@@ -130,7 +139,6 @@ class IncidentService:
             return
         try:
             folder, left = memory_folder(self._section.folder, os.environ), None
-            remove_old(folder, time.time())
             path = folder / self._ring_name
             try:
                 left = read_left(path)
@@ -145,6 +153,7 @@ class IncidentService:
                 boot=now,
                 wall=time.time(),
             )
+            remove_old(folder, time.time())  # its own, which may be old as well, has been read
         except OSError as error:
             self._fail(f"no file in memory: {error.strerror or error}")
             return
@@ -164,6 +173,8 @@ class IncidentService:
                     heads.append((read_head(data), len(data), zlib.crc32(data)))
         for head, size, crc in sorted(heads, key=lambda one: one[0].wall + one[0].at - one[0].boot):
             self._note_kept(head, size, crc)
+            if head.clock == clock_id():
+                self._may_begin(head.incident.by, head.at, gap=0.0)  # counts from now on
 
     def _on_left(self, left: Left, head: RecordingHead) -> None:
         """Write what an earlier daemon has left; it was killed, or has crashed."""
@@ -179,11 +190,13 @@ class IncidentService:
         )
         for at, incident in incidents:
             if incident.id not in self._kept and end - at <= TAIL:
+                self._may_begin(incident.by, at, gap=0.0)
                 self._write(incident, at, left, entries[0].at, end)
         instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
+        id = self._silent_id(self._robot, instance, left.revision, end)
         self._begin(
-            Found(IncidentKind.SILENT, text, silent_id(self._robot, instance, left.revision)),
+            Found(IncidentKind.SILENT, text, id),
             at=end,
             left=(left, entries[0].at, end),
         )
@@ -223,8 +236,19 @@ class IncidentService:
             if last is None or STATES[last.state : last.state + 1] != (State.RUNNING,):
                 continue
             text = f"{robot} is not heard any more; it ran"
-            id = silent_id(robot, member.instance, last.revision)
+            id = self._silent_id(robot, member.instance, last.revision, boottime())
             self._begin(Found(IncidentKind.SILENT, text, id), robot=robot)
+
+    def _silent_id(self, robot: str, instance: str, revision: int, at: float) -> str:
+        """The id of a silence that began at `at` s: another one for each silence of one run.
+
+        A file of more than TAIL s ago has nothing of this silence.
+        """
+        id = silent_id(robot, instance, revision)
+        times = self._times | {id: told.at for id, told in self._told.items()}
+        while at - times.get(id, math.inf) > TAIL:
+            id = id_of(id)
+        return id
 
     def on_mark(self, request: verbs.MarkRequest, answer: SendReply) -> None:
         """Begin an incident with the words of an operator."""
@@ -253,8 +277,8 @@ class IncidentService:
         if what.id in self._told or what.id in self._kept:
             return True
         at = boottime() if at is None else at
-        is_on = self._recorder.ring is not None
-        if not is_on or not self._may_begin(self._robot, at):
+        is_on, gap = self._recorder.ring is not None, GAP if left is None else 0.0
+        if not is_on or not self._may_begin(self._robot, at, gap):
             return False
         wall = time.time() - (boottime() - at)
         incident = Incident(
@@ -274,11 +298,11 @@ class IncidentService:
             self._write(incident, at, *left)
         return True
 
-    def _may_begin(self, origin: str, now: float) -> bool:
-        """True unless this origin has begun an incident within GAP, or HOURLY in the last hour."""
+    def _may_begin(self, origin: str, now: float, gap: float = GAP) -> bool:
+        """True unless this origin began an incident within `gap` s, or HOURLY in the last hour."""
         times = self._origins.get(origin, deque(maxlen=HOURLY))
         keep_newest(self._origins, origin, times, MAX_TOLD)
-        is_soon = bool(times) and now - times[-1] < GAP
+        is_soon = bool(times) and now - times[-1] < gap
         is_many = len(times) == HOURLY and now - times[0] < 3600.0
         if is_soon or is_many:
             return False
