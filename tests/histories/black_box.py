@@ -171,7 +171,7 @@ class BlackBox:
             folder,
             BlackboxSection(folder=str(self._memory)),
             recorder=self.recorder,
-            puller=_Puller(self),  # type: ignore[arg-type]  # has what the service calls
+            puller=_Puller(self),  # has what the service calls
             head=self._head,
             identity=lambda: None,  # signatures have tests of their own
             is_member=daemon.knows,
