@@ -217,8 +217,6 @@ class IncidentService:
     def _on_status(self, status: Status) -> None:
         """Begin an incident if the robot has one since its last status."""
         before, self._status = self._status, status
-        if self._recorder.ring is not None:
-            self._recorder.ring.revision = status.epoch.revision
         what = found(before, status)
         if what is not None:
             self._begin(what)

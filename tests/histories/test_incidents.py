@@ -69,6 +69,11 @@ def test_a_robot_whose_daemon_was_killed_keeps_that_as_its_peers_do() -> None:
     assert [*files["r1"].values()] == [(IncidentKind.SILENT, "r1")]
 
 
+def test_a_daemon_that_is_killed_as_its_run_begins_gives_the_id_of_its_peers() -> None:
+    run, _, start = KILLED
+    replay(3, (run, step(0.4, "kill", robot="r1"), start))
+
+
 def test_a_death_is_kept_also_if_the_robot_was_unheard_before_in_the_same_run() -> None:
     history = History(3)
     split = step(2.0, "split", groups=(("r1",), ("r2", "r3", "anna", "bob")))
