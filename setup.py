@@ -65,6 +65,7 @@ FLAGS = [
     "-fno-thread-jumps",
     "-g0",  # a third of the compiler's time
     "-Wno-unused-const-variable",  # docstrings, of Cython
+    "-Wno-unused-function",  # of a kernel in several libraries: each uses a part
 ]
 
 
@@ -81,7 +82,7 @@ def joined(library: str) -> str:
     """The path of one source with all kernels of a library.
 
     The lines that import from each other are empty. A name at the top of the files has one meaning.
-    CLASSES tells the kernel of each class.
+    CLASSES tells the kernel of each class, or the library if its kernel is in several.
     """
     kernels = LIBRARIES[library]
     if len(kernels) == 1:
@@ -96,7 +97,8 @@ def joined(library: str) -> str:
                 if meanings.setdefault(name, meaning) != meaning:
                     raise ValueError(f"{name} of {kernel} means {meanings[name]} in {library}")
             if isinstance(node, ast.ClassDef):
-                classes[node.name] = kernel
+                is_shared = sum(kernel in others for others in LIBRARIES.values()) > 1
+                classes[node.name] = library if is_shared else kernel
             if isinstance(node, ast.ImportFrom) and node.module in (*kernels, "__future__"):
                 first = node.lineno - 1
                 lines[first : node.end_lineno] = ["\n"] * (node.end_lineno - first)

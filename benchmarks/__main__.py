@@ -27,7 +27,6 @@ from benchmarks import (
     subscribers,
     switch,
     view,
-    world,
 )
 from benchmarks.compare import compare
 from benchmarks.table import machine
@@ -37,7 +36,6 @@ ALL: Mapping[str, Callable[[], None]] = {
     "cdr": cdr.main,
     "protection": protection.main,
     "lidar": lidar.main,
-    "world": world.main,
     "lockstep": lambda: lockstep.main([]),
     "learning": learning.main,
     "peers": peers.main,

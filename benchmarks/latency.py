@@ -9,7 +9,6 @@ step, up to 10 ms later; this delay is not counted.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,19 +27,6 @@ KILL_TIME = 1.5  # s after which the last looping host has been killed
 
 Times = Mapping[tuple[str, int], int]
 """By robot and scan: a stamp in ns."""
-
-STAGES = (
-    ("reflex: sent by the world -> loop", "put", "loop"),
-    ("reflex: loop -> scan decoded", "loop", "decoded"),
-    ("reflex: decoded -> condition, protect, sent", "decoded", "safe_sent"),
-    ("reflex: sent -> arrived at the world", "safe_sent", "safe_back"),
-    ("full: safe command sent -> step sent to host", "safe_sent", "to_host"),
-    ("full: step sent -> host has it", "to_host", "host_in"),
-    ("full: host decodes, steps, encodes", "host_in", "host_out"),
-    ("full: host's answer -> daemon has it", "host_out", "from_host"),
-    ("full: decode, protect again, sent", "from_host", "requested_sent"),
-    ("full: sent -> arrived at the world", "requested_sent", "requested_back"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,17 +48,6 @@ def read_stamps(swarm: Swarm) -> Stamps:
         safe.setdefault((robot, scan_seq), at)
         requested.setdefault((robot, requested_scan_seq), at)
     return Stamps({(robot, seq): at for at, robot, seq in scans}, safe, requested)
-
-
-def read_borders(swarm: Swarm) -> dict[str, dict[tuple[str, int], int]]:
-    """The stamps of stamped daemons, by border."""
-    stamps: dict[str, dict[tuple[str, int], int]] = {}
-    for robot in swarm.robots:
-        borders = json.loads((swarm.folder / f"{robot}.json").read_text())
-        for border, times in borders.items():
-            times_at = stamps.setdefault(border, {})
-            times_at.update({(robot, int(seq)): at for seq, at in times.items()})
-    return stamps
 
 
 def between(start: Times, end: Times, span: Sequence[int]) -> tuple[list[float], int]:
@@ -119,27 +94,6 @@ def healthy(seconds: float) -> Iterator[Row]:
     yield Row("lateness of a bare 100 Hz timer meanwhile", late, note="yardstick")
 
 
-def staged(seconds: float) -> Iterator[Row]:
-    """Rows of each stage of the latency, from times at the borders of the stages."""
-    with Swarm(ROBOTS, is_stamped=True) as swarm:
-        span, late = run_for(swarm, "timed", seconds)
-        swarm.close()
-        stamps, borders = read_stamps(swarm), read_borders(swarm)
-    times: dict[str, Times] = {
-        **borders,
-        "put": stamps.put,
-        "safe_back": stamps.safe_back,
-        "requested_back": stamps.requested_back,
-    }
-    for what, start, end in STAGES:
-        goal = "p50 200 us" if end == "host_out" else ""
-        chosen = {k: times[start][k] for k in times[start] if span[0] <= stamps.put.get(k, 0)}
-        chosen = {k: at for k, at in chosen.items() if stamps.put[k] < span[1]}
-        seconds_each = [(times[end][k] - at) / 1e9 for k, at in chosen.items() if k in times[end]]
-        yield Row(what, seconds_each, goal)
-    yield Row("lateness of a bare 100 Hz timer meanwhile", late, note="yardstick")
-
-
 def looping(cycles: int) -> Iterator[Row]:
     """Reflex while every pattern loops for ever.
 
@@ -180,7 +134,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cycles", type=int, default=CYCLES)
     options = parser.parse_args(arguments)
     print_table("Latency", healthy(options.seconds))
-    print_table("Latency by stage", staged(options.seconds))
     print_table("Latency beside endless loops", looping(options.cycles))
 
 

@@ -27,7 +27,7 @@ from itertools import cycle
 import numpy as np
 from msgspec.structs import replace
 
-from benchmarks.steps import in_an_arena, loop_field, measure
+from benchmarks.steps import in_an_arena, measure
 from benchmarks.table import Row, print_table
 from swarmd.core.host_messages import Loaded, Step, Stepped
 from swarmd.core.messages import Epoch
@@ -280,8 +280,6 @@ def wall_rows(platform: Platform) -> Iterator[Row]:
 def rows() -> Iterator[Row]:
     platform = load_platform("waffle_pi")
     scans = in_an_arena(platform, 100)
-    loop = measure(map(partial(loop_field, range_max=0.5), cycle(scans)).__next__)
-    yield Row("the field ray by ray in plain Python", loop, note="yardstick")
     yield from mode_rows(platform)
     yield from wall_rows(platform)
     yield from moving_rows(load_platform("burger"))

@@ -1,4 +1,4 @@
-"""One pattern step, and one potential field beside a plain-Python loop, at 360 rays, hot."""
+"""One step of each pattern at 360 rays, hot."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the pattern host
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import cycle, islice
-from statistics import median
 
 import numpy as np
 
@@ -30,10 +28,9 @@ from swarmd.core.values import (
 )
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
-from swarmd.sensing.potential_field import potential_field
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import Subject
-from swarmd.testing.scans import Disc, scan_from, scan_of
+from swarmd.testing.scans import Disc, scan_of
 
 GOAL = "p50 100 us"
 CALLS = 5000
@@ -53,29 +50,6 @@ LAWS: Mapping[str, Sequence[Mapping[str, str]]] = {
 }
 READINGS: Mapping[str, float] = {"quality_0": 1.0, "quality_1": 0.5, "stimulus": 3.0}
 OTHERS = tuple(f"tb3-{number:02}" for number in range(2, 8))
-
-
-def loop_field(scan: Scan, *, range_max: float, bias: float = 2.0) -> tuple[float, float]:
-    """The yardstick: the repulsive field ray by ray, as one would write it without numpy."""
-    x = y = 0.0
-    for distance, bearing in zip(scan.ranges.tolist(), scan.bearings.tolist(), strict=True):
-        if math.isnan(distance) or distance >= range_max:
-            continue
-        weight = 1.0 - max(distance, scan.range_min) / range_max
-        x += weight * math.cos(bearing)
-        y += weight * math.sin(bearing)
-    return bias - x, -y
-
-
-def vector_field(scan: Scan, *, range_max: float, bias: float = 2.0) -> object:
-    return potential_field(
-        scan.ranges,
-        scan.bearings,
-        range_max=range_max,
-        range_min=scan.range_min,
-        bias=bias,
-        ray_threshold=5,
-    )
 
 
 def measure(call: Callable[[], object]) -> Sequence[float]:
@@ -139,14 +113,6 @@ def pattern_rows(scans: Sequence[Scan]) -> Iterator[Row]:
             yield Row(" ".join(("step of", name, *params.values())), timing, GOAL)
 
 
-def field_rows(scans: Sequence[Scan], range_max: float, what: str) -> Iterator[Row]:
-    loop = measure(map(partial(loop_field, range_max=range_max), cycle(scans)).__next__)
-    fast = measure(map(partial(vector_field, range_max=range_max), cycle(scans)).__next__)
-    ratio = median(loop) / median(fast)
-    yield Row(f"field, {what}, plain loop", loop, note="yardstick")
-    yield Row(f"field, {what}, numpy", fast, note=f"{ratio:.0f} times as fast, in the median")
-
-
 def in_an_arena(platform: Platform, count: int) -> list[Scan]:
     """What seven robots see of each other in a room of 6 m, from random places."""
     rng = np.random.default_rng(0)
@@ -161,17 +127,11 @@ def in_an_arena(platform: Platform, count: int) -> list[Scan]:
 
 
 def rows() -> Iterator[Row]:
-    platform = load_platform("waffle_pi")
-    scans = in_an_arena(platform, 100)
-    yield from pattern_rows(scans)
-    yield from field_rows(scans, 0.5, "few rays near")
-    everywhere = np.random.default_rng(0).uniform(0.2, 3.4, 360)
-    near = [scan_from(platform, everywhere, platform.scan.bearings)]
-    yield from field_rows(near, 3.5, "all rays near")
+    yield from pattern_rows(in_an_arena(load_platform("waffle_pi"), 100))
 
 
 def main() -> None:
-    print_table("Pattern steps and fields, 360 rays, hot", rows())
+    print_table("Pattern steps, 360 rays, hot", rows())
 
 
 if __name__ == "__main__":

@@ -38,7 +38,6 @@ class Swarm:
     The world steps MuJoCo at 100 Hz. It records the times of scans and commands at its network
     links; `close` leaves them in `folder`.
 
-    - `is_stamped`: the daemons also record the times of the stages in between.
     - `others`: platforms, by name, of further robots without a daemon.
     - `world`: further fields of `WorldOptions`.
     """
@@ -51,7 +50,6 @@ class Swarm:
         count: int,
         platform: str = "waffle_pi",
         *,
-        is_stamped: bool = False,
         others: Mapping[str, str] = MappingProxyType({}),
         world: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
@@ -61,7 +59,6 @@ class Swarm:
         self._platform, self._others, self._options = platform, others, world
         self.daemons: dict[str, Process] = {}
         self.world: Process | None = None
-        self._is_stamped = is_stamped
         self._exit = ExitStack()
 
     def __enter__(self) -> Self:
@@ -156,9 +153,6 @@ class Swarm:
             **self.settings,
         }
         config.write_text(text_of(settings))
-        if self._is_stamped:
-            stamps = str(self.folder / f"{robot}.json")
-            return ["-m", "benchmarks.stamped_daemon", str(config), stamps, str(os.getpid())]
         tie = ["--die-with-parent", str(os.getpid())]
         start = "from swarmd.cli.entry import swarmd; swarmd()"
         return ["-c", start, "--config", str(config), *tie]

@@ -99,8 +99,8 @@ LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
 _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)
 PATTERN_FILES = sorted((ROOT / "patterns").glob("*/pattern.py"))
 # What others import from a kernel's file beside constants, alike in both forms: records of plain
-# values, and a function of a text.
-ALIKE = {"Track", "axis_of"}
+# values, and functions of numbers or of a text.
+ALIKE = {"Track", "axis_of", "difference", "wrap"}
 
 
 @cache
@@ -413,22 +413,23 @@ def test_kernels_are_loaded_and_not_imported() -> None:
     assert found == []
 
 
-def library_of(path: Path) -> tuple[str, ...]:
-    """The kernels of the library that a file is compiled into; they import each other."""
+def in_libraries_of(path: Path) -> set[str]:
+    """The kernels in each library that a file is compiled into: those that it may import."""
     rows = kernels.LIBRARIES.values()
-    return next((row for row in rows if name_of(path) in map(kernels.source_of, row)), ())
+    own = [{*row} for row in rows if name_of(path) in map(kernels.source_of, row)]
+    return set.intersection(*own) if own else set()
 
 
 def kernels_by_line(path: Path) -> dict[int, list[str]]:
     """The lines that import a kernel, or a part of one that has two forms, and its name.
 
-    A kernel may import those that are in one library with it.
+    A kernel may import those that are in each of its libraries.
     """
     by_line: dict[int, list[str]] = {}
     for line, name in imports(path):
         by_line.setdefault(line, []).append(name)
     found = {}
-    wanted = {*kernels.KERNELS} - {*library_of(path)}
+    wanted = {*kernels.KERNELS} - in_libraries_of(path)
     for line, names in by_line.items():
         parts = [name.rpartition(".") for name in names]
         parts = [part for part in parts if part[0] in wanted]

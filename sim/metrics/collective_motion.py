@@ -1,4 +1,4 @@
-"""Alignment of a swarm, rotation about its centroid (milling), and the path of the centroid.
+"""Alignment of a swarm, and the path of its centroid.
 
 A robot's direction is its direction of motion, not its yaw: robots may reverse or slide, and a row
 of parallel robots at rest is no flock. A robot slower than STANDING counts as a zero vector, so
@@ -31,21 +31,6 @@ def polarisations(trace: Trace) -> Array:
         row_means(ahead[..., 0], is_present), row_means(ahead[..., 1], is_present)
     )
     return order
-
-
-def millings(trace: Trace) -> Array:
-    """(T,) the rotation of the robots about their centroid: 1 if all circle in one direction.
-
-    The group angular momentum of Couzin et al. 2002 (J. Theor. Biol. 218, 1) in the plane. NaN as
-    in `polarisations`; a robot exactly at the centroid adds nothing.
-    """
-    ahead = _directions(trace)
-    away = trace.pose[..., :2] - centroids(trace)[:, None]
-    distance = np.hypot(away[..., 0], away[..., 1])
-    out = away / np.where(distance > 0.0, distance, 1.0)[..., None]
-    turn = out[..., 0] * ahead[..., 1] - out[..., 1] * ahead[..., 0]
-    momentum: Array = np.abs(row_means(turn, presence(trace)))
-    return momentum
 
 
 def centroid_path_lengths(trace: Trace, every: float = 1.0) -> Array:
@@ -90,8 +75,6 @@ METRICS = (
     Metric("polarisation", "0 to 1",
            "length of the mean direction of motion, mean of the last 60 s; 0 at rest",
            "Vicsek et al. 1995, Phys. Rev. Lett. 75", late_mean(polarisations), polarisations),
-    Metric("milling", "0 to 1", "rotation about the centroid, mean of the last 60 s",
-           "Couzin et al. 2002, J. Theor. Biol. 218", late_mean(millings), millings),
     Metric("centroid_path_length", "m", "path length of the centroid, in steps of a second", "ours",
            centroid_path_length, centroid_path_lengths),
 )  # fmt: skip

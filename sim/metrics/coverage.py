@@ -1,4 +1,4 @@
-"""Metrics of the floor that a swarm has covered, and of its convex hull.
+"""Metric of the floor that a swarm has covered.
 
 Only present robots count.
 """
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
-from swarmd.sim.metrics.metric import Metric, at_end
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import arena_of, presence
 from swarmd.sim.trace import Trace
 
@@ -100,19 +100,6 @@ def covered_area(trace: Trace, radius: float = COVER, cell: float = CELL) -> flo
     return float(areas[-1]) if len(areas) else None
 
 
-def hull_areas(trace: Trace) -> Array:
-    """(T,) the area in m2 of the convex hull of the robots' axle centres; NaN without a robot.
-
-    0 for fewer than three robots or robots in a row. Hull by Qhull (Barber, Dobkin and Huhdanpaa
-    1996, ACM Trans. Math. Softw. 22).
-    """
-    is_present = presence(trace)
-    areas = np.empty(len(trace.t))
-    for at, place in enumerate(trace.pose[..., :2]):
-        areas[at] = _hull_area(place[is_present[at]])
-    return areas
-
-
 def _in_arena(
     trace: Trace, low: NDArray[np.int64], shape: tuple[int, ...], cell: float
 ) -> NDArray[np.bool_]:
@@ -127,20 +114,7 @@ def _in_arena(
     return is_in
 
 
-def _hull_area(place: Array) -> float:
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(place) < 3:
-        return 0.0 if len(place) else float("nan")
-    try:
-        return float(ConvexHull(place).volume)  # of a hull in the plane, `area` is its perimeter
-    except QhullError:  # all in one place or on one line
-        return 0.0
-
-
 METRICS = (
     Metric("covered_area", "m2", "floor that has been within 0.5 m of a robot",
            "Gage 1992, AUVS (sweep coverage)", covered_area, covered_areas),
-    Metric("hull_area_end", "m2", "convex hull of the robots at the end",
-           "Barber et al. 1996, ACM TOMS 22 (Qhull)", at_end(hull_areas), hull_areas),
 )  # fmt: skip

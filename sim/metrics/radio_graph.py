@@ -15,12 +15,10 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric, at_end
 from swarmd.sim.metrics.pairs import Pairs
-from swarmd.sim.metrics.window import arena_of, cut, mean, presence, tall_boxes
+from swarmd.sim.metrics.window import arena_of, mean, presence, tall_boxes
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.line_of_sight import LineOfSight
-
-_DECIMALS = 8
 
 
 def radio_range(trace: Trace) -> float:
@@ -78,20 +76,6 @@ def radio_connected(trace: Trace) -> float | None:
     return mean(is_radio_connected(trace))
 
 
-def algebraic_connectivities(trace: Trace) -> Array:
-    """(T,) the second smallest eigenvalue of the graph's Laplacian: 0 if it is not connected.
-
-    Fiedler 1973 (Algebraic connectivity of graphs, Czechoslovak Math. J. 23). The value is n if all
-    n robots hear each other, and by our convention 0 for a single robot. NaN without a present
-    robot. Rounded to eight decimals: further decimals depend on the number of threads of the linear
-    algebra library.
-    """
-    here = presence(trace).sum(axis=1)
-    if _is_complete(trace):
-        return np.where(here > 1, here.astype(np.float64), np.where(here == 1, 0.0, np.nan))
-    return np.array([_fiedler(cut(trace, at, at + 1)) for at in range(len(trace.t))])
-
-
 def _is_complete(trace: Trace) -> bool:
     return bool(np.isinf(radio_range(trace))) and _sight(trace) is None
 
@@ -121,19 +105,6 @@ def _seen(trace: Trace, sight: LineOfSight, links: Pairs) -> Pairs:
     return pairs.chosen(links, is_clear)
 
 
-def _fiedler(trace: Trace) -> float:
-    """Of a trace of one instant."""
-    rows = np.flatnonzero(presence(trace)[0])
-    if len(rows) < 2:
-        return 0.0 if len(rows) else float("nan")
-    laplacian = np.zeros((len(trace.ids),) * 2)
-    for links in radio_links(trace):
-        laplacian[links.a, links.b] = laplacian[links.b, links.a] = -1.0
-    laplacian -= np.diag(laplacian.sum(axis=1))
-    second = np.linalg.eigvalsh(laplacian[np.ix_(rows, rows)])[1]
-    return max(round(float(second), _DECIMALS), 0.0)
-
-
 _ZAVLANOS = "Zavlanos et al. 2011, Proc. IEEE 99"
 
 METRICS = (
@@ -141,8 +112,4 @@ METRICS = (
            _ZAVLANOS, radio_connected, is_radio_connected, "more"),
     Metric("radio_components_end", "", "connected components of the radio graph at the end",
            _ZAVLANOS, at_end(radio_components), radio_components, "less"),
-    Metric("algebraic_connectivity_end", "",
-           "second smallest eigenvalue of the radio graph's Laplacian at the end",
-           "Fiedler 1973, Czechoslovak Math. J. 23", at_end(algebraic_connectivities),
-           algebraic_connectivities, "more"),
 )  # fmt: skip

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.angles import wrap
+
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Sequence
 
@@ -19,16 +21,15 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import cos, fabs, fmod, hypot, isfinite, sin
+    from cython.cimports.libc.math import cos, fabs, hypot, isfinite, sin
 else:
-    from swarmd.core.cython_shadow import cos, fabs, fmod, hypot, isfinite, sin
+    from swarmd.core.cython_shadow import cos, fabs, hypot, isfinite, sin
 
 from swarmd.sim.world.bodies import inertia, value
 
 _GRAVITY = 9.81
 _FRICTION = 0.8
 _AHEAD = "linear_acceleration"
-_PI = cython.declare(cython.double, math.pi)
 _DRAWS = cython.declare(cython.Py_ssize_t, 32)
 
 
@@ -301,7 +302,7 @@ class Wheels:
             for k in range(3):
                 self._truth[row, k] = poses[row, k]
                 reported[index, k] = self._reported[row, k]
-            reported[index, 2] = _wrapped(reported[index, 2])
+            reported[index, 2] = wrap(reported[index, 2])
             # The motion is in the reported pose now: the twist takes its place in `measured`.
             self._measure(row, index, twists[row, 0], twists[row, 1], twists[row, 2], measured)
 
@@ -369,12 +370,3 @@ class Wheels:
         measured[index, 1] = (linear * m[row, 0, 1] + angular * m[row, 1, 1]) * self._slips[1]
         measured[index, 2] = lateral * m[row, 2, 2]
         return 0
-
-
-@cython.cfunc
-@cython.exceptval(check=False)
-def _wrapped(yaw: cython.double) -> cython.double:
-    wrapped: cython.double = fmod(yaw + _PI, 2.0 * _PI)
-    if wrapped < 0.0:
-        wrapped += 2.0 * _PI
-    return wrapped - _PI

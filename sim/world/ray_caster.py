@@ -9,10 +9,11 @@ and the sine of the bearing.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from swarmd.core.angles import wrap
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -30,7 +31,6 @@ if cython.compiled:
         cos,
         fabs,
         floor,
-        fmod,
         hypot,
         isfinite,
         rint,
@@ -46,7 +46,6 @@ else:
         cos,
         fabs,
         floor,
-        fmod,
         hypot,
         isfinite,
         rint,
@@ -56,7 +55,6 @@ else:
 
 from swarmd.sim.world.noise import BLOCK
 
-_PI = cython.declare(cython.double, math.pi)
 # rad added to each interval, so that no ray passes between two surfaces that share a corner.
 _BEARING_MARGIN = cython.declare(cython.double, 1e-12)
 # m2: a surface whose `side` (see `_meet_surface`) is nearer to 0 than this is seen edge-on and
@@ -386,10 +384,7 @@ class Caster:
         self._cos_yaw, self._sin_yaw = cos(yaw), sin(yaw)
         self._x = x + (self._cos_yaw * self._sensor_x - self._sin_yaw * self._sensor_y)
         self._y = y + (self._sin_yaw * self._sensor_x + self._cos_yaw * self._sensor_y)
-        self._yaw = fmod(yaw + _PI, 2.0 * _PI)
-        if self._yaw < 0.0:
-            self._yaw += 2.0 * _PI
-        self._yaw -= _PI
+        self._yaw = wrap(yaw)
 
     @cython.cfunc
     def _set_cone(self) -> cython.int:

@@ -1,8 +1,9 @@
 """The kernels: files with arithmetic on scans and near points, which Cython compiles.
 
 A kernel's file is the only source of its arithmetic. `setup.py` compiles the kernels of each row of
-LIBRARIES into one library beside them. Kernels that call each other's functions of C are in one
-row: from one library to another, a call with nine arrays takes 8 us.
+LIBRARIES into one library. Kernels that call each other's functions of C are in one row: from one
+library to another, a call with nine arrays takes 8 us. So a kernel that many use is in many rows,
+and each of these libraries holds its own copy of the code.
 
 CPython interprets the files if
 
@@ -47,9 +48,16 @@ from typing import Any
 
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.kit._points": ("swarmd.kit.points",),
-    "swarmd.protection._assumption_monitor": ("swarmd.protection.assumption_monitor",),
+    "swarmd.protection._assumption_monitor": (
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.protection.assumption_monitor",
+    ),
     "swarmd.protection._barrier": (
-        "swarmd.protection.buffers",
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.core.odometry_trail",
+        "swarmd.protection.comparisons",
         "swarmd.protection.closing_speed",
         "swarmd.protection.barrier_assumptions",
         "swarmd.protection.outline",
@@ -68,8 +76,17 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.feasible_set",
         "swarmd.protection.barrier",
     ),
-    "swarmd.protection._blind_zone": ("swarmd.protection.blind_zone",),
-    "swarmd.protection._following": ("swarmd.protection.following",),
+    "swarmd.protection._blind_zone": (
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.core.ray_order",
+        "swarmd.protection.blind_zone",
+    ),
+    "swarmd.protection._following": (
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.protection.following",
+    ),
     "swarmd.protection._protection": ("swarmd.protection.protection",),
     "swarmd.robot._ticker": (
         "swarmd.robot.effects",
@@ -78,8 +95,10 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.robot.ticker",
     ),
     "swarmd.sensing._scans": (
-        "swarmd.sensing.angles",
-        "swarmd.sensing.buffers",
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.core.odometry_trail",
+        "swarmd.core.ray_order",
         "swarmd.sensing.ray_memory",
         "swarmd.sensing.blind_sector",
         "swarmd.sensing.conditioning",
@@ -93,7 +112,10 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.sensing.scan_features",
     ),
     "swarmd.steering._steering": (
-        "swarmd.steering.buffers",
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.core.odometry_trail",
+        "swarmd.core.ray_order",
         "swarmd.steering.tracks",
         "swarmd.steering.velocity_obstacles",
         "swarmd.steering.openings",
@@ -102,12 +124,15 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.steering.right_of_way",
         "swarmd.steering.steering",
     ),
-    "swarmd.sim.world._base": ("swarmd.sim.world.base",),
-    "swarmd.sim.world._ray_caster": ("swarmd.sim.world.ray_caster",),
+    "swarmd.sim.world._base": ("swarmd.core.angles", "swarmd.sim.world.base"),
+    "swarmd.sim.world._ray_caster": ("swarmd.core.angles", "swarmd.sim.world.ray_caster"),
 }
-"""By the module name of a library: the kernels in it, each behind those that it imports."""
+"""By the module name of a library: the kernels in it, each behind those that it imports.
 
-KERNELS = tuple(chain.from_iterable(LIBRARIES.values()))
+A kernel of `swarmd.core` is compiled into each library that uses it.
+"""
+
+KERNELS = tuple(dict.fromkeys(chain.from_iterable(LIBRARIES.values())))
 
 VIEWS = "swarmd.core._views"
 
@@ -169,9 +194,9 @@ def _fault_of(name: str) -> str:
     views = _opened(VIEWS)
     if path is None or library is None or views is None:
         return _NOT_COMPILED
-    # The paths of the kernels in the folder of the library.
-    inside = (one[name.rfind(".") + 1 :].replace(".", "/") for one in LIBRARIES[name])
-    sources = [file.read_bytes() for one in inside if (file := path.parent / f"{one}.py").exists()]
+    root = path.parents[name.count(".")]
+    files = (root / f"{one.replace('.', '/')}.py" for one in LIBRARIES[name])
+    sources = [file.read_bytes() for file in files if file.exists()]
     is_stale = _digest_in(library, "views_digest") != _digest_in(views, "views_digest")
     if sources:
         is_stale |= _digest_in(library, "source_digest") != digest_of(sources)

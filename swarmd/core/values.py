@@ -145,14 +145,6 @@ class Odometry(Struct, frozen=True, array_like=True, gc=False):
             and -most <= twist.lateral <= most
         )
 
-    def jumps_from(self, last: Odometry) -> bool:
-        """True if no base can move that far since `last`: an estimator has shifted the pose."""
-        seconds = self.stamp - last.stamp
-        here, there = self.pose, last.pose
-        way = math.hypot(here.x - there.x, here.y - there.y)
-        turn = abs(math.remainder(here.yaw - there.yaw, 2.0 * math.pi))
-        return max(way, turn) > MAX_STEP + MAX_SPEED * seconds
-
 
 class SharedPose(Struct, frozen=True, array_like=True):
     """The pose of a robot's axle in a frame that robots share.

@@ -532,13 +532,16 @@ class Daemon:
         log.warning("%s", text)
         self.step(events.NoteInput(text))
 
+    def on_lost(self, beacon: Beacon) -> None:
+        """Begin an incident if the robot, which has failed, ran."""
+        self._incidents.on_lost(beacon)
+
     def on_members(self) -> None:
         """Hand the robot the bodies of all members, and the neighbors.
 
         A driver that senses neighbors itself replaces the neighbors of the network.
         """
         self.step(events.PeersInput(dict(self._network.bodies)))
-        self._incidents.on_members(self._network.members.values(), self._network.last_beacon)
         if not self._has_joined or self.sink.has_neighbors:
             return
         alive = tuple(Neighbor(robot, 0.0) for robot in sorted(self._network.alive))

@@ -19,11 +19,11 @@ import os
 import time
 import zlib
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -42,7 +42,7 @@ from swarmd.core.incident import (
     id_of,
     silent_id,
 )
-from swarmd.core.messages import Code, Member, Presence, Refusal, Reply, State, Status
+from swarmd.core.messages import Code, Refusal, Reply, State, Status
 from swarmd.core.record import DIGEST_BYTES
 from swarmd.core.verbs import KeptIncident, shortened
 from swarmd.daemon.recorder import Recorder, piece_of
@@ -89,6 +89,15 @@ class _Told(msgspec.Struct):
     told: ToldIncident | None = None  # None until it is signed
 
 
+class _Written(NamedTuple):
+    """A file that was written, with its size and CRC-32, and the ids of those that gave way."""
+
+    head: IncidentHead
+    size: int
+    crc: int
+    removed: Sequence[str]
+
+
 class IncidentService:
     """Keeps the black box of one robot, and answers the requests and questions on incidents.
 
@@ -119,8 +128,8 @@ class IncidentService:
         self._head, self._identity, self._is_member = head, identity, is_member
         self._on_event = on_event
         self._status: Status | None = None  # the last one
-        self._lives: dict[str, tuple[str, Presence]] = {}  # instance and presence of each peer
         self._told: dict[str, _Told] = {}  # by id
+        self.digest = b""  # of the ids in `_told`, for beacons; empty without any
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
         self._times: dict[str, float] = {}  # by id: s of a kept incident on the present clock
         self._origins: dict[str, deque[float]] = {}  # by origin: s of its last incidents
@@ -181,7 +190,7 @@ class IncidentService:
         entries = entries_of(left)
         if not entries:
             return
-        end = entries[-1].at
+        end = max(entry.at for entry in entries)  # an incident has its own time
         pending = [one for one in entries if isinstance(one, frames.TextEntry)]
         incidents = (
             (one.at, msgspec.json.decode(one.json, type=Incident))
@@ -191,14 +200,14 @@ class IncidentService:
         for at, incident in incidents:
             if incident.id not in self._kept and end - at <= TAIL:
                 self._may_begin(incident.by, at, gap=0.0)
-                self._write(incident, at, left, entries[0].at, end)
+                self._write(incident, at, lambda: left, entries[0].at, end)
         instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
         id = self._silent_id(self._robot, instance, left.revision, end)
         self._begin(
             Found(IncidentKind.SILENT, text, id),
             at=end,
-            left=(left, entries[0].at, end),
+            left=(lambda: left, entries[0].at, end),
         )
 
     def close(self, *, has_crashed: bool) -> None:
@@ -221,21 +230,13 @@ class IncidentService:
         if what is not None:
             self._begin(what)
 
-    def on_members(
-        self, members: Iterable[Member], last_beacon: Callable[[str], Beacon | None]
-    ) -> None:
-        """Begin an incident for each robot that has failed while it ran."""
-        for member in members:
-            robot, present = member.robot, (member.instance, member.presence)
-            before, self._lives[robot] = self._lives.get(robot), present
-            has_failed = present == (member.instance, Presence.FAILED)
-            has_failed = has_failed and before == (member.instance, Presence.ALIVE)
-            last = last_beacon(robot) if has_failed else None
-            if last is None or STATES[last.state : last.state + 1] != (State.RUNNING,):
-                continue
-            text = f"{robot} is not heard any more; it ran"
-            id = self._silent_id(robot, member.instance, last.revision, boottime())
-            self._begin(Found(IncidentKind.SILENT, text, id), robot=robot)
+    def on_lost(self, beacon: Beacon) -> None:
+        """Begin an incident if the robot, which has failed since this last beacon, ran."""
+        if STATES[beacon.state : beacon.state + 1] == (State.RUNNING,):
+            instance = beacon.instance.hex()
+            id = self._silent_id(beacon.robot, instance, beacon.revision, boottime())
+            text = f"{beacon.robot} is not heard any more; it ran"
+            self._begin(Found(IncidentKind.SILENT, text, id), robot=beacon.robot)
 
     def _silent_id(self, robot: str, instance: str, revision: int, at: float) -> str:
         """The id of a silence that began at `at` s: another one for each silence of one run.
@@ -269,7 +270,7 @@ class IncidentService:
         *,
         robot: str = "",
         at: float | None = None,
-        left: tuple[Left, float, float] | None = None,
+        left: tuple[Callable[[], Left], float, float] | None = None,
     ) -> bool:
         """Begin an incident of this robot's own, unless it is known or too many began."""
         if what.id in self._told or what.id in self._kept:
@@ -308,26 +309,23 @@ class IncidentService:
         return True
 
     def _tell(self, told: _Told) -> None:
-        keep_newest(self._told, told.incident.id, told, MAX_TOLD)
+        """Tell an incident to peers from now on, and to the log."""
+        incident = told.incident
+        keep_newest(self._told, incident.id, told, MAX_TOLD)
+        self._set_digest()
+        self._on_event(f"incident {incident.id} of {incident.robot}: {incident.text}")
+
+    def _set_digest(self) -> None:
+        content = "\n".join(sorted(self._told)).encode()
+        digest = hashlib.blake2b(content, digest_size=DIGEST_BYTES).digest()
+        self.digest = digest if content else b""
 
     def _await_tail(self, incident: Incident, at: float) -> None:
         """Note the incident in the ring; its file is written TAIL s after it."""
         self._due[incident.id] = max(at + TAIL, boottime())
         self._recorder.add(frames.TextEntry(at, "/incident", msgspec.json.encode(incident)))
-        self._on_event(f"incident {incident.id} of {incident.robot}: {incident.text}")
 
     # Spread
-
-    @property
-    def digest(self) -> bytes:
-        """The digest of the ids of the last minutes, for beacons; empty without any."""
-        oldest = boottime() - self._seconds - MARGIN
-        for id in [id for id, told in self._told.items() if told.at < oldest]:
-            del self._told[id]
-        if not self._told:
-            return b""
-        ids = "\n".join(sorted(self._told))
-        return hashlib.blake2b(ids.encode(), digest_size=DIGEST_BYTES).digest()
 
     def serve(self, bus: ZenohBus) -> None:
         """Hand the incidents of the last minutes to other robots."""
@@ -368,8 +366,9 @@ class IncidentService:
             incident = told.incident
             told.at += received
             is_known = incident.id in self._told or incident.id in self._kept
-            names = incident.by, incident.robot
-            is_ours = all(name == self._robot or self._is_member(name) for name in names)
+            # Its own ones are known to this robot: a forged one must not use up its rate.
+            is_ours = self._is_member(incident.robot) and self._is_member(incident.by)
+            is_ours = is_ours and incident.by != self._robot
             is_late = received - told.at > self._seconds + MARGIN
             if is_known or is_late or not is_ours or not self._may_begin(incident.by, received):
                 continue
@@ -384,7 +383,12 @@ class IncidentService:
         return bool(self._due)
 
     def advance(self, now: float) -> None:
-        """Write the files that are due, in threads."""
+        """Write the files that are due, in threads, and forget what is too old to be told."""
+        oldest = now - self._seconds - MARGIN
+        if old := [id for id, told in self._told.items() if told.at < oldest]:
+            for id in old:
+                del self._told[id]
+            self._set_digest()
         for id in [id for id, due in self._due.items() if now >= due]:
             self._write_due(id)
 
@@ -396,54 +400,59 @@ class IncidentService:
         if ring.begin is None:
             self._on_event(f"incident {id}: nothing is kept of it so far")
             return
-        self._write(told.incident, told.at, ring.left(), ring.begin, boottime(), is_waiting)
+        begin, end = ring.begin, boottime()
+        self._write(told.incident, told.at, ring.left, begin, end, is_waiting=is_waiting)
 
     def _write(
         self,
         incident: Incident,
         at: float,
-        left: Left,
+        source: Callable[[], Left],
         begin: float,
         end: float,
+        *,
         is_waiting: bool = False,
     ) -> None:
-        """Write a file with the frames of `left`, from `begin` to `end` s, and note it as kept."""
-        missing = ""
-        if begin > at - self._seconds:
-            missing = f"nothing before {begin - at:+.0f} s"
+        """Write a file with the frames of `source`, from `begin` to `end` s; note it as kept."""
+        missing = f"nothing before {begin - at:+.0f} s" if begin > at - self._seconds else ""
         if end < at + TAIL - 1.0:
             missing = "; ".join(filter(None, (missing, f"nothing after {end - at:+.0f} s")))
-        head = IncidentHead(
-            incident=incident,
-            at=at,
-            clock=clock_id(),
-            begin=begin,
-            end=end,
-            missing=missing,
-            size=len(left.frames),
-            about=left.about,
-            boot=left.boot,
-            wall=left.wall,
-            revision=left.revision,
-        )
-        removed = to_remove(list(self._kept.values()), incident, len(left.frames))
-        work = partial(_write_file, self._folder, head, left.frames, removed)
-        on_done = partial(self._on_written, head, removed)
+        kept = tuple(self._kept.values())
+
+        def work() -> _Written | str:
+            """In a thread: the frames are copied, packed and written."""
+            try:
+                left = source()
+            except (OSError, CodecError) as error:
+                return str(error)
+            head = IncidentHead(
+                incident=incident,
+                at=at,
+                clock=clock_id(),
+                begin=begin,
+                end=end,
+                missing=missing,
+                size=len(left.frames),
+                about=left.about,
+                boot=left.boot,
+                wall=left.wall,
+                revision=left.revision,
+            )
+            return _write_file(self._folder, head, left.frames, kept)
+
+        def on_done(written: _Written | str) -> None:
+            if isinstance(written, str):
+                self._fail(f"incident {incident.id} is not on disk: {written}")
+                return
+            self.fault = ""
+            for id in written.removed:
+                self._kept.pop(id, None)
+            self._note_kept(written.head, written.size, written.crc)
+
         if is_waiting:
             on_done(work())
         else:
             self._in_thread(work, on_done)
-
-    def _on_written(
-        self, head: IncidentHead, removed: list[str], written: tuple[int, int] | str
-    ) -> None:
-        if isinstance(written, str):
-            self._fail(f"incident {head.incident.id} is not on disk: {written}")
-            return
-        self.fault = ""
-        for id in removed:
-            self._kept.pop(id, None)
-        self._note_kept(head, *written)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         id, at = head.incident.id, head.at
@@ -545,18 +554,19 @@ def _is_full(files: Sequence[KeptIncident], size: int, part: int) -> bool:
 
 
 def _write_file(
-    folder: Path, head: IncidentHead, content: bytes, removed: Collection[str]
-) -> tuple[int, int] | str:
-    """Write a file, then remove others; its size and CRC-32, or the fault of the disk."""
+    folder: Path, head: IncidentHead, content: bytes, kept: Sequence[KeptIncident]
+) -> _Written | str:
+    """Write a file, then remove those that give way to it; or the fault of the disk."""
     data = pack(head, content)
+    removed = to_remove(kept, head.incident, len(data))
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_whole(folder / (head.incident.id + SUFFIX), data, 0o600)
         for id in removed:
             (folder / (id + SUFFIX)).unlink(missing_ok=True)
-    except OSError as error:
-        return error.strerror or str(error)
-    return len(data), zlib.crc32(data)
+    except (OSError, CodecError) as error:
+        return getattr(error, "strerror", None) or str(error)
+    return _Written(head, len(data), zlib.crc32(data), removed)
 
 
 def _signed(incident: Incident, identity: Identity | None) -> ToldIncident | None:

@@ -87,6 +87,9 @@ class NetworkOwner(Protocol):
     def on_clock(self, sample: ClockSample) -> None:
         """Record a reading of the clock of a peer."""
 
+    def on_lost(self, beacon: Beacon) -> None:
+        """A robot whose last beacon this is has failed."""
+
     def on_members(self) -> None:
         """Act on a change of the members or of their data."""
 
@@ -174,10 +177,6 @@ class Network:
     def members(self) -> Mapping[str, Member]:
         """By id: the other robots that were heard since the start and not forgotten."""
         return {} if self._peer is None else self._peer.membership.members(boottime())
-
-    def last_beacon(self, robot: str) -> Beacon | None:
-        """The last beacon of the latest life of a robot; None if it was never heard."""
-        return None if self._peer is None else self._peer.membership.last_beacon(robot)
 
     @property
     def bodies(self) -> Mapping[str, Body | None]:
@@ -532,6 +531,10 @@ class Network:
             self._owner.on_input(DuplicateInput(f"instance {actions.duplicate}"))
         if actions.changed:
             self._owner.on_members()
+        for robot in actions.changed:
+            lost = None if self._peer is None else self._peer.membership.lost_beacon(robot)
+            if lost is not None:
+                self._owner.on_lost(lost)
 
     def _add_recipients(self, addresses: Iterable[Address]) -> None:
         """Send datagrams also to robots that are known only from the member lists of peers."""

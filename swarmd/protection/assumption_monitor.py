@@ -45,6 +45,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from swarmd.core.angles import TURN
+from swarmd.core.buffers import view_of
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Array, Odometry, Platform, Twist
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import BarrierSettings
@@ -129,7 +131,6 @@ _BRAKED = "braked at"
 _LATE_WHY = "commands, base or odometry are slow"
 _UNITS = "m/s2", "rad/s2", "m/s2 sideways"
 
-_turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
 _inf = cython.declare(cython.double, math.inf)
@@ -509,20 +510,20 @@ def _misfits(stop: _Stop, commands: list[Any], full_braking: float) -> tuple[Arr
 
     # 1. The commands that the base may have followed. Before the first command the speed is 0.
     stamps, speeds = np.array(_since(commands, readings[0, 0] - _LONGEST_DELAY)).T
-    stamps = _view(np.concatenate(([-np.inf], stamps)))
+    stamps = view_of(np.concatenate(([-np.inf], stamps)))
     speeds = np.maximum(stop.sign * speeds, 0.0)
-    speeds = _view(np.concatenate(([0.0], speeds)))
+    speeds = view_of(np.concatenate(([0.0], speeds)))
 
     # 2. Weights: the noise of a distance grows with the distance. A reading near standstill has the
     # noise of a share of the speed before the stop.
     cruise_count = len(stop.cruise)
     cruise_speed = float(distances[:cruise_count].sum() / periods[:cruise_count].sum())
     weights = 1.0 / (distances**2 + (_STILL_SHARE * cruise_speed * periods) ** 2)
-    table = _view(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
+    table = view_of(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
 
     # 3. The braking of each share, scaled from speeds by odometry to the commanded speeds of the
     # model: before the stop, `cruise_speed` by odometry was `begin_speed` by the command.
-    brakings = _view(_SHARES * full_braking * stop.begin_speed / cruise_speed)
+    brakings = view_of(_SHARES * full_braking * stop.begin_speed / cruise_speed)
 
     # 4. The least weighted residuals for each braking.
     misfits, delays = np.asarray(
@@ -548,13 +549,6 @@ def _since(commands: list[Any], earliest_stamp: float) -> list[Any]:
     return [*used, commands[last]]
 
 
-def _view(values: Array) -> Any:
-    """`values` (n,) or (n, m) as the kernel reads them: in CPython as numbers of Python."""
-    if not cython.compiled:
-        return values.data if values.ndim > 1 else values.tolist()
-    return values
-
-
 @cython.cfunc
 def _weighted_residuals(
     periods: cython.double[:, ::1],
@@ -577,10 +571,10 @@ def _weighted_residuals(
     """
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    coarse: cython.double[::1] = _view(_DELAYS)
-    fine: cython.double[::1] = _view(_FINE_DELAYS)
-    model_speeds: cython.double[::1] = _view(np.zeros(len(stamps)))
-    result: cython.double[:, ::1] = _view(np.zeros((2, len(brakings))))
+    coarse: cython.double[::1] = view_of(_DELAYS)
+    fine: cython.double[::1] = view_of(_FINE_DELAYS)
+    model_speeds: cython.double[::1] = view_of(np.zeros(len(stamps)))
+    result: cython.double[:, ::1] = view_of(np.zeros((2, len(brakings))))
     for j in range(len(brakings)):
         braking: cython.double = brakings[j]
         _model_speeds_at(stamps, speeds, braking, model_speeds)
@@ -656,7 +650,7 @@ def _residual(
     part: cython.Py_ssize_t
     command: cython.Py_ssize_t = 0  # the index of the command that holds
     count: cython.Py_ssize_t = len(stamps)
-    parts: cython.double[::1] = _view(_PARTS)
+    parts: cython.double[::1] = view_of(_PARTS)
     cross_sum: cython.double = 0.0
     model_sum: cython.double = 0.0
     for i in range(len(periods)):
@@ -828,7 +822,7 @@ class AssumptionMonitor:
         yaw: cython.double = pose.yaw
         dx: cython.double = x - self._x
         dy: cython.double = y - self._y
-        turned: cython.double = remainder(yaw - self._yaw, _turn)
+        turned: cython.double = remainder(yaw - self._yaw, TURN)
         middle_yaw: cython.double = self._yaw + 0.5 * turned
         distance: cython.double = sqrt(dx * dx + dy * dy)
         self._stamp, self._x, self._y, self._yaw = end, x, y, yaw

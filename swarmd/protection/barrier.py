@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from swarmd.core.buffers import view
 from swarmd.core.errors import ConfigError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage
@@ -41,7 +42,6 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.barrier_assumptions import Assumptions
-from swarmd.protection.buffers import view
 from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion

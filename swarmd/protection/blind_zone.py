@@ -31,6 +31,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.angles import PI, TURN, angle_between, mod_turn
+from swarmd.core.buffers import doubles, flags, indices, view, wrapped_index
+from swarmd.core.ray_order import sort_rays
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
 
@@ -44,7 +47,6 @@ if cython.compiled:
         atan2,
         cos,
         fabs,
-        fmod,
         hypot,
         isfinite,
         isinf,
@@ -56,7 +58,6 @@ else:
         atan2,
         cos,
         fabs,
-        fmod,
         hypot,
         isfinite,
         isinf,
@@ -95,49 +96,13 @@ _MAX_SLOPE = cython.declare(cython.double, 0.06)  # m per ray by which a face ap
 # half width: an obstacle in a narrower sector is level at its ends
 _FLAT = cython.declare(cython.double, math.radians(20.0))
 
-_PI = cython.declare(cython.double, math.pi)
-_TURN = cython.declare(cython.double, 2.0 * math.pi)
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _mod(angle: cython.double) -> cython.double:
-    """The angle modulo a full turn, with the bits of numpy's %."""
-    if 0.0 <= angle < _TURN:
-        return angle
-    if -_TURN < angle < 0.0:  # as fmod, which is exact and slow
-        return angle + _TURN
-    if _TURN <= angle < 2.0 * _TURN:
-        return angle - _TURN
-    rest: cython.double = fmod(angle, _TURN)
-    if rest < 0.0:
-        rest += _TURN
-    return rest
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _apart(angle: cython.double, direction: cython.double) -> cython.double:
-    """The angle between two directions."""
-    return fabs(_mod(angle - direction + _PI) - _PI)
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _wrapped(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """i modulo n, for i below 2 n, without a slow division."""
-    return i - n if i >= n else i
-
 
 @cython.cfunc
 def _nearest(
     rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double
 ) -> cython.Py_ssize_t:
     """The index of the angle nearest to `wanted`, of n > 0 rising angles."""
-    angle: cython.double = _mod(wanted)
+    angle: cython.double = mod_turn(wanted)
     low: cython.Py_ssize_t = 0
     high: cython.Py_ssize_t = n
     middle: cython.Py_ssize_t
@@ -149,7 +114,7 @@ def _nearest(
             high = middle
     after: cython.Py_ssize_t = low if low < n else 0
     before: cython.Py_ssize_t = after - 1 if after else n - 1
-    if _apart(rising[before], wanted) < _apart(rising[after], wanted):
+    if angle_between(rising[before], wanted) < angle_between(rising[after], wanted):
         return before
     return after
 
@@ -202,15 +167,13 @@ def _find_match(
 _NOTHING = np.empty(0)
 
 
-def _zeros(n: cython.Py_ssize_t, kind: type[np.generic] = np.float64) -> Any:
-    """A buffer of n zeros; in CPython a list."""
-    return np.zeros(n, kind) if cython.compiled else np.zeros(n, kind).tolist()
-
-
-def _grown(old: Any, n: cython.Py_ssize_t) -> Any:
+@cython.cfunc
+def _grown(old: cython.double[::1], n: cython.Py_ssize_t) -> cython.double[::1]:
     """A buffer of n numbers that begins with those of `old`."""
-    new = _zeros(n)
-    new[: len(old)] = old
+    i: cython.Py_ssize_t
+    new: cython.double[::1] = doubles(n)
+    for i in range(len(old)):
+        new[i] = old[i]
     return new
 
 
@@ -262,49 +225,6 @@ def _crosses_rim(
 
 
 @cython.cfunc
-def _sort_rays(
-    bearings: cython.const_double[::1],
-    angles: cython.double[::1],
-    rising: cython.double[::1],
-    order: cython.longlong[::1],
-) -> cython.bint:
-    """Order rays by rising angles; False if this takes more than 8 moves per ray.
-
-    `bearings` (n,) in rad are those of the scan, `angles` the same within a turn. Writes the rising
-    angles into `rising`, and the indices of their rays into `order`. Rays of the same angle stay in
-    their order.
-
-    An insertion sort is fast here: along the indices of the rays, the angles of most sensors rise
-    all the time or fall all the time, but for a few rays and the jump by a full turn.
-    """
-    ray_count: cython.Py_ssize_t = len(bearings)
-    lowest: cython.Py_ssize_t = 0
-    rising_count: cython.Py_ssize_t = 0
-    move_count: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    ray: cython.Py_ssize_t
-    # 1. The ray with the lowest angle, and whether more angles rise than fall.
-    for i in range(1, ray_count):
-        rising_count += 1 if bearings[i] > bearings[i - 1] else -1
-        if angles[i] < angles[lowest]:
-            lowest = i
-    # 2. Inserts the rays from the lowest angle on, in the direction in which most angles rise.
-    for i in range(ray_count):
-        ray = lowest + i if rising_count >= 0 else lowest - i + ray_count
-        ray = _wrapped(ray, ray_count)
-        angle, k = angles[ray], i
-        while k > 0 and (rising[k - 1] > angle or (rising[k - 1] == angle and order[k - 1] > ray)):
-            rising[k], order[k] = rising[k - 1], order[k - 1]
-            k -= 1
-        rising[k], order[k] = angle, ray
-        move_count += i - k
-        if move_count > 8 * ray_count:
-            return False
-    return True
-
-
-@cython.cfunc
 def _turn_rays(
     bearings: cython.double[::1],
     count: cython.Py_ssize_t,
@@ -319,11 +239,11 @@ def _turn_rays(
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     for i in range(1, count):
-        if _mod(bearings[i] - turned) < _mod(bearings[i - 1] - turned):
+        if mod_turn(bearings[i] - turned) < mod_turn(bearings[i - 1] - turned):
             first = i
     for i in range(count):
         k = first + i
-        angle = _mod(bearings[k - count if k >= count else k] - turned)
+        angle = mod_turn(bearings[k - count if k >= count else k] - turned)
         k = i
         while k > 0 and rising[k - 1] > angle:  # by rounding
             rising[k] = rising[k - 1]
@@ -364,9 +284,9 @@ class BlindZoneMemory:
     # Empty sectors: the first ray, the number of rays, at how many ends (0 to 2) an obstacle
     # crosses the rim, and m to the square corner of rule 2.
     _sector_count: cython.Py_ssize_t
-    _sector_first: cython.Py_ssize_t[::1]
-    _sector_width: cython.Py_ssize_t[::1]
-    _crossings: cython.Py_ssize_t[::1]
+    _sector_first: cython.longlong[::1]
+    _sector_width: cython.longlong[::1]
+    _crossings: cython.longlong[::1]
     _corner: cython.double[::1]
     # Near points of this scan, of the last one, and rays without return of the last one.
     _point_count: cython.Py_ssize_t
@@ -381,7 +301,7 @@ class BlindZoneMemory:
     # `_angle_total` rising angles, in which `_nearest` searches, and the rays to which they belong.
     _angle_total: cython.Py_ssize_t
     _angles: cython.double[::1]
-    _angle_rays: cython.Py_ssize_t[::1]
+    _angle_rays: cython.longlong[::1]
     # The hidden obstacles, then the candidates: near returns of the scan before that may have
     # crossed the rim. Of each: bearing in rad, age in s, least range in m, and whether it only
     # continues a face that is in view (1.0).
@@ -411,13 +331,13 @@ class BlindZoneMemory:
         self._x = self._y = self._old_x = self._old_y = self._old_empty = _NOTHING
         self._hidden_bearing = self._age = self._nearest_range = self._is_face = _NOTHING
         self.bearings = self.nearest = _NOTHING
-        self._order = _zeros(0, np.int64)
-        self._sector_first = self._sector_width = _zeros(0, np.intp)
+        self._order = indices(0)
+        self._sector_first = self._sector_width = indices(0)
         self._crossings = self._angle_rays = self._sector_first
         self._bearing = self._rising = self._range = _NOTHING
         self._age_by_ray = self._nearest_by_ray = _NOTHING
         self._exact_bearing = self._corner = self._turned_angle = self._angles = _NOTHING
-        self._is_empty = self._is_in_entered_sector = _zeros(0, np.uint8)
+        self._is_empty = self._is_in_entered_sector = flags(0)
         self._is_face_by_ray = self._is_hidden = self._is_empty
 
     def update(
@@ -436,8 +356,7 @@ class BlindZoneMemory:
                 as moving away from a hidden obstacle (rule 4).
             seconds: s between the two scans.
         """
-        table = np.ascontiguousarray(scan.ranges, np.float64)  # interpreted, a list is read faster
-        ranges: cython.const_double[::1] = table if cython.compiled else table.tolist()
+        ranges: cython.const_double[::1] = view(scan.ranges)
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
         # After a pause at most 5 periods count, else all returns would be near.
         counted_s: cython.double = min(seconds, 5.0 * self._period)
@@ -482,44 +401,39 @@ class BlindZoneMemory:
     @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:
         """Take new bearings of the rays, and sort the rays by them."""
-        table = np.ascontiguousarray(bearings, np.float64)
-        values: cython.const_double[::1] = table if cython.compiled else table.tolist()
+        values: cython.const_double[::1] = view(bearings)
         n: cython.Py_ssize_t = len(values)
         if n > self._reserved:
             self._reserve(n + n // 4)
         self._given_bearings, self._ray_count = bearings, n
         i: cython.Py_ssize_t
         for i in range(n):
-            self._turned_angle[i] = _mod(values[i])
-        if not _sort_rays(values, self._turned_angle, self._rising, self._order):
-            sorted_rays: cython.longlong[::1] = np.argsort(table % _TURN, kind="stable")
-            for i in range(n):
-                self._order[i] = sorted_rays[i]
+            self._turned_angle[i] = mod_turn(values[i])
+        sort_rays(self._turned_angle, n, self._rising, self._order)
         for i in range(n):
             self._bearing[i] = values[self._order[i]]
-            self._rising[i] = self._turned_angle[self._order[i]]
 
     @cython.cfunc
     def _reserve(self, size: cython.Py_ssize_t) -> None:
         """Make room for `size` rays; the hidden obstacles and the near points stay."""
         self._reserved = size
-        self._order = _zeros(size, np.int64)
-        self._bearing, self._rising = _zeros(size), _zeros(size)
-        self._range, self._exact_bearing, self._corner = _zeros(size), _zeros(size), _zeros(size)
-        self._age_by_ray, self._nearest_by_ray = _zeros(size), _zeros(size)
-        self._is_empty, self._is_in_entered_sector = _zeros(size, np.uint8), _zeros(size, np.uint8)
-        self._is_face_by_ray = _zeros(size, np.uint8)
-        self._sector_first, self._sector_width = _zeros(size, np.intp), _zeros(size, np.intp)
-        self._crossings, self._angle_rays = _zeros(size, np.intp), _zeros(size, np.intp)
+        self._order = indices(size)
+        self._bearing, self._rising = doubles(size), doubles(size)
+        self._range, self._exact_bearing, self._corner = doubles(size), doubles(size), doubles(size)
+        self._age_by_ray, self._nearest_by_ray = doubles(size), doubles(size)
+        self._is_empty, self._is_in_entered_sector = flags(size), flags(size)
+        self._is_face_by_ray = flags(size)
+        self._sector_first, self._sector_width = indices(size), indices(size)
+        self._crossings, self._angle_rays = indices(size), indices(size)
         self._x, self._y = _grown(self._x, size), _grown(self._y, size)
         self._old_x, self._old_y = _grown(self._old_x, size), _grown(self._old_y, size)
         self._old_empty = _grown(self._old_empty, size)
-        self._angles, self._turned_angle = _zeros(size), _zeros(size)
+        self._angles, self._turned_angle = doubles(size), doubles(size)
         # Candidates: at most a hidden obstacle for each ray, and one for each earlier near point.
         self._bearings = self._hidden_bearing = _grown(self._hidden_bearing, 2 * size)
         self._ranges = self._nearest_range = _grown(self._nearest_range, 2 * size)
         self._age, self._is_face = _grown(self._age, 2 * size), _grown(self._is_face, 2 * size)
-        self._is_hidden = _zeros(2 * size, np.uint8)
+        self._is_hidden = flags(2 * size)
 
     @cython.cfunc
     def _leave(
@@ -569,7 +483,7 @@ class BlindZoneMemory:
                 for i in range(
                     self._sector_first[k], self._sector_first[k] + self._sector_width[k]
                 ):
-                    self._is_in_entered_sector[_wrapped(i, ray_count)] = True
+                    self._is_in_entered_sector[wrapped_index(i, ray_count)] = True
         # 2. The hidden obstacles approach, and vanished returns become candidates.
         self._approach(turned, seconds)
         self._candidate_count = self._hidden_count
@@ -644,10 +558,10 @@ class BlindZoneMemory:
         i = first
         while i < last:
             end = i
-            while end < last and isinf(self._range[_wrapped(end, ray_count)]):
+            while end < last and isinf(self._range[wrapped_index(end, ray_count)]):
                 end += 1
             if end - i >= _MIN_EMPTY_RUN:
-                self._add_sector(_wrapped(i, ray_count), end - i)
+                self._add_sector(wrapped_index(i, ray_count), end - i)
             i = end + 1
 
     @cython.cfunc
@@ -661,8 +575,8 @@ class BlindZoneMemory:
         k: cython.Py_ssize_t = self._sector_count
         i: cython.Py_ssize_t
         for i in range(first, first + width):
-            self._is_empty[_wrapped(i, ray_count)] = True
-        half_angle: cython.double = width * _PI / ray_count
+            self._is_empty[wrapped_index(i, ray_count)] = True
+        half_angle: cython.double = width * PI / ray_count
         is_flat: cython.bint = half_angle < _FLAT
         self._sector_first[k], self._sector_width[k] = first, width
         self._crossings[k] = 0
@@ -730,7 +644,7 @@ class BlindZoneMemory:
             bearing = atan2(y - sensor_y, x - sensor_x)
             ray = _nearest(self._rising, self._ray_count, bearing)
             if isinf(self._range[ray]):
-                return_width = hypot(x - sensor_x, y - sensor_y) * _TURN / self._ray_count
+                return_width = hypot(x - sensor_x, y - sensor_y) * TURN / self._ray_count
                 self._emerged_m -= return_width
                 self._vanished_m += return_width
             # 4. Adds the candidate. The obstacle can be `obstacle_step` within the rim by now. If
@@ -775,7 +689,7 @@ class BlindZoneMemory:
             if not self._is_hidden[k]:
                 continue
             i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
-            angle_off = _apart(self._angles[i], self._hidden_bearing[k])
+            angle_off = angle_between(self._angles[i], self._hidden_bearing[k])
             if angle_off > sideways_shift:
                 continue
             ray = self._angle_rays[i]
@@ -783,7 +697,7 @@ class BlindZoneMemory:
             self._nearest_by_ray[ray] = min(self._nearest_by_ray[ray], self._nearest_range[k])
             self._is_face_by_ray[ray] = self._is_face_by_ray[ray] and self._is_face[k] != 0.0
             # The bearing is not rounded to that of the ray, which would lose a slow turn.
-            if angle_off <= _PI / ray_count:
+            if angle_off <= PI / ray_count:
                 self._exact_bearing[ray] = self._hidden_bearing[k]
         return 0
 
@@ -806,7 +720,7 @@ class BlindZoneMemory:
         # The candidates behind these vanished in this scan, so they have not reappeared.
         for k in range(self._hidden_count):
             i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
-            angle_off = _apart(self._angles[i], self._hidden_bearing[k])
+            angle_off = angle_between(self._angles[i], self._hidden_bearing[k])
             if angle_off <= sideways_shift:
                 self._is_hidden[k] = False
             elif angle_off <= farthest_shift:
@@ -846,10 +760,10 @@ class BlindZoneMemory:
                     _turn_rays(self._old_empty, old_empty_count, turned, self._turned_angle)
                     is_turned = True
                 k = _nearest(self._turned_angle, old_empty_count, self._bearing[i])
-                if _apart(self._turned_angle[k], self._bearing[i]) <= _PI / ray_count:
+                if angle_between(self._turned_angle[k], self._bearing[i]) <= PI / ray_count:
                     self._angles[self._angle_total] = self._rising[i]
                     self._angle_total += 1
-                    self._emerged_m += self._range[i] * _TURN / ray_count
+                    self._emerged_m += self._range[i] * TURN / ray_count
 
     @cython.cfunc
     def _fill(self, seconds: cython.double) -> cython.int:
@@ -868,9 +782,9 @@ class BlindZoneMemory:
             first, after_last = self._sector_first[k], self._sector_first[k] + self._sector_width[k]
             least_age: cython.double = INFINITY  # inf without a hidden obstacle in the sector
             for i in range(first, after_last):
-                least_age = min(least_age, self._age_by_ray[_wrapped(i, ray_count)])
+                least_age = min(least_age, self._age_by_ray[wrapped_index(i, ray_count)])
             is_obstacle_hidden: cython.bint = least_age < INFINITY
-            width_rad = self._sector_width[k] * 2.0 * _PI / ray_count
+            width_rad = self._sector_width[k] * 2.0 * PI / ray_count
             if self._crossings[k] == 2 and width_rad < _MAX_FACE:
                 self._fill_with_box(k)
             elif is_obstacle_hidden and width_rad <= _MAX_SECTOR:
@@ -888,10 +802,10 @@ class BlindZoneMemory:
                 # Open space, into which no obstacle reaches: doubtful obstacles will expire.
                 for i in range(first, after_last):
                     is_doubtful: cython.bint = (
-                        0.0 < self._age_by_ray[_wrapped(i, ray_count)] < INFINITY
+                        0.0 < self._age_by_ray[wrapped_index(i, ray_count)] < INFINITY
                     )
                     if is_doubtful:
-                        self._age_by_ray[_wrapped(i, ray_count)] += seconds
+                        self._age_by_ray[wrapped_index(i, ray_count)] += seconds
 
     @cython.cfunc
     def _fill_with_box(self, k: cython.Py_ssize_t) -> cython.int:
@@ -903,7 +817,7 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         ray: cython.Py_ssize_t
         for i in range(self._sector_first[k], self._sector_first[k] + self._sector_width[k]):
-            ray = _wrapped(i, self._ray_count)
+            ray = wrapped_index(i, self._ray_count)
             self._age_by_ray[ray] = min(self._age_by_ray[ray], _DOUBTFUL)  # inf without an obstacle
             if self._is_face_by_ray[ray]:  # True without an obstacle, too
                 self._nearest_by_ray[ray] = self._corner[k]
@@ -916,7 +830,7 @@ class BlindZoneMemory:
         after_last: cython.Py_ssize_t = first + self._sector_width[k]
         nearest: cython.double = INFINITY
         for i in range(first, after_last):
-            nearest = min(nearest, self._nearest_by_ray[_wrapped(i, self._ray_count)])
+            nearest = min(nearest, self._nearest_by_ray[wrapped_index(i, self._ray_count)])
         for i in range(first, after_last):
-            self._age_by_ray[_wrapped(i, self._ray_count)] = age
-            self._nearest_by_ray[_wrapped(i, self._ray_count)] = nearest
+            self._age_by_ray[wrapped_index(i, self._ray_count)] = age
+            self._nearest_by_ray[wrapped_index(i, self._ray_count)] = nearest

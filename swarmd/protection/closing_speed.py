@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core.clock import TICK
-from swarmd.protection.buffers import at_least
+from swarmd.protection.comparisons import at_least
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython

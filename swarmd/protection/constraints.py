@@ -15,16 +15,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from swarmd.core.buffers import checked, checked_indices, doubles, indices
 from swarmd.core.values import Limits
 from swarmd.protection.barrier_assumptions import OTHER, REACTION, WALL, Assumptions
-from swarmd.protection.buffers import (
-    at_least,
-    checked,
-    checked_indices,
-    doubles,
-    indices,
-    maximum,
-)
 from swarmd.protection.closing_speed import (
     CREEP_SPEED,
     DECISION_PERIOD,
@@ -33,6 +26,7 @@ from swarmd.protection.closing_speed import (
     reciprocal_cap,
     wall_cap,
 )
+from swarmd.protection.comparisons import at_least, maximum
 from swarmd.protection.dead_reckoning import PlanarPose
 from swarmd.protection.obstacles import NearObstacles, Points
 from swarmd.protection.outline import CHUNK, Chunk, Outline

@@ -5,12 +5,20 @@ Part of the library of barrier.py. Units: m, s, rad.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
-from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP, Pose
+from swarmd.core.odometry_trail import (
+    ANEW,
+    LONGEST_EXTRAPOLATION,
+    NEXT,
+    R_ANGULAR,
+    R_LATERAL,
+    R_LINEAR,
+    OdometryTrail,
+)
+from swarmd.core.values import Pose
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
-from swarmd.protection.buffers import doubles, maximum
+from swarmd.protection.comparisons import maximum
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -19,28 +27,11 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other one
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, copysign, cos, fabs, hypot, remainder, sin
+    from cython.cimports.libc.math import INFINITY, copysign, cos, fabs, sin
 else:
-    from swarmd.core.cython_shadow import INFINITY, copysign, cos, fabs, hypot, remainder, sin
-
-LONGEST_EXTRAPOLATION = cython.declare(cython.double, MAX_EXTRAPOLATION)
-"""s for which the last measured twist is extrapolated."""
+    from swarmd.core.cython_shadow import INFINITY, copysign, cos, fabs, sin
 
 _AGE_TOLERANCE = cython.declare(cython.double, 1e-6)  # s, for the rounding of ages
-_max_step = cython.declare(cython.double, MAX_STEP)
-_max_speed = cython.declare(cython.double, MAX_SPEED)
-_history = cython.declare(cython.Py_ssize_t, HISTORY)
-
-# The fields of a reading of odometry.
-_R_STAMP = cython.declare(cython.Py_ssize_t, 0)  # s
-_R_X = cython.declare(cython.Py_ssize_t, 1)
-_R_Y = cython.declare(cython.Py_ssize_t, 2)
-_R_YAW = cython.declare(cython.Py_ssize_t, 3)
-_R_LINEAR = cython.declare(cython.Py_ssize_t, 4)  # the measured speeds
-_R_ANGULAR = cython.declare(cython.Py_ssize_t, 5)
-_R_LATERAL = cython.declare(cython.Py_ssize_t, 6)
-_R_FIELDS = cython.declare(cython.Py_ssize_t, 7)
-_turn = cython.declare(cython.double, 2.0 * math.pi)
 
 
 @cython.final
@@ -93,79 +84,19 @@ class DeadReckoning:
     version: cython.Py_ssize_t  # rises with each reading
     resets: cython.Py_ssize_t  # how often the clock went back or the pose jumped
     _assumptions: Assumptions
-    # A ring buffer: _R_FIELDS of each reading. `_count` readings are in use, and `_newest` is the
-    # number of the newest reading.
-    _readings: cython.double[::1]
-    _newest: cython.Py_ssize_t
-    _count: cython.Py_ssize_t
+    _trail: OdometryTrail
 
     def __init__(self, assumptions: Assumptions) -> None:
-        self._assumptions, self._readings = assumptions, doubles(_R_FIELDS * _history)
+        self._assumptions, self._trail = assumptions, OdometryTrail()
 
     @cython.cfunc
     def record(self, odometry: Odometry) -> None:
-        """Store a reading of odometry if it differs from the newest stored reading.
-
-        If the stamp does not rise, or the pose jumps, odometry had a reset: the function drops the
-        readings before, and `resets` rises.
-        """
+        """Store a reading of odometry; `resets` rises if it begins the trail anew."""
         self.odometry = odometry
-        pose, twist = odometry.pose, odometry.twist
-        stamp: cython.double = odometry.stamp
-        x: cython.double = pose.x
-        y: cython.double = pose.y
-        yaw: cython.double = pose.yaw
-        linear: cython.double = twist.linear
-        angular: cython.double = twist.angular
-        lateral: cython.double = twist.lateral
-        readings: cython.double[::1] = self._readings
-        start: cython.Py_ssize_t = _R_FIELDS * self._newest  # of the newest reading in the buffer
-        if self._count:
-            is_same_pose: cython.bint = (
-                readings[start + _R_STAMP] == stamp
-                and readings[start + _R_X] == x
-                and readings[start + _R_Y] == y
-                and readings[start + _R_YAW] == yaw
-            )
-            is_same_twist: cython.bint = (
-                readings[start + _R_LINEAR] == linear
-                and readings[start + _R_ANGULAR] == angular
-                and readings[start + _R_LATERAL] == lateral
-            )
-            if is_same_pose and is_same_twist:
-                return
-            if self._is_reset(stamp, x, y, yaw):
-                self._count = 0
-                self.resets += 1
-        # Overwrites the oldest reading.
-        self._newest = (self._newest + 1) % _history
-        self._count = min(self._count + 1, _history)
-        self.version += 1
-        start = _R_FIELDS * self._newest
-        readings[start + _R_STAMP] = stamp
-        readings[start + _R_X], readings[start + _R_Y] = x, y
-        readings[start + _R_YAW] = yaw
-        readings[start + _R_LINEAR], readings[start + _R_LATERAL] = linear, lateral
-        readings[start + _R_ANGULAR] = angular
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _is_reset(
-        self, stamp: cython.double, x: cython.double, y: cython.double, yaw: cython.double
-    ) -> cython.int:
-        """1 if the stamp of a new reading does not rise, or if its pose jumps.
-
-        A jump is a step of more than MAX_STEP (m or rad) plus MAX_SPEED times the seconds since the
-        newest reading.
-        """
-        readings: cython.double[::1] = self._readings
-        start: cython.Py_ssize_t = _R_FIELDS * self._newest
-        distance: cython.double = hypot(x - readings[start + _R_X], y - readings[start + _R_Y])
-        turned: cython.double = fabs(remainder(yaw - readings[start + _R_YAW], _turn))
-        jump: cython.double = maximum(distance, turned)
-        longest_jump: cython.double = _max_step + _max_speed * (stamp - readings[start + _R_STAMP])
-        is_reset: cython.bint = stamp <= readings[start + _R_STAMP] or jump > longest_jump
-        return is_reset
+        taken: cython.int = self._trail.take(odometry)
+        if taken >= NEXT:
+            self.version += 1
+            self.resets += taken == ANEW
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -177,40 +108,11 @@ class DeadReckoning:
         `odometry_age` in s is the age of the newest reading at the decision. Without a reading the
         pose is (0, 0, 0).
         """
-        readings: cython.double[::1] = self._readings
-        if self._count == 0:
+        trail: OdometryTrail = self._trail
+        if trail.count == 0:
             return into.set(0.0, 0.0, 0.0)
-        later: cython.Py_ssize_t = _R_FIELDS * self._newest
-        stamp: cython.double = readings[later + _R_STAMP] + odometry_age - seconds_before
-
-        # 1. After the newest reading: extrapolates at its twist, for a limited time.
-        seconds: cython.double = stamp - readings[later + _R_STAMP]
-        if readings[later + _R_STAMP] <= stamp:
-            if seconds > LONGEST_EXTRAPOLATION:
-                seconds = LONGEST_EXTRAPOLATION
-            return self._extrapolate_measured(later, seconds, into)
-
-        # 2. Between two readings: goes back to the first reading that is not after `stamp`, and
-        # interpolates.
-        k: cython.Py_ssize_t
-        for k in range(1, self._count):
-            earlier: cython.Py_ssize_t = _R_FIELDS * ((self._newest - k + _history) % _history)
-            if readings[earlier + _R_STAMP] <= stamp:
-                earlier_stamp: cython.double = readings[earlier + _R_STAMP]
-                later_stamp: cython.double = readings[later + _R_STAMP]
-                fraction: cython.double = (stamp - earlier_stamp) / (later_stamp - earlier_stamp)
-                x: cython.double = readings[earlier + _R_X]
-                y: cython.double = readings[earlier + _R_Y]
-                yaw: cython.double = readings[earlier + _R_YAW]
-                return into.set(
-                    x + fraction * (readings[later + _R_X] - x),
-                    y + fraction * (readings[later + _R_Y] - y),
-                    yaw + fraction * remainder(readings[later + _R_YAW] - yaw, _turn),
-                )
-            later = earlier
-
-        # 3. Before the oldest reading: extrapolates back at its twist.
-        return self._extrapolate_measured(later, stamp - readings[later + _R_STAMP], into)
+        trail.set_pose(trail.latest + odometry_age - seconds_before)
+        return into.set(trail.x, trail.y, trail.yaw)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -229,66 +131,25 @@ class DeadReckoning:
         the command in force (`linear`, `angular`, `lateral`). The age counts up to
         LONGEST_EXTRAPOLATION. Without a reading the pose is (0, 0, 0).
         """
-        readings: cython.double[::1] = self._readings
-        if self._count == 0:
+        trail: OdometryTrail = self._trail
+        if trail.count == 0:
             return into.set(0.0, 0.0, 0.0)
-        newest: cython.Py_ssize_t = _R_FIELDS * self._newest
+        newest: cython.Py_ssize_t = trail.place(0)
+        readings: cython.double[::1] = trail.readings
         linear_braking: cython.double = self._assumptions.braking_linear
         angular_braking: cython.double = self._assumptions.braking_angular
         seconds: cython.double = odometry_age
         if seconds > LONGEST_EXTRAPOLATION:
             seconds = LONGEST_EXTRAPOLATION
         seconds += REACTION
-        return self._extrapolate(
+        trail.extrapolate(
             newest,
-            _mean_speed(readings[newest + _R_LINEAR], linear, linear_braking, seconds),
-            _mean_speed(readings[newest + _R_ANGULAR], angular, angular_braking, seconds),
-            _mean_speed(readings[newest + _R_LATERAL], lateral, linear_braking, seconds),
+            _mean_speed(readings[newest + R_LINEAR], linear, linear_braking, seconds),
+            _mean_speed(readings[newest + R_ANGULAR], angular, angular_braking, seconds),
+            _mean_speed(readings[newest + R_LATERAL], lateral, linear_braking, seconds),
             seconds,
-            into,
         )
-
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(-1)
-    def _extrapolate_measured(
-        self, start: cython.Py_ssize_t, seconds: cython.double, into: PlanarPose
-    ) -> cython.int:
-        """Set `into` to the pose `seconds` after the reading at index `start`, at its twist."""
-        readings: cython.double[::1] = self._readings
-        linear: cython.double = readings[start + _R_LINEAR]
-        angular: cython.double = readings[start + _R_ANGULAR]
-        lateral: cython.double = readings[start + _R_LATERAL]
-        return self._extrapolate(start, linear, angular, lateral, seconds, into)
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _extrapolate(
-        self,
-        start: cython.Py_ssize_t,
-        linear: cython.double,
-        angular: cython.double,
-        lateral: cython.double,
-        seconds: cython.double,
-        into: PlanarPose,
-    ) -> cython.int:
-        """Set `into` to the pose `seconds` after the reading at index `start`, at a constant twist.
-
-        The robot moves along the chord of the arc: the way ahead and to the left, rotated by half
-        of the turn.
-        """
-        readings: cython.double[::1] = self._readings
-        turn: cython.double = angular * seconds
-        yaw: cython.double = readings[start + _R_YAW] + 0.5 * turn
-        ahead: cython.double = linear * seconds
-        left: cython.double = lateral * seconds
-        cos_yaw: cython.double = cos(yaw)
-        sin_yaw: cython.double = sin(yaw)
-        return into.set(
-            readings[start + _R_X] + cos_yaw * ahead - sin_yaw * left,
-            readings[start + _R_Y] + sin_yaw * ahead + cos_yaw * left,
-            readings[start + _R_YAW] + turn,
-        )
+        return into.set(trail.x, trail.y, trail.yaw)
 
 
 @cython.final

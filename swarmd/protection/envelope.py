@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.buffers import checked, doubles, view
 from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
-from swarmd.protection.buffers import checked, doubles, maximum, view
 from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
+from swarmd.protection.comparisons import maximum
 from swarmd.protection.constraints import ENVELOPE_ROWS, ConstraintRows, PlacedPoints, SpeedAxes
 from swarmd.protection.outline import Outline
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core.odometry_trail import LONGEST_EXTRAPOLATION
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
-from swarmd.protection.buffers import is_same, maximum
 from swarmd.protection.closing_speed import DECISION_PERIOD
+from swarmd.protection.comparisons import is_same, maximum
 from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints, SpeedAxes
 from swarmd.protection.dead_reckoning import (
-    LONGEST_EXTRAPOLATION,
     DeadReckoning,
     PlanarPose,
     ScanMotion,

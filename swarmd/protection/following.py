@@ -25,11 +25,12 @@ A kernel (see `core/kernels.py`), since each reading of odometry and each comman
 from __future__ import annotations
 
 import math
-from array import array
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
+from swarmd.core.angles import TURN
+from swarmd.core.buffers import doubles
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
 from swarmd.protection.settings import BarrierSettings
 
@@ -76,15 +77,9 @@ _UNITS = "m/s", "rad/s", "m/s to the left"
 _WHY = "a reflex of the base, a stuck wheel, or another node drives"
 _WRONG = "one of both stands still, jumps, or has a wrong sign, scale or frame"
 
-_turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
 _inf = cython.declare(cython.double, math.inf)
-
-
-def _doubles(count: cython.Py_ssize_t) -> Any:
-    """A buffer of `count` doubles; of numbers of Python in CPython."""
-    return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
 
 
 @cython.final
@@ -126,7 +121,7 @@ class _Axis:
     def __init__(self, least: float, acceleration: float, unit: str, tolerance: float) -> None:
         self._least, self._acceleration, self._unit = least, acceleration, unit
         self._tolerance = tolerance
-        self._stamps, self._speeds = _doubles(_COMMANDS), _doubles(_COMMANDS)
+        self._stamps, self._speeds = doubles(_COMMANDS), doubles(_COMMANDS)
         self.reset(0.0, -math.inf)
 
     def check_indices(self) -> None:
@@ -168,7 +163,7 @@ class _Axis:
             stamps: cython.double[::1] = self._stamps
             speeds: cython.double[::1] = self._speeds
             if 2 * count > len(self._stamps):
-                self._stamps, self._speeds = _doubles(4 * count), _doubles(4 * count)
+                self._stamps, self._speeds = doubles(4 * count), doubles(4 * count)
             for i in range(count):
                 self._stamps[i], self._speeds[i] = stamps[first + i], speeds[first + i]
             self._first, self._held, self._end = 0, self._held - first, count
@@ -400,7 +395,7 @@ class FollowingMonitor:
         period: cython.double = stamp - self._stamp
         dx: cython.double = x - self._x
         dy: cython.double = y - self._y
-        turned: cython.double = remainder(yaw - self._yaw, _turn)
+        turned: cython.double = remainder(yaw - self._yaw, TURN)
         middle_yaw: cython.double = self._yaw + 0.5 * turned
         if had_last and period == 0.0:
             return
@@ -438,6 +433,6 @@ class FollowingMonitor:
         )
         self.blocked_bearing = NAN
         if self._linear.blocked:
-            self.blocked_bearing = 0.0 if self._linear.blocked > 0.0 else 0.5 * _turn
+            self.blocked_bearing = 0.0 if self._linear.blocked > 0.0 else 0.5 * TURN
         elif self._lateral.blocked:
-            self.blocked_bearing = 0.25 * _turn * self._lateral.blocked
+            self.blocked_bearing = 0.25 * TURN * self._lateral.blocked

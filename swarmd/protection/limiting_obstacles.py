@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core.buffers import checked
 from swarmd.core.messages import LimitingObstacle
 from swarmd.protection.barrier_assumptions import REACTION, WALL, Assumptions
-from swarmd.protection.buffers import checked, maximum
 from swarmd.protection.closing_speed import closing_cap, closing_deceleration, wall_cap
+from swarmd.protection.comparisons import maximum
 from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints, SpeedAxes
 from swarmd.protection.outline import Outline
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.buffers import checked, checked_indices, doubles, indices, view
 from swarmd.protection.barrier_assumptions import OTHER, REACTION, Assumptions
-from swarmd.protection.buffers import checked, checked_indices, doubles, indices, take, view
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.outline import Outline
 
@@ -422,10 +422,10 @@ class NearObstacles:
             y: cython.double = outline.lidar_y + to_outline * rays.y[i]
             points.add(x, y, 0.0, rays.age[i], rays.kind[i])
         self.contacts = rays.count
-        take(unsorted.x, self._order, unsorted.count, points.x, rays.count)
-        take(unsorted.y, self._order, unsorted.count, points.y, rays.count)
-        take(unsorted.gap, self._order, unsorted.count, points.gap, rays.count)
-        take(unsorted.age, self._order, unsorted.count, points.age, rays.count)
+        _take(unsorted.x, self._order, unsorted.count, points.x, rays.count)
+        _take(unsorted.y, self._order, unsorted.count, points.y, rays.count)
+        _take(unsorted.gap, self._order, unsorted.count, points.gap, rays.count)
+        _take(unsorted.age, self._order, unsorted.count, points.age, rays.count)
         for i in range(unsorted.count):
             points.kind[rays.count + i] = unsorted.kind[self._order[i]]
         points.count = rays.count + unsorted.count
@@ -475,6 +475,23 @@ class NearObstacles:
             order, spare = spare, order
             self._order, self._spare = self._spare, self._order
             run_length *= 2
+
+
+@cython.cfunc
+def _take(
+    values: cython.double[::1],
+    order: cython.longlong[::1],
+    count: cython.Py_ssize_t,
+    into: cython.double[::1],
+    begin: cython.Py_ssize_t,
+) -> None:
+    """Put the values at the first `count` indices of `order` into a buffer, from `begin` on."""
+    i: cython.Py_ssize_t
+    index: cython.p_longlong = checked_indices(order, count)
+    given: cython.p_double = checked(values, count)
+    to: cython.p_double = checked(into, begin + count)
+    for i in range(count):
+        to[begin + i] = given[index[i]]
 
 
 @cython.cfunc

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.buffers import checked, view
 from swarmd.core.values import Platform
-from swarmd.protection.buffers import checked, maximum, view
+from swarmd.protection.comparisons import maximum
 from swarmd.protection.footprint import Footprint
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one

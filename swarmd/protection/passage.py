@@ -13,13 +13,13 @@ import numpy as np
 from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import ScanSpec
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
-from swarmd.protection.buffers import maximum
 from swarmd.protection.closing_speed import (
     CREEP_SPEED,
     DECISION_PERIOD,
     closing_cap,
     reciprocal_cap,
 )
+from swarmd.protection.comparisons import maximum
 from swarmd.protection.constraints import SIDE_ANGLE
 from swarmd.protection.decision import Clearance
 from swarmd.protection.outline import Chunk, Outline

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmd.protection.buffers import checked, doubles
+from swarmd.core.buffers import checked, doubles
 from swarmd.protection.constraints import ConstraintRows
 from swarmd.protection.outline import CHUNK
 

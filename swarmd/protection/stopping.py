@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.buffers import checked, doubles, view
 from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
-from swarmd.protection.buffers import checked, doubles, view
 from swarmd.protection.closing_speed import DECISION_PERIOD
 from swarmd.protection.constraints import Constraints, PlacedPoints, SpeedAxes
 from swarmd.protection.outline import Outline

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.buffers import view
 from swarmd.core.values import Array, TouchZone
-from swarmd.protection.buffers import view
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython

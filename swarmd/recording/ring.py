@@ -134,8 +134,12 @@ class Ring:
         self._write_header()
 
     def left(self) -> Left:
-        """A copy of all frames."""
-        return _left(self._file)
+        """A copy of all frames, also in a thread while the ring is written; OSError, CodecError."""
+        file = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        try:
+            return _left(file)
+        finally:
+            os.close(file)
 
     def close(self, *, keeps_file: bool = True) -> None:
         """Close the file; without `keeps_file` remove it, so that a later process finds nothing."""
@@ -230,6 +234,8 @@ def _left(file: int) -> Left:
         raise CodecError(f"the black box cannot be read: {error}") from error
     if magic != _MAGIC or not 0 <= head - tail <= capacity:
         raise CodecError("the black box is of another version, or damaged")
+    if _HEADER.unpack(os.pread(file, _HEADER.size, 0))[1] != tail:
+        return _left(file)  # frames were written over meanwhile
     ring = memoryview(data)[_HEADER_SIZE : _HEADER_SIZE + capacity]
     begin, length = tail % max(capacity, 1), head - tail
     frames = bytes(ring[begin : begin + length]) + bytes(ring[: max(begin + length - capacity, 0)])

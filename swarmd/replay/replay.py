@@ -390,7 +390,7 @@ def prepare(
     recorded = _joined(files)
     notes = [_other_program(head)]
     fault = "another platform has no memory" if platform else _fault_of_memory(recorded, head)
-    check_beginning(recorded, where, fault)
+    check_beginning(recorded, where, "; ".join(filter(None, (fault, fault and notes[0]))))
     if fault and not platform:
         notes.append(f"{fault}; what the robot learned before is not repeated")
     replayed = Replay(head, about, origins, platform, recalls=not fault)
@@ -524,6 +524,6 @@ def check_beginning(recorded: list[RecordedMessage], where: str, fault: str) -> 
         raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")
     if fault and _state_in(first, where) == State.RUNNING:
         raise ConfigError(
-            f"{where}: the recording begins in a run, and {fault}; expected a recording that was"
-            " started before `run`"
+            f"{where}: the recording begins in a run, and {fault}; expected the version of"
+            " swarmd that recorded it, or a recording that was started before `run`"
         )

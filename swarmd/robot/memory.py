@@ -66,6 +66,7 @@ _VALUES = frozenset(
         *(
             "message_limits",
             "neighbor_places",
+            "odometry_trail",
             "pattern_manifest",
             "record",
             "token_bucket",

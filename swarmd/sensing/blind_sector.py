@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.angles import TURN
+from swarmd.core.buffers import flags, indices, scratch, view_of
 from swarmd.core.values import Array, Odometry, ScanSpec
-from swarmd.sensing.angles import TURN
-from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of
 from swarmd.sensing.sector_history import (
     EQUAL,
     LEAST_SECTORS,
@@ -162,9 +162,9 @@ class BlindSectors:
         self._returned_at = self._returned_array.data
         for k in range(_SECTORS):
             self._seen_at[k] = -INFINITY
-        self._bearings = new_doubles(0)
-        self._sector = self._direction = new_indices(0)
-        self._is_return = new_flags(0)
+        self._bearings = scratch(0)
+        self._sector = self._direction = indices(0)
+        self._is_return = flags(0)
 
     def check_indices(self) -> None:
         """ValueError unless each ray is in one of the sectors, for a serialised robot."""
@@ -319,8 +319,8 @@ class BlindSectors:
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
         self._bearings_of_scan, self._bearings = bearings, view_of(bearings)
-        self._sector, self._direction = new_indices(n), new_indices(n)
-        self._is_return = new_flags(n)
+        self._sector, self._direction = indices(n), indices(n)
+        self._is_return = flags(n)
         for i in range(n):
             self._sector[i] = _sector_of(self._bearings[i])
         free = np.asarray(self._sector)[~self._spec.masked(bearings)]

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.buffers import view_of
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
 from swarmd.sensing.blind_sector import BlindSectors
-from swarmd.sensing.buffers import view_of
 from swarmd.sensing.ray_memory import RayMemory
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other

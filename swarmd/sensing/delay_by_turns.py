@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.angles import TURN
+from swarmd.core.buffers import scratch, view
 from swarmd.core.messages import DelayFigure
-from swarmd.sensing.angles import TURN
-from swarmd.sensing.buffers import new_doubles, view_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -145,9 +145,9 @@ class DelayByTurns:
 
     def __init__(self) -> None:
         self.delay, self.why = NAN, "it has not turned at a changing rate yet"
-        self._times, self._yaws = new_doubles(4 * _HISTORY), new_doubles(4 * _HISTORY)
+        self._times, self._yaws = scratch(4 * _HISTORY), scratch(4 * _HISTORY)
         self._stamp = self._changed_at = -INFINITY
-        self._relief = self._old_relief = new_doubles(0)
+        self._relief = self._old_relief = scratch(0)
 
     def check_indices(self) -> None:
         """ValueError unless its ranges are those of its rays, as `_correlation` reads them."""
@@ -298,7 +298,7 @@ class DelayByTurns:
                 self._ray_step = step
         if self._ray_step == 0.0:
             self.why = "its rays do not cover a full turn evenly"
-        self._relief, self._old_relief = new_doubles(2 * self._rays), new_doubles(2 * self._rays)
+        self._relief, self._old_relief = scratch(2 * self._rays), scratch(2 * self._rays)
 
     @cython.cfunc
     def _store_ranges(self, scan: Scan) -> None:
@@ -308,7 +308,7 @@ class DelayByTurns:
         for a ray without a return: a far range there would count as a feature of the room, but lost
         rays and a blind sector do not turn with the room. The relief before becomes `_old_relief`.
         """
-        ranges: cython.const_double[::1] = view_of(np.ascontiguousarray(scan.ranges, np.float64))
+        ranges: cython.const_double[::1] = view(scan.ranges)
         range_min: cython.double = scan.range_min
         range_max: cython.double = scan.range_max
         count: cython.Py_ssize_t = self._rays

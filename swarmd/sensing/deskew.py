@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.angles import TURN
+from swarmd.core.buffers import view_of
 from swarmd.core.values import Array, Scan, ScanSpec, Sweep
-from swarmd.sensing.angles import TURN
-from swarmd.sensing.buffers import view_of
 from swarmd.sensing.odometry_history import OdometryHistory
 from swarmd.sensing.ray_motion import move_rays, rays_in_sector
 
@@ -167,7 +167,9 @@ class Deskewer:
         if odometry_age is not None:
             seconds_since_reading: cython.double = odometry_age
             # `now` on the clock of odometry, less the age of the newest ray.
-            newest_stamp: cython.double = self._history.latest + seconds_since_reading - newest_age
+            newest_stamp: cython.double = (
+                self._history.trail.latest + seconds_since_reading - newest_age
+            )
             moved = self._move_scan_rays(ranges, newest_stamp, newest_at - self._last_at)
 
         # 3. The new scan. Its first rays may come from the scan before, see `_move_scan_rays`.

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.sensing.angles import PI, TURN, angle_between, mod_turn, wrap
-from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of, wrapped_index
+from swarmd.core.angles import PI, TURN, angle_between, mod_turn, wrap
+from swarmd.core.buffers import flags, indices, scratch, view_of, wrapped_index
+from swarmd.core.ray_order import sort_rays
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -139,11 +140,9 @@ class RayMemory:
         self._near_below = spec.range_min + _NEAR_MARGIN
         self._step = TURN / max(len(spec.bearings), 1)
         self._yaw = NAN
-        self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = new_doubles(
-            0
-        )
-        self._order = self._place = new_indices(0)
-        self._is_zero = self._is_lost = new_flags(0)
+        self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = scratch(0)
+        self._order = self._place = indices(0)
+        self._is_zero = self._is_lost = flags(0)
 
     def condition(
         self, raw: Array, bearings: Array, yaw: cython.double, now: cython.double
@@ -300,18 +299,20 @@ class RayMemory:
         count: cython.Py_ssize_t = len(bearings)
         old_count: cython.Py_ssize_t = self._ray_count
         old_rising: cython.double[::1] = self._rising
+        i: cython.Py_ssize_t
         values = np.array(bearings, dtype=np.float64, order="C")
-        order = np.argsort(values % TURN, kind="stable")
+        angles: cython.double[::1] = view_of(values % TURN)
         self._given, self._ray_count = bearings, count
-        self._direction = 1.0
-        self._bearings, self._order = values.data, order.data
-        self._rising = (values[order] % TURN).data
-        self._place = np.argsort(order).data  # of each ray in `order`, its inverse
+        self._direction, self._bearings = 1.0, values.data
+        self._rising, self._order, self._place = scratch(count), indices(count), indices(count)
+        sort_rays(angles, count, self._rising, self._order)
+        for i in range(count):
+            self._place[self._order[i]] = i
         if count > 1:
             last_step = math.remainder(values[count - 1] - values[count - 2], TURN)
             self._direction = math.copysign(1.0, last_step)
         self._is_even = self._has_even_rays()
-        self._is_zero, self._is_lost = new_flags(count), new_flags(count)
+        self._is_zero, self._is_lost = flags(count), flags(count)
         if old_count:
             self._recall(old_rising, turned)
         else:
@@ -334,8 +335,8 @@ class RayMemory:
     def _set_empty_memory(self) -> cython.int:
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = self._ray_count
-        self._ranges, self._seen_at = new_doubles(n), new_doubles(n)
-        self._near_at = new_doubles(n)
+        self._ranges, self._seen_at = scratch(n), scratch(n)
+        self._near_at = scratch(n)
         for i in range(n):
             self._ranges[i] = NAN
             self._seen_at[i] = self._near_at[i] = -INFINITY

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmd.sensing.angles import PI, mod_turn, wrap
+from swarmd.core.angles import PI, mod_turn, wrap
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.sensing.angles import PI, TURN, wrap
-from swarmd.sensing.buffers import view_of
+from swarmd.core.angles import PI, TURN, wrap
+from swarmd.core.buffers import view, view_of
 from swarmd.sensing.scan_layout import ScanLayout, layout_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -52,7 +52,7 @@ def nearest(
 
 def unit_vectors(bearings: Array) -> Array:
     """(n, 2) the unit vectors of `bearings` (n,) in rad."""
-    given: cython.const_double[::1] = view_of(np.ascontiguousarray(bearings, np.float64))
+    given: cython.const_double[::1] = view(bearings)
     vectors = np.empty((len(given), 2))
     out: cython.double[:, ::1] = view_of(vectors)
     i: cython.Py_ssize_t

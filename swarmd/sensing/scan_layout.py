@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.sensing.angles import PI, TURN, wrap
-from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, view_of, wrapped_index
+from swarmd.core.angles import PI, TURN, wrap
+from swarmd.core.buffers import flags, indices, scratch, view_of
+from swarmd.core.ray_order import sort_rays
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -23,8 +24,6 @@ else:
 
 _MAX_LAYOUTS = cython.declare(cython.int, 8)  # layouts that are kept
 _MAX_STEPS = cython.declare(cython.double, 3.5)  # between rays of one object
-# Moves of the insertion sort for each ray, after which bearings count as unsorted.
-_MOVES_A_RAY = cython.declare(cython.Py_ssize_t, 16)
 
 
 @cython.auto_pickle(False)
@@ -66,12 +65,12 @@ class ScanLayout:
     def __init__(self, n: cython.Py_ssize_t) -> None:
         """For up to n bearings."""
         self.capacity = n
-        self.angles, self.given = np.empty(n), new_doubles(n)
-        self.steps = new_doubles(n)
-        self.wrapped, self.work = view_of(self.angles), new_doubles(n)
-        self.rising, self.slopes = new_doubles(n), new_doubles(n)
-        self.order, self.sector = new_indices(n), new_indices(n)
-        self.is_apart, self.is_last = new_flags(n), new_flags(n)
+        self.angles, self.given = np.empty(n), scratch(n)
+        self.steps = scratch(n)
+        self.wrapped, self.work = view_of(self.angles), scratch(n)
+        self.rising, self.slopes = scratch(n), scratch(n)
+        self.order, self.sector = indices(n), indices(n)
+        self.is_apart, self.is_last = flags(n), flags(n)
 
     @cython.cfunc
     def is_of(self, bearings: cython.const_double[::1]) -> cython.bint:
@@ -81,7 +80,7 @@ class ScanLayout:
             return False
         if cython.compiled:
             return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
-        return bearings == self.given[:n]
+        return list(bearings) == self.given[:n]
 
     @cython.cfunc
     def set_bearings(self, bearings: cython.const_double[::1]) -> cython.int:
@@ -126,12 +125,7 @@ class ScanLayout:
         """
         count: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t
-        if not self.has_sorted():
-            order: cython.longlong[::1] = np.argsort(self.angles[:count], kind="stable")
-            for i in range(count):
-                self.order[i] = order[i]
-        for i in range(count):
-            self.rising[i] = self.wrapped[self.order[i]]
+        sort_rays(self.wrapped, count, self.rising, self.order)
         for i in range(count - 1):
             self.steps[i] = self.rising[i + 1] - self.rising[i]
         self.steps[count - 1] = self.rising[0] - self.rising[count - 1] + TURN
@@ -141,45 +135,6 @@ class ScanLayout:
         self.is_ordered = True
 
     @cython.cfunc
-    @cython.boundscheck(False)
-    def has_sorted(self) -> cython.bint:
-        """Sort the bearings by insertion; False after too many moves, or for a NaN: not sorted.
-
-        Sets `order`, the indices of the rays by rising bearing, and `rising`, their bearings. The
-        sort starts at the smallest bearing. From there the bearings of most sensors rise, with few
-        exceptions, along or against the index: the sort takes the rays in that direction. Equal
-        bearings are in the order of their indices.
-        """
-        count: cython.Py_ssize_t = self.n
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        ray: cython.Py_ssize_t = 0
-
-        # 1. Begins at the smallest bearing, in the direction in which bearings rise.
-        for i in range(count):
-            if self.wrapped[i] < self.wrapped[ray]:
-                ray = i
-        index_step: cython.Py_ssize_t = 1
-        if self.wrapped[(ray + count - 1) % count] < self.wrapped[(ray + 1) % count]:
-            index_step = count - 1  # bearings fall with the index: one back, modulo the number
-
-        # 2. Inserts each bearing; gives up after _MOVES_A_RAY moves per ray.
-        moves_left: cython.Py_ssize_t = _MOVES_A_RAY * count
-        for i in range(count):
-            angle, k = self.wrapped[ray], i
-            while k > 0 and (
-                self.rising[k - 1] > angle
-                or (self.rising[k - 1] == angle and self.order[k - 1] > ray)
-            ):
-                self.rising[k], self.order[k] = self.rising[k - 1], self.order[k - 1]
-                k, moves_left = k - 1, moves_left - 1
-            self.rising[k], self.order[k] = angle, ray
-            if moves_left < 0 or not isfinite(angle):
-                return False
-            ray = wrapped_index(ray + index_step, count)
-        return True
-
-    @cython.cfunc
     def set_sectors(self, count: cython.Py_ssize_t) -> None:
         """Set the sector of each ray."""
         if count == self.count:
@@ -187,7 +142,7 @@ class ScanLayout:
         if self.points is None or len(self.points) != count:
             self.points = np.empty((count, 2))
             self.point = view_of(self.points)
-            self.lowest = new_doubles(count)
+            self.lowest = scratch(count)
             self.nearest_ray = np.empty(count, np.intp).data
         share: cython.double = count / TURN
         i: cython.Py_ssize_t

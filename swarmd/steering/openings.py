@@ -9,15 +9,15 @@ A kernel (see `core/kernels.py`), since each scan passes it. right_of_way.py cal
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.angles import PI, TURN
+from swarmd.core.buffers import scratch, view
 from swarmd.core.values import Array, Pose, Scan
-from swarmd.steering.buffers import rows, scratch
 from swarmd.steering.tracks import ScanReturns
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -73,8 +73,6 @@ SIGHTINGS = cython.declare(cython.longlong, 2)
 _FORGET_SINGLE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
 _MAX_OPENINGS = 8  # openings
 _MAX_WALL_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or railings
-
-HALF_TURN = cython.declare(cython.double, math.pi)
 
 
 @cython.cfunc
@@ -385,7 +383,7 @@ class Opening:
         dx: cython.double = sighting.x - self.x
         dy: cython.double = sighting.y - self.y
         return (
-            fabs(remainder(self.angle - sighting.angle, HALF_TURN)) < _SAME_ANGLE
+            fabs(remainder(self.angle - sighting.angle, PI)) < _SAME_ANGLE
             and fabs(c * dy - s * dx) < _SAME_AXIS
             and fabs(self.half - sighting.half) < _SAME_HALF
             and self.first - _SAME_SPAN < c * dx + s * dy < self.last + _SAME_SPAN
@@ -412,14 +410,14 @@ class Opening:
         right: cython.double = sighting.right
 
         # 1. Begin, end and walls of the sighting in the frame of this opening.
-        if fabs(remainder(turn, 2.0 * HALF_TURN)) > 0.5 * HALF_TURN:  # seen from the other side
+        if fabs(remainder(turn, TURN)) > 0.5 * PI:  # seen from the other side
             first, last, left, right = -last, -first, right, left
         first, last = first + along, last + along
 
         # 2. The weighted mean.
         self.x += weight * -sin_angle * side
         self.y += weight * cos_angle * side
-        self.angle += weight * remainder(turn, HALF_TURN)
+        self.angle += weight * remainder(turn, PI)
         self.half += weight * (sighting.half - self.half)
         # Longer lengths count more than shorter ones, see `_grown`.
         self.first = _grown(self.first, first, first < self.first)
@@ -606,7 +604,7 @@ def gap_middle(
         middle: (the expected middle, the bound of the middle's distance from the axis), m.
     """
     i: cython.Py_ssize_t
-    table: cython.const_double[:, ::1] = rows(points)
+    table: cython.const_double[:, ::1] = view(points)
     robot_along: cython.double = place[0]
     robot_aside: cython.double = place[1]
     cos_heading: cython.double = cos(place[2])

@@ -28,12 +28,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec import Struct
 
+from swarmd.core.angles import PI, TURN, wrap
+from swarmd.core.buffers import view
 from swarmd.core.values import ZERO, Array, Limits, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.avoidance import PASSAGE_WIDTHS
-from swarmd.steering.buffers import rows, speed_of
-from swarmd.steering.openings import HALF_TURN
-from swarmd.steering.tracks import TURN
+from swarmd.steering.tracks import speed_of
 from swarmd.steering.velocity_obstacles import passage_between
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -49,7 +49,6 @@ if cython.compiled:
         copysign,
         cos,
         fabs,
-        fmod,
         hypot,
         remainder,
         sin,
@@ -61,7 +60,6 @@ else:
         copysign,
         cos,
         fabs,
-        fmod,
         hypot,
         remainder,
         sin,
@@ -417,8 +415,8 @@ class Recovery:
     @cython.cfunc
     def _is_enclosed(self, points: Array) -> cython.bint:
         """True between walls: no corridor ahead is free up to the lookahead."""
-        places: cython.const_double[:, ::1] = rows(points)
-        ahead = [bearing for bearing in _BEARINGS if fabs(bearing) <= 0.5 * HALF_TURN]
+        places: cython.const_double[:, ::1] = view(points)
+        ahead = [bearing for bearing in _BEARINGS if fabs(bearing) <= 0.5 * PI]
         return all([self._free_length(places, bearing) < self.lookahead for bearing in ahead])
 
     @cython.cfunc
@@ -541,9 +539,9 @@ class Recovery:
     @cython.cfunc
     def _back_off(self, points: Array, now: cython.double) -> None:
         """Move forward or backward, to the side with more room."""
-        places: cython.const_double[:, ::1] = rows(points)
+        places: cython.const_double[:, ::1] = view(points)
         ahead = self._free_length(places, 0.0)
-        self._is_backing, self._escape = self._free_length(places, HALF_TURN) > ahead, None
+        self._is_backing, self._escape = self._free_length(places, PI) > ahead, None
         self._enter("back", now)
 
     @cython.cfunc
@@ -569,10 +567,10 @@ class Recovery:
         if now >= self._side_until:
             self._side = 1.0 if self._rng.random() < _SIDE_FLIP_PROBABILITY else -1.0
         self._side_until = now + _SIDE_HOLD_TIME
-        places: cython.const_double[:, ::1] = rows(points)
+        places: cython.const_double[:, ::1] = view(points)
         least_cost: cython.double = INFINITY
         for bearing in _BEARINGS:
-            angle_off = _positive(bearing - heading + HALF_TURN) - HALF_TURN
+            angle_off = wrap(bearing - heading)
             cost = fabs(angle_off)
             if angle_off * self._side < -1e-9:
                 cost += _OTHER_SIDE_COST
@@ -616,10 +614,3 @@ def _turn_to(target: Array) -> cython.double:
     """The turn in rad/s towards a place (2,) on the middle line of a passage."""
     turn = _PASSAGE_GAIN * atan2(target[1], target[0])
     return max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)
-
-
-@cython.cfunc
-def _positive(angle: cython.double) -> cython.double:
-    """The angle in rad, from 0 to a full turn, as numpy's remainder."""
-    rest: cython.double = fmod(angle, TURN)
-    return rest + TURN if rest < 0.0 else rest

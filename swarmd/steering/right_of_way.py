@@ -23,13 +23,14 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple, replace
 
+from swarmd.core.angles import PI, TURN
 from swarmd.core.avoided import Avoided, WayState
+from swarmd.core.odometry_trail import is_jump
 from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
-from swarmd.steering.buffers import speed_of
-from swarmd.steering.openings import HALF_TURN, SIGHTINGS, Opening, Openings, gap_middle
+from swarmd.steering.openings import SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
-from swarmd.steering.tracks import TURN, Motion, ScanReturns, Surroundings, Track
+from swarmd.steering.tracks import ScanReturns, Surroundings, Track, speed_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -263,6 +264,52 @@ class _Traffic(Struct, frozen=True, gc=False):
     is_met: bool = False  # this robot is in the opening; a robot comes towards it from deeper in
     is_close: bool = False  # another robot that goes in is close ahead
     is_queued: bool = False  # a robot that has not come out waits on the side of this robot
+
+
+@cython.final
+@cython.cclass
+class Motion:
+    """The pose and the twist of a reading of odometry: m, rad, m/s, rad/s.
+
+    An extension type, whose numbers are of C: each of 35 decisions a second reads them twice.
+    """
+
+    odometry: Odometry = cython.declare(object, visibility="readonly")
+    stamp: cython.double
+    x: cython.double
+    y: cython.double
+    yaw: cython.double
+    linear: cython.double
+    angular: cython.double
+    lateral: cython.double
+
+    def __init__(self, odometry: Odometry) -> None:
+        """Read the numbers of `odometry`."""
+        pose, twist = odometry.pose, odometry.twist
+        self.odometry, self.stamp = odometry, odometry.stamp
+        self.x, self.y, self.yaw = pose.x, pose.y, pose.yaw
+        self.linear, self.angular, self.lateral = twist.linear, twist.angular, twist.lateral
+
+    @cython.cfunc
+    def pose_after(
+        self, seconds: cython.double
+    ) -> tuple[cython.double, cython.double, cython.double]:
+        """The pose (x, y, yaw) some time after the reading, at its twist."""
+        middle_yaw: cython.double = self.yaw + 0.5 * seconds * self.angular
+        c: cython.double = cos(middle_yaw)
+        s: cython.double = sin(middle_yaw)
+        return (
+            self.x + seconds * (c * self.linear - s * self.lateral),
+            self.y + seconds * (s * self.linear + c * self.lateral),
+            self.yaw + seconds * self.angular,
+        )
+
+    @cython.cfunc
+    def jumps_from(self, last: Motion) -> cython.bint:
+        """True if an estimator has shifted the pose since `last`."""
+        dx: cython.double = self.x - last.x
+        dy: cython.double = self.y - last.y
+        return is_jump(dx, dy, self.yaw - last.yaw, self.stamp - last.stamp)
 
 
 @cython.final
@@ -511,8 +558,8 @@ class RightOfWay:
             bearing_before = remainder(self._wanted_yaw - yaw, TURN)
             if bearing_before * bearing > 0.0 and fabs(bearing_before) > _SIDEWAYS:
                 bearing = bearing_before
-            elif HALF_TURN - fabs(bearing_before) < _REVERSED:
-                bearing = copysign(HALF_TURN, bearing)
+            elif PI - fabs(bearing_before) < _REVERSED:
+                bearing = copysign(PI, bearing)
         return yaw + bearing
 
     @cython.cfunc
@@ -528,11 +575,11 @@ class RightOfWay:
         for opening in self._openings.known:
             # 1. Skips an opening that was seen too rarely, or whose wall the request leads along.
             angle: cython.double = remainder(self._wanted_yaw - opening.angle, TURN)
-            if opening.hits < SIGHTINGS or fabs(fabs(angle) - 0.5 * HALF_TURN) < _ALONG_WALL:
+            if opening.hits < SIGHTINGS or fabs(fabs(angle) - 0.5 * PI) < _ALONG_WALL:
                 continue
 
             # 2. Skips an opening that the robot has passed, or beside which the robot is.
-            sign = 1.0 if fabs(angle) < 0.5 * HALF_TURN else -1.0
+            sign = 1.0 if fabs(angle) < 0.5 * PI else -1.0
             along, aside = opening.to_local(x, y, sign)
             begin, end = opening.ends(sign)
             along -= begin
@@ -754,7 +801,7 @@ class RightOfWay:
         """
         state = self.state
         if state is WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
-            behind: cython.double = atan2(-place.aside, -_BACK_AIM) + HALF_TURN - place.heading
+            behind: cython.double = atan2(-place.aside, -_BACK_AIM) + PI - place.heading
             turn: cython.double = min(max(remainder(behind, TURN), -_BACK_TURN), _BACK_TURN)
             return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), safe_for)
         if state is WayState.IN or state is WayState.LINE:

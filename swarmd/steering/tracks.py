@@ -20,23 +20,16 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.core.values import (
-    HISTORY,
-    MAX_EXTRAPOLATION,
-    MAX_SPEED,
-    MAX_STEP,
-    Array,
-    Odometry,
-    Platform,
-    Scan,
-)
+from swarmd.core.angles import TURN
+from swarmd.core.buffers import doubles, indices, view, view_of, wrapped_index
+from swarmd.core.odometry_trail import ANEW, OdometryTrail
+from swarmd.core.ray_order import sort_rays
+from swarmd.core.values import Array, Odometry, Platform, Scan
 from swarmd.protection.decision import DecisionContext
-from swarmd.steering.buffers import doubles, numbers, places, rows
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -50,7 +43,6 @@ if cython.compiled:
         fabs,
         floor,
         hypot,
-        remainder,
         sin,
         sqrt,
     )
@@ -62,7 +54,6 @@ else:
         fabs,
         floor,
         hypot,
-        remainder,
         sin,
         sqrt,
     )
@@ -106,11 +97,16 @@ _MAX_EXTRAPOLATED = cython.declare(
     cython.double, 1.0
 )  # s for which a track moves on without a scan
 
-TURN = cython.declare(cython.double, 2.0 * math.pi)
 _SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # sectors in a rad
-_max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
-_max_step = cython.declare(cython.double, MAX_STEP)
-_max_speed = cython.declare(cython.double, MAX_SPEED)
+
+
+@cython.cfunc
+def speed_of(linear: cython.double, lateral: cython.double) -> cython.double:
+    """The speed in m/s of a twist by `math.hypot`, which rounds differently from C's hypot.
+
+    Most bases do not move sideways, and need no call of Python.
+    """
+    return fabs(linear) if lateral == 0.0 else math.hypot(linear, lateral)
 
 
 @cython.final
@@ -133,53 +129,6 @@ class Track:
         self.id, self.x, self.y, self.vx, self.vy, self.radius = numbers
 
 
-@cython.final
-@cython.cclass
-class Motion:
-    """The pose and the twist of a reading of odometry: m, rad, m/s, rad/s.
-
-    An extension type, whose numbers are of C: each of 35 decisions a second reads them twice.
-    """
-
-    odometry: Odometry = cython.declare(object, visibility="readonly")
-    stamp: cython.double
-    x: cython.double
-    y: cython.double
-    yaw: cython.double
-    linear: cython.double
-    angular: cython.double
-    lateral: cython.double
-
-    def __init__(self, odometry: Odometry) -> None:
-        """Read the numbers of `odometry`."""
-        pose, twist = odometry.pose, odometry.twist
-        self.odometry, self.stamp = odometry, odometry.stamp
-        self.x, self.y, self.yaw = pose.x, pose.y, pose.yaw
-        self.linear, self.angular, self.lateral = twist.linear, twist.angular, twist.lateral
-
-    @cython.cfunc
-    def pose_after(
-        self, seconds: cython.double
-    ) -> tuple[cython.double, cython.double, cython.double]:
-        """The pose (x, y, yaw) some time after the reading, at its twist."""
-        middle_yaw: cython.double = self.yaw + 0.5 * seconds * self.angular
-        c: cython.double = cos(middle_yaw)
-        s: cython.double = sin(middle_yaw)
-        return (
-            self.x + seconds * (c * self.linear - s * self.lateral),
-            self.y + seconds * (s * self.linear + c * self.lateral),
-            self.yaw + seconds * self.angular,
-        )
-
-    @cython.cfunc
-    def jumps_from(self, last: Motion) -> cython.bint:
-        """As `Odometry.jumps_from`, which takes ten times as long."""
-        turn: cython.double = fabs(remainder(self.yaw - last.yaw, TURN))
-        seconds: cython.double = self.stamp - last.stamp
-        distance: cython.double = hypot(self.x - last.x, self.y - last.y)
-        return max(distance, turn) > _max_step + _max_speed * seconds
-
-
 _no_doubles = cython.declare(cython.double[::1], doubles(0))
 
 
@@ -197,13 +146,14 @@ class ScanReturns:
     ages: cython.double[::1]  # s; 0 for a scan without ages
     _scan: Scan | None  # the last scan; None before the first
     _order: cython.longlong[::1]  # the rays with a return, as they come
+    _sorted: cython.longlong[::1]  # these rays by rising bearing; of a scan that was sorted
 
     def __init__(self) -> None:
         self._make_room(0)  # a view that is not set ends the process when memory is taken
 
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         self.ranges, self.bearings, self.ages = doubles(count), doubles(count), doubles(count)
-        self._order = places(count)
+        self._order, self._sorted = indices(count), indices(count)
 
     @cython.cfunc
     def take(self, scan: Scan) -> cython.int:
@@ -216,11 +166,11 @@ class ScanReturns:
         """
         if scan is self._scan:
             return 0
-        ranges: cython.const_double[::1] = numbers(scan.ranges)
-        bearings: cython.const_double[::1] = numbers(scan.bearings)
+        ranges: cython.const_double[::1] = view(scan.ranges)
+        bearings: cython.const_double[::1] = view(scan.bearings)
         has_ages: cython.bint = scan.ages is not None
         # Without ages all ages are 0, and `ages` is not read: any array may take its place.
-        ages: cython.const_double[::1] = ranges if scan.ages is None else numbers(scan.ages)
+        ages: cython.const_double[::1] = ranges if scan.ages is None else view(scan.ages)
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
@@ -237,21 +187,20 @@ class ScanReturns:
                     falls, lowest = falls + 1, count
                 order[count] = i
                 count += 1
-        # With a single fall, and with the last bearing below the first, the bearings rise from
-        # `lowest` on, and go on at the first return. Otherwise the returns must be sorted.
-        is_rotated: cython.bint = falls == 1 and bearings[order[count - 1]] < bearings[order[0]]
-        if falls > 0 and not is_rotated:
-            rays = np.array(order[:count])
-            rays = rays[scan.bearings[rays].argsort(kind="stable")]
-            order = rays if cython.compiled else rays.tolist()
-            lowest = 0
 
         # 2. The returns in the order of their bearings.
         own_ranges: cython.double[::1] = self.ranges
         own_bearings: cython.double[::1] = self.bearings
         own_ages: cython.double[::1] = self.ages
+        if falls > 1 or (falls == 1 and not bearings[order[count - 1]] < bearings[order[0]]):
+            for k in range(count):
+                own_ages[k] = bearings[order[k]]
+            sort_rays(own_ages, count, own_bearings, self._sorted)
+            for k in range(count):
+                self._sorted[k] = order[self._sorted[k]]
+            order, lowest = self._sorted, 0
         for k in range(count):
-            i = order[k + lowest if k + lowest < count else k + lowest - count]
+            i = order[wrapped_index(k + lowest, count)]
             own_ranges[k], own_bearings[k] = ranges[i], bearings[i]
             own_ages[k] = ages[i] if has_ages else 0.0
         self.count, self._scan = count, scan
@@ -436,7 +385,7 @@ class Surroundings:
         cos_yaw: cython.double = cos(self._yaw)
         sin_yaw: cython.double = sin(self._yaw)
         walls = np.empty((self._wall_count, 2))
-        places: cython.double[:, ::1] = rows(walls)
+        places: cython.double[:, ::1] = view_of(walls)
         for i in range(self._wall_count):
             dx: cython.double = self._wall_x[i] - self._x
             dy: cython.double = self._wall_y[i] - self._y
@@ -456,8 +405,7 @@ class Tracker:
     _fastest: cython.double  # m/s, of an object
     _widest: cython.double  # m, of an object that is no wall
     _spacing: cython.double  # rad between two rays
-    _history: deque[Motion]  # readings of odometry, as Motion
-    _latest: Motion | None  # of them; None without one
+    _trail: OdometryTrail
     _filters: list[_Filter]
     _next_id: cython.longlong
     # Places of walls in the frame of the odometry.
@@ -487,7 +435,7 @@ class Tracker:
         self._fastest = float(barrier.get("others_speed", platform.limits.linear))
         self._widest = _MAX_COMPACT_SIZE * outer
         self._spacing = 2.0 * math.pi / max(len(spec.bearings), 1)
-        self._history = deque(maxlen=HISTORY)
+        self._trail = OdometryTrail()
         self._filters = []
         self._next_id = 1
         self._returns = returns or ScanReturns()
@@ -496,19 +444,12 @@ class Tracker:
     def reset(self) -> None:
         """Forget all objects."""
         self._filters, self._wall_count = [], 0
-        self._history.clear()
-        self._latest = None
+        self._trail.clear()
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all objects are forgotten."""
-        latest: Motion | None = self._latest
-        motion: Motion = Motion(odometry)
-        if latest is not None and (motion.stamp <= latest.stamp or motion.jumps_from(latest)):
-            if motion.stamp == latest.stamp:
-                return
-            self.reset()
-        self._history.append(motion)
-        self._latest = motion
+        if self._trail.take(odometry) == ANEW:
+            self._filters, self._wall_count = [], 0
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan that has arrived at the time of `context`.
@@ -517,15 +458,19 @@ class Tracker:
         objects, and begins a filter for each new object. Does nothing before the first odometry.
         """
         odometry_age = context.odometry_age
-        if self._latest is None or odometry_age is None:
+        if self._trail.count == 0 or odometry_age is None:
             return
 
         # 1. When and where the scan was measured, on the clock of odometry.
         newest_age = self._latency if scan.newest_age is None else scan.newest_age
         scan_time: cython.double = (
-            self._latest.stamp + odometry_age - newest_age - context.scan_delay
+            self._trail.latest + odometry_age - newest_age - context.scan_delay
         )
-        x, y, yaw = self._pose(self._latest, scan_time)
+        trail: OdometryTrail = self._trail
+        trail.set_pose(scan_time)
+        x: cython.double = trail.x
+        y: cython.double = trail.y
+        yaw: cython.double = trail.yaw
         cluster: _Cluster
         track: _Filter
 
@@ -561,53 +506,32 @@ class Tracker:
         Read the result before the tracker takes in the next scan. Empty before the first odometry.
         """
         odometry_age = context.odometry_age
-        if self._latest is None or odometry_age is None:
+        if self._trail.count == 0 or odometry_age is None:
             return Surroundings((), np.empty((0, 2)))
-        time: cython.double = self._latest.stamp + odometry_age
+        time: cython.double = self._trail.latest + odometry_age
         around: Surroundings = Surroundings(None, None)
         around._filters, around._time = self._filters, time
         around._wall_x, around._wall_y = self._wall_x, self._wall_y
         around._wall_count = self._wall_count
-        around._x, around._y, around._yaw = self._pose(self._latest, time)
+        self._trail.set_pose(time)
+        around._x, around._y, around._yaw = self._trail.x, self._trail.y, self._trail.yaw
         return around
-
-    @cython.cfunc
-    def _pose(
-        self, later: Motion, time: cython.double
-    ) -> tuple[cython.double, cython.double, cython.double]:
-        """The pose (x, y, yaw) at a time, interpolated, or extrapolated from the latest one."""
-        earlier: Motion
-        if time >= later.stamp or len(self._history) == 1:
-            seconds: cython.double = time - later.stamp
-            return later.pose_after(min(max(seconds, -_max_extrapolation), _max_extrapolation))
-        for earlier in reversed(self._history):
-            if earlier.stamp <= time:
-                share: cython.double = (time - earlier.stamp) / max(
-                    later.stamp - earlier.stamp, 1e-9
-                )
-                turn: cython.double = remainder(later.yaw - earlier.yaw, TURN)
-                return (
-                    earlier.x + share * (later.x - earlier.x),
-                    earlier.y + share * (later.y - earlier.y),
-                    earlier.yaw + share * turn,
-                )
-            later = earlier
-        return later.x, later.y, later.yaw
 
     @cython.cfunc
     def _add_shared_places(self, clusters: list[_Cluster], context: DecisionContext) -> None:
         """Add a cluster for each place that a peer shared; its radius contains the error."""
-        if not context.told or self._latest is None or context.odometry_age is None:
+        if not context.told or self._trail.count == 0 or context.odometry_age is None:
             return
-        now: cython.double = self._latest.stamp + context.odometry_age
+        trail: OdometryTrail = self._trail
+        now: cython.double = trail.latest + context.odometry_age
         for obstacle in context.told:
-            base_x, base_y, yaw = self._pose(self._latest, now - obstacle.age)
-            c: cython.double = cos(yaw)
-            s: cython.double = sin(yaw)
+            trail.set_pose(now - obstacle.age)
+            c: cython.double = cos(trail.yaw)
+            s: cython.double = sin(trail.yaw)
             x: cython.double = obstacle.x
             y: cython.double = obstacle.y
             cluster: _Cluster = _Cluster()
-            cluster.x, cluster.y = base_x + c * x - s * y, base_y + s * x + c * y
+            cluster.x, cluster.y = trail.x + c * x - s * y, trail.y + s * x + c * y
             cluster.half_width, cluster.range = obstacle.radius, hypot(x, y)
             cluster.visible_ends = 1
             cluster.measured_at, cluster.is_shared = now - obstacle.age, True
@@ -649,8 +573,8 @@ class Tracker:
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         """Make the arrays of places, runs and walls for `count` rays."""
         self._x, self._y = doubles(count), doubles(count)
-        self._is_gap = places(count)
-        self._run_first, self._run_last = places(count), places(count)
+        self._is_gap = indices(count)
+        self._run_first, self._run_last = indices(count), indices(count)
         # Each place of a wall is a return, or the mean of a run.
         self._wall_x, self._wall_y = doubles(count), doubles(count)
 

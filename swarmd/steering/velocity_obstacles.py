@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from swarmd.steering.buffers import rows
+from swarmd.core.buffers import view
 from swarmd.steering.tracks import Track
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -133,7 +133,7 @@ def wall_lines(
     horizon: cython.double,
 ) -> list[Line]:
     """A line for each place of `walls` (k, 2) within `reach` m of a point `lead` m ahead."""
-    places: cython.double[:, ::1] = rows(walls)
+    places: cython.double[:, ::1] = view(walls)
     lines: list[Line] = []
     for i in range(len(places)):
         x: cython.double = places[i, 0] - lead
@@ -222,7 +222,7 @@ def passage_between(
     """
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    places: cython.const_double[:, ::1] = rows(walls)
+    places: cython.const_double[:, ::1] = view(walls)
     best = INFINITY, 0, 0
     least_width: cython.double = INFINITY
     for i in range(len(places)):

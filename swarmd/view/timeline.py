@@ -142,8 +142,10 @@ class Track:
         """The incidents that the robot knew of, with the time in s at which it noted each."""
         topic = self.topics["incident"]
         for index, at in enumerate(topic.times):
-            with suppress(AttributeError, msgspec.MsgspecError, ValueError, RecursionError):
-                yield at, msgspec.json.decode(topic.get(index).json, type=Incident)
+            message = topic.get(index)
+            with suppress(ValueError, RecursionError):
+                if message is not None:
+                    yield at, msgspec.json.decode(message.json, type=Incident)
 
     def events(self, now: float, most: int | None = None) -> list[tuple[float, str]]:
         """The last events until a time, as time in s and text; the latest comes first."""

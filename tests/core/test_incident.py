@@ -89,6 +89,7 @@ def test_a_stall_has_the_id_that_peers_give_a_robot_they_do_not_hear() -> None:
     assert what.id == silent_id("r1", "0123456789ab", 7)
 
 
-def test_each_reason_that_begins_an_incident_stands_in_the_page() -> None:
+def test_each_kind_stands_in_the_page_and_each_reason_has_a_row_once() -> None:
     text = (ROOT / "docs" / "recording.md").read_text()
-    assert [reason for reason in BEGINS if f"`{reason}`" not in text] == []
+    assert [kind for kind in IncidentKind if f"| `{kind}` |" not in text] == []
+    assert {kind for kind, _ in BEGINS.values()} < set(IncidentKind)

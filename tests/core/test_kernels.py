@@ -116,7 +116,7 @@ def test_a_library_that_is_older_than_a_source_is_not_loaded_and_named_once(
     loaded = ("[True, True] compiled", "")
     assert answer() == loaded, "without a source"
     for source, copy in zip(sources, copies, strict=True):
-        copy.parent.mkdir(exist_ok=True)
+        copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_bytes(source.read_bytes())
     assert answer() == loaded
     text = "older than its source (run make kernels)"

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from swarmd.core.incident import Incident, IncidentKind, ToldIncident
 from swarmd.core.verbs import KeptIncident
 from swarmd.daemon.incidents import MAX_BYTES, MAX_KEPT, _checked, _signed, to_remove
-from swarmd.recording import frames, ring
+from swarmd.recording import frames
 from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left
 from tests.support.examples import examples
 from tests.support.keys import SwarmKeys
@@ -83,9 +83,9 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> SwarmKeys:
 def test_an_incident_counts_if_its_robot_has_signed_it(keys: SwarmKeys) -> None:
     told = _signed(incident("aaaaaaaaaaaa", "r1"), keys["r1"])
     assert told is not None
-    (found,) = _checked(listed(told), keys["r3"], ())
-    assert isinstance(found, msgspec.Struct)
-    assert found.incident.by == "r1"
+    found = _checked(listed(told), keys["r3"], ())
+    assert not isinstance(found, str), found
+    assert [one.incident.by for one in found] == ["r1"]
     assert _checked(listed(told), keys["r3"], {"aaaaaaaaaaaa"}) == []
 
 
@@ -167,7 +167,7 @@ def test_a_writer_that_dies_at_any_write_leaves_whole_frames(
     _pwrite = os.pwrite
     made = None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ring.os, "pwrite", pwrite)
+        patch.setattr(os, "pwrite", pwrite)
         try:
             made = Ring(path, {"a": "b"}, capacity=2000, seconds=20.0, boot=1.0, wall=2.0)
             for number, size in enumerate(sizes):

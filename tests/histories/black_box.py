@@ -131,12 +131,12 @@ class Incidents(IncidentService):
         super()._tell(told)
         self._box.took(told.incident, told.at)
 
-    def _on_written(self, head: IncidentHead, removed: list[str], written: Any) -> None:
-        super()._on_written(head, removed, written)
+    def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
+        super()._note_kept(head, size, crc)
         self._box.wrote()
 
     def _in_thread(self, work: Callable[[], T], on_done: Callable[[T], object]) -> None:
-        is_write = getattr(work, "func", None) is incidents._write_file
+        is_write = not isinstance(work, partial)  # to sign and to check take no disk
         seconds = self._box.daemon.disk_time if is_write else THREAD_TIME
         swarm = self._box.daemon.swarm
         swarm.at(swarm.now + seconds, partial(self._box.call, lambda: on_done(work())))
@@ -224,16 +224,14 @@ class BlackBox:
         if type(input) is TickInput:
             with self._virtual_time():
                 self.recorder.remember(self.daemon.robot, now, 1.0)
-            if self.service.is_pending:
+            if self.digest:
                 with self.at_work():
                     self.service.advance(now)
 
-    def on_members(self) -> None:
-        """The members have changed."""
-        membership = self.daemon.peer.membership
-        members = membership.members(self.daemon.swarm.now)
+    def on_lost(self, beacon: Beacon) -> None:
+        """A robot has failed since this beacon."""
         with self.at_work():
-            self.service.on_members(members.values(), membership.last_beacon)
+            self.service.on_lost(beacon)
 
     def on_beacon(self, beacon: Beacon, address: Address) -> None:
         """A robot shows its digest."""
@@ -244,10 +242,7 @@ class BlackBox:
     @property
     def digest(self) -> bytes:
         """For beacons."""
-        if not self.service._told:
-            return b""
-        with self._virtual_time():
-            return self.service.digest
+        return self.service.digest
 
     def served(self) -> bytes | None:
         """The list for a peer; None before the daemon serves."""

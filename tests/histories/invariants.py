@@ -352,7 +352,7 @@ class Invariants:
             )
         taken.append((life, at if is_death else now, at))
         if is_silent and not is_death:
-            seen = daemon.peer.membership.last_beacon(incident.robot)
+            seen = daemon.peer.membership.lost_beacon(incident.robot)
             assert seen is not None
             key = incident.robot, seen.instance.hex(), seen.revision
             self._silent.setdefault(key, []).append((incident.id, now))

@@ -726,8 +726,9 @@ class VirtualDaemon(Node):
             self.event = found
             self._step(GoalInput(found.goal, found.age, may_join=found.may_join))
             self.event = None
-        if effects.changed:
-            self.black_box.on_members()
+        for robot in effects.changed:
+            if (lost := self.peer.membership.lost_beacon(robot)) is not None:
+                self.black_box.on_lost(lost)
         for lease in effects.leases:
             self._step(LeaseInput(lease.id, lease.count))
         if effects.duplicate:

@@ -88,6 +88,14 @@ def test_repeated_reading_is_not_a_clock_reset() -> None:
     assert near(motion.pose(0.1, 0.5), Pose(0.2 * 0.6), 1e-9)
 
 
+def test_a_clock_that_stands_is_no_reset() -> None:
+    """Simulators publish several readings of one time."""
+    motion, last = driven(Twist(0.2))
+    motion.update(Odometry(last.stamp, Pose(0.21), Twist(0.1)))
+    assert motion.resets == 0
+    assert near(motion.pose(0.1, 0.5), Pose(0.2 * 0.6), 1e-9)
+
+
 def test_new_reading_with_an_old_stamp_is_a_clock_reset() -> None:
     motion, last = driven(Twist(0.2))
     again = Odometry(last.stamp, Pose(7.0), last.twist)

@@ -361,6 +361,14 @@ def test_a_recording_in_a_run_without_a_readable_memory_is_refused(tmp_path: Pat
         repeat([replace(found, messages=kept)], ORIGINS)
     with pytest.raises(ConfigError, match="begins in a run"):
         repeat([found], ORIGINS, story.robot.platform)
+    identity = head_of(found.about, "").identity
+    setup = structs.replace(identity.setup, version="0.0.7")
+    other = structs.replace(
+        head_of(found.about, ""), identity=structs.replace(identity, setup=setup)
+    )
+    about = {**found.about, **other.texts()}
+    with pytest.raises(ConfigError, match=r"version 0\.0\.7"):
+        repeat([replace(found, messages=kept, about=about)], ORIGINS)
 
 
 def test_a_recording_that_ends_with_its_memory_is_refused(tmp_path: Path) -> None:

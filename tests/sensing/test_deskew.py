@@ -118,6 +118,18 @@ def test_ages_of_the_driver_count_more_than_the_sweep_of_the_platform() -> None:
     assert scan.newest_age == 0.13
 
 
+def test_a_clock_that_stands_ends_no_history() -> None:
+    """The clock of a simulator may stand for two readings: only the first of a time counts."""
+    ride = Ride(Sweep(0.0, 1.0, PERIOD), Twist(0.2, 1.0))
+    raw = Scan(1, 0.2, np.full(N, 1.0), BEARINGS, 0.12, 3.5, None, 0.13)
+    moves = []
+    for tick in range(20):
+        reading = Odometry(0.1 * (tick // 2), Pose(0.01 * tick, 0.0, 0.05 * tick), ride.twist)
+        assert ride.history.take(reading, 0.05 * tick) is (tick % 2 == 0)
+        moves.append(ride.deskewer.deskew(raw, 0.05 * tick, 0.0).bearings is not BEARINGS)
+    assert all(moves[8:])
+
+
 def test_a_pose_that_jumps_ends_the_history() -> None:
     """The scan moves again once the readings after the jump reach back over all of it."""
     ride = Ride(Sweep(0.0, 1.0, PERIOD), Twist(0.2, 1.0))

@@ -260,3 +260,11 @@ def test_compiled_and_interpreted_code_find_the_same_tracks(own: Twist, lost: fl
     assert found[0] == found[1]
     assert max(len(tracks) for tracks, _ in found[0]) >= 4
     assert all(walls for _, walls in found[0][3:])
+
+
+def test_a_place_from_before_the_first_reading_is_where_the_robot_was_then() -> None:
+    """By the twist of the first reading, 0.15 s after the place was measured."""
+    watch = Watch([], own=Twist(0.5), rate=20.0)
+    watch.told, watch.told_rate = (lambda at: (1.5, 0.5)), 2.0
+    (track,) = watch.run(0.25).tracks
+    assert (track.x, track.y) == pytest.approx((1.5 - 0.5 * 0.25, 0.5), abs=1e-6)

@@ -738,7 +738,8 @@ def test_an_incident_is_a_mark_of_its_own_and_has_the_line_to_fetch_it(
             f" model.marks = [[now - 9, 'stop', ['a'], 1], [now - 1, '{text}', ['a'], 1]];"
             " const fill = plots.ctx.fill;"
             " plots.ctx.fill = function () { drawn.push(this.fillStyle); fill.call(this); };"
-            " plots.drawMarks((at) => 50 * (at - now + 20), now - 20, now, 9, 16, '#111111', '#ff0000');"
+            " const x = (at) => 50 * (at - now + 20);"
+            " plots.drawMarks(x, now - 20, now, 9, 16, '#111111', '#ff0000');"
             " plots.ctx.fill = fill; return drawn; })()"
         )
         assert colours == ["#111111", "#ff0000"]

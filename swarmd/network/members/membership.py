@@ -290,10 +290,12 @@ class Membership:
             age=max(0.0, now - known.since),
         )
 
-    def last_beacon(self, robot: str) -> Beacon | None:
-        """The last beacon of the latest life of a robot; None if it was never heard."""
+    def lost_beacon(self, robot: str) -> Beacon | None:
+        """The last beacon of a robot that is shown as failed; None for any other robot."""
         known = self._robots.get(robot)
-        return None if known is None else known.latest.beacon
+        if known is None or known.shown is None or known.shown[1] is not Presence.FAILED:
+            return None
+        return known.latest.beacon
 
     def members(self, now: float) -> dict[str, Member]:
         """All members by id, in the order of their names."""

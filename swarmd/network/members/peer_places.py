@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from swarmd.core.angles import wrap
 from swarmd.core.arrival_delay import ArrivalDelay
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.datagram import Place
@@ -37,7 +36,7 @@ class PeerPlaces:
             x=round(1000.0 * pose.pose.x),
             y=round(1000.0 * pose.pose.y),
             error=math.ceil(1000.0 * pose.error) + 1,  # mm; 1 mm covers the rounding of x and y
-            heading=round(1000.0 * wrap(pose.pose.yaw)),
+            heading=round(1000.0 * math.remainder(pose.pose.yaw, math.tau)),
         )
 
     def take(self, place: Place, now: float) -> PeerPlace | None:

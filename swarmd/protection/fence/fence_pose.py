@@ -25,7 +25,9 @@ from collections import deque
 
 from msgspec import Struct
 
-from swarmd.core.values import HISTORY, MAX_EXTRAPOLATION, Odometry, Pose, SharedPose
+from swarmd.core.kernels import load_kernel
+from swarmd.core.odometry_trail import ANEW, NEXT
+from swarmd.core.values import Odometry, Pose, SharedPose
 from swarmd.protection.decision import Anchor
 from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.settings import ODOMETRY_SHARE
@@ -109,7 +111,8 @@ class FencePose:
         """`timeout`: the age in s beyond which a pose is not used."""
         self._frame, self._timeout = settings.frame, timeout
         self._holds = settings.without_pose == "hold"
-        self._readings: deque[Odometry] = deque(maxlen=HISTORY)
+        self._odometry = load_kernel("swarmd.core.odometry_trail").OdometryTrail()
+        self._last: Odometry | None = None  # the newest reading of it
         self._way = self._turned = 0.0
         self._used: _Trail | None = None  # the poses in use; after a jump kept for comparison
         self._new: _Trail | None = None  # poses in a row that agree, of a place not in use
@@ -120,18 +123,15 @@ class FencePose:
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. After a jump of odometry nothing is known."""
-        if self._readings:
-            last = self._readings[-1]
-            if odometry.stamp == last.stamp:
-                return
-            if odometry.stamp < last.stamp or odometry.jumps_from(last):
-                self._readings.clear()
-                self._forget("odometry jumped")
-            else:
-                here, there = odometry.pose, last.pose
-                self._way += math.hypot(here.x - there.x, here.y - there.y)
-                self._turned += abs(math.remainder(here.yaw - there.yaw, 2.0 * math.pi))
-        self._readings.append(odometry)
+        taken = self._odometry.take(odometry)
+        if taken == ANEW:
+            self._forget("odometry jumped")
+        elif taken == NEXT and self._last is not None:
+            here, there = odometry.pose, self._last.pose
+            self._way += math.hypot(here.x - there.x, here.y - there.y)
+            self._turned += abs(math.remainder(here.yaw - there.yaw, 2.0 * math.pi))
+        if taken >= NEXT:
+            self._last = odometry
 
     def on_pose(
         self,
@@ -162,12 +162,10 @@ class FencePose:
 
         `newest_at`: when the newest reading arrived. Both times in s on the robot's clock.
         """
-        if not self._readings:
+        if self._last is None:
             return None
-        stamp = self._readings[-1].stamp + at - newest_at  # `at` on the clock of the stamps
-        if stamp < self._readings[0].stamp - MAX_EXTRAPOLATION:
-            return None
-        return _pose_at(self._readings, stamp)
+        stamp = self._last.stamp + at - newest_at  # `at` on the clock of the stamps
+        return self._odometry.pose_at(stamp) if self._odometry.covers(stamp) else None
 
     def _take(self, fix: _Fix) -> None:
         """Use `fix`, or keep `fix` until enough poses of its place agree (rules 2 to 5)."""
@@ -236,29 +234,6 @@ class FencePose:
         if self._used is not None and self._is_used:
             return f"the last pose is {now - self._used.newest.at:.1f} s old"
         return self._fault
-
-
-def _pose_at(readings: deque[Odometry], stamp: float) -> Pose:
-    """The pose by odometry at a stamp: interpolated, or extrapolated at a constant twist."""
-    later = readings[-1]
-    for reading in reversed(readings):
-        if reading.stamp <= stamp:
-            if reading is later:
-                break
-            part = (stamp - reading.stamp) / (later.stamp - reading.stamp)
-            a, b = reading.pose, later.pose
-            turn = math.remainder(b.yaw - a.yaw, 2.0 * math.pi)
-            x, y = a.x + part * (b.x - a.x), a.y + part * (b.y - a.y)
-            return Pose(x, y, a.yaw + part * turn)
-        later = reading
-    seconds = max(min(stamp - later.stamp, MAX_EXTRAPOLATION), -MAX_EXTRAPOLATION)
-    pose, twist = later.pose, later.twist
-    turn = twist.angular * seconds
-    cos, sin = math.cos(pose.yaw + 0.5 * turn), math.sin(pose.yaw + 0.5 * turn)
-    ahead, left = twist.linear * seconds, twist.lateral * seconds
-    return Pose(
-        pose.x + cos * ahead - sin * left, pose.y + sin * ahead + cos * left, pose.yaw + turn
-    )
 
 
 def _difference(earlier: _Fix, later: _Fix) -> tuple[float, float]:

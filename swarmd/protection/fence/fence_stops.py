@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.buffers import view
 from swarmd.core.values import Array
-from swarmd.protection.buffers import view
 from swarmd.protection.closing_speed import DECISION_PERIOD
 from swarmd.protection.stopping import IDEAL_BRAKING, StopMotion
 

@@ -26,9 +26,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core.buffers import doubles, indices
 from swarmd.core.values import Platform
 from swarmd.protection.barrier_assumptions import OTHER, WALL
-from swarmd.protection.buffers import doubles, indices
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.obstacles import ReturnLayer

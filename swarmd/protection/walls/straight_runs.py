@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core.buffers import doubles, indices
 from swarmd.core.values import Platform
-from swarmd.protection.buffers import doubles, indices
 from swarmd.protection.obstacles import REACH
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one

@@ -45,19 +45,11 @@ def test_polarisation(velocities: list[tuple[float, float]], order: float) -> No
     np.testing.assert_allclose(orders, np.full(21, order), atol=1e-9)
 
 
-def test_robots_on_a_circle_mill_and_are_not_polarised() -> None:
+def test_robots_on_a_circle_are_not_polarised() -> None:
     phases = (0.0, np.pi / 2.0, np.pi, 1.5 * np.pi)
     for speed in (0.4, -0.4):
         trace = run(circling(speed, *phases))
-        # Differences cut the corner a little at the first and the last instant.
-        np.testing.assert_allclose(collective_motion.millings(trace), np.ones(21), atol=1e-3)
         np.testing.assert_allclose(collective_motion.polarisations(trace), np.zeros(21), atol=1e-9)
-
-
-def test_opposite_ways_round_cancel() -> None:
-    there, back = circling(0.4, 0.0, np.pi), circling(-0.4, np.pi / 2.0, 1.5 * np.pi)
-    both = run(np.concatenate((there, back), axis=1))
-    np.testing.assert_allclose(collective_motion.millings(both), np.zeros(21), atol=1e-9)
 
 
 def test_only_present_robots_count() -> None:
@@ -67,12 +59,10 @@ def test_only_present_robots_count() -> None:
     np.testing.assert_allclose(collective_motion.polarisations(trace), np.ones(21))
     nobody = run(moving((0.2, 0.0)), present=np.zeros((21, 1), dtype=bool))
     assert np.isnan(collective_motion.polarisations(nobody)).all()
-    assert np.isnan(collective_motion.millings(nobody)).all()
 
 
 def test_an_instant_alone_shows_no_motion() -> None:
     assert np.isnan(collective_motion.polarisations(run(np.zeros((1, 3, 3))))).all()
-    assert np.isnan(collective_motion.millings(run(np.zeros((1, 3, 3))))).all()
 
 
 def test_the_way_of_the_centroid() -> None:

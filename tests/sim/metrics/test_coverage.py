@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 from swarmd.sim.metrics import coverage
-from swarmd.sim.metrics.metric import at_end
 from tests.sim.metrics.runs import line, run
-
-hull_area = at_end(coverage.hull_areas)
 
 
 def test_a_robot_at_rest_covers_its_disc() -> None:
@@ -48,7 +45,6 @@ def test_absent_robots_cover_nothing() -> None:
     assert coverage.covered_area(trace, cell=0.02) == pytest.approx(math.pi / 4.0, rel=0.05)
     nobody = run(line(0.0), present=np.array([[False]]))
     assert coverage.covered_area(nobody) == 0.0
-    assert hull_area(nobody) is None
 
 
 def test_far_ways_are_counted_more_coarsely() -> None:
@@ -56,21 +52,3 @@ def test_far_ways_are_counted_more_coarsely() -> None:
         run(np.array([[[0.0, 0.0, 0.0], [4e3, 4e3, 0.0]]])), radius=50.0
     )
     assert covered == pytest.approx(2.0 * math.pi * 50.0**2, rel=0.1)
-
-
-def test_hull_of_a_square_with_robots_in_it() -> None:
-    corners = [(0.0, 0.0), (2.0, 0.0), (2.0, 3.0), (0.0, 3.0), (1.0, 1.0), (1.0, 0.0), (2.0, 3.0)]
-    pose = np.zeros((1, 7, 3))
-    pose[0, :, :2] = corners
-    assert hull_area(run(pose)) == pytest.approx(6.0)
-
-
-@pytest.mark.parametrize("xs", [(1.0,), (1.0, 2.0), (1.0, 2.0, 3.0), (1.0, 1.0, 1.0)])
-def test_a_row_spans_no_area(xs: tuple[float, ...]) -> None:
-    assert hull_area(run(line(*xs))) == 0.0
-
-
-def test_areas_over_time() -> None:
-    pose = np.zeros((2, 3, 3))
-    pose[1, 1, 0] = pose[1, 2, 1] = 1.0
-    np.testing.assert_allclose(coverage.hull_areas(run(pose)), [0.0, 0.5])
