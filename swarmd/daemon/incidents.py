@@ -190,7 +190,7 @@ class IncidentService:
         entries = entries_of(left)
         if not entries:
             return
-        end = max(entry.at for entry in entries)  # an incident has its own time
+        end = entries[-1].at
         pending = [one for one in entries if isinstance(one, frames.TextEntry)]
         incidents = (
             (one.at, msgspec.json.decode(one.json, type=Incident))

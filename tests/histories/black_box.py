@@ -2,8 +2,8 @@
 
 The ring and the files of incidents are real files, in a folder of the swarm on a file system in
 memory. Reduced are: the threads, which end after the time that a write takes; the pull, which goes
-over the links of the virtual swarm; and the ring's content, which no history replays: the ticks and
-the incidents.
+over the links of the virtual swarm; and the ring's content, which no history replays: the times of
+the inputs, and the incidents.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmd.core import verbs
 from swarmd.core.clock import clock_id
-from swarmd.core.events import Input, TickInput
+from swarmd.core.events import TICK_INPUT, Input, TickInput
 from swarmd.core.incident import Incident
 from swarmd.core.messages import Status
 from swarmd.core.record import RecordKind
@@ -61,11 +61,10 @@ class Death:
 
 
 class _Recorder(Recorder):
-    """Writes ticks to the ring, and neither other inputs nor decisions."""
+    """Writes a tick to the ring for each input, and no decisions."""
 
     def input(self, input: Input, now: float) -> None:
-        if type(input) is TickInput:
-            super().input(input, now)
+        super().input(TICK_INPUT, now)
 
     def _decided(self, input: Input, actions: Actions, now: float, state: str) -> None:
         pass

@@ -145,8 +145,8 @@ class Invariants:
         self._robots: dict[str, _Memory] = {}
         self._issued = swarm.issued
         self._taken: dict[tuple[str, int, str], list[float]] = {}
-        # By robot and origin: life and s of the incidents that it took, and s of the incidents.
-        self._incidents: dict[tuple[str, str], list[tuple[int, float, float]]] = {}
+        # By robot and origin, then by id: the life and s in which it was taken, and s of it.
+        self._incidents: dict[tuple[str, str], dict[str, tuple[int, float, float]]] = {}
         self._latches: set[str] = set()  # all that were held
         self._deaths: dict[str, Death] = {}  # by robot, the last one
         # By robot, instance and revision: the ids that peers gave, and when.
@@ -341,16 +341,20 @@ class Invariants:
         now, name, life = self._swarm.now, daemon.name, daemon.lives
         is_silent = incident.kind == IncidentKind.SILENT and incident.by == name
         is_death = is_silent and incident.robot == name
-        taken = self._incidents.setdefault((name, incident.by), [])
-        # A daemon knows of earlier lives when the incidents were, not when it heard of them.
-        last = max((heard if lived == life else began for lived, heard, began in taken), default=-1)
+        taken = self._incidents.setdefault((name, incident.by), {})
+        # A daemon knows of earlier lives when the incidents were, not when it heard of them. One
+        # that was killed within a tick may take the same incident again.
+        others = [times for id, times in taken.items() if id != incident.id]
+        last = max(
+            (heard if lived == life else began for lived, heard, began in others), default=-1
+        )
         is_soon = not is_death and now - last < INCIDENT_GAP and last >= 0.0
-        count = sum(now - began < 3600.0 for _, _, began in taken)
+        count = sum(now - began < 3600.0 for _, _, began in others)
         if is_soon or count >= INCIDENTS_AN_HOUR:
             raise BrokenRuleError(
                 "few", f"{name} takes another incident of {incident.by} after {count}: {incident}"
             )
-        taken.append((life, at if is_death else now, at))
+        taken[incident.id] = (life, at if is_death else now, at)
         if is_silent and not is_death:
             seen = daemon.peer.membership.lost_beacon(incident.robot)
             assert seen is not None
