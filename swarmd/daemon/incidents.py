@@ -128,6 +128,7 @@ class IncidentService:
         self._head, self._identity, self._is_member = head, identity, is_member
         self._on_event = on_event
         self._status: Status | None = None  # the last one
+        self._status_at = 0.0
         self._told: dict[str, _Told] = {}  # by id
         self.digest = b""  # of the ids in `_told`, for beacons; empty without any
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
@@ -203,9 +204,9 @@ class IncidentService:
                 self._write(incident, at, lambda: left, entries[0].at, end)
         instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
-        id = self._silent_id(self._robot, instance, left.revision, end)
+        id = silent_id(self._robot, instance, left.revision)
         self._begin(
-            Found(IncidentKind.SILENT, text, id),
+            Found(IncidentKind.SILENT, text, self._id_of_silence(id, end)),
             at=end,
             left=(lambda: left, entries[0].at, end),
         )
@@ -226,25 +227,28 @@ class IncidentService:
     def _on_status(self, status: Status) -> None:
         """Begin an incident if the robot has one since its last status."""
         before, self._status = self._status, status
+        before_at, self._status_at = self._status_at, boottime()
         what = found(before, status)
+        if what is not None and what.kind is IncidentKind.STALL:
+            id = self._id_of_silence(what.id, before_at)
+            what = Found(what.kind, what.text, id)
         if what is not None:
             self._begin(what)
 
     def on_lost(self, beacon: Beacon) -> None:
         """Begin an incident if the robot, which has failed since this last beacon, ran."""
         if STATES[beacon.state : beacon.state + 1] == (State.RUNNING,):
-            instance = beacon.instance.hex()
-            id = self._silent_id(beacon.robot, instance, beacon.revision, boottime())
+            id = silent_id(beacon.robot, beacon.instance.hex(), beacon.revision)
+            id = self._id_of_silence(id, boottime())
             text = f"{beacon.robot} is not heard any more; it ran"
             self._begin(Found(IncidentKind.SILENT, text, id), robot=beacon.robot)
 
-    def _silent_id(self, robot: str, instance: str, revision: int, at: float) -> str:
-        """The id of a silence that began at `at` s: another one for each silence of one run.
+    def _id_of_silence(self, id: str, at: float) -> str:
+        """The id of a silence that began at `at` s or later; `id`: of the first one in this run.
 
-        A file of more than TAIL s ago has nothing of this silence.
+        A file of more than TAIL s before has nothing of it, so it is another incident.
         """
-        id = silent_id(robot, instance, revision)
-        times = self._times | {id: told.at for id, told in self._told.items()}
+        times = self._times | {known: told.at for known, told in self._told.items()}
         while at - times.get(id, math.inf) > TAIL:
             id = id_of(id)
         return id

@@ -86,6 +86,20 @@ def test_a_death_is_kept_also_if_the_robot_was_unheard_before_in_the_same_run() 
     assert before["r2"] == before["r3"] == files_of(history)["r1"]
 
 
+def test_a_stall_is_kept_also_if_the_robot_was_unheard_before_in_the_same_run() -> None:
+    split = step(2.0, "split", groups=(("r1",), ("r2", "r3", "anna", "bob")))
+    freeze = step(20.0, "freeze", robot="r1", seconds=1.5)
+    files = kept((KILLED[0], split, step(4.0, "heal"), freeze, step(5.0, "heal")))
+    assert (IncidentKind.STALL, "r1") in files["r1"].values()
+    assert files["r1"] == files["r2"] == files["r3"]
+
+
+def test_a_long_stall_has_one_id_on_all_robots() -> None:
+    files = kept((KILLED[0], step(2.0, "freeze", robot="r1", seconds=25.0), step(30.0, "heal")))
+    assert files["r1"].keys() == files["r2"].keys() == files["r3"].keys()
+    assert len(files["r1"]) == 1
+
+
 def test_a_death_is_kept_also_if_the_clock_is_set_by_days_before_the_start() -> None:
     run, kill, start = KILLED
     files = kept((run, kill, step(0.1, "wall", robot="r1", shift=1e6), start))
