@@ -136,6 +136,9 @@ class IncidentService:
         self._origins: dict[str, deque[float]] = {}  # by origin: s of its last incidents
         self._due: dict[str, float] = {}  # by id: s at which its file is written
         self._asks = Asks(LIST_PERIOD)
+        self._writes = deque[
+            tuple[Callable[[], _Written | str], Callable[[_Written | str], None]]
+        ]()
         self._tasks: set[asyncio.Task[None]] = set()
         self.fault = "" if section.seconds else "off: blackbox.seconds is 0"
         recorder.on_status = self._on_status
@@ -421,7 +424,6 @@ class IncidentService:
         missing = f"nothing before {begin - at:+.0f} s" if begin > at - self._seconds else ""
         if end < at + TAIL - 1.0:
             missing = "; ".join(filter(None, (missing, f"nothing after {end - at:+.0f} s")))
-        kept = tuple(self._kept.values())
 
         def work() -> _Written | str:
             """In a thread: the frames are copied, packed and written."""
@@ -442,7 +444,7 @@ class IncidentService:
                 wall=left.wall,
                 revision=left.revision,
             )
-            return _write_file(self._folder, head, left.frames, kept)
+            return _write_file(self._folder, head, left.frames, tuple(self._kept.values()))
 
         def on_done(written: _Written | str) -> None:
             if isinstance(written, str):
@@ -455,8 +457,22 @@ class IncidentService:
 
         if is_waiting:
             on_done(work())
-        else:
-            self._in_thread(work, on_done)
+            return
+        self._writes.append((work, on_done))
+        if len(self._writes) == 1:
+            self._write_next()
+
+    def _write_next(self) -> None:
+        """Write in a thread, one file at a time: each gives way to the files before it."""
+        work, on_done = self._writes[0]
+
+        def end(written: _Written | str) -> None:
+            on_done(written)
+            self._writes.popleft()
+            if self._writes:
+                self._write_next()
+
+        self._in_thread(work, end)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         id, at = head.incident.id, head.at

@@ -14,8 +14,8 @@ from swarmd.daemon import incidents
 from swarmd.daemon.incidents import IncidentService
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
-from tests.histories import swarm
-from tests.histories.history import History, Steps, fault_of, replay, step
+from tests.histories import invariants, swarm
+from tests.histories.history import OPERATORS, History, Steps, fault_of, replay, step
 from tests.histories.invariants import INCIDENT_FILES
 
 MARKED = (step(0.0, "run", by="anna"), step(2.0, "incident", by="bob"))
@@ -104,6 +104,21 @@ def test_a_death_is_kept_also_if_the_clock_is_set_by_days_before_the_start() -> 
     run, kill, start = KILLED
     files = kept((run, kill, step(0.1, "wall", robot="r1", shift=1e6), start))
     assert [*files["r1"].values()] == [(IncidentKind.SILENT, "r1")]
+
+
+def test_incidents_that_are_heard_at_once_leave_no_more_files_than_may_be(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(incidents, "MAX_KEPT", 3)
+    monkeypatch.setattr(invariants, "INCIDENT_FILES", 3)
+    names = ("r1", "r2", "r3", "r4")
+    history = History(5)
+    history.carry_out(step(0.0, "split", groups=(("r5",), (*names, *OPERATORS))))
+    for name in names:
+        history.carry_out(step(1.0, "estop", by="anna", targets=(name,)))
+    history.carry_out(step(25.0, "heal"))
+    history.carry_out(step(5.0, "heal"))
+    assert history.swarm.robots["r5"].black_box.count() == 3
 
 
 def test_restarts_begin_no_more_incidents_than_the_limits_allow() -> None:
