@@ -125,10 +125,11 @@ def _chosen(found: Incidents, prefix: str) -> SwarmIncident:
 def _rows(one: SwarmIncident) -> list[tuple[str, ...]]:
     """A row for each robot that keeps the incident."""
     incident = one.incident
+    robot_text = incident.robot if len(one.robots) == 1 else counted(len(one.robots), "robot")
     when = NOTHING if one.age is None else f"{seconds(one.age)} ago"
     return [
         (
-            incident.id, when, incident.robot, incident.kind, robot, _span(kept),
+            incident.id, when, robot_text, incident.kind, robot, _span(kept),
             megabytes(kept.size, 2) if kept.size else NOTHING,
             shortened(kept.missing) or NOTHING, incident.text,
         )

@@ -26,13 +26,19 @@ class SwarmIncident(NamedTuple):
     age: float | None
     kept: Mapping[str, KeptIncident]
 
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The robots that had it: several had an emergency stop, or were marked."""
+        return tuple(sorted({one.incident.robot for one in self.kept.values()}))
+
     def row(self) -> dict[str, Any]:
         """The incident as JSON."""
         kept = [
             {"robot": robot, **to_builtins(one), "incident": self.incident.id}
             for robot, one in self.kept.items()
         ]
-        return {**to_builtins(self.incident), "age": self.age, "kept": kept}
+        more = {"robots": list(self.robots), "age": self.age, "kept": kept}
+        return {**to_builtins(self.incident), **more}
 
 
 class Incidents(NamedTuple):

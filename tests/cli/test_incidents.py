@@ -136,6 +136,15 @@ def test_an_incident_has_a_row_for_each_robot_that_keeps_it(robots: Robots) -> N
     assert (found["kind"], found["missing"]) == ("Incidents", ["tb3-03"])
 
 
+def test_an_incident_that_several_robots_had_names_how_many(robots: Robots) -> None:
+    """Each robot of an emergency stop or a mark has it, and notes it as its own."""
+    own = structs.replace(kept(), incident=structs.replace(kept().incident, robot="tb3-01"))
+    robots.replies = {"tb3-01": reply("tb3-01", own), "tb3-02": reply("tb3-02", kept())}
+    out = robots.swarmctl("incidents")[1]
+    assert [line.split()[4:6] for line in out.splitlines()[1:3]] == [["2", "robots"]] * 2
+    assert robots.json("incidents")["incidents"][0]["robots"] == ["tb3-01", "tb3-02"]
+
+
 def test_the_robot_that_told_an_incident_first_describes_it() -> None:
     lie = structs.replace(kept(age=None), incident=structs.replace(kept().incident, text="a lie"))
     replies = {"tb3-01": reply("tb3-01", lie), "tb3-02": reply("tb3-02", kept(age=7.0))}
