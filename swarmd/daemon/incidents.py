@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
+import math
 import os
 import time
 import zlib
@@ -32,7 +33,15 @@ from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import FIRST_WALL, boottime, clock_id
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import read_regular, write_whole
-from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, found, silent_id
+from swarmd.core.incident import (
+    Found,
+    Incident,
+    IncidentKind,
+    ToldIncident,
+    found,
+    id_of,
+    silent_id,
+)
 from swarmd.core.messages import Code, Refusal, Reply, State, Status
 from swarmd.core.record import DIGEST_BYTES
 from swarmd.core.verbs import KeptIncident, shortened
@@ -119,6 +128,7 @@ class IncidentService:
         self._head, self._identity, self._is_member = head, identity, is_member
         self._on_event = on_event
         self._status: Status | None = None  # the last one
+        self._status_at = 0.0
         self._told: dict[str, _Told] = {}  # by id
         self.digest = b""  # of the ids in `_told`, for beacons; empty without any
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
@@ -126,6 +136,9 @@ class IncidentService:
         self._origins: dict[str, deque[float]] = {}  # by origin: s of its last incidents
         self._due: dict[str, float] = {}  # by id: s at which its file is written
         self._asks = Asks(LIST_PERIOD)
+        self._writes = deque[
+            tuple[Callable[[], _Written | str], Callable[[_Written | str], None]]
+        ]()
         self._tasks: set[asyncio.Task[None]] = set()
         self.fault = "" if section.seconds else "off: blackbox.seconds is 0"
         recorder.on_status = self._on_status
@@ -139,7 +152,6 @@ class IncidentService:
             return
         try:
             folder, left = memory_folder(self._section.folder, os.environ), None
-            remove_old(folder, time.time())
             path = folder / self._ring_name
             try:
                 left = read_left(path)
@@ -154,6 +166,7 @@ class IncidentService:
                 boot=now,
                 wall=time.time(),
             )
+            remove_old(folder, time.time())  # its own, which may be old as well, has been read
         except OSError as error:
             self._fail(f"no file in memory: {error.strerror or error}")
             return
@@ -173,6 +186,8 @@ class IncidentService:
                     heads.append((read_head(data), len(data), zlib.crc32(data)))
         for head, size, crc in sorted(heads, key=lambda one: one[0].wall + one[0].at - one[0].boot):
             self._note_kept(head, size, crc)
+            if head.clock == clock_id():
+                self._may_begin(head.incident.by, head.at, gap=0.0)  # counts from now on
 
     def _on_left(self, left: Left, head: RecordingHead) -> None:
         """Write what an earlier daemon has left; it was killed, or has crashed."""
@@ -188,11 +203,13 @@ class IncidentService:
         )
         for at, incident in incidents:
             if incident.id not in self._kept and end - at <= TAIL:
+                self._may_begin(incident.by, at, gap=0.0)
                 self._write(incident, at, lambda: left, entries[0].at, end)
         instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
+        id = silent_id(self._robot, instance, left.revision)
         self._begin(
-            Found(IncidentKind.SILENT, text, silent_id(self._robot, instance, left.revision)),
+            Found(IncidentKind.SILENT, text, self._id_of_silence(id, end)),
             at=end,
             left=(lambda: left, entries[0].at, end),
         )
@@ -213,9 +230,11 @@ class IncidentService:
     def _on_status(self, status: Status) -> None:
         """Begin an incident if the robot has one since its last status."""
         before, self._status = self._status, status
-        if self._recorder.ring is not None:
-            self._recorder.ring.revision = status.epoch.revision
+        before_at, self._status_at = self._status_at, boottime()
         what = found(before, status)
+        if what is not None and what.kind is IncidentKind.STALL:
+            id = self._id_of_silence(what.id, before_at)
+            what = Found(what.kind, what.text, id)
         if what is not None:
             self._begin(what)
 
@@ -223,8 +242,19 @@ class IncidentService:
         """Begin an incident if the robot, which has failed since this last beacon, ran."""
         if STATES[beacon.state : beacon.state + 1] == (State.RUNNING,):
             id = silent_id(beacon.robot, beacon.instance.hex(), beacon.revision)
+            id = self._id_of_silence(id, boottime())
             text = f"{beacon.robot} is not heard any more; it ran"
             self._begin(Found(IncidentKind.SILENT, text, id), robot=beacon.robot)
+
+    def _id_of_silence(self, id: str, at: float) -> str:
+        """The id of a silence that began at `at` s or later; `id`: of the first one in this run.
+
+        A file of more than TAIL s before has nothing of it, so it is another incident.
+        """
+        times = self._times | {known: told.at for known, told in self._told.items()}
+        while at - times.get(id, math.inf) > TAIL:
+            id = id_of(id)
+        return id
 
     def on_mark(self, request: verbs.MarkRequest, answer: SendReply) -> None:
         """Begin an incident with the words of an operator."""
@@ -253,8 +283,8 @@ class IncidentService:
         if what.id in self._told or what.id in self._kept:
             return True
         at = boottime() if at is None else at
-        is_on = self._recorder.ring is not None
-        if not is_on or not self._may_begin(self._robot, at):
+        is_on, gap = self._recorder.ring is not None, GAP if left is None else 0.0
+        if not is_on or not self._may_begin(self._robot, at, gap):
             return False
         wall = time.time() - (boottime() - at)
         incident = Incident(
@@ -274,11 +304,11 @@ class IncidentService:
             self._write(incident, at, *left)
         return True
 
-    def _may_begin(self, origin: str, now: float) -> bool:
-        """True unless this origin has begun an incident within GAP, or HOURLY in the last hour."""
+    def _may_begin(self, origin: str, now: float, gap: float = GAP) -> bool:
+        """True unless this origin began an incident within `gap` s, or HOURLY in the last hour."""
         times = self._origins.get(origin, deque(maxlen=HOURLY))
         keep_newest(self._origins, origin, times, MAX_TOLD)
-        is_soon = bool(times) and now - times[-1] < GAP
+        is_soon = bool(times) and now - times[-1] < gap
         is_many = len(times) == HOURLY and now - times[0] < 3600.0
         if is_soon or is_many:
             return False
@@ -394,7 +424,6 @@ class IncidentService:
         missing = f"nothing before {begin - at:+.0f} s" if begin > at - self._seconds else ""
         if end < at + TAIL - 1.0:
             missing = "; ".join(filter(None, (missing, f"nothing after {end - at:+.0f} s")))
-        kept = tuple(self._kept.values())
 
         def work() -> _Written | str:
             """In a thread: the frames are copied, packed and written."""
@@ -415,7 +444,7 @@ class IncidentService:
                 wall=left.wall,
                 revision=left.revision,
             )
-            return _write_file(self._folder, head, left.frames, kept)
+            return _write_file(self._folder, head, left.frames, tuple(self._kept.values()))
 
         def on_done(written: _Written | str) -> None:
             if isinstance(written, str):
@@ -428,8 +457,22 @@ class IncidentService:
 
         if is_waiting:
             on_done(work())
-        else:
-            self._in_thread(work, on_done)
+            return
+        self._writes.append((work, on_done))
+        if len(self._writes) == 1:
+            self._write_next()
+
+    def _write_next(self) -> None:
+        """Write in a thread, one file at a time: each gives way to the files before it."""
+        work, on_done = self._writes[0]
+
+        def end(written: _Written | str) -> None:
+            on_done(written)
+            self._writes.popleft()
+            if self._writes:
+                self._write_next()
+
+        self._in_thread(work, end)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         id, at = head.incident.id, head.at

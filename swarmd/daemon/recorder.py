@@ -253,6 +253,8 @@ class Recorder:
 
     def _settle(self, robot: Robot) -> None:
         steps, self._steps = self._steps, []
+        if self.ring is not None:
+            self.ring.revision = robot.epoch.revision
         statuses: list[Status] = []
         for input, now, actions, state in steps:
             self.input(input, now)
