@@ -14,7 +14,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import Count, Line, Seconds
+from swarmd.core.bounds import Count, Line, Seconds, Stamp
 from swarmd.core.errors import CodecError
 from swarmd.core.files import read_regular
 from swarmd.core.incident import Incident, Wall
@@ -28,14 +28,15 @@ _SIZE = struct.Struct("<I")
 class IncidentHead(Struct, frozen=True, kw_only=True):
     """The head of a file.
 
-    - `at`: s of the incident on the clock `clock` of the robot that keeps the file.
+    - `at`: s of the incident on the clock `clock` of the robot that keeps the file; negative if its
+      machine has booted since.
     - `begin`, `end`: s on that clock between which it has entries. `missing`: why it has no others.
     - `size`: bytes of the frames before compression.
     - `about`, `boot`, `wall`, `revision`: as in `Left`.
     """
 
     incident: Incident
-    at: Seconds
+    at: Stamp
     clock: Annotated[str, Meta(max_length=32)]
     begin: Seconds
     end: Seconds

@@ -204,11 +204,19 @@ def memory_folder(given: str | None, environ: Mapping[str, str]) -> Path:
 
 
 def remove_old(folder: Path, wall: float) -> None:
-    """Remove the rings in `folder` that nobody has written for OLD s; `wall`: s since 1970."""
+    """Remove the rings in `folder` that no process has written for OLD s; `wall`: s since 1970.
+
+    Other files stay: an operator may name any folder.
+    """
     for path in folder.iterdir():
         with suppress(OSError):
-            if wall - path.stat().st_mtime > OLD:
-                os.close(_open(path, os.O_RDONLY))  # no process uses it
+            found = path.lstat()
+            if not stat.S_ISREG(found.st_mode) or wall - found.st_mtime <= OLD:
+                continue
+            file = _open(path, os.O_RDONLY)  # no process uses it
+            is_ring = os.pread(file, len(_MAGIC), 0) == _MAGIC
+            os.close(file)
+            if is_ring:
                 path.unlink()
 
 

@@ -14,7 +14,7 @@ from swarmd.core.incident import Incident, IncidentKind, ToldIncident
 from swarmd.core.verbs import KeptIncident
 from swarmd.daemon.incidents import MAX_BYTES, MAX_KEPT, _checked, _signed, to_remove
 from swarmd.recording import frames
-from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left
+from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left, remove_old
 from tests.support.examples import examples
 from tests.support.keys import SwarmKeys
 
@@ -209,3 +209,13 @@ def test_the_folder_in_memory_is_of_this_user_alone(tmp_path: Path) -> None:
             memory_folder(str(tmp_path / name), {})
     made = memory_folder(None, {"RUNTIME_DIRECTORY": str(tmp_path / "run")})
     assert made.stat().st_mode & 0o777 == 0o700
+
+
+def test_only_old_rings_are_removed_from_the_folder(tmp_path: Path) -> None:
+    Ring(tmp_path / "ring", {}, capacity=1000, seconds=9.0, boot=1.0, wall=2.0).close()
+    (tmp_path / "thesis").write_text("of an operator")
+    os.mkfifo(tmp_path / "pipe")  # to open it would wait for a writer
+    for path in tmp_path.iterdir():
+        os.utime(path, (0.0, 0.0))
+    remove_old(tmp_path, 86401.0)
+    assert {path.name for path in tmp_path.iterdir()} == {"thesis", "pipe"}

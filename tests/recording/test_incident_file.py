@@ -226,3 +226,12 @@ def test_the_encoder_of_a_head_is_read_again() -> None:
     with pytest.raises(CodecError):
         read_head(pack(structs.replace(head, wall=float("nan")), b""))
     assert msgspec.msgpack.decode(msgspec.msgpack.encode(head.incident))["id"] == ID
+
+
+def test_an_incident_from_before_the_boot_of_a_robot_is_read_and_converted(tmp_path: Path) -> None:
+    told = frames.TextEntry(-30.0, "/incident", msgspec.json.encode(incident_of("a")))
+    data = frames_of(frames.EventEntry(1.0, "first"), told)
+    path = tmp_path / f"{ID}.incident"
+    path.write_bytes(pack(structs.replace(head_of_frames(data), at=-30.0), data))
+    assert read(path)[0].at == -30.0
+    assert to_recording(path).exists()
