@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
+import math
 import os
 import time
 import zlib
@@ -29,7 +30,7 @@ from msgspec import Meta
 
 from swarmd.core import verbs
 from swarmd.core.bounds import keep_newest
-from swarmd.core.clock import FIRST_WALL, boottime, clock_id
+from swarmd.core.clock import FIRST_WALL, STALL_TIMEOUT, boottime, clock_id
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import read_regular, write_whole
 from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, found, silent_id
@@ -122,11 +123,14 @@ class IncidentService:
         self._told: dict[str, _Told] = {}  # by id
         self.digest = b""  # of the ids in `_told`, for beacons; empty without any
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
-        self._times: dict[str, float] = {}  # by id: s of a kept incident on the present clock
-        self._origins: dict[str, deque[float]] = {}  # by origin: s of its last incidents
+        self._times: dict[str, float | None] = {}  # by id; None: s on the clock of an earlier boot
+        # By origin (see `_origin_of`): s of its last incidents.
+        self._origins: dict[tuple[str, bool], deque[float]] = {}
         self._due: dict[str, float] = {}  # by id: s at which its file is written
         self._asks = Asks(LIST_PERIOD)
         self._tasks: set[asyncio.Task[None]] = set()
+        self._writing: asyncio.Task[None] | None = None
+        self._advanced_at, self._stalled_at = boottime(), -math.inf  # s
         self.fault = "" if section.seconds else "off: blackbox.seconds is 0"
         recorder.on_status = self._on_status
 
@@ -145,6 +149,11 @@ class IncidentService:
                 left = read_left(path)
             except CodecError as error:  # of another version
                 log.warning("what the daemon before left is lost: %s", error)
+            if left is not None and left.frames:
+                try:  # before the ring begins again: a second kill must not lose it
+                    self._on_left(left)
+                except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
+                    log.warning("what the daemon before left is lost: %s", error)
             head, now = self._head(), boottime()
             self._recorder.ring = Ring(
                 path,
@@ -156,12 +165,6 @@ class IncidentService:
             )
         except OSError as error:
             self._fail(f"no file in memory: {error.strerror or error}")
-            return
-        if left is not None and left.frames:
-            try:
-                self._on_left(left, head)
-            except (CodecError, ConfigError, OSError) as error:
-                log.warning("what the daemon before left is lost: %s", error)
 
     def _read_kept(self) -> None:
         """Read the heads of the files that earlier daemons wrote."""
@@ -173,13 +176,16 @@ class IncidentService:
                     heads.append((read_head(data), len(data), zlib.crc32(data)))
         for head, size, crc in sorted(heads, key=lambda one: one[0].wall + one[0].at - one[0].boot):
             self._note_kept(head, size, crc)
+            if head.clock == clock_id() and head.incident.kind == IncidentKind.SILENT:
+                # A daemon that dies again and again begins no more incidents than one that lives.
+                self._may_begin(_origin_of(head.incident), head.at)
 
-    def _on_left(self, left: Left, head: RecordingHead) -> None:
+    def _on_left(self, left: Left) -> None:
         """Write what an earlier daemon has left; it was killed, or has crashed."""
         entries = entries_of(left)
         if not entries:
             return
-        end = entries[-1].at
+        end = max(one.at for one in entries)
         pending = [one for one in entries if isinstance(one, frames.TextEntry)]
         incidents = (
             (one.at, msgspec.json.decode(one.json, type=Incident))
@@ -187,8 +193,8 @@ class IncidentService:
             if one.topic == "/incident"
         )
         for at, incident in incidents:
-            if incident.id not in self._kept and end - at <= TAIL:
-                self._write(incident, at, lambda: left, entries[0].at, end)
+            if incident.id not in self._kept and end - at <= MARGIN:
+                self._write(incident, at, lambda: left, entries[0].at, end, is_waiting=True)
         instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
         self._begin(
@@ -221,7 +227,10 @@ class IncidentService:
 
     def on_lost(self, beacon: Beacon) -> None:
         """Begin an incident if the robot, which has failed since this last beacon, ran."""
-        if STATES[beacon.state : beacon.state + 1] == (State.RUNNING,):
+        now = boottime()
+        # A daemon that stood still has heard none of its peers.
+        is_heard = now - self._advanced_at < STALL_TIMEOUT and now - self._stalled_at > GAP
+        if is_heard and STATES[beacon.state : beacon.state + 1] == (State.RUNNING,):
             id = silent_id(beacon.robot, beacon.instance.hex(), beacon.revision)
             text = f"{beacon.robot} is not heard any more; it ran"
             self._begin(Found(IncidentKind.SILENT, text, id), robot=beacon.robot)
@@ -230,7 +239,8 @@ class IncidentService:
         """Begin an incident with the words of an operator."""
         text = f"{request.operator}: {request.words}"
         is_begun = self._begin(Found(IncidentKind.MARK, text, request.incident))
-        fault = self.fault or f"at most one in {GAP:.0f} s and {HOURLY} an hour"
+        limit = f"at most one in {GAP:.0f} s and {HOURLY} an hour"
+        fault = self.text if self._recorder.ring is None else limit
         answer(
             Reply(
                 id=request.id,
@@ -253,9 +263,6 @@ class IncidentService:
         if what.id in self._told or what.id in self._kept:
             return True
         at = boottime() if at is None else at
-        is_on = self._recorder.ring is not None
-        if not is_on or not self._may_begin(self._robot, at):
-            return False
         wall = time.time() - (boottime() - at)
         incident = Incident(
             id=what.id or os.urandom(6).hex(),
@@ -265,16 +272,19 @@ class IncidentService:
             by=self._robot,
             wall=wall if wall > FIRST_WALL else 0.0,
         )
+        is_on = left is not None or self._recorder.ring is not None
+        if not is_on or not self._may_begin(_origin_of(incident), at):
+            return False
         told = _Told(incident, at)
         self._tell(told)
         self._in_thread(partial(_signed, incident, self._identity()), partial(_set_told, told))
         if left is None:
             self._await_tail(incident, at)
         else:
-            self._write(incident, at, *left)
+            self._write(incident, at, *left, is_waiting=True)
         return True
 
-    def _may_begin(self, origin: str, now: float) -> bool:
+    def _may_begin(self, origin: tuple[str, bool], now: float) -> bool:
         """True unless this origin has begun an incident within GAP, or HOURLY in the last hour."""
         times = self._origins.get(origin, deque(maxlen=HOURLY))
         keep_newest(self._origins, origin, times, MAX_TOLD)
@@ -347,7 +357,11 @@ class IncidentService:
             is_ours = self._is_member(incident.robot) and self._is_member(incident.by)
             is_ours = is_ours and incident.by != self._robot
             is_late = received - told.at > self._seconds + MARGIN
-            if is_known or is_late or not is_ours or not self._may_begin(incident.by, received):
+            # One more would end the oldest, whose file may be due; the list is pulled again.
+            is_full = len(self._told) >= MAX_TOLD
+            if is_known or is_late or is_full or not is_ours:
+                continue
+            if not self._may_begin(_origin_of(incident), received):
                 continue
             self._tell(told)
             self._await_tail(incident, told.at)
@@ -360,14 +374,18 @@ class IncidentService:
         return bool(self._due)
 
     def advance(self, now: float) -> None:
-        """Write the files that are due, in threads, and forget what is too old to be told."""
+        """Write the files that are due, one at a time, and forget what is too old to be told."""
+        if now - self._advanced_at > STALL_TIMEOUT:
+            self._stalled_at = now
+        self._advanced_at = now
         oldest = now - self._seconds - MARGIN
         if old := [id for id, told in self._told.items() if told.at < oldest]:
             for id in old:
                 del self._told[id]
             self._set_digest()
-        for id in [id for id, due in self._due.items() if now >= due]:
-            self._write_due(id)
+        due = next((id for id, due in self._due.items() if now >= due), None)
+        if due is not None and (self._writing is None or self._writing.done()):
+            self._write_due(due)
 
     def _write_due(self, id: str, *, is_waiting: bool = False) -> None:
         del self._due[id]
@@ -429,12 +447,11 @@ class IncidentService:
         if is_waiting:
             on_done(work())
         else:
-            self._in_thread(work, on_done)
+            self._writing = self._in_thread(work, on_done)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         id, at = head.incident.id, head.at
-        is_here = head.clock == clock_id()
-        self._times[id] = at if is_here else boottime() - time.time() + head.wall + at - head.boot
+        self._times[id] = at if head.clock == clock_id() else None
         self._kept[id] = KeptIncident(
             incident=head.incident,
             age=None,
@@ -471,7 +488,7 @@ class IncidentService:
         }
         times = self._times | {id: self._told[id].at for id in awaited}
         kept = [
-            msgspec.structs.replace(one, age=max(now - times[id], 0.0))
+            msgspec.structs.replace(one, age=_age(times[id], one.incident.wall, now))
             for id, one in (*self._kept.items(), *awaited.items())
         ]
         begin = None if ring is None else ring.begin
@@ -488,7 +505,9 @@ class IncidentService:
         """Bytes of the file of an incident; the returned function runs in a thread."""
         return partial(piece_of, self._robot, self._folder, SUFFIX, query)
 
-    def _in_thread(self, work: Callable[[], T], on_done: Callable[[T], object]) -> None:
+    def _in_thread(
+        self, work: Callable[[], T], on_done: Callable[[T], object]
+    ) -> asyncio.Task[None]:
         """Call `work` in a thread, then `on_done` with its result on the loop."""
 
         async def run() -> None:
@@ -497,6 +516,22 @@ class IncidentService:
         task = asyncio.get_running_loop().create_task(run())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return task
+
+
+def _origin_of(incident: Incident) -> tuple[str, bool]:
+    """What begins at most so many incidents: a robot by itself, or a robot by the loss of others.
+
+    Peers that are lost again and again must not hide what befalls the robot itself.
+    """
+    return incident.by, incident.robot != incident.by
+
+
+def _age(at: float | None, wall: float, now: float) -> float | None:
+    """S since an incident at `at` s, else at `wall` s since 1970; None if a clock was not set."""
+    if at is None and min(wall, time.time()) < FIRST_WALL:
+        return None
+    return max(time.time() - wall if at is None else now - at, 0.0)
 
 
 def to_remove(kept: Sequence[KeptIncident], new: Incident, size: int) -> list[str]:
