@@ -396,7 +396,12 @@ class IncidentService:
             self._on_event(f"incident {id}: nothing is kept of it so far")
             return
         begin, end = ring.begin, boottime()
-        self._write(told.incident, told.at, ring.left, begin, end, is_waiting=is_waiting)
+        try:
+            reader = ring.reader()
+        except OSError as error:
+            self._fail(f"incident {id} is not on disk: {error.strerror}")
+            return
+        self._write(told.incident, told.at, reader, begin, end, is_waiting=is_waiting)
 
     def _write(
         self,

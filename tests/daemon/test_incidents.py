@@ -389,3 +389,14 @@ async def test_a_ring_that_ended_by_itself_tells_the_next_daemon_of_no_crash(
     assert "no room" in answers[0].text
     service.service.close(has_crashed=False)
     assert Service(tmp_path).files() == set()
+
+
+async def test_a_stop_loses_no_file_that_is_being_written(tmp_path: Path) -> None:
+    service, answers = Service(tmp_path), list[Reply]()
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.service.on_mark(mark("f" * 12), answers.append)
+    service.service.advance(boottime() + 20.0)
+    service.service.close(has_crashed=False)
+    assert service.service._writing is not None
+    await service.service._writing
+    assert service.files() == {"f" * 12}
