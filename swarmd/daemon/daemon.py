@@ -88,6 +88,7 @@ NETWORK_PERIOD = 2  # ticks between two looks at the network without an event
 STORAGE_PERIOD = 100  # ticks between two tries to write to a state folder that failed
 ACTIVE_TIME = 1.0
 """Seconds after an event with 20 ticks a second, each of which looks at the network."""
+SCAN_LOST = 1.0  # s after a scan without another one: the black box waits for none
 _ROUTINE = (events.TickInput, events.HostInput)  # inputs on which a running robot decides
 _MEASURED = (  # any input that is neither measured nor routine is an event
     events.ScanInput,
@@ -447,7 +448,8 @@ class Daemon:
         elif kind is events.HostInput or (kind is events.TickInput and not self._robot.is_running):
             # The command of this tick has gone to the base: the next scan or tick changes it.
             now = boottime()
-            is_between = now - self._scan_at < TICK  # lidars turn at most once in two ticks
+            # Lidars turn at most once in two ticks. One that is lost or not there sends no scan.
+            is_between = not TICK <= now - self._scan_at < SCAN_LOST
             self._recorder.remember(self._robot, now, self._timer.left if is_between else 0.0)
 
     def _tell_provisional(self) -> None:

@@ -30,7 +30,7 @@ from msgspec import Meta
 
 from swarmd.core import verbs
 from swarmd.core.bounds import keep_newest
-from swarmd.core.clock import FIRST_WALL, boottime, clock_id
+from swarmd.core.clock import FIRST_WALL, STALL_TIMEOUT, boottime, clock_id
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import read_regular, write_whole
 from swarmd.core.incident import (
@@ -130,16 +130,15 @@ class IncidentService:
         self._status: Status | None = None  # the last one
         self._status_at = 0.0
         self._told: dict[str, _Told] = {}  # by id
-        self.digest = b""  # of the ids in `_told`, for beacons; empty without any
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
-        self._times: dict[str, float] = {}  # by id: s of a kept incident on the present clock
-        self._origins: dict[str, deque[float]] = {}  # by origin: s of its last incidents
+        self._times: dict[str, float | None] = {}  # by id; None: s on the clock of an earlier boot
+        # By origin (see `_origin_of`): s of its last incidents.
+        self._origins: dict[tuple[str, bool], deque[float]] = {}
         self._due: dict[str, float] = {}  # by id: s at which its file is written
         self._asks = Asks(LIST_PERIOD)
-        self._writes = deque[
-            tuple[Callable[[], _Written | str], Callable[[_Written | str], None]]
-        ]()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._writing: asyncio.Task[None] | None = None
+        self._advanced_at, self._stalled_at = boottime(), -math.inf  # s
         self.fault = "" if section.seconds else "off: blackbox.seconds is 0"
         recorder.on_status = self._on_status
 
@@ -157,6 +156,11 @@ class IncidentService:
                 left = read_left(path)
             except CodecError as error:  # of another version
                 log.warning("what the daemon before left is lost: %s", error)
+            if left is not None and left.frames:
+                try:  # before the ring begins again: a second kill must not lose it
+                    self._on_left(left)
+                except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
+                    log.warning("what the daemon before left is lost: %s", error)
             head, now = self._head(), boottime()
             self._recorder.ring = Ring(
                 path,
@@ -169,12 +173,6 @@ class IncidentService:
             remove_old(folder, time.time())  # its own, which may be old as well, has been read
         except OSError as error:
             self._fail(f"no file in memory: {error.strerror or error}")
-            return
-        if left is not None and left.frames:
-            try:
-                self._on_left(left, head)
-            except (CodecError, ConfigError, OSError) as error:
-                log.warning("what the daemon before left is lost: %s", error)
 
     def _read_kept(self) -> None:
         """Read the heads of the files that earlier daemons wrote."""
@@ -187,32 +185,26 @@ class IncidentService:
         for head, size, crc in sorted(heads, key=lambda one: one[0].wall + one[0].at - one[0].boot):
             self._note_kept(head, size, crc)
             if head.clock == clock_id():
-                self._may_begin(head.incident.by, head.at, gap=0.0)  # counts from now on
+                # A daemon that dies again and again begins no more incidents than one that lives.
+                self._may_begin(_origin_of(head.incident), head.at, gap=0.0)
 
-    def _on_left(self, left: Left, head: RecordingHead) -> None:
+    def _on_left(self, left: Left) -> None:
         """Write what an earlier daemon has left; it was killed, or has crashed."""
         entries = entries_of(left)
         if not entries:
             return
-        end = entries[-1].at
-        pending = [one for one in entries if isinstance(one, frames.TextEntry)]
-        incidents = (
-            (one.at, msgspec.json.decode(one.json, type=Incident))
-            for one in pending
-            if one.topic == "/incident"
-        )
-        for at, incident in incidents:
-            if incident.id not in self._kept and end - at <= TAIL:
-                self._may_begin(incident.by, at, gap=0.0)
-                self._write(incident, at, lambda: left, entries[0].at, end)
+        end = max(one.at for one in entries)
+        source = lambda: left, entries[0].at, end
+        for one in entries:
+            if isinstance(one, frames.TextEntry) and one.topic == "/incident":
+                incident = msgspec.json.decode(one.json, type=Incident)
+                if incident.id not in self._kept and end - one.at <= MARGIN:
+                    self._may_begin(_origin_of(incident), one.at, gap=0.0)
+                    self._write(incident, one.at, *source, is_waiting=True)
         instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
-        id = silent_id(self._robot, instance, left.revision)
-        self._begin(
-            Found(IncidentKind.SILENT, text, self._id_of_silence(id, end)),
-            at=end,
-            left=(lambda: left, entries[0].at, end),
-        )
+        id = self._id_of_silence(silent_id(self._robot, instance, left.revision), end)
+        self._begin(Found(IncidentKind.SILENT, text, id), at=end, left=source)
 
     def close(self, *, has_crashed: bool) -> None:
         """Write the incidents whose last seconds are not over as they are, and end the ring.
@@ -233,17 +225,19 @@ class IncidentService:
         before_at, self._status_at = self._status_at, boottime()
         what = found(before, status)
         if what is not None and what.kind is IncidentKind.STALL:
-            id = self._id_of_silence(what.id, before_at)
-            what = Found(what.kind, what.text, id)
+            what = Found(what.kind, what.text, self._id_of_silence(what.id, before_at))
         if what is not None:
             self._begin(what)
 
     def on_lost(self, beacon: Beacon) -> None:
         """Begin an incident if the robot, which has failed since this last beacon, ran."""
-        if STATES[beacon.state : beacon.state + 1] == (State.RUNNING,):
+        now = boottime()
+        # A daemon that stood still has heard none of its peers.
+        is_heard = now - self._advanced_at < STALL_TIMEOUT and now - self._stalled_at > GAP
+        if is_heard and STATES[beacon.state : beacon.state + 1] == (State.RUNNING,):
             id = silent_id(beacon.robot, beacon.instance.hex(), beacon.revision)
-            id = self._id_of_silence(id, boottime())
             text = f"{beacon.robot} is not heard any more; it ran"
+            id = self._id_of_silence(id, now)
             self._begin(Found(IncidentKind.SILENT, text, id), robot=beacon.robot)
 
     def _id_of_silence(self, id: str, at: float) -> str:
@@ -251,8 +245,8 @@ class IncidentService:
 
         A file of more than TAIL s before has nothing of it, so it is another incident.
         """
-        times = self._times | {known: told.at for known, told in self._told.items()}
-        while at - times.get(id, math.inf) > TAIL:
+        known = self._times | {known: told.at for known, told in self._told.items()}
+        while (before := known.get(id)) is not None and at - before > TAIL:
             id = id_of(id)
         return id
 
@@ -260,7 +254,8 @@ class IncidentService:
         """Begin an incident with the words of an operator."""
         text = f"{request.operator}: {request.words}"
         is_begun = self._begin(Found(IncidentKind.MARK, text, request.incident))
-        fault = self.fault or f"at most one in {GAP:.0f} s and {HOURLY} an hour"
+        limit = f"at most one in {GAP:.0f} s and {HOURLY} an hour"
+        fault = self._problem or limit
         answer(
             Reply(
                 id=request.id,
@@ -283,9 +278,6 @@ class IncidentService:
         if what.id in self._told or what.id in self._kept:
             return True
         at = boottime() if at is None else at
-        is_on, gap = self._recorder.ring is not None, GAP if left is None else 0.0
-        if not is_on or not self._may_begin(self._robot, at, gap):
-            return False
         wall = time.time() - (boottime() - at)
         incident = Incident(
             id=what.id or os.urandom(6).hex(),
@@ -295,37 +287,34 @@ class IncidentService:
             by=self._robot,
             wall=wall if wall > FIRST_WALL else 0.0,
         )
+        is_on = left is not None or self._recorder.ring is not None
+        gap = GAP if left is None else 0.0
+        if not is_on or not self._may_begin(_origin_of(incident), at, gap):
+            return False
         told = _Told(incident, at)
         self._tell(told)
         self._in_thread(partial(_signed, incident, self._identity()), partial(_set_told, told))
         if left is None:
             self._await_tail(incident, at)
         else:
-            self._write(incident, at, *left)
+            self._write(incident, at, *left, is_waiting=True)
         return True
 
-    def _may_begin(self, origin: str, now: float, gap: float = GAP) -> bool:
+    def _may_begin(self, origin: tuple[str, bool], now: float, gap: float = GAP) -> bool:
         """True unless this origin began an incident within `gap` s, or HOURLY in the last hour."""
         times = self._origins.get(origin, deque(maxlen=HOURLY))
         keep_newest(self._origins, origin, times, MAX_TOLD)
         is_soon = bool(times) and now - times[-1] < gap
         is_many = len(times) == HOURLY and now - times[0] < 3600.0
-        if is_soon or is_many:
-            return False
-        times.append(now)
-        return True
+        if not (is_soon or is_many):
+            times.append(now)
+        return not (is_soon or is_many)
 
     def _tell(self, told: _Told) -> None:
         """Tell an incident to peers from now on, and to the log."""
         incident = told.incident
         keep_newest(self._told, incident.id, told, MAX_TOLD)
-        self._set_digest()
         self._on_event(f"incident {incident.id} of {incident.robot}: {incident.text}")
-
-    def _set_digest(self) -> None:
-        content = "\n".join(sorted(self._told)).encode()
-        digest = hashlib.blake2b(content, digest_size=DIGEST_BYTES).digest()
-        self.digest = digest if content else b""
 
     def _await_tail(self, incident: Incident, at: float) -> None:
         """Note the incident in the ring; its file is written TAIL s after it."""
@@ -333,6 +322,12 @@ class IncidentService:
         self._recorder.add(frames.TextEntry(at, "/incident", msgspec.json.encode(incident)))
 
     # Spread
+
+    @property
+    def digest(self) -> bytes:
+        """The digest of the ids that this robot tells, for beacons; empty without any."""
+        content = "\n".join(sorted(self._told)).encode()
+        return hashlib.blake2b(content, digest_size=DIGEST_BYTES).digest() if content else b""
 
     def serve(self, bus: ZenohBus) -> None:
         """Hand the incidents of the last minutes to other robots."""
@@ -377,7 +372,11 @@ class IncidentService:
             is_ours = self._is_member(incident.robot) and self._is_member(incident.by)
             is_ours = is_ours and incident.by != self._robot
             is_late = received - told.at > self._seconds + MARGIN
-            if is_known or is_late or not is_ours or not self._may_begin(incident.by, received):
+            # One more would end the oldest, whose file may be due; the list is pulled again.
+            is_full = len(self._told) >= MAX_TOLD
+            if is_known or is_late or is_full or not is_ours:
+                continue
+            if not self._may_begin(_origin_of(incident), received):
                 continue
             self._tell(told)
             self._await_tail(incident, told.at)
@@ -390,14 +389,15 @@ class IncidentService:
         return bool(self._due)
 
     def advance(self, now: float) -> None:
-        """Write the files that are due, in threads, and forget what is too old to be told."""
+        """Write the files that are due, one at a time, and forget what is too old to be told."""
+        if now - self._advanced_at > STALL_TIMEOUT:
+            self._stalled_at = now
+        self._advanced_at = now
         oldest = now - self._seconds - MARGIN
-        if old := [id for id, told in self._told.items() if told.at < oldest]:
-            for id in old:
-                del self._told[id]
-            self._set_digest()
-        for id in [id for id, due in self._due.items() if now >= due]:
-            self._write_due(id)
+        self._told = {id: told for id, told in self._told.items() if told.at >= oldest}
+        due = next((id for id, due in self._due.items() if now >= due), None)
+        if due is not None and (self._writing is None or self._writing.done()):
+            self._write_due(due)
 
     def _write_due(self, id: str, *, is_waiting: bool = False) -> None:
         del self._due[id]
@@ -408,7 +408,12 @@ class IncidentService:
             self._on_event(f"incident {id}: nothing is kept of it so far")
             return
         begin, end = ring.begin, boottime()
-        self._write(told.incident, told.at, ring.left, begin, end, is_waiting=is_waiting)
+        try:
+            reader = ring.reader()
+        except OSError as error:
+            self._fail(f"incident {id} is not on disk: {error.strerror}")
+            return
+        self._write(told.incident, told.at, reader, begin, end, is_waiting=is_waiting)
 
     def _write(
         self,
@@ -424,27 +429,28 @@ class IncidentService:
         missing = f"nothing before {begin - at:+.0f} s" if begin > at - self._seconds else ""
         if end < at + TAIL - 1.0:
             missing = "; ".join(filter(None, (missing, f"nothing after {end - at:+.0f} s")))
+        kept = tuple(self._kept.values())
 
         def work() -> _Written | str:
             """In a thread: the frames are copied, packed and written."""
             try:
                 left = source()
+                head = IncidentHead(
+                    incident=incident,
+                    at=at,
+                    clock=clock_id(),
+                    begin=begin,
+                    end=end,
+                    missing=missing,
+                    size=len(left.frames),
+                    about=left.about,
+                    boot=left.boot,
+                    wall=left.wall,
+                    revision=left.revision,
+                )
+                return _write_file(self._folder, head, left.frames, kept)
             except (OSError, CodecError) as error:
-                return str(error)
-            head = IncidentHead(
-                incident=incident,
-                at=at,
-                clock=clock_id(),
-                begin=begin,
-                end=end,
-                missing=missing,
-                size=len(left.frames),
-                about=left.about,
-                boot=left.boot,
-                wall=left.wall,
-                revision=left.revision,
-            )
-            return _write_file(self._folder, head, left.frames, tuple(self._kept.values()))
+                return getattr(error, "strerror", None) or str(error)
 
         def on_done(written: _Written | str) -> None:
             if isinstance(written, str):
@@ -457,27 +463,12 @@ class IncidentService:
 
         if is_waiting:
             on_done(work())
-            return
-        self._writes.append((work, on_done))
-        if len(self._writes) == 1:
-            self._write_next()
-
-    def _write_next(self) -> None:
-        """Write in a thread, one file at a time: each gives way to the files before it."""
-        work, on_done = self._writes[0]
-
-        def end(written: _Written | str) -> None:
-            on_done(written)
-            self._writes.popleft()
-            if self._writes:
-                self._write_next()
-
-        self._in_thread(work, end)
+        else:
+            self._writing = self._in_thread(work, on_done)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         id, at = head.incident.id, head.at
-        is_here = head.clock == clock_id()
-        self._times[id] = at if is_here else boottime() - time.time() + head.wall + at - head.boot
+        self._times[id] = at if head.clock == clock_id() else None
         self._kept[id] = KeptIncident(
             incident=head.incident,
             age=None,
@@ -490,13 +481,17 @@ class IncidentService:
         )
 
     @property
+    def _problem(self) -> str:
+        """Why nothing is kept, or why the last file was not written; empty if all is well."""
+        return self.fault or self._recorder.ring_fault
+
+    @property
     def text(self) -> str:
         """What is kept, in a line, or why nothing is."""
         ring = self._recorder.ring
-        fault = self.fault or self._recorder.ring_fault
         begin = boottime() if ring is None or ring.begin is None else ring.begin
         kept = f"keeps the last {boottime() - begin:.0f} s, {len(self._kept)} incidents"
-        return fault or kept
+        return self._problem or kept
 
     def _fail(self, fault: str) -> None:
         self.fault = fault[:MAX_LINE]
@@ -514,7 +509,7 @@ class IncidentService:
         }
         times = self._times | {id: self._told[id].at for id in awaited}
         kept = [
-            msgspec.structs.replace(one, age=max(now - times[id], 0.0))
+            msgspec.structs.replace(one, age=_age(times[id], one.incident.wall, now))
             for id, one in (*self._kept.items(), *awaited.items())
         ]
         begin = None if ring is None else ring.begin
@@ -524,14 +519,16 @@ class IncidentService:
             clock=clock_id(),
             incidents=tuple(kept),
             kept=None if begin is None else max(now - begin, 0.0),
-            fault=self.fault or self._recorder.ring_fault,
+            fault=self._problem,
         )
 
     def on_incident(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:
         """Bytes of the file of an incident; the returned function runs in a thread."""
         return partial(piece_of, self._robot, self._folder, SUFFIX, query)
 
-    def _in_thread(self, work: Callable[[], T], on_done: Callable[[T], object]) -> None:
+    def _in_thread(
+        self, work: Callable[[], T], on_done: Callable[[T], object]
+    ) -> asyncio.Task[None]:
         """Call `work` in a thread, then `on_done` with its result on the loop."""
 
         async def run() -> None:
@@ -540,6 +537,22 @@ class IncidentService:
         task = asyncio.get_running_loop().create_task(run())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return task
+
+
+def _origin_of(incident: Incident) -> tuple[str, bool]:
+    """What begins at most so many incidents: a robot by itself, or a robot by the loss of others.
+
+    Peers that are lost again and again must not hide what befalls the robot itself.
+    """
+    return incident.by, incident.robot != incident.by
+
+
+def _age(at: float | None, wall: float, now: float) -> float | None:
+    """S since an incident at `at` s, else at `wall` s since 1970; None if a clock was not set."""
+    if at is None and min(wall, time.time()) < FIRST_WALL:
+        return None
+    return max(time.time() - wall if at is None else now - at, 0.0)
 
 
 def to_remove(kept: Sequence[KeptIncident], new: Incident, size: int) -> list[str]:

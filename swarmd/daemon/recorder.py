@@ -358,6 +358,8 @@ class Recorder:
             self._end_ring(error.strerror or str(error))
 
     def _end_ring(self, fault: str) -> None:
+        if self.ring is not None:  # its file would tell the next daemon of a crash
+            self.ring.close(keeps_file=False)
         self.ring, self.ring_fault = None, fault
         self._on_event(f"black box ends: {fault}")
 

@@ -14,10 +14,11 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import Count, Line, Seconds
+from swarmd.core.bounds import Count, Line, Seconds, Stamp
 from swarmd.core.errors import CodecError
 from swarmd.core.files import read_regular
 from swarmd.core.incident import Incident, Wall
+from swarmd.recording import frames
 from swarmd.recording.ring import Left, begin_of, entries_of
 
 SUFFIX = ".incident"
@@ -28,14 +29,15 @@ _SIZE = struct.Struct("<I")
 class IncidentHead(Struct, frozen=True, kw_only=True):
     """The head of a file.
 
-    - `at`: s of the incident on the clock `clock` of the robot that keeps the file.
+    - `at`: s of the incident on the clock `clock` of the robot that keeps the file; negative if its
+      machine has booted since.
     - `begin`, `end`: s on that clock between which it has entries. `missing`: why it has no others.
     - `size`: bytes of the frames before compression.
     - `about`, `boot`, `wall`, `revision`: as in `Left`.
     """
 
     incident: Incident
-    at: Seconds
+    at: Stamp
     clock: Annotated[str, Meta(max_length=32)]
     begin: Seconds
     end: Seconds
@@ -52,10 +54,10 @@ _DAMAGED = (ArithmeticError, IndexError, TypeError, ValueError, struct.error)
 _head = msgspec.msgpack.Decoder(IncidentHead)
 
 
-def pack(head: IncidentHead, frames: bytes) -> bytes:
+def pack(head: IncidentHead, content: bytes) -> bytes:
     """The bytes of a file."""
     packed = msgspec.msgpack.encode(head)
-    return _SIZE.pack(len(packed)) + packed + zlib.compress(frames, 1)
+    return _SIZE.pack(len(packed)) + packed + zlib.compress(content, 1)
 
 
 def read_head(data: bytes) -> IncidentHead:
@@ -74,12 +76,12 @@ def read(path: Path) -> tuple[IncidentHead, Left]:
     (size,) = _SIZE.unpack_from(data)
     packed = zlib.decompressobj()
     try:
-        frames = packed.decompress(data[_SIZE.size + size :], head.size + 1)
+        content = packed.decompress(data[_SIZE.size + size :], head.size + 1)
     except zlib.error as error:
         raise CodecError(f"damaged: {error}") from error
-    if len(frames) != head.size or not packed.eof:
-        raise CodecError(f"it has {len(frames)} bytes of frames; expected {head.size}, whole")
-    return head, Left(head.about, frames, head.boot, head.wall, head.revision)
+    if len(content) != head.size or not packed.eof:
+        raise CodecError(f"it has {len(content)} bytes of frames; expected {head.size}, whole")
+    return head, Left(head.about, content, head.boot, head.wall, head.revision)
 
 
 def to_recording(path: Path) -> Path:
@@ -89,10 +91,13 @@ def to_recording(path: Path) -> Path:
     """
     from swarmd.recording.process import Converter
 
-    _, left = read(path)
+    head, left = read(path)
     entries = entries_of(left)
     if not entries:
         raise CodecError("it has no entries")
+    told = frames.TextEntry(head.at, "/incident", msgspec.json.encode(head.incident))
+    if told not in entries:  # the robot was killed, and its next daemon found the incident
+        entries.append(told)
     name = path.name.removesuffix(SUFFIX)
     _remove(path.parent, name)
     writer = None

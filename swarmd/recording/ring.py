@@ -20,8 +20,9 @@ import os
 import stat
 import struct
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -134,12 +135,12 @@ class Ring:
         self._write_header()
 
     def left(self) -> Left:
-        """A copy of all frames, also in a thread while the ring is written; OSError, CodecError."""
-        file = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-        try:
-            return _left(file)
-        finally:
-            os.close(file)
+        """A copy of all frames; OSError, CodecError."""
+        return self.reader()()
+
+    def reader(self) -> Callable[[], Left]:
+        """`left`, to be called once, in a thread: while the ring is written, or after its end."""
+        return partial(_left_once, os.dup(self._file))
 
     def close(self, *, keeps_file: bool = True) -> None:
         """Close the file; without `keeps_file` remove it, so that a later process finds nothing."""
@@ -164,10 +165,7 @@ def read_left(path: Path) -> Left | None:
         file = _open(path, os.O_RDONLY)
     except OSError:
         return None
-    try:
-        return _left(file)
-    finally:
-        os.close(file)
+    return _left_once(file)
 
 
 def entries_of(left: Left) -> list[Entry]:
@@ -204,11 +202,19 @@ def memory_folder(given: str | None, environ: Mapping[str, str]) -> Path:
 
 
 def remove_old(folder: Path, wall: float) -> None:
-    """Remove the rings in `folder` that nobody has written for OLD s; `wall`: s since 1970."""
+    """Remove the rings in `folder` that no process has written for OLD s; `wall`: s since 1970.
+
+    Other files stay: an operator may name any folder.
+    """
     for path in folder.iterdir():
         with suppress(OSError):
-            if wall - path.stat().st_mtime > OLD:
-                os.close(_open(path, os.O_RDONLY))  # no process uses it
+            found = path.lstat()
+            if not stat.S_ISREG(found.st_mode) or wall - found.st_mtime <= OLD:
+                continue
+            file = _open(path, os.O_RDONLY)  # no process uses it
+            is_ring = os.pread(file, len(_MAGIC), 0) == _MAGIC
+            os.close(file)
+            if is_ring:
                 path.unlink()
 
 
@@ -221,6 +227,13 @@ def _open(path: Path, flags: int = os.O_RDWR | os.O_CREAT) -> int:
         os.close(file)
         raise
     return file
+
+
+def _left_once(file: int) -> Left:
+    try:
+        return _left(file)
+    finally:
+        os.close(file)
 
 
 def _left(file: int) -> Left:

@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
+import time
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.incident import Incident, IncidentKind, ToldIncident
-from swarmd.core.verbs import KeptIncident
-from swarmd.daemon.incidents import MAX_BYTES, MAX_KEPT, _checked, _signed, to_remove
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident
+from swarmd.core.messages import Code, Reply, State
+from swarmd.core.verbs import IncidentsReply, KeptIncident, MarkRequest, Nothing
+from swarmd.daemon.incidents import (
+    MAX_BYTES,
+    MAX_KEPT,
+    IncidentService,
+    _checked,
+    _signed,
+    _Told,
+    to_remove,
+)
+from swarmd.daemon.recorder import Recorder
+from swarmd.network.datagram import STATES, Beacon
 from swarmd.recording import frames
-from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left
+from swarmd.recording.head import RecordingHead
+from swarmd.recording.incident_file import IncidentHead
+from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left, remove_old
+from swarmd.robot.setup import RobotIdentity, RobotSetup
+from swarmd.settings.platforms import load_platform
+from swarmd.settings.swarmfile import BlackboxSection
 from tests.support.examples import examples
 from tests.support.keys import SwarmKeys
 
@@ -209,3 +230,173 @@ def test_the_folder_in_memory_is_of_this_user_alone(tmp_path: Path) -> None:
             memory_folder(str(tmp_path / name), {})
     made = memory_folder(None, {"RUNTIME_DIRECTORY": str(tmp_path / "run")})
     assert made.stat().st_mode & 0o777 == 0o700
+
+
+def test_only_old_rings_are_removed_from_the_folder(tmp_path: Path) -> None:
+    Ring(tmp_path / "ring", {}, capacity=1000, seconds=9.0, boot=1.0, wall=2.0).close()
+    (tmp_path / "thesis").write_text("of an operator")
+    os.mkfifo(tmp_path / "pipe")  # to open it would wait for a writer
+    for path in tmp_path.iterdir():
+        os.utime(path, (0.0, 0.0))
+    remove_old(tmp_path, 86401.0)
+    assert {path.name for path in tmp_path.iterdir()} == {"thesis", "pipe"}
+
+
+# The service
+
+
+class Service:
+    """The incidents of a robot with a recorder whose entries a test adds."""
+
+    def __init__(self, folder: Path) -> None:
+        self.events: list[str] = []
+        self.recorder = Recorder(asyncio.get_running_loop(), self.events.append)
+        self.folder = folder / "state"
+        self.service = IncidentService(
+            "r1", self.folder, BlackboxSection(folder=str(folder / "memory")),
+            recorder=self.recorder, puller=MagicMock(), head=lambda: HEAD,
+            identity=lambda: None, is_member=lambda name: True, on_event=self.events.append,
+        )  # fmt: skip
+        self.service.open()
+
+    def keep(self, *entries: frames.Entry) -> None:
+        """A segment of the ring."""
+        ring = self.recorder.ring
+        assert ring is not None
+        ring.begin_segment(entries[0].at)
+        ring.write(frames.batch([frames.encode(one) for one in entries]))
+
+    def die(self) -> None:
+        """Leave the ring as a daemon that is killed."""
+        assert self.recorder.ring is not None
+        self.recorder.ring.close()
+
+    def tell(self, *incidents: Incident) -> None:
+        told = [_Told(one, 0.0, _signed(one, None)) for one in incidents]
+        self.service._on_checked("r9", boottime(), told)
+
+    def files(self) -> set[str]:
+        return {path.stem for path in (self.folder / "incidents").glob("*.incident")}
+
+    def reply(self) -> IncidentsReply:
+        return Decoder(IncidentsReply)(encode(self.service.on_incidents(Nothing())))
+
+
+HEAD = RecordingHead(
+    swarm="meadow",
+    clock="c",
+    machine="",
+    identity=RobotIdentity(
+        robot="r1", platform=load_platform("burger"), setup=RobotSetup(driver="d"), seed=1,
+        instance="i1",
+    ),
+)  # fmt: skip
+
+
+def mark(id: str) -> MarkRequest:
+    return MarkRequest(id="m", operator="anna", targets={"r1": None}, words="w", incident=id)
+
+
+async def test_what_a_killed_daemon_left_outlives_a_second_kill_at_any_time(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.die()
+    second = Service(tmp_path)  # killed before any task of it ran
+    assert len(second.files()) == 1
+    second.die()
+
+
+async def test_an_incident_whose_file_was_being_written_at_the_kill_is_written(
+    tmp_path: Path,
+) -> None:
+    first, now, told = Service(tmp_path), boottime(), incident("aaaaaaaaaaaa")
+    entry = frames.TextEntry(now - 12.0, "/incident", msgspec.json.encode(told))
+    first.keep(frames.EventEntry(now - 20.0, "x"), entry, frames.EventEntry(now, "y"))
+    first.die()
+    assert told.id in Service(tmp_path).files()
+
+
+async def test_a_ring_with_an_incident_of_another_form_ends_no_start(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.TextEntry(boottime(), "/incident", b'{"id": 3}'))
+    first.die()
+    assert Service(tmp_path).recorder.ring is not None
+
+
+async def test_a_daemon_that_is_killed_again_and_again_begins_one_incident_in_ten_seconds(
+    tmp_path: Path,
+) -> None:
+    for number in range(4):
+        service = Service(tmp_path)
+        service.recorder.ring.revision = number  # type: ignore[union-attr]
+        service.keep(frames.EventEntry(boottime(), "x"))
+        service.die()
+    assert len(Service(tmp_path).files()) == 1
+
+
+async def test_lost_peers_do_not_use_up_the_incidents_of_the_robot_itself(tmp_path: Path) -> None:
+    service, answers = Service(tmp_path), list[Reply]()
+    lost = Found(IncidentKind.SILENT, "not heard", "b" * 12)
+    assert service.service._begin(lost, robot="r2")
+    service.service.on_mark(mark("c" * 12), answers.append)
+    service.service.on_mark(mark("d" * 12), answers.append)
+    assert [one.code for one in answers] == [Code.APPLIED, Code.REFUSED]
+
+
+@pytest.mark.parametrize("gap", [0.05, 6.0])
+async def test_a_daemon_that_stood_still_tells_of_no_lost_peers(tmp_path: Path, gap: float) -> None:
+    service = Service(tmp_path)
+    service.service.advance(boottime() - gap)
+    service.service.advance(boottime())  # a tick may come before the look at the network
+    running = STATES.index(State.RUNNING)
+    beacon = Beacon(robot="r2", instance=bytes(6), sequence=1, wire=1, state=running, revision=1)
+    service.service.on_lost(beacon)
+    assert bool(service.events) is (gap < 1.0)
+
+
+async def test_tales_of_many_robots_end_no_incident_whose_file_is_due(tmp_path: Path) -> None:
+    service, answers = Service(tmp_path), list[Reply]()
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.service.on_mark(mark("f" * 12), answers.append)
+    service.tell(*(incident(f"{n:012x}", f"r{n}") for n in range(2, 60)))
+    service.service.close(has_crashed=False)
+    assert "f" * 12 in service.files()
+    assert len(service.files()) <= MAX_KEPT
+    assert len(service.reply().incidents) == len(service.files())
+
+
+async def test_a_file_of_an_earlier_boot_without_a_set_clock_has_no_age(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    for id, wall in (("a" * 12, 0.0), ("b" * 12, time.time() - 500.0)):
+        told = msgspec.structs.replace(incident(id), wall=wall)
+        head = IncidentHead(
+            incident=told, at=5.0, clock="earlier", begin=1.0, end=9.0, size=0, about={},
+            boot=4.0, wall=60.0,
+        )  # fmt: skip
+        service.service._note_kept(head, 10, 0)
+    ages = {one.incident.id: one.age for one in service.reply().incidents}
+    assert ages["a" * 12] is None
+    assert ages["b" * 12] == pytest.approx(500.0, abs=30.0)
+
+
+async def test_a_ring_that_ended_by_itself_tells_the_next_daemon_of_no_crash(
+    tmp_path: Path,
+) -> None:
+    service, answers = Service(tmp_path), list[Reply]()
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.recorder._end_ring("no room")
+    service.service.on_mark(mark("c" * 12), answers.append)
+    assert "no room" in answers[0].text
+    service.service.close(has_crashed=False)
+    assert Service(tmp_path).files() == set()
+
+
+async def test_a_stop_loses_no_file_that_is_being_written(tmp_path: Path) -> None:
+    service, answers = Service(tmp_path), list[Reply]()
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.service.on_mark(mark("f" * 12), answers.append)
+    service.service.advance(boottime() + 20.0)
+    service.service.close(has_crashed=False)
+    assert service.service._writing is not None
+    await service.service._writing
+    assert service.files() == {"f" * 12}

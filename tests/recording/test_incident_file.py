@@ -63,6 +63,14 @@ def test_a_file_becomes_a_recording_that_is_repeated_to_the_bit(kept: Path) -> N
     assert sum(one.topic == "/incident" for one in read_file(path).messages) == 1
 
 
+def test_the_recording_of_a_robot_that_was_killed_names_its_incident(tmp_path: Path) -> None:
+    data = frames_of(frames.EventEntry(1.0, "the last one"))  # the next daemon found the incident
+    path = tmp_path / f"{ID}.incident"
+    path.write_bytes(pack(head_of_frames(data), data))
+    named = [one for one in read_file(to_recording(path)).messages if one.topic == "/incident"]
+    assert len(named) == 1
+
+
 def test_a_cut_file_is_damaged_wherever_it_is_cut(kept: Path, tmp_path: Path) -> None:
     data = kept.read_bytes()
     for length in (0, 1, 3, 4, 5, 100, len(data) // 2, len(data) - 5, len(data) - 1):
@@ -226,3 +234,12 @@ def test_the_encoder_of_a_head_is_read_again() -> None:
     with pytest.raises(CodecError):
         read_head(pack(structs.replace(head, wall=float("nan")), b""))
     assert msgspec.msgpack.decode(msgspec.msgpack.encode(head.incident))["id"] == ID
+
+
+def test_an_incident_from_before_the_boot_of_a_robot_is_read_and_converted(tmp_path: Path) -> None:
+    told = frames.TextEntry(-30.0, "/incident", msgspec.json.encode(incident_of("a")))
+    data = frames_of(frames.EventEntry(1.0, "first"), told)
+    path = tmp_path / f"{ID}.incident"
+    path.write_bytes(pack(structs.replace(head_of_frames(data), at=-30.0), data))
+    assert read(path)[0].at == -30.0
+    assert to_recording(path).exists()
