@@ -272,9 +272,13 @@ def replay(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> History:
     """Let a history happen. BrokenRuleError if it breaks a rule."""
     is_fenced = any(one.name == "freeze_pose" for one in steps)
     history = History(count, seed, is_fenced=is_fenced)
-    for one in steps:
-        history.carry_out(one)
-    history.end()
+    try:
+        for one in steps:
+            history.carry_out(one)
+        history.end()
+    except BaseException:
+        history.swarm.close()
+        raise
     return history
 
 
@@ -608,7 +612,7 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
 def fault_of(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> BrokenRuleError | None:
     """The rule that a history breaks; None if all hold."""
     try:
-        replay(count, steps, seed)
+        replay(count, steps, seed).swarm.close()
     except BrokenRuleError as error:
         return error
     return None

@@ -286,7 +286,7 @@ class VirtualSwarm:
         self._order = itertools.count()
         self.chance_of_ids = random.Random(f"incidents {seed}")
         self.folder, self.rings = memory_folder(), set[Ring]()
-        weakref.finalize(self, _remove, self.folder, self.rings)
+        self.close = weakref.finalize(self, _remove, self.folder, self.rings)
 
     def add(self, node: Node) -> None:
         """A robot or an operator comes; its address is that of its name for good."""
