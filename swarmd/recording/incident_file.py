@@ -18,6 +18,7 @@ from swarmd.core.bounds import Count, Line, Seconds
 from swarmd.core.errors import CodecError
 from swarmd.core.files import read_regular
 from swarmd.core.incident import Incident, Wall
+from swarmd.recording.frames import TextEntry
 from swarmd.recording.ring import Left, begin_of, entries_of
 
 SUFFIX = ".incident"
@@ -89,10 +90,13 @@ def to_recording(path: Path) -> Path:
     """
     from swarmd.recording.process import Converter
 
-    _, left = read(path)
+    head, left = read(path)
     entries = entries_of(left)
     if not entries:
         raise CodecError("it has no entries")
+    note = TextEntry(head.at, "/incident", msgspec.json.encode(head.incident))
+    if note.json not in [one.json for one in entries if isinstance(one, TextEntry)]:
+        entries.append(note)  # a daemon that was killed could not note its own end
     name = path.name.removesuffix(SUFFIX)
     _remove(path.parent, name)
     writer = None

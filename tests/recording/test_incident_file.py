@@ -63,6 +63,14 @@ def test_a_file_becomes_a_recording_that_is_repeated_to_the_bit(kept: Path) -> N
     assert sum(one.topic == "/incident" for one in read_file(path).messages) == 1
 
 
+def test_the_recording_names_the_incident_that_its_robot_could_not_note(tmp_path: Path) -> None:
+    data = frames_of(frames.EventEntry(1.0, "last"))  # then the daemon was killed
+    path = tmp_path / f"{ID}.incident"
+    path.write_bytes(pack(head_of_frames(data), data))
+    topics = [one.topic for one in read_file(to_recording(path)).messages]
+    assert topics.count("/incident") == 1
+
+
 def test_a_cut_file_is_damaged_wherever_it_is_cut(kept: Path, tmp_path: Path) -> None:
     data = kept.read_bytes()
     for length in (0, 1, 3, 4, 5, 100, len(data) // 2, len(data) - 5, len(data) - 1):
