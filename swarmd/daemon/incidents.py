@@ -123,7 +123,7 @@ class IncidentService:
         self.digest = b""  # of the ids in `_told`, for beacons; empty without any
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
         self._times: dict[str, float] = {}  # by id: s of a kept incident on the present clock
-        self._origins: dict[str, deque[float]] = {}  # by origin: s of its last incidents
+        self._origins: dict[tuple[str, bool], deque[float]] = {}  # s of its last incidents
         self._due: dict[str, float] = {}  # by id: s at which its file is written
         self._asks = Asks(LIST_PERIOD)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -230,7 +230,7 @@ class IncidentService:
         """Begin an incident with the words of an operator."""
         text = f"{request.operator}: {request.words}"
         is_begun = self._begin(Found(IncidentKind.MARK, text, request.incident))
-        fault = self.fault or f"at most one in {GAP:.0f} s and {HOURLY} an hour"
+        fault = self._problem or f"it takes a mark in {GAP:.0f} s, and {HOURLY} an hour, at most"
         answer(
             Reply(
                 id=request.id,
@@ -254,7 +254,7 @@ class IncidentService:
             return True
         at = boottime() if at is None else at
         is_on = self._recorder.ring is not None
-        if not is_on or not self._may_begin(self._robot, at):
+        if not is_on or not self._may_begin(self._robot, what.kind, at):
             return False
         wall = time.time() - (boottime() - at)
         incident = Incident(
@@ -274,8 +274,12 @@ class IncidentService:
             self._write(incident, at, *left)
         return True
 
-    def _may_begin(self, origin: str, now: float) -> bool:
-        """True unless this origin has begun an incident within GAP, or HOURLY in the last hour."""
+    def _may_begin(self, by: str, kind: str, now: float) -> bool:
+        """True unless `by` has begun an incident within GAP, or HOURLY in the last hour.
+
+        Marks count apart: words on an incident follow it at once, and hide none to come.
+        """
+        origin = (by, kind == IncidentKind.MARK)
         times = self._origins.get(origin, deque(maxlen=HOURLY))
         keep_newest(self._origins, origin, times, MAX_TOLD)
         is_soon = bool(times) and now - times[-1] < GAP
@@ -347,10 +351,11 @@ class IncidentService:
             is_ours = self._is_member(incident.robot) and self._is_member(incident.by)
             is_ours = is_ours and incident.by != self._robot
             is_late = received - told.at > self._seconds + MARGIN
-            if is_known or is_late or not is_ours or not self._may_begin(incident.by, received):
+            if is_known or is_late or not is_ours:
                 continue
-            self._tell(told)
-            self._await_tail(incident, told.at)
+            if self._may_begin(incident.by, incident.kind, received):
+                self._tell(told)
+                self._await_tail(incident, told.at)
 
     # Files
 
@@ -447,13 +452,17 @@ class IncidentService:
         )
 
     @property
+    def _problem(self) -> str:
+        """Why nothing is kept, or why the last file was not written; empty if all is well."""
+        return self.fault or self._recorder.ring_fault
+
+    @property
     def text(self) -> str:
         """What is kept, in a line, or why nothing is."""
         ring = self._recorder.ring
-        fault = self.fault or self._recorder.ring_fault
         begin = boottime() if ring is None or ring.begin is None else ring.begin
         kept = f"keeps the last {boottime() - begin:.0f} s, {len(self._kept)} incidents"
-        return fault or kept
+        return self._problem or kept
 
     def _fail(self, fault: str) -> None:
         self.fault = fault[:MAX_LINE]
@@ -481,7 +490,7 @@ class IncidentService:
             clock=clock_id(),
             incidents=tuple(kept),
             kept=None if begin is None else max(now - begin, 0.0),
-            fault=self.fault or self._recorder.ring_fault,
+            fault=self._problem,
         )
 
     def on_incident(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:
