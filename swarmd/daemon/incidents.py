@@ -120,7 +120,6 @@ class IncidentService:
         self._on_event = on_event
         self._status: Status | None = None  # the last one
         self._told: dict[str, _Told] = {}  # by id
-        self.digest = b""  # of the ids in `_told`, for beacons; empty without any
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
         self._times: dict[str, float] = {}  # by id: s of a kept incident on the present clock
         self._origins: dict[tuple[str, bool], deque[float]] = {}  # s of its last incidents
@@ -180,21 +179,18 @@ class IncidentService:
         if not entries:
             return
         end = entries[-1].at
-        pending = [one for one in entries if isinstance(one, frames.TextEntry)]
-        incidents = (
-            (one.at, msgspec.json.decode(one.json, type=Incident))
-            for one in pending
-            if one.topic == "/incident"
-        )
-        for at, incident in incidents:
-            if incident.id not in self._kept and end - at <= TAIL:
-                self._write(incident, at, lambda: left, entries[0].at, end)
+        source = lambda: left, entries[0].at, end
+        for one in entries:
+            if isinstance(one, frames.TextEntry) and one.topic == "/incident":
+                incident = msgspec.json.decode(one.json, type=Incident)
+                if incident.id not in self._kept and end - one.at <= TAIL:
+                    self._write(incident, one.at, *source)
         instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
         self._begin(
             Found(IncidentKind.SILENT, text, silent_id(self._robot, instance, left.revision)),
             at=end,
-            left=(lambda: left, entries[0].at, end),
+            left=source,
         )
 
     def close(self, *, has_crashed: bool) -> None:
@@ -253,8 +249,7 @@ class IncidentService:
         if what.id in self._told or what.id in self._kept:
             return True
         at = boottime() if at is None else at
-        is_on = self._recorder.ring is not None
-        if not is_on or not self._may_begin(self._robot, what.kind, at):
+        if self._recorder.ring is None or not self._may_begin(self._robot, what.kind, at):
             return False
         wall = time.time() - (boottime() - at)
         incident = Incident(
@@ -284,22 +279,15 @@ class IncidentService:
         keep_newest(self._origins, origin, times, MAX_TOLD)
         is_soon = bool(times) and now - times[-1] < GAP
         is_many = len(times) == HOURLY and now - times[0] < 3600.0
-        if is_soon or is_many:
-            return False
-        times.append(now)
-        return True
+        if not (is_soon or is_many):
+            times.append(now)
+        return not (is_soon or is_many)
 
     def _tell(self, told: _Told) -> None:
         """Tell an incident to peers from now on, and to the log."""
         incident = told.incident
         keep_newest(self._told, incident.id, told, MAX_TOLD)
-        self._set_digest()
         self._on_event(f"incident {incident.id} of {incident.robot}: {incident.text}")
-
-    def _set_digest(self) -> None:
-        content = "\n".join(sorted(self._told)).encode()
-        digest = hashlib.blake2b(content, digest_size=DIGEST_BYTES).digest()
-        self.digest = digest if content else b""
 
     def _await_tail(self, incident: Incident, at: float) -> None:
         """Note the incident in the ring; its file is written TAIL s after it."""
@@ -307,6 +295,12 @@ class IncidentService:
         self._recorder.add(frames.TextEntry(at, "/incident", msgspec.json.encode(incident)))
 
     # Spread
+
+    @property
+    def digest(self) -> bytes:
+        """The digest of the ids that this robot tells, for beacons; empty without any."""
+        content = "\n".join(sorted(self._told)).encode()
+        return hashlib.blake2b(content, digest_size=DIGEST_BYTES).digest() if content else b""
 
     def serve(self, bus: ZenohBus) -> None:
         """Hand the incidents of the last minutes to other robots."""
@@ -367,10 +361,7 @@ class IncidentService:
     def advance(self, now: float) -> None:
         """Write the files that are due, in threads, and forget what is too old to be told."""
         oldest = now - self._seconds - MARGIN
-        if old := [id for id, told in self._told.items() if told.at < oldest]:
-            for id in old:
-                del self._told[id]
-            self._set_digest()
+        self._told = {id: told for id, told in self._told.items() if told.at >= oldest}
         for id in [id for id, due in self._due.items() if now >= due]:
             self._write_due(id)
 
@@ -405,22 +396,22 @@ class IncidentService:
             """In a thread: the frames are copied, packed and written."""
             try:
                 left = source()
+                head = IncidentHead(
+                    incident=incident,
+                    at=at,
+                    clock=clock_id(),
+                    begin=begin,
+                    end=end,
+                    missing=missing,
+                    size=len(left.frames),
+                    about=left.about,
+                    boot=left.boot,
+                    wall=left.wall,
+                    revision=left.revision,
+                )
+                return _write_file(self._folder, head, left.frames, kept)
             except (OSError, CodecError) as error:
-                return str(error)
-            head = IncidentHead(
-                incident=incident,
-                at=at,
-                clock=clock_id(),
-                begin=begin,
-                end=end,
-                missing=missing,
-                size=len(left.frames),
-                about=left.about,
-                boot=left.boot,
-                wall=left.wall,
-                revision=left.revision,
-            )
-            return _write_file(self._folder, head, left.frames, kept)
+                return getattr(error, "strerror", None) or str(error)
 
         def on_done(written: _Written | str) -> None:
             if isinstance(written, str):
@@ -541,17 +532,14 @@ def _is_full(files: Sequence[KeptIncident], size: int, part: int) -> bool:
 
 def _write_file(
     folder: Path, head: IncidentHead, content: bytes, kept: Sequence[KeptIncident]
-) -> _Written | str:
-    """Write a file, then remove those that give way to it; or the fault of the disk."""
+) -> _Written:
+    """Write a file, then remove those that give way to it; OSError, CodecError."""
     data = pack(head, content)
     removed = to_remove(kept, head.incident, len(data))
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_whole(folder / (head.incident.id + SUFFIX), data, 0o600)
-        for id in removed:
-            (folder / (id + SUFFIX)).unlink(missing_ok=True)
-    except (OSError, CodecError) as error:
-        return getattr(error, "strerror", None) or str(error)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    write_whole(folder / (head.incident.id + SUFFIX), data, 0o600)
+    for id in removed:
+        (folder / (id + SUFFIX)).unlink(missing_ok=True)
     return _Written(head, len(data), zlib.crc32(data), removed)
 
 

@@ -83,7 +83,6 @@ class Ring:
             os.close(self._file)
             raise
         self._capacity, self._seconds = capacity, seconds
-        self._about = dict(about)
         self._tail = self._head = 0
         self._segments = deque[tuple[int, float]]()  # begin of each: count of bytes, and s
         self.revision = 0
@@ -135,11 +134,8 @@ class Ring:
 
     def left(self) -> Left:
         """A copy of all frames, also in a thread while the ring is written; OSError, CodecError."""
-        file = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-        try:
-            return _left(file)
-        finally:
-            os.close(file)
+        with os.fdopen(os.open(self._path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)) as file:
+            return _left(file.fileno())
 
     def close(self, *, keeps_file: bool = True) -> None:
         """Close the file; without `keeps_file` remove it, so that a later process finds nothing."""
@@ -164,10 +160,8 @@ def read_left(path: Path) -> Left | None:
         file = _open(path, os.O_RDONLY)
     except OSError:
         return None
-    try:
-        return _left(file)
-    finally:
-        os.close(file)
+    with os.fdopen(file) as opened:
+        return _left(opened.fileno())
 
 
 def entries_of(left: Left) -> list[Entry]:
@@ -204,7 +198,7 @@ def memory_folder(given: str | None, environ: Mapping[str, str]) -> Path:
 
 
 def remove_old(folder: Path, wall: float) -> None:
-    """Remove the rings in `folder` that nobody has written for OLD s; `wall`: s since 1970."""
+    """Remove the rings in `folder` that no process has written for OLD s; `wall`: s since 1970."""
     for path in folder.iterdir():
         with suppress(OSError):
             if wall - path.stat().st_mtime > OLD:
