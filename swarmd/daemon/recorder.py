@@ -336,6 +336,7 @@ class Recorder:
             return
         self._scans = {}  # the first scan of the segment has its geometry
         ring.begin_segment(now)
+        ring.set_clock(boottime(), time.time())  # a robot without a battery clock starts in 1970
         self._segment_at = now
         self._ring_entries.append(frames.encode(frames.MemoryEntry(now, data)))
         self._write_ring()
