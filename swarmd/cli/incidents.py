@@ -32,7 +32,8 @@ def incidents(options: CommonOptions) -> None:
     """List incidents: what went wrong on a robot, and which robots keep their last minute of it.
 
     Each robot keeps its last minute in memory, and writes it to its disk when an incident begins on
-    any robot. SECONDS: from how long before the incident to how long after it.
+    any robot. SECONDS: from how long before the incident to how long after it; `awaited`: the robot
+    writes its file 10 s after the incident.
     """
     if click.get_current_context().invoked_subcommand is not None:
         return
@@ -78,9 +79,9 @@ def fetch(options: CommonOptions, incident: str, folder: Path | None) -> None:
             for robot, one in chosen.kept.items()
             if one.size
         }
-        failed = [*found.missing, *sorted(chosen.kept.keys() - files.keys())]
-        for robot in failed[len(found.missing) :]:
-            warn(f"{robot} has not written its file so far; fetch again in 10 s")
+        if awaited := sorted(chosen.kept.keys() - files.keys()):
+            warn(f"no file so far: {shortened(', '.join(awaited))}; fetch again in 10 s")
+        failed = [*found.missing, *awaited]
         fetch_files(options, operator, files, failed, folder or Path("incidents", id), INCIDENT)
 
 
@@ -140,4 +141,4 @@ def _rows(one: SwarmIncident) -> list[tuple[str, ...]]:
 def _span(kept: KeptIncident) -> str:
     """The seconds of a file, from before the incident to after it."""
     is_known = kept.begin is not None and kept.end is not None
-    return f"{kept.begin:+.0f} to {kept.end:+.0f}" if is_known else "records"
+    return f"{kept.begin:+.0f} to {kept.end:+.0f}" if is_known else "awaited"

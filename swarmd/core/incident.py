@@ -20,7 +20,6 @@ from swarmd.core.bounds import IncidentId, Line, Name, Seconds, Word
 from swarmd.core.messages import Reason, State, Status
 
 Wall = Annotated[float, Meta(ge=0.0, le=1e11)]
-MAX_FINDING = 300  # characters
 
 
 class IncidentKind(StrEnum):
@@ -53,9 +52,6 @@ BEGINS: Mapping[Reason, tuple[IncidentKind, When]] = {
     Reason.DRIVER_LOST: (IncidentKind.DRIVER, When.IN_A_RUN),
     Reason.LOOP_STALLED: (IncidentKind.STALL, When.ENDS_A_RUN),
 }
-
-
-_NO_ROW: tuple[IncidentKind | None, When] = None, When.ALWAYS
 
 
 class Incident(Struct, frozen=True, kw_only=True):
@@ -119,11 +115,11 @@ def found(before: Status | None, now: Status) -> Found | None:
         if name not in before.latches:
             text = f"emergency stop by {latch.issuer}" + f" ({latch.reason})" * bool(latch.reason)
             return Found(IncidentKind.ESTOP, text, id_of(IncidentKind.ESTOP, name))
-    kind, when = BEGINS.get(now.reason, _NO_ROW) if now.reason is not None else _NO_ROW
-    is_new = now.reason is not before.reason or now.state is not before.state
+    kind, when = (None, None) if now.reason is None else BEGINS.get(now.reason, (None, None))
     has_run = before.state is State.RUNNING
     counts = {
-        When.ALWAYS: is_new,
+        None: False,
+        When.ALWAYS: now.reason is not before.reason or now.state is not before.state,
         When.IN_A_RUN: has_run and now.reason is not before.reason,
         When.ENDS_A_RUN: has_run and now.state is not State.RUNNING,
     }
@@ -134,7 +130,7 @@ def found(before: Status | None, now: Status) -> Found | None:
         return Found(kind, f"{now.state} ({now.reason}) {now.detail}".rstrip(), id)
     for finding in now.findings:
         if finding not in before.findings:
-            return Found(IncidentKind.ASSUMPTION, finding[:MAX_FINDING])
+            return Found(IncidentKind.ASSUMPTION, finding)
     if _is_outside(now) and not _is_outside(before):
         assert now.fence is not None
         return Found(IncidentKind.FENCE, f"outside its fence: {now.fence.clearance:.2f} m")

@@ -133,7 +133,7 @@ class IncidentService:
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
         self._times: dict[str, float | None] = {}  # by id; None: s on the clock of an earlier boot
         # By origin (see `_origin_of`): s of its last incidents.
-        self._origins: dict[tuple[str, bool], deque[float]] = {}
+        self._origins: dict[tuple[str, str], deque[float]] = {}
         self._due: dict[str, float] = {}  # by id: s at which its file is written
         self._asks = Asks(LIST_PERIOD)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -300,7 +300,7 @@ class IncidentService:
             self._write(incident, at, *left, is_waiting=True)
         return True
 
-    def _may_begin(self, origin: tuple[str, bool], now: float, gap: float = GAP) -> bool:
+    def _may_begin(self, origin: tuple[str, str], now: float, gap: float = GAP) -> bool:
         """True unless this origin began an incident within `gap` s, or HOURLY in the last hour."""
         times = self._origins.get(origin, deque(maxlen=HOURLY))
         keep_newest(self._origins, origin, times, MAX_TOLD)
@@ -540,12 +540,14 @@ class IncidentService:
         return task
 
 
-def _origin_of(incident: Incident) -> tuple[str, bool]:
-    """What begins at most so many incidents: a robot by itself, or a robot by the loss of others.
+def _origin_of(incident: Incident) -> tuple[str, str]:
+    """What begins at most so many incidents: a robot by itself, by the loss of others, by marks.
 
-    Peers that are lost again and again must not hide what befalls the robot itself.
+    Peers that are lost again and again, and words on an incident, which follow it at once, must not
+    hide what befalls the robot itself.
     """
-    return incident.by, incident.robot != incident.by
+    by = "" if incident.robot == incident.by else "peers"
+    return incident.by, IncidentKind.MARK if incident.kind == IncidentKind.MARK else by
 
 
 def _age(at: float | None, wall: float, now: float) -> float | None:

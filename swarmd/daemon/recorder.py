@@ -160,9 +160,7 @@ class Recorder:
         self._logged_to = -1.0  # s since the start of the daemon: time of the last recorded event
         self._flush_at = 0.0
         self._reported_at = -DROPS_PERIOD
-        self._forget_drops()
-        self.fault = ""
-        self.report = frames.RecorderReport("", 0)
+        self._forget_recording()
 
     @property
     def is_on(self) -> bool:
@@ -180,9 +178,7 @@ class Recorder:
         self._loop.add_reader(recorder.socket, self._on_report, recorder)
         self._loop.add_reader(recorder.pidfd, self._on_end, recorder)
         self._scans, self._entries = {}, []
-        self._forget_drops()
-        self.fault = ""
-        self.report = frames.RecorderReport("", 0)
+        self._forget_recording()
         began = self.began = boottime()
         self.add(
             frames.Begin(
@@ -200,7 +196,10 @@ class Recorder:
             self._entries.append(frames.encode(frames.input_entry(lasting, began)))
         self._is_memory_due = True
 
-    def _forget_drops(self) -> None:
+    def _forget_recording(self) -> None:
+        """Clear the fault, the report and the counts of the recording before."""
+        self.fault = ""
+        self.report = frames.RecorderReport("", 0)
         self.dropped = 0  # entries dropped in all
         self._unreported = 0  # of these, entries that no event has told so far
         self._unrecorded = 0  # of these, entries whose gap is not in the recording so far
@@ -292,9 +291,8 @@ class Recorder:
             self.add(frames.MemoryEntry(now, part, number, len(parts)))
 
     def _decided(self, input: Input, actions: Actions, now: float, state: str) -> None:
-        reason = actions.decision.reason or ""
-        cause = tag_of(input)
-        self.add(frames.DecisionEntry(now, cause, state, reason, actions.decision))
+        decision = actions.decision
+        self.add(frames.DecisionEntry(now, tag_of(input), state, decision.reason or "", decision))
         for channel, value in actions.messages.items():
             self.add(frames.SentEntry(now, channel, value))
 
@@ -343,6 +341,7 @@ class Recorder:
             return
         self._scans = {}  # the first scan of the segment has its geometry
         ring.begin_segment(now)
+        ring.set_clock(boottime(), time.time())  # a robot without a battery clock starts in 1970
         self._segment_at = now
         self._ring_entries.append(frames.encode(frames.MemoryEntry(now, data)))
         self._write_ring()
@@ -394,7 +393,8 @@ class Recorder:
     def _send(self, part: list[bytes]) -> bool:
         """Send encoded entries; False if they were dropped."""
         assert self._open is not None
-        lost = [self._gap()] if self._unrecorded else []
+        gap = frames.DroppedEntry(boottime(), self._unrecorded)
+        lost = [frames.encode(gap)] if self._unrecorded else []
         try:
             self._open.socket.send(frames.batch([*lost, *part]))
         except OSError:  # full, or just ended: the pidfd is watched
@@ -402,9 +402,6 @@ class Recorder:
             return False
         self._unrecorded = 0
         return True
-
-    def _gap(self) -> bytes:
-        return frames.encode(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
         """Count dropped entries, and record after the gap what a replay needs to continue.
@@ -487,8 +484,7 @@ class RecordingService:
         self._robot, self._section, self._head = robot, section, head
         self._folder = Path(section.folder or "recordings")
         self._on_event = on_event
-        loop = asyncio.get_running_loop()
-        self.recorder = Recorder(loop, on_event)
+        self.recorder = Recorder(asyncio.get_running_loop(), on_event)
         self._is_closed = False
 
     @property
@@ -570,9 +566,8 @@ class RecordingService:
         except OSError:
             paths = []
         open_now = Path(self.recorder.report.path).name if self.recorder.is_on else ""
-        recorder = self.recorder
         files = [
-            _described(path, is_open=path.name == open_now, dropped=recorder.dropped)
+            _described(path, is_open=path.name == open_now, dropped=self.recorder.dropped)
             for path in paths
         ]
         return verbs.RecordingsReply(
@@ -580,7 +575,7 @@ class RecordingService:
             now=boottime(),
             clock=clock_id(),
             files=tuple(one for one in files if one is not None),
-            fault=recorder.fault[:1000],
+            fault=self.recorder.fault[:1000],
         )
 
 
@@ -626,10 +621,7 @@ def _described(path: Path, *, is_open: bool, dropped: int) -> verbs.RecordingFil
         size = path.stat().st_size
     except OSError:  # the file was removed meanwhile
         return None
-    finished = _finished(path, size)
-    if finished is not None:
-        return finished
-    return verbs.RecordingFile(
+    return _finished(path, size) or verbs.RecordingFile(
         name=path.name, size=size, is_open=is_open, dropped=dropped if is_open else 0
     )
 

@@ -19,10 +19,9 @@ from swarmd.core.errors import CodecError
 from swarmd.core.files import read_regular
 from swarmd.core.incident import Incident, Wall
 from swarmd.recording import frames
-from swarmd.recording.ring import Left, begin_of, entries_of
+from swarmd.recording.ring import MAX_FILE, Left, begin_of, entries_of
 
 SUFFIX = ".incident"
-MAX_FILE = 1 << 26
 _SIZE = struct.Struct("<I")
 
 

@@ -84,16 +84,15 @@ class Ring:
             os.close(self._file)
             raise
         self._capacity, self._seconds = capacity, seconds
-        self._about = dict(about)
         self._tail = self._head = 0
         self._segments = deque[tuple[int, float]]()  # begin of each: count of bytes, and s
         self.revision = 0
         self.set_clock(boot, wall)
+        self._write_header()
 
     def set_clock(self, boot: float, wall: float) -> None:
-        """Note what the wall clock shows at `boot` s on the clock of the robot."""
+        """Note, with the next frame, what the wall clock shows at `boot` s on the robot's clock."""
         self._boot, self._wall = boot, wall
-        self._write_header()
 
     @property
     def begin(self) -> float | None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.incident import IncidentKind
-from swarmd.core.messages import Presence, State
+from swarmd.core.messages import Presence, Reason, State
 from swarmd.core.verbs import INCIDENTS, IncidentsReply, KeptIncident
 from tests.support.fake_body import Body
 from tests.support.processes import DaemonProcess, wait_until
@@ -115,6 +115,8 @@ def test_a_lost_base_is_replayed_to_the_bit_with_its_cause(
     swarm: Swarm, robots: Robots, tmp_path: Path
 ) -> None:
     robots["r3"][1].close()
+    swarm.await_status("r3", "lost", lambda one: one.reason is Reason.DRIVER_LOST)
+    assert swarm.ctl("incident", "mark", "its cable is out", "r3").code == 0, "at once"
     id = await_kept(swarm, lambda one: one.incident.kind == IncidentKind.DRIVER)
     done = swarm.ctl("incidents", "fetch", id, "-d", str(tmp_path))
     assert done.code == 0, done
