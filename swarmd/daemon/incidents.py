@@ -137,7 +137,7 @@ class IncidentService:
         self._due: dict[str, float] = {}  # by id: s at which its file is written
         self._asks = Asks(LIST_PERIOD)
         self._tasks: set[asyncio.Task[None]] = set()
-        self._writing: asyncio.Task[None] | None = None
+        self._is_writing = False  # a thread writes a file
         self._advanced_at, self._stalled_at = boottime(), -math.inf  # s
         self.fault = "" if section.seconds else "off: blackbox.seconds is 0"
         recorder.on_status = self._on_status
@@ -182,7 +182,9 @@ class IncidentService:
                 with suppress(OSError, CodecError):
                     data = path.read_bytes()
                     heads.append((read_head(data), len(data), zlib.crc32(data)))
-        for head, size, crc in sorted(heads, key=lambda one: one[0].wall + one[0].at - one[0].boot):
+        # Files of an earlier boot come first, by the wall clock, which may have been set since.
+        heads.sort(key=lambda one: _place_of(one[0]))
+        for head, size, crc in heads:
             self._note_kept(head, size, crc)
             if head.clock == clock_id():
                 # A daemon that dies again and again begins no more incidents than one that lives.
@@ -288,8 +290,7 @@ class IncidentService:
             wall=wall if wall > FIRST_WALL else 0.0,
         )
         is_on = left is not None or self._recorder.ring is not None
-        gap = GAP if left is None else 0.0
-        if not is_on or not self._may_begin(_origin_of(incident), at, gap):
+        if not is_on or not self._may_begin(_origin_of(incident), at):
             return False
         told = _Told(incident, at)
         self._tell(told)
@@ -396,7 +397,7 @@ class IncidentService:
         oldest = now - self._seconds - MARGIN
         self._told = {id: told for id, told in self._told.items() if told.at >= oldest}
         due = next((id for id, due in self._due.items() if now >= due), None)
-        if due is not None and (self._writing is None or self._writing.done()):
+        if due is not None and not self._is_writing:
             self._write_due(due)
 
     def _write_due(self, id: str, *, is_waiting: bool = False) -> None:
@@ -453,6 +454,7 @@ class IncidentService:
                 return getattr(error, "strerror", None) or str(error)
 
         def on_done(written: _Written | str) -> None:
+            self._is_writing &= is_waiting  # the end may write beside a thread
             if isinstance(written, str):
                 self._fail(f"incident {incident.id} is not on disk: {written}")
                 return
@@ -464,7 +466,8 @@ class IncidentService:
         if is_waiting:
             on_done(work())
         else:
-            self._writing = self._in_thread(work, on_done)
+            self._is_writing = True
+            self._in_thread(work, on_done)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         id, at = head.incident.id, head.at
@@ -526,9 +529,7 @@ class IncidentService:
         """Bytes of the file of an incident; the returned function runs in a thread."""
         return partial(piece_of, self._robot, self._folder, SUFFIX, query)
 
-    def _in_thread(
-        self, work: Callable[[], T], on_done: Callable[[T], object]
-    ) -> asyncio.Task[None]:
+    def _in_thread(self, work: Callable[[], T], on_done: Callable[[T], object]) -> None:
         """Call `work` in a thread, then `on_done` with its result on the loop."""
 
         async def run() -> None:
@@ -537,17 +538,24 @@ class IncidentService:
         task = asyncio.get_running_loop().create_task(run())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-        return task
+
+
+def _place_of(head: IncidentHead) -> tuple[bool, float]:
+    """The place of a file among others: by the clock of this boot, and before by the wall clock."""
+    is_here = head.clock == clock_id()
+    return is_here, head.at if is_here else head.wall + head.at - head.boot
 
 
 def _origin_of(incident: Incident) -> tuple[str, str]:
-    """What begins at most so many incidents: a robot by itself, by the loss of others, by marks.
+    """What begins at most so many incidents: a robot by itself, its deaths, lost peers, marks.
 
-    Peers that are lost again and again, and words on an incident, which follow it at once, must not
+    Daemons that die again and again, and words on an incident, which follow it at once, must not
     hide what befalls the robot itself.
     """
-    by = "" if incident.robot == incident.by else "peers"
-    return incident.by, IncidentKind.MARK if incident.kind == IncidentKind.MARK else by
+    is_own = incident.robot == incident.by
+    if incident.kind not in (IncidentKind.SILENT, IncidentKind.MARK):
+        return incident.by, "" if is_own else "peers"
+    return incident.by, f"{incident.kind} {'itself' if is_own else 'peers'}"
 
 
 def _age(at: float | None, wall: float, now: float) -> float | None:

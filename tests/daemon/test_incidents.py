@@ -161,6 +161,13 @@ def test_no_list_raises(blob: bytes) -> None:
 # The ring
 
 
+class Answers(list[Reply]):
+    """The replies to requests."""
+
+    def __call__(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
+        self.append(reply)
+
+
 @settings(max_examples=examples(60), deadline=None)
 @given(
     sizes=st.lists(st.integers(0, 300), min_size=1, max_size=60),
@@ -335,11 +342,11 @@ async def test_a_daemon_that_is_killed_again_and_again_begins_one_incident_in_te
 
 
 async def test_lost_peers_do_not_use_up_the_incidents_of_the_robot_itself(tmp_path: Path) -> None:
-    service, answers = Service(tmp_path), list[Reply]()
+    service, answers = Service(tmp_path), Answers()
     lost = Found(IncidentKind.SILENT, "not heard", "b" * 12)
     assert service.service._begin(lost, robot="r2")
-    service.service.on_mark(mark("c" * 12), answers.append)
-    service.service.on_mark(mark("d" * 12), answers.append)
+    service.service.on_mark(mark("c" * 12), answers)
+    service.service.on_mark(mark("d" * 12), answers)
     assert [one.code for one in answers] == [Code.APPLIED, Code.REFUSED]
 
 
@@ -355,9 +362,9 @@ async def test_a_daemon_that_stood_still_tells_of_no_lost_peers(tmp_path: Path, 
 
 
 async def test_tales_of_many_robots_end_no_incident_whose_file_is_due(tmp_path: Path) -> None:
-    service, answers = Service(tmp_path), list[Reply]()
+    service, answers = Service(tmp_path), Answers()
     service.keep(frames.EventEntry(boottime(), "x"))
-    service.service.on_mark(mark("f" * 12), answers.append)
+    service.service.on_mark(mark("f" * 12), answers)
     service.tell(*(incident(f"{n:012x}", f"r{n}") for n in range(2, 60)))
     service.service.close(has_crashed=False)
     assert "f" * 12 in service.files()
@@ -382,21 +389,20 @@ async def test_a_file_of_an_earlier_boot_without_a_set_clock_has_no_age(tmp_path
 async def test_a_ring_that_ended_by_itself_tells_the_next_daemon_of_no_crash(
     tmp_path: Path,
 ) -> None:
-    service, answers = Service(tmp_path), list[Reply]()
+    service, answers = Service(tmp_path), Answers()
     service.keep(frames.EventEntry(boottime(), "x"))
     service.recorder._end_ring("no room")
-    service.service.on_mark(mark("c" * 12), answers.append)
+    service.service.on_mark(mark("c" * 12), answers)
     assert "no room" in answers[0].text
     service.service.close(has_crashed=False)
     assert Service(tmp_path).files() == set()
 
 
 async def test_a_stop_loses_no_file_that_is_being_written(tmp_path: Path) -> None:
-    service, answers = Service(tmp_path), list[Reply]()
+    service, answers = Service(tmp_path), Answers()
     service.keep(frames.EventEntry(boottime(), "x"))
-    service.service.on_mark(mark("f" * 12), answers.append)
+    service.service.on_mark(mark("f" * 12), answers)
     service.service.advance(boottime() + 20.0)
     service.service.close(has_crashed=False)
-    assert service.service._writing is not None
-    await service.service._writing
+    await asyncio.gather(*service.service._tasks)
     assert service.files() == {"f" * 12}

@@ -146,9 +146,10 @@ class Invariants:
         self._issued = swarm.issued
         self._taken: dict[tuple[str, int, str], list[float]] = {}
         # By robot and origin, then by id: the life and s in which it was taken, and s of it.
-        self._incidents: dict[tuple[str, str], dict[str, tuple[int, float, float]]] = {}
+        self._incidents: dict[tuple[str, str, str], dict[str, tuple[int, float, float]]] = {}
         self._latches: set[str] = set()  # all that were held
         self._deaths: dict[str, Death] = {}  # by robot, the last one
+        self._died_at: dict[str, float] = {}
         # By robot, instance and revision: the ids that peers gave, and when.
         self._silent: dict[tuple[str, str, int], list[tuple[str, float]]] = {}
 
@@ -341,7 +342,7 @@ class Invariants:
         now, name, life = self._swarm.now, daemon.name, daemon.lives
         is_silent = incident.kind == IncidentKind.SILENT and incident.by == name
         is_death = is_silent and incident.robot == name
-        taken = self._incidents.setdefault((name, incident.by), {})
+        taken = self._incidents.setdefault((name, *_origin_of(incident)), {})
         # A daemon knows of earlier lives when the incidents were, not when it heard of them. One
         # that was killed within a tick may take the same incident again.
         others = [times for id, times in taken.items() if id != incident.id]
@@ -370,14 +371,19 @@ class Invariants:
         """The rule `death`, of the death before the one that is noted now."""
         self._check_death(daemon)
         self._deaths.pop(daemon.name, None)
-        if death is not None and self._swarm.now - daemon.black_box.began > 1.0:
+        if death is None:
+            return
+        before, self._died_at[daemon.name] = self._died_at.get(daemon.name, -math.inf), death.at
+        # One of less than 10 s after another one begins none.
+        is_counted = death.at - before > INCIDENT_GAP
+        if is_counted and self._swarm.now - daemon.black_box.began > 1.0:
             self._deaths[daemon.name] = death
 
     def _check_death(self, daemon: VirtualDaemon) -> None:
         name, box, death = daemon.name, daemon.black_box, self._deaths.get(daemon.name)
         if death is None or box.was_frozen or self._swarm.now < box.writes_at:
             return
-        if len(self._incidents.get((name, name), ())) >= INCIDENTS_AN_HOUR:
+        if len(self._incidents.get((name, name, "death"), ())) >= INCIDENTS_AN_HOUR:
             return
         found = [
             id
@@ -406,7 +412,7 @@ class Invariants:
             for incident, at in told
             if max(now - WINDOW, one.black_box.began + 1.0) < at
             and not one.black_box.has_file(incident.id)
-            and len(self._incidents.get((one.name, incident.by), ())) < INCIDENTS_AN_HOUR
+            and len(self._incidents.get((one.name, *_origin_of(incident)), ())) < INCIDENTS_AN_HOUR
         ]
 
     def check_incidents(self, unheard: list[tuple[VirtualDaemon, Incident]]) -> None:
@@ -637,6 +643,15 @@ class Invariants:
         return known
 
 
+def _origin_of(incident: Incident) -> tuple[str, str]:
+    """The robot that begins it, and what it counts among."""
+    if incident.kind == IncidentKind.MARK:
+        return incident.by, "mark"
+    if incident.robot != incident.by:
+        return incident.by, "peers"
+    return incident.by, "death" if incident.kind == IncidentKind.SILENT else ""
+
+
 class _Errors(logging.Handler):
     """Keeps the error that a log has a traceback of."""
 
@@ -789,8 +804,8 @@ _ROWS = (
     ),
     Rule(
         "few",
-        "A robot takes at most one incident of an origin in 10 s and six an hour, and keeps at most"
-        " 20 files.",
+        "A robot takes at most one incident of an origin in 10 s and six an hour, of itself, its"
+        " deaths, lost peers and marks, and keeps at most 20 files.",
         (Invariants.on_incident, Invariants.on_file),
     ),
     Rule(

@@ -18,10 +18,10 @@ from msgspec import structs
 from swarmd.core.errors import CodecError
 from swarmd.core.events import ScanInput
 from swarmd.core.values import Scan
-from swarmd.recording import frames, incident_file
+from swarmd.recording import frames
 from swarmd.recording.incident_file import IncidentHead, pack, read, read_head, to_recording
 from swarmd.recording.reader import read_file
-from swarmd.recording.ring import Left, Ring, entries_of, read_left
+from swarmd.recording.ring import MAX_FILE, Left, Ring, entries_of, read_left
 from tests.support.incidents import ID, WALL, incident_of, keep
 from tests.support.recorded_stories import ORIGINS, Story, repeat
 
@@ -118,7 +118,7 @@ def test_a_file_that_unpacks_to_more_than_it_states_takes_no_memory(tmp_path: Pa
         read(path)
     assert tracemalloc.get_traced_memory()[1] < 1 << 22
     tracemalloc.stop()
-    huge = structs.replace(head_of_frames(b""), size=incident_file.MAX_FILE + 1)
+    huge = structs.replace(head_of_frames(b""), size=MAX_FILE + 1)
     with pytest.raises(CodecError):
         read_head(pack(huge, b""))
 
