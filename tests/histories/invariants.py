@@ -391,7 +391,8 @@ class Invariants:
             for id, head in box.heads().items()
             if head.incident.kind == IncidentKind.SILENT
             and head.incident.robot == name
-            and death.last - 1.0 <= head.at <= death.at
+            and head.at <= death.at
+            and death.last - 1.0 <= head.end
         ]
         if not found:
             raise BrokenRuleError("death", f"{name} has no incident of {death}")
