@@ -142,18 +142,15 @@ class IncidentService:
         if not self._seconds:
             return
         try:
-            folder, left = memory_folder(self._section.folder, os.environ), None
+            folder = memory_folder(self._section.folder, os.environ)
             remove_old(folder, time.time())
             path = folder / self._ring_name
-            try:
+            try:  # before the ring begins again: a second kill must not lose it
                 left = read_left(path)
-            except CodecError as error:  # of another version
-                log.warning("what the daemon before left is lost: %s", error)
-            if left is not None and left.frames:
-                try:  # before the ring begins again: a second kill must not lose it
+                if left is not None and left.frames:
                     self._on_left(left)
-                except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
-                    log.warning("what the daemon before left is lost: %s", error)
+            except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
+                log.warning("what the daemon before left is lost: %s", error)
             head, now = self._head(), boottime()
             self._recorder.ring = Ring(
                 path,
@@ -163,8 +160,9 @@ class IncidentService:
                 boot=now,
                 wall=time.time(),
             )
-        except OSError as error:
-            self._fail(f"no file in memory: {error.strerror or error}")
+        except Exception as error:  # it ends the black box, and not the daemon
+            log.info("the black box is off", exc_info=error)
+            self._fail(f"no file in memory: {getattr(error, 'strerror', None) or error}")
 
     def _read_kept(self) -> None:
         """Read the heads of the files that earlier daemons wrote."""

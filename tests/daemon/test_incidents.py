@@ -323,6 +323,13 @@ async def test_a_ring_with_an_incident_of_another_form_ends_no_start(tmp_path: P
     assert Service(tmp_path).recorder.ring is not None
 
 
+async def test_an_error_in_the_black_box_ends_no_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RecordingHead, "texts", lambda head: {"a": 1 / 0})
+    assert "division" in Service(tmp_path).reply().fault
+
+
 async def test_a_daemon_that_is_killed_again_and_again_begins_one_incident_in_ten_seconds(
     tmp_path: Path,
 ) -> None:
