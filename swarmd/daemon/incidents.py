@@ -37,6 +37,7 @@ from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, fo
 from swarmd.core.messages import Code, Refusal, Reply, State, Status
 from swarmd.core.record import DIGEST_BYTES
 from swarmd.core.verbs import KeptIncident, shortened
+from swarmd.daemon.audit import printable
 from swarmd.daemon.recorder import Recorder, piece_of
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
@@ -298,7 +299,7 @@ class IncidentService:
         incident = told.incident
         keep_newest(self._told, incident.id, told, MAX_TOLD)
         self._set_digest()
-        self._on_event(f"incident {incident.id} of {incident.robot}: {incident.text}")
+        self._on_event(printable(f"incident {incident.id} of {incident.robot}: {incident.text}"))
 
     def _set_digest(self) -> None:
         content = "\n".join(sorted(self._told)).encode()

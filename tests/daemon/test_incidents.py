@@ -407,3 +407,11 @@ async def test_a_stop_loses_no_file_that_is_being_written(tmp_path: Path) -> Non
     assert service.service._writing is not None
     await service.service._writing
     assert service.files() == {"f" * 12}
+
+
+async def test_the_words_of_a_tale_forge_no_line_of_the_log(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    told = msgspec.structs.replace(incident("a" * 12, "r2"), text="x\n\x1b]0;y\x07")
+    service.tell(told)
+    assert service.events
+    assert all(text.isprintable() for text in service.events)
