@@ -185,11 +185,10 @@ class IncidentService:
         if not entries:
             return
         end = max(one.at for one in entries)
-        pending = [one for one in entries if isinstance(one, frames.TextEntry)]
         incidents = (
             (one.at, msgspec.json.decode(one.json, type=Incident))
-            for one in pending
-            if one.topic == "/incident"
+            for one in entries
+            if isinstance(one, frames.TextEntry) and one.topic == "/incident"
         )
         for at, incident in incidents:
             if incident.id not in self._kept and end - at <= MARGIN:
@@ -358,12 +357,10 @@ class IncidentService:
             is_late = received - told.at > self._seconds + MARGIN
             # One more would end the oldest, whose file may be due; the list is pulled again.
             is_full = len(self._told) >= MAX_TOLD
-            if is_known or is_late or is_full or not is_ours:
-                continue
-            if not self._may_begin(_origin_of(incident), received):
-                continue
-            self._tell(told)
-            self._await_tail(incident, told.at)
+            is_wanted = is_ours and not (is_known or is_late or is_full)
+            if is_wanted and self._may_begin(_origin_of(incident), received):
+                self._tell(told)
+                self._await_tail(incident, told.at)
 
     # Files
 
