@@ -45,6 +45,7 @@ from swarmd.core.incident import (
 from swarmd.core.messages import Code, Refusal, Reply, State, Status
 from swarmd.core.record import DIGEST_BYTES
 from swarmd.core.verbs import KeptIncident, shortened
+from swarmd.daemon.audit import printable
 from swarmd.daemon.recorder import Recorder, piece_of
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
@@ -150,17 +151,14 @@ class IncidentService:
         if not self._seconds:
             return
         try:
-            folder, left = memory_folder(self._section.folder, os.environ), None
+            folder = memory_folder(self._section.folder, os.environ)
             path = folder / self._ring_name
-            try:
+            try:  # before the ring begins again: a second kill must not lose it
                 left = read_left(path)
-            except CodecError as error:  # of another version
-                log.warning("what the daemon before left is lost: %s", error)
-            if left is not None and left.frames:
-                try:  # before the ring begins again: a second kill must not lose it
+                if left is not None and left.frames:
                     self._on_left(left)
-                except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
-                    log.warning("what the daemon before left is lost: %s", error)
+            except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
+                log.warning("what the daemon before left is lost: %s", error)
             head, now = self._head(), boottime()
             self._recorder.ring = Ring(
                 path,
@@ -171,8 +169,9 @@ class IncidentService:
                 wall=time.time(),
             )
             remove_old(folder, time.time())  # its own, which may be old as well, has been read
-        except OSError as error:
-            self._fail(f"no file in memory: {error.strerror or error}")
+        except Exception as error:  # it ends the black box, and not the daemon
+            log.info("the black box is off", exc_info=error)
+            self._fail(f"no file in memory: {getattr(error, 'strerror', None) or error}")
 
     def _read_kept(self) -> None:
         """Read the heads of the files that earlier daemons wrote."""
@@ -315,7 +314,7 @@ class IncidentService:
         """Tell an incident to peers from now on, and to the log."""
         incident = told.incident
         keep_newest(self._told, incident.id, told, MAX_TOLD)
-        self._on_event(f"incident {incident.id} of {incident.robot}: {incident.text}")
+        self._on_event(printable(f"incident {incident.id} of {incident.robot}: {incident.text}"))
 
     def _await_tail(self, incident: Incident, at: float) -> None:
         """Note the incident in the ring; its file is written TAIL s after it."""
@@ -375,12 +374,10 @@ class IncidentService:
             is_late = received - told.at > self._seconds + MARGIN
             # One more would end the oldest, whose file may be due; the list is pulled again.
             is_full = len(self._told) >= MAX_TOLD
-            if is_known or is_late or is_full or not is_ours:
-                continue
-            if not self._may_begin(_origin_of(incident), received):
-                continue
-            self._tell(told)
-            self._await_tail(incident, told.at)
+            is_wanted = is_ours and not (is_known or is_late or is_full)
+            if is_wanted and self._may_begin(_origin_of(incident), received):
+                self._tell(told)
+                self._await_tail(incident, told.at)
 
     # Files
 

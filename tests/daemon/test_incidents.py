@@ -257,6 +257,7 @@ class Service:
 
     def __init__(self, folder: Path) -> None:
         self.events: list[str] = []
+        self.answers: list[Reply] = []
         self.recorder = Recorder(asyncio.get_running_loop(), self.events.append)
         self.folder = folder / "state"
         self.service = IncidentService(
@@ -282,6 +283,13 @@ class Service:
         told = [_Told(one, 0.0, _signed(one, None)) for one in incidents]
         self.service._on_checked("r9", boottime(), told)
 
+    def mark(self, id: str) -> None:
+        request = MarkRequest(id="m", operator="anna", targets={"r1": None}, words="w", incident=id)
+        self.service.on_mark(request, self.answer)
+
+    def answer(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
+        self.answers.append(reply)
+
     def files(self) -> set[str]:
         return {path.stem for path in (self.folder / "incidents").glob("*.incident")}
 
@@ -298,10 +306,6 @@ HEAD = RecordingHead(
         instance="i1",
     ),
 )  # fmt: skip
-
-
-def mark(id: str) -> MarkRequest:
-    return MarkRequest(id="m", operator="anna", targets={"r1": None}, words="w", incident=id)
 
 
 async def test_what_a_killed_daemon_left_outlives_a_second_kill_at_any_time(tmp_path: Path) -> None:
@@ -330,6 +334,13 @@ async def test_a_ring_with_an_incident_of_another_form_ends_no_start(tmp_path: P
     assert Service(tmp_path).recorder.ring is not None
 
 
+async def test_an_error_in_the_black_box_ends_no_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RecordingHead, "texts", lambda head: {"a": 1 / 0})
+    assert "division" in Service(tmp_path).reply().fault
+
+
 async def test_a_daemon_that_is_killed_again_and_again_begins_one_incident_in_ten_seconds(
     tmp_path: Path,
 ) -> None:
@@ -342,12 +353,12 @@ async def test_a_daemon_that_is_killed_again_and_again_begins_one_incident_in_te
 
 
 async def test_lost_peers_do_not_use_up_the_incidents_of_the_robot_itself(tmp_path: Path) -> None:
-    service, answers = Service(tmp_path), Answers()
+    service = Service(tmp_path)
     lost = Found(IncidentKind.SILENT, "not heard", "b" * 12)
     assert service.service._begin(lost, robot="r2")
-    service.service.on_mark(mark("c" * 12), answers)
-    service.service.on_mark(mark("d" * 12), answers)
-    assert [one.code for one in answers] == [Code.APPLIED, Code.REFUSED]
+    service.mark("c" * 12)
+    service.mark("d" * 12)
+    assert [one.code for one in service.answers] == [Code.APPLIED, Code.REFUSED]
 
 
 @pytest.mark.parametrize("gap", [0.05, 6.0])
@@ -362,9 +373,9 @@ async def test_a_daemon_that_stood_still_tells_of_no_lost_peers(tmp_path: Path, 
 
 
 async def test_tales_of_many_robots_end_no_incident_whose_file_is_due(tmp_path: Path) -> None:
-    service, answers = Service(tmp_path), Answers()
+    service = Service(tmp_path)
     service.keep(frames.EventEntry(boottime(), "x"))
-    service.service.on_mark(mark("f" * 12), answers)
+    service.mark("f" * 12)
     service.tell(*(incident(f"{n:012x}", f"r{n}") for n in range(2, 60)))
     service.service.close(has_crashed=False)
     assert "f" * 12 in service.files()
@@ -389,20 +400,28 @@ async def test_a_file_of_an_earlier_boot_without_a_set_clock_has_no_age(tmp_path
 async def test_a_ring_that_ended_by_itself_tells_the_next_daemon_of_no_crash(
     tmp_path: Path,
 ) -> None:
-    service, answers = Service(tmp_path), Answers()
+    service = Service(tmp_path)
     service.keep(frames.EventEntry(boottime(), "x"))
     service.recorder._end_ring("no room")
-    service.service.on_mark(mark("c" * 12), answers)
-    assert "no room" in answers[0].text
+    service.mark("c" * 12)
+    assert "no room" in service.answers[0].text
     service.service.close(has_crashed=False)
     assert Service(tmp_path).files() == set()
 
 
 async def test_a_stop_loses_no_file_that_is_being_written(tmp_path: Path) -> None:
-    service, answers = Service(tmp_path), Answers()
+    service = Service(tmp_path)
     service.keep(frames.EventEntry(boottime(), "x"))
-    service.service.on_mark(mark("f" * 12), answers)
+    service.mark("f" * 12)
     service.service.advance(boottime() + 20.0)
     service.service.close(has_crashed=False)
     await asyncio.gather(*service.service._tasks)
     assert service.files() == {"f" * 12}
+
+
+async def test_the_words_of_a_tale_forge_no_line_of_the_log(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    told = msgspec.structs.replace(incident("a" * 12, "r2"), text="x\n\x1b]0;y\x07")
+    service.tell(told)
+    assert service.events
+    assert all(text.isprintable() for text in service.events)
