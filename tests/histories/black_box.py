@@ -134,6 +134,12 @@ class Incidents(IncidentService):
         super()._note_kept(head, size, crc)
         self._box.wrote()
 
+    def _write(
+        self, incident: Incident, at: float, source: Any, *more: Any, **options: Any
+    ) -> None:
+        left = source()  # now: the descriptor of a virtual thread would outlive a kill
+        super()._write(incident, at, lambda: left, *more, **options)
+
     def _in_thread(self, work: Callable[[], T], on_done: Callable[[T], object]) -> None:
         is_write = not isinstance(work, partial)  # to sign and to check take no disk
         seconds = self._box.daemon.disk_time if is_write else THREAD_TIME
