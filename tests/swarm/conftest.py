@@ -121,6 +121,8 @@ class Swarm:
                 break
             done = process.finish()
             assert STALLED.search(done.err), done
+            if condition():  # the next one, not the one that has ended, is to bring it about
+                self.ctl("stop")
         return process
 
     def ctl(self, *words: str, user: str = "anna") -> Finished:
