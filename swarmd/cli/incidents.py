@@ -94,6 +94,8 @@ def mark(options: CommonOptions, targets: Targets, words: str) -> None:
 
     It moves nothing.
     """
+    if not words.strip():
+        raise click.UsageError("WORDS are empty; say what happened: 'it hit the chair'")
     id = secrets.token_hex(6)
     with asking(options, targets, needs_status=False) as asked:
         outcome = asked.targeted.request(MarkRequest, words=words, incident=id)

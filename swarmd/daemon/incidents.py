@@ -21,9 +21,9 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
-from typing import Annotated, NamedTuple, TypeVar
+from typing import Annotated, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -78,6 +78,7 @@ LIST = "incidents"  # the name of the list among the pulled blobs
 MAX_LINE = 300  # characters
 
 T = TypeVar("T")
+P = ParamSpec("P")
 _told = msgspec.msgpack.Decoder(Annotated[list[ToldIncident], Meta(max_length=MAX_TOLD)])
 _incident = msgspec.msgpack.Decoder(Incident)
 
@@ -97,6 +98,21 @@ class _Written(NamedTuple):
     size: int
     crc: int
     removed: Sequence[str]
+
+
+def _contained(
+    work: Callable[Concatenate[IncidentService, P], None],
+) -> Callable[Concatenate[IncidentService, P], None]:
+    """A method whose error ends the black box, and not the daemon."""
+
+    @wraps(work)
+    def call(self: IncidentService, *args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            work(self, *args, **kwargs)
+        except Exception as error:
+            self._end(error)
+
+    return call
 
 
 class IncidentService:
@@ -170,8 +186,7 @@ class IncidentService:
             )
             remove_old(folder, time.time())  # its own, which may be old as well, has been read
         except Exception as error:  # it ends the black box, and not the daemon
-            log.info("the black box is off", exc_info=error)
-            self._fail(f"no file in memory: {getattr(error, 'strerror', None) or error}")
+            self._end(error)
 
     def _read_kept(self) -> None:
         """Read the heads of the files that earlier daemons wrote."""
@@ -220,6 +235,7 @@ class IncidentService:
 
     # What begins an incident
 
+    @_contained
     def _on_status(self, status: Status) -> None:
         """Begin an incident if the robot has one since its last status."""
         before, self._status = self._status, status
@@ -230,6 +246,7 @@ class IncidentService:
         if what is not None:
             self._begin(what)
 
+    @_contained
     def on_lost(self, beacon: Beacon) -> None:
         """Begin an incident if the robot, which has failed since this last beacon, ran."""
         now = boottime()
@@ -342,6 +359,7 @@ class IncidentService:
         ]
         return msgspec.msgpack.encode(told)
 
+    @_contained
     def on_beacon(self, robot: str, digest: bytes, address: Address, now: float) -> None:
         """Pull the incidents of `robot` if its beacon shows others than this robot knows."""
         if not digest or self._recorder.ring is None or digest == self.digest:
@@ -386,6 +404,7 @@ class IncidentService:
         """True while the seconds after an incident are awaited: peers then compare clocks."""
         return bool(self._due)
 
+    @_contained
     def advance(self, now: float) -> None:
         """Write the files that are due, one at a time, and forget what is too old to be told."""
         if now - self._advanced_at > STALL_TIMEOUT:
@@ -458,6 +477,7 @@ class IncidentService:
             self.fault = ""
             for id in written.removed:
                 self._kept.pop(id, None)
+                self._times.pop(id, None)
             self._note_kept(written.head, written.size, written.crc)
 
         if is_waiting:
@@ -492,6 +512,12 @@ class IncidentService:
         begin = boottime() if ring is None or ring.begin is None else ring.begin
         kept = f"keeps the last {boottime() - begin:.0f} s, {len(self._kept)} incidents"
         return self._problem or kept
+
+    def _end(self, error: Exception) -> None:
+        """End the black box after an error."""
+        log.info("the black box ends", exc_info=error)
+        self._due.clear()
+        self._recorder.end_ring(getattr(error, "strerror", None) or repr(error))
 
     def _fail(self, fault: str) -> None:
         self.fault = fault[:MAX_LINE]
@@ -530,7 +556,10 @@ class IncidentService:
         """Call `work` in a thread, then `on_done` with its result on the loop."""
 
         async def run() -> None:
-            on_done(await asyncio.to_thread(work))
+            try:
+                on_done(await asyncio.to_thread(work))
+            except Exception as error:
+                self._end(error)
 
         task = asyncio.get_running_loop().create_task(run())
         self._tasks.add(task)
@@ -627,7 +656,10 @@ def _signed(incident: Incident, identity: Identity | None) -> ToldIncident | Non
 
 
 def _checked(blob: bytes, identity: Identity | None, known: Collection[str]) -> list[_Told] | str:
-    """In a thread: the unknown incidents of a list, each at minus its age; or what is wrong."""
+    """In a thread: the unknown incidents of a list, each at minus its age; or what is wrong.
+
+    An incident without the signature of its robot hides none of the others.
+    """
     new = []
     try:
         for told in _told.decode(blob):
@@ -635,7 +667,8 @@ def _checked(blob: bytes, identity: Identity | None, known: Collection[str]) -> 
             if incident.id in known:
                 continue
             if identity is not None and not _is_signed(told, incident, identity):
-                return f"{incident.id} is not signed by {incident.by}"
+                log.warning("incident %s is not signed by %s", incident.id, incident.by)
+                continue
             new.append(_Told(incident, -told.age, told))
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         return f"a list that cannot be read: {error}"

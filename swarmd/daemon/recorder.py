@@ -248,7 +248,7 @@ class Recorder:
             self._settle(robot)
         except Exception as error:
             log.exception("the black box ends")
-            self._end_ring(repr(error))
+            self.end_ring(repr(error))
 
     def _settle(self, robot: Robot) -> None:
         steps, self._steps = self._steps, []
@@ -354,9 +354,10 @@ class Recorder:
         try:
             self.ring.write(frames.batch(entries[-frames.MAX_BATCH :]))
         except OSError as error:
-            self._end_ring(error.strerror or str(error))
+            self.end_ring(error.strerror or str(error))
 
-    def _end_ring(self, fault: str) -> None:
+    def end_ring(self, fault: str) -> None:
+        """End the black box, and say why."""
         if self.ring is not None:  # its file would tell the next daemon of a crash
             self.ring.close(keeps_file=False)
         self.ring, self.ring_fault = None, fault

@@ -231,3 +231,8 @@ def test_the_beginning_of_an_id_names_one_incident(
     first = robots.replies["tb3-01"]
     robots.replies["tb3-01"] = structs.replace(first, incidents=(kept(id=OTHER), *first.incidents))
     assert robots.swarmctl("incidents", "fetch", prefix, "-d", str(tmp_path))[0] == code
+
+
+def test_a_mark_without_words_is_refused(robots: Robots) -> None:
+    code, _, err = robots.swarmctl("incident", "mark", " ")
+    assert (code, "WORDS" in err) == (2, True)

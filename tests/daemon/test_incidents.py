@@ -115,7 +115,10 @@ def test_an_incident_that_another_name_signed_is_refused(
     keys: SwarmKeys, name: str, signer: str
 ) -> None:
     told = _signed(incident("aaaaaaaaaaaa", name), keys[signer])
-    assert isinstance(_checked(listed(told), keys["r3"], ()), str)
+    true = _signed(incident("bbbbbbbbbbbb", "r2"), keys["r2"])
+    found = _checked(listed(told, true), keys["r3"], ())
+    assert not isinstance(found, str), found
+    assert [one.incident.id for one in found] == ["bbbbbbbbbbbb"]
 
 
 def test_an_incident_of_another_authority_or_unsigned_or_changed_is_refused(
@@ -132,7 +135,7 @@ def test_an_incident_of_another_authority_or_unsigned_or_changed_is_refused(
         msgspec.structs.replace(told, certificate=b""),
         msgspec.structs.replace(told, signature=b"\0" * 64),
     ):
-        assert isinstance(_checked(listed(wrong), keys["r3"], ()), str)
+        assert _checked(listed(wrong), keys["r3"], ()) == []
 
 
 @settings(max_examples=examples(200))
@@ -308,6 +311,11 @@ HEAD = RecordingHead(
 )  # fmt: skip
 
 
+RUNNING = Beacon(
+    robot="r2", instance=bytes(6), sequence=1, wire=1, state=STATES.index(State.RUNNING), revision=1
+)
+
+
 async def test_what_a_killed_daemon_left_outlives_a_second_kill_at_any_time(tmp_path: Path) -> None:
     first = Service(tmp_path)
     first.keep(frames.EventEntry(boottime(), "x"))
@@ -341,6 +349,24 @@ async def test_an_error_in_the_black_box_ends_no_start(
     assert "division" in Service(tmp_path).reply().fault
 
 
+@pytest.mark.parametrize("name", ["boottime", "silent_id", "zlib.crc32"])
+async def test_an_error_in_the_black_box_ends_no_daemon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    service, now = Service(tmp_path), boottime()
+    service.keep(frames.EventEntry(now, "x"))
+    service.mark("c" * 12)
+    with monkeypatch.context() as patch:
+        patch.setattr(f"swarmd.daemon.incidents.{name}", lambda *args: 1 / 0)
+        service.service.on_lost(RUNNING)
+        service.service.advance(now + 20.0)
+        await asyncio.gather(*service.service._tasks)
+    service.service.on_lost(RUNNING)
+    service.service.advance(now + 30.0)
+    assert "ZeroDivisionError" in service.reply().fault
+    assert service.reply().kept is None
+
+
 async def test_a_daemon_that_is_killed_again_and_again_begins_one_incident_in_ten_seconds(
     tmp_path: Path,
 ) -> None:
@@ -366,9 +392,7 @@ async def test_a_daemon_that_stood_still_tells_of_no_lost_peers(tmp_path: Path, 
     service = Service(tmp_path)
     service.service.advance(boottime() - gap)
     service.service.advance(boottime())  # a tick may come before the look at the network
-    running = STATES.index(State.RUNNING)
-    beacon = Beacon(robot="r2", instance=bytes(6), sequence=1, wire=1, state=running, revision=1)
-    service.service.on_lost(beacon)
+    service.service.on_lost(RUNNING)
     assert bool(service.events) is (gap < 1.0)
 
 
@@ -402,7 +426,7 @@ async def test_a_ring_that_ended_by_itself_tells_the_next_daemon_of_no_crash(
 ) -> None:
     service = Service(tmp_path)
     service.keep(frames.EventEntry(boottime(), "x"))
-    service.recorder._end_ring("no room")
+    service.recorder.end_ring("no room")
     service.mark("c" * 12)
     assert "no room" in service.answers[0].text
     service.service.close(has_crashed=False)

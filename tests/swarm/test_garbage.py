@@ -157,6 +157,7 @@ def request(verb: str) -> AnyRequest:
         "label": {"labels": ("red",)},
         "push": {"content": b"pattern"},
         "roster": {"roster": b"roster"},
+        "mark": {"words": "a chair fell", "incident": "0123456789ab"},
     }
     request: AnyRequest = VERBS[verb].asked(
         id="f00d",
