@@ -106,7 +106,7 @@ def _contained(
     """A method whose error ends the black box, and not the daemon."""
 
     @wraps(work)
-    def call(self: IncidentService, *args: P.args, **kwargs: P.kwargs) -> None:
+    def call(self: IncidentService, /, *args: P.args, **kwargs: P.kwargs) -> None:
         try:
             work(self, *args, **kwargs)
         except Exception as error:
