@@ -360,7 +360,7 @@ class Recorder:
         """End the black box, and say why."""
         if self.ring is not None:  # its file would tell the next daemon of a crash
             self.ring.close(keeps_file=False)
-        self.ring, self.ring_fault = None, fault
+        self.ring, self.ring_fault = None, f"off: {fault}"
         self._on_event(f"black box ends: {fault}")
 
     def flush_if_due(self, now: float) -> None:
