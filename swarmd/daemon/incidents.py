@@ -334,9 +334,10 @@ class IncidentService:
         self._on_event(printable(f"incident {incident.id} of {incident.robot}: {incident.text}"))
 
     def _await_tail(self, incident: Incident, at: float) -> None:
-        """Note the incident in the ring; its file is written TAIL s after it."""
+        """Note the incident in the ring at once; its file is written TAIL s after it."""
         self._due[incident.id] = max(at + TAIL, boottime())
         self._recorder.add(frames.TextEntry(at, "/incident", msgspec.json.encode(incident)))
+        self._recorder.write_ring()
 
     # Spread
 

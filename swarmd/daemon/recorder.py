@@ -265,7 +265,7 @@ class Recorder:
             if type(input) is TickInput:
                 self.flush_if_due(now)
             if type(input) is TickInput or actions is None or not actions.is_quiet:
-                self._write_ring()
+                self.write_ring()
         for status in statuses:
             self.on_status(status)
 
@@ -331,7 +331,7 @@ class Recorder:
         if time_left < HEADROOM * min(self._memory_costs) and age < 2.0 * SEGMENT_TIME:
             return
         self.settle(robot)
-        self._write_ring()
+        self.write_ring()
         began = boottime()
         try:
             data = remember(robot, MAX_MEMORY)
@@ -344,10 +344,11 @@ class Recorder:
         ring.set_clock(boottime(), time.time())  # a robot without a battery clock starts in 1970
         self._segment_at = now
         self._ring_entries.append(frames.encode(frames.MemoryEntry(now, data)))
-        self._write_ring()
+        self.write_ring()
         self._memory_costs.append(boottime() - began)
 
-    def _write_ring(self) -> None:
+    def write_ring(self) -> None:
+        """Write the entries so far to the ring."""
         entries, self._ring_entries = self._ring_entries, []
         if self.ring is None or not entries:
             return

@@ -335,6 +335,14 @@ async def test_an_incident_whose_file_was_being_written_at_the_kill_is_written(
     assert told.id in Service(tmp_path).files()
 
 
+async def test_an_incident_right_before_a_kill_is_written(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.mark("f" * 12)
+    first.die()
+    assert "f" * 12 in Service(tmp_path).files()
+
+
 async def test_a_ring_with_an_incident_of_another_form_ends_no_start(tmp_path: Path) -> None:
     first = Service(tmp_path)
     first.keep(frames.TextEntry(boottime(), "/incident", b'{"id": 3}'))
