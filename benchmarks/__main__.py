@@ -23,7 +23,6 @@ from benchmarks import (
     ros2,
     startup,
     steps,
-    subscribers,
     switch,
     view,
 )
@@ -39,7 +38,6 @@ ALL: Mapping[str, Callable[[], None]] = {
     "learning": learning.main,
     "latency": lambda: latency.main([]),
     "resources": lambda: resources.main([]),
-    "subscribers": lambda: subscribers.main([]),
     "recording": lambda: recording.main([]),
     "startup": startup.main,
     "cli": cli.main,
