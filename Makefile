@@ -53,7 +53,7 @@ help:
 	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
 	@echo "make budget    each budget: a ratio to a yardstick of the same run, in three minutes"
 	@echo "make arm64     tests, traces and a daemon on an emulated arm64; as root, half an hour at first"
-	@echo "make processors  which bits depend on the variant of x86-64, and by which function; ten minutes of a core"
+	@echo "make processors  which bits depend on the variant of x86-64, and which functions differ; ten minutes of a core"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; some six hours of a core"

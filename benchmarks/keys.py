@@ -19,6 +19,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from benchmarks.resources import cpu_seconds, memory
 from benchmarks.table import machine, markdown
 from swarmd.core.values import Value
 from swarmd.network.carriers.session import open_operator_session
@@ -99,19 +100,11 @@ class Side:
 
     def cpu(self) -> float:
         """Seconds of CPU that all daemons have used."""
-        ticks = 0
-        for daemon in self.daemons:
-            fields = Path(f"/proc/{daemon.process.pid}/stat").read_text().rpartition(")")[2].split()
-            ticks += int(fields[11]) + int(fields[12])
-        return ticks / os.sysconf("SC_CLK_TCK")
+        return sum(cpu_seconds(daemon.process.pid) for daemon in self.daemons)
 
     def memory(self) -> float:
         """Resident memory of a daemon in MB, the median."""
-        pages = [
-            int(Path(f"/proc/{daemon.process.pid}/statm").read_text().split()[1])
-            for daemon in self.daemons
-        ]
-        return statistics.median(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        return statistics.median(memory(daemon.process.pid, "Rss") for daemon in self.daemons)
 
 
 @contextlib.contextmanager

@@ -18,10 +18,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import msgspec
 from msgspec import Struct, structs
@@ -39,6 +39,7 @@ from swarmd.sim.scenarios.preflight import WHOLE_BODIES
 from swarmd.sim.world.detector import DETECTIONS
 from swarmd.sim.world.radio import RadioSettings
 
+Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
 WORLD = "world"
 FORKED_DAEMON = "swarmd.sim.live.forked_daemon"
 DAEMON_MODULES = (
@@ -93,7 +94,7 @@ class Child:
     """A child process and the file of its standard error."""
 
     name: str
-    process: subprocess.Popen[bytes] | ForkedProcess
+    process: Process
     log: Path
 
     def how_it_ended(self) -> str:
@@ -163,7 +164,7 @@ class Fleet:
             child.process.terminate()
         else:
             child.process.kill()
-        _end([child])
+        end_processes([child.process])
 
     def ended(self) -> Mapping[str, str]:
         """A text about the end of each child that has ended, by name."""
@@ -181,8 +182,9 @@ class Fleet:
 
     def stop(self) -> None:
         """End every child: TERM, after 2 s KILL. The world ends last, to record the stops."""
-        _end(self._children[1:])
-        _end(self._children[:1])
+        processes = [child.process for child in self._children]
+        end_processes(processes[1:])
+        end_processes(processes[:1])
         self._children = []
 
     def _start(self) -> None:
@@ -204,6 +206,21 @@ class Fleet:
         for robot in spec.robots:
             if robot not in spec.absent:
                 self.start_daemon(robot)
+
+
+def end_processes(processes: Sequence[Process], delay: float = KILL_DELAY) -> None:
+    """End child processes by SIGTERM, and by SIGKILL those that are left after `delay` s."""
+    for process in processes:
+        process.terminate()
+    deadline = time.monotonic() + delay
+    for process in processes:
+        try:
+            process.wait(timeout=max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
 
 
 def robot_ids(platform: str, count: int) -> tuple[str, ...]:
@@ -288,20 +305,6 @@ def _await_ready(world: Child) -> Ready:
     if world.process.poll() is not None:
         raise SwarmError(world.how_it_ended())
     raise NetworkError(f"the world was not ready after {WORLD_TIMEOUT:.0f} s (log: {world.log})")
-
-
-def _end(children: list[Child]) -> None:
-    for child in children:
-        child.process.terminate()
-    deadline = time.monotonic() + KILL_DELAY
-    for child in children:
-        try:
-            child.process.wait(timeout=max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            child.process.kill()
-            child.process.wait()
-        if child.process.stdout is not None:
-            child.process.stdout.close()
 
 
 def _last_line(log: Path) -> str:
