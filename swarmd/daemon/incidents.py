@@ -55,7 +55,15 @@ from swarmd.network.spread.pull import Blob, Puller, serve_shared
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.incident_file import SUFFIX, IncidentHead, pack, read_head
-from swarmd.recording.ring import Left, Ring, entries_of, memory_folder, read_left, remove_old
+from swarmd.recording.ring import (
+    MAX_FILE,
+    Left,
+    Ring,
+    entries_of,
+    memory_folder,
+    read_left,
+    remove_old,
+)
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from swarmd.settings.swarmfile import BlackboxSection
@@ -194,8 +202,10 @@ class IncidentService:
         with suppress(OSError):
             for path in self._folder.glob(f"*{SUFFIX}"):
                 with suppress(OSError, CodecError):
-                    data = path.read_bytes()
-                    heads.append((read_head(data), len(data), zlib.crc32(data)))
+                    data = read_regular(path, MAX_FILE)
+                    head = read_head(data)
+                    if path.name == head.incident.id + SUFFIX:
+                        heads.append((head, len(data), zlib.crc32(data)))
         # Files of an earlier boot come first, by the wall clock, which may have been set since.
         heads.sort(key=lambda one: _place_of(one[0]))
         for head, size, crc in heads:

@@ -17,7 +17,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident
 from swarmd.core.messages import Code, Reply, State
-from swarmd.core.verbs import IncidentsReply, KeptIncident, MarkRequest, Nothing
+from swarmd.core.verbs import FetchQuery, IncidentsReply, KeptIncident, MarkRequest, Nothing
 from swarmd.daemon.incidents import (
     MAX_BYTES,
     MAX_KEPT,
@@ -449,3 +449,27 @@ async def test_the_words_of_a_tale_forge_no_line_of_the_log(tmp_path: Path) -> N
     service.tell(told)
     assert service.events
     assert all(text.isprintable() for text in service.events)
+
+
+async def test_a_file_that_no_robot_wrote_delays_no_start_and_is_not_listed(
+    tmp_path: Path,
+) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.mark("a" * 12)
+    first.service.close(has_crashed=False)
+    folder = first.folder / "incidents"
+    whole = (folder / f"{'a' * 12}.incident").read_bytes()
+    os.mkfifo(folder / f"{'b' * 12}.incident")  # to open it would wait for a writer
+    (folder / f"{'c' * 12}.incident").write_bytes(whole[:-9])  # a copy, cut off
+    (one,) = Service(tmp_path).reply().incidents
+    assert (one.incident.id, one.size) == ("a" * 12, len(whole))
+    query = FetchQuery(file=f"{'b' * 12}.incident", offset=0, length=9)
+    assert "regular" in first.service.on_incident(query)().text
+
+
+async def test_a_pipe_in_the_place_of_the_ring_delays_no_start(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.service.close(has_crashed=False)
+    os.mkfifo(tmp_path / "memory" / first.service._ring_name)
+    assert Service(tmp_path).reply().fault
