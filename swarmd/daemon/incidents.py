@@ -421,7 +421,10 @@ class IncidentService:
             self._stalled_at = now
         self._advanced_at = now
         oldest = now - self._seconds - MARGIN
-        self._told = {id: told for id, told in self._told.items() if told.at >= oldest}
+        # After a suspend of the machine a file may be due for long.
+        self._told = {
+            id: told for id, told in self._told.items() if told.at >= oldest or id in self._due
+        }
         due = next((id for id, due in self._due.items() if now >= due), None)
         if due is not None and not self._is_writing:
             self._write_due(due)

@@ -473,3 +473,12 @@ async def test_a_pipe_in_the_place_of_the_ring_delays_no_start(tmp_path: Path) -
     first.service.close(has_crashed=False)
     os.mkfifo(tmp_path / "memory" / first.service._ring_name)
     assert Service(tmp_path).reply().fault
+
+
+async def test_an_incident_before_a_suspend_is_written_after_it(tmp_path: Path) -> None:
+    service, now = Service(tmp_path), boottime()
+    service.keep(frames.EventEntry(now, "x"))
+    service.mark("a" * 12)
+    service.service.advance(now + 3600.0)  # the clock counts while the machine is suspended
+    await asyncio.gather(*service.service._tasks)
+    assert service.files() == {"a" * 12}
