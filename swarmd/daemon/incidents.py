@@ -147,7 +147,7 @@ class IncidentService:
     ) -> None:
         self._robot, self._section, self._seconds = robot, section, section.seconds
         self._folder = folder / LIST
-        digest = hashlib.blake2b(str(folder).encode(), digest_size=6).hexdigest()
+        digest = hashlib.blake2b(str(folder.absolute()).encode(), digest_size=6).hexdigest()
         self._ring_name = f"{robot}-{digest}"
         self._recorder, self._puller = recorder, puller
         self._head, self._identity, self._is_member = head, identity, is_member
@@ -216,6 +216,8 @@ class IncidentService:
 
     def _on_left(self, left: Left) -> None:
         """Write what an earlier daemon has left; it was killed, or has crashed."""
+        if left.about.get("clock") != clock_id():
+            raise CodecError("it is from before a reboot")
         entries = entries_of(left)
         if not entries:
             return
@@ -227,7 +229,9 @@ class IncidentService:
                 if incident.id not in self._kept and end - one.at <= MARGIN:
                     self._may_begin(_origin_of(incident), one.at, gap=0.0)
                     self._write(incident, one.at, *source, is_waiting=True)
-        instance = head_of(left.about, "the black box").identity.instance
+        instance = ""
+        with suppress(ConfigError):  # another version: peers have another id of it
+            instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
         id = self._id_of_silence(silent_id(self._robot, instance, left.revision), end)
         self._begin(Found(IncidentKind.SILENT, text, id), at=end, left=source)

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.clock import boottime
+from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident
 from swarmd.core.messages import Code, Reply, State
@@ -302,7 +302,7 @@ class Service:
 
 HEAD = RecordingHead(
     swarm="meadow",
-    clock="c",
+    clock=clock_id(),
     machine="",
     identity=RobotIdentity(
         robot="r1", platform=load_platform("burger"), setup=RobotSetup(driver="d"), seed=1,
@@ -482,3 +482,43 @@ async def test_an_incident_before_a_suspend_is_written_after_it(tmp_path: Path) 
     service.service.advance(now + 3600.0)  # the clock counts while the machine is suspended
     await asyncio.gather(*service.service._tasks)
     assert service.files() == {"a" * 12}
+
+
+async def test_what_a_daemon_of_another_version_left_is_written(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.die()
+    path = tmp_path / "memory" / first.service._ring_name
+    key = b"\xa4head"
+    content = path.read_bytes()
+    at = content.rindex(key) + len(key) + 3  # after the size of the text
+    path.write_bytes(content[:at] + b"?" * 9 + content[at + 9 :])
+    assert len(Service(tmp_path).files()) == 1
+
+
+async def test_what_was_left_before_a_reboot_is_no_incident_of_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = Service(tmp_path)  # its folder may be on a disk
+    first.keep(frames.EventEntry(boottime() + 9e4, "x"))
+    first.die()
+    monkeypatch.setattr("swarmd.daemon.incidents.clock_id", lambda: "later")
+    second = Service(tmp_path)
+    assert second.files() == set()
+    assert second.service.digest == b""
+
+
+async def test_robots_of_two_working_folders_have_rings_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = set()
+    for place in (tmp_path / "a", tmp_path / "b"):
+        place.mkdir()
+        monkeypatch.chdir(place)
+        service = IncidentService(
+            "r1", Path("state"), BlackboxSection(), recorder=MagicMock(), puller=MagicMock(),
+            head=lambda: HEAD, identity=lambda: None, is_member=lambda name: True,
+            on_event=lambda text: None,
+        )  # fmt: skip
+        names.add(service._ring_name)
+    assert len(names) == 2
