@@ -560,7 +560,7 @@ class IncidentService:
             robot=self._robot,
             now=now,
             clock=clock_id(),
-            incidents=tuple(kept),
+            incidents=tuple(kept[-verbs.MAX_INCIDENTS :]),
             kept=None if begin is None else max(now - begin, 0.0),
             fault=self._problem,
         )

@@ -468,6 +468,18 @@ async def test_a_file_that_no_robot_wrote_delays_no_start_and_is_not_listed(
     assert "regular" in first.service.on_incident(query)().text
 
 
+async def test_more_files_than_a_list_takes_hide_none_of_the_newest(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    head = IncidentHead(
+        incident=incident("0" * 12), at=5.0, clock=clock_id(), begin=1.0, end=9.0, size=0, about={},
+        boot=4.0, wall=60.0,
+    )  # fmt: skip
+    for number in range(70):
+        told = msgspec.structs.replace(head.incident, id=f"{number:012x}")
+        service.service._note_kept(msgspec.structs.replace(head, incident=told), 10, 0)
+    assert service.reply().incidents[-1].incident.id == f"{69:012x}"
+
+
 async def test_a_pipe_in_the_place_of_the_ring_delays_no_start(tmp_path: Path) -> None:
     first = Service(tmp_path)
     first.service.close(has_crashed=False)
