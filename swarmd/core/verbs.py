@@ -49,6 +49,7 @@ MAX_AGE = 5.0
 MAX_PLANNED = 3600.0
 """Seconds of `planned` that count at most."""
 
+MAX_INCIDENTS = 64  # that a robot lists
 MAX_FINDINGS = 1000
 """Findings of assumption monitors in one request: three of each robot at most."""
 
@@ -372,7 +373,7 @@ class IncidentsReply(Struct, frozen=True, kw_only=True):
     robot: Name
     now: Seconds
     clock: Annotated[str, Meta(max_length=32)]
-    incidents: Annotated[tuple[KeptIncident, ...], Meta(max_length=64)] = ()
+    incidents: Annotated[tuple[KeptIncident, ...], Meta(max_length=MAX_INCIDENTS)] = ()
     kept: Seconds | None = None
     fault: Line = ""
 

@@ -18,6 +18,7 @@ import msgspec
 from msgspec.structs import replace
 
 from swarmd.core.clock import FIRST_WALL
+from swarmd.core.files import read_regular
 from swarmd.core.messages import Code, Reply
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.verbs import MAX_PART, VERBS, AnyRequest, AuditEntry, AuditQuery, shortened
@@ -314,7 +315,7 @@ class AuditLog:
     def _newest_first(self) -> Iterator[AuditEntry]:
         for number in range(FILES):
             try:
-                lines = self._path(number).read_bytes().splitlines()
+                lines = read_regular(self._path(number)).splitlines()
             except OSError:
                 continue
             for line in reversed(lines):

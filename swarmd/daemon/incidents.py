@@ -55,7 +55,15 @@ from swarmd.network.spread.pull import Blob, Puller, serve_shared
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.incident_file import SUFFIX, IncidentHead, pack, read_head
-from swarmd.recording.ring import Left, Ring, entries_of, memory_folder, read_left, remove_old
+from swarmd.recording.ring import (
+    MAX_FILE,
+    Left,
+    Ring,
+    entries_of,
+    memory_folder,
+    read_left,
+    remove_old,
+)
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from swarmd.settings.swarmfile import BlackboxSection
@@ -139,7 +147,7 @@ class IncidentService:
     ) -> None:
         self._robot, self._section, self._seconds = robot, section, section.seconds
         self._folder = folder / LIST
-        digest = hashlib.blake2b(str(folder).encode(), digest_size=6).hexdigest()
+        digest = hashlib.blake2b(str(folder.absolute()).encode(), digest_size=6).hexdigest()
         self._ring_name = f"{robot}-{digest}"
         self._recorder, self._puller = recorder, puller
         self._head, self._identity, self._is_member = head, identity, is_member
@@ -194,8 +202,10 @@ class IncidentService:
         with suppress(OSError):
             for path in self._folder.glob(f"*{SUFFIX}"):
                 with suppress(OSError, CodecError):
-                    data = path.read_bytes()
-                    heads.append((read_head(data), len(data), zlib.crc32(data)))
+                    data = read_regular(path, MAX_FILE)
+                    head = read_head(data)
+                    if path.name == head.incident.id + SUFFIX:
+                        heads.append((head, len(data), zlib.crc32(data)))
         # Files of an earlier boot come first, by the wall clock, which may have been set since.
         heads.sort(key=lambda one: _place_of(one[0]))
         for head, size, crc in heads:
@@ -206,6 +216,8 @@ class IncidentService:
 
     def _on_left(self, left: Left) -> None:
         """Write what an earlier daemon has left; it was killed, or has crashed."""
+        if left.about.get("clock") != clock_id():
+            raise CodecError("it is from before a reboot")
         entries = entries_of(left)
         if not entries:
             return
@@ -217,7 +229,9 @@ class IncidentService:
                 if incident.id not in self._kept and end - one.at <= MARGIN:
                     self._may_begin(_origin_of(incident), one.at, gap=0.0)
                     self._write(incident, one.at, *source, is_waiting=True)
-        instance = head_of(left.about, "the black box").identity.instance
+        instance = ""
+        with suppress(ConfigError):  # another version: peers have another id of it
+            instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
         id = self._id_of_silence(silent_id(self._robot, instance, left.revision), end)
         self._begin(Found(IncidentKind.SILENT, text, id), at=end, left=source)
@@ -412,7 +426,10 @@ class IncidentService:
             self._stalled_at = now
         self._advanced_at = now
         oldest = now - self._seconds - MARGIN
-        self._told = {id: told for id, told in self._told.items() if told.at >= oldest}
+        # After a suspend of the machine a file may be due for long.
+        self._told = {
+            id: told for id, told in self._told.items() if told.at >= oldest or id in self._due
+        }
         due = next((id for id, due in self._due.items() if now >= due), None)
         if due is not None and not self._is_writing:
             self._write_due(due)
@@ -544,7 +561,7 @@ class IncidentService:
             robot=self._robot,
             now=now,
             clock=clock_id(),
-            incidents=tuple(kept),
+            incidents=tuple(kept[-verbs.MAX_INCIDENTS :]),
             kept=None if begin is None else max(now - begin, 0.0),
             fault=self._problem,
         )

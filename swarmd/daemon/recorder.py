@@ -48,7 +48,7 @@ from swarmd.core.events import (
     TickInput,
     tag_of,
 )
-from swarmd.core.files import write_fault
+from swarmd.core.files import open_regular, read_regular, write_fault
 from swarmd.core.messages import Code, RecordingSummary, Refusal, Reply, Status
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Scan
@@ -587,7 +587,7 @@ def piece_of(robot: str, folder: Path, suffix: str, query: verbs.FetchQuery) -> 
     try:
         if not query.file.endswith(suffix):
             raise FileNotFoundError
-        with (folder / query.file).open("rb") as file:
+        with open_regular(folder / query.file) as file:
             size = file.seek(0, 2)
             file.seek(query.offset)
             data = file.read(query.length)
@@ -634,7 +634,7 @@ def _finished(path: Path, size: int) -> verbs.RecordingFile | None:
     None without a valid index: the file is being written, or was cut off.
     """
     try:
-        index: dict[str, Any] = json.loads(path.with_suffix(".index.json").read_text())
+        index: dict[str, Any] = json.loads(read_regular(path.with_suffix(".index.json")))
         return verbs.RecordingFile(
             name=path.name,
             size=size,

@@ -219,7 +219,8 @@ def remove_old(folder: Path, wall: float) -> None:
 
 def _open(path: Path, flags: int = os.O_RDWR | os.O_CREAT) -> int:
     """A locked file; OSError if another process has locked it."""
-    file = os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    # A pipe in its place is refused later, and not waited for.
+    file = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.clock import boottime
+from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident
 from swarmd.core.messages import Code, Reply, State
-from swarmd.core.verbs import IncidentsReply, KeptIncident, MarkRequest, Nothing
+from swarmd.core.verbs import FetchQuery, IncidentsReply, KeptIncident, MarkRequest, Nothing
 from swarmd.daemon.incidents import (
     MAX_BYTES,
     MAX_KEPT,
@@ -302,7 +302,7 @@ class Service:
 
 HEAD = RecordingHead(
     swarm="meadow",
-    clock="c",
+    clock=clock_id(),
     machine="",
     identity=RobotIdentity(
         robot="r1", platform=load_platform("burger"), setup=RobotSetup(driver="d"), seed=1,
@@ -457,3 +457,88 @@ async def test_the_words_of_a_tale_forge_no_line_of_the_log(tmp_path: Path) -> N
     service.tell(told)
     assert service.events
     assert all(text.isprintable() for text in service.events)
+
+
+async def test_a_file_that_no_robot_wrote_delays_no_start_and_is_not_listed(
+    tmp_path: Path,
+) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.mark("a" * 12)
+    first.service.close(has_crashed=False)
+    folder = first.folder / "incidents"
+    whole = (folder / f"{'a' * 12}.incident").read_bytes()
+    os.mkfifo(folder / f"{'b' * 12}.incident")  # to open it would wait for a writer
+    (folder / f"{'c' * 12}.incident").write_bytes(whole[:-9])  # a copy, cut off
+    (one,) = Service(tmp_path).reply().incidents
+    assert (one.incident.id, one.size) == ("a" * 12, len(whole))
+    query = FetchQuery(file=f"{'b' * 12}.incident", offset=0, length=9)
+    assert "regular" in first.service.on_incident(query)().text
+
+
+async def test_more_files_than_a_list_takes_hide_none_of_the_newest(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    head = IncidentHead(
+        incident=incident("0" * 12), at=5.0, clock=clock_id(), begin=1.0, end=9.0, size=0, about={},
+        boot=4.0, wall=60.0,
+    )  # fmt: skip
+    for number in range(70):
+        told = msgspec.structs.replace(head.incident, id=f"{number:012x}")
+        service.service._note_kept(msgspec.structs.replace(head, incident=told), 10, 0)
+    assert service.reply().incidents[-1].incident.id == f"{69:012x}"
+
+
+async def test_a_pipe_in_the_place_of_the_ring_delays_no_start(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.service.close(has_crashed=False)
+    os.mkfifo(tmp_path / "memory" / first.service._ring_name)
+    assert Service(tmp_path).reply().fault
+
+
+async def test_an_incident_before_a_suspend_is_written_after_it(tmp_path: Path) -> None:
+    service, now = Service(tmp_path), boottime()
+    service.keep(frames.EventEntry(now, "x"))
+    service.mark("a" * 12)
+    service.service.advance(now + 3600.0)  # the clock counts while the machine is suspended
+    await asyncio.gather(*service.service._tasks)
+    assert service.files() == {"a" * 12}
+
+
+async def test_what_a_daemon_of_another_version_left_is_written(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.die()
+    path = tmp_path / "memory" / first.service._ring_name
+    key = b"\xa4head"
+    content = path.read_bytes()
+    at = content.rindex(key) + len(key) + 3  # after the size of the text
+    path.write_bytes(content[:at] + b"?" * 9 + content[at + 9 :])
+    assert len(Service(tmp_path).files()) == 1
+
+
+async def test_what_was_left_before_a_reboot_is_no_incident_of_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = Service(tmp_path)  # its folder may be on a disk
+    first.keep(frames.EventEntry(boottime() + 9e4, "x"))
+    first.die()
+    monkeypatch.setattr("swarmd.daemon.incidents.clock_id", lambda: "later")
+    second = Service(tmp_path)
+    assert second.files() == set()
+    assert second.service.digest == b""
+
+
+async def test_robots_of_two_working_folders_have_rings_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = set()
+    for place in (tmp_path / "a", tmp_path / "b"):
+        place.mkdir()
+        monkeypatch.chdir(place)
+        service = IncidentService(
+            "r1", Path("state"), BlackboxSection(), recorder=MagicMock(), puller=MagicMock(),
+            head=lambda: HEAD, identity=lambda: None, is_member=lambda name: True,
+            on_event=lambda text: None,
+        )  # fmt: skip
+        names.add(service._ring_name)
+    assert len(names) == 2
