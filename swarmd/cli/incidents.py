@@ -15,6 +15,7 @@ from swarmd.cli.send import asking, session_of
 from swarmd.cli.targets import takes_targets
 from swarmd.client.incidents import Incidents, SwarmIncident, ask_incidents
 from swarmd.client.targets import Targets
+from swarmd.core.bounds import MAX_REASON
 from swarmd.core.verbs import KeptIncident, MarkRequest, RecordingFile, shortened
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.plugins import need
@@ -94,8 +95,9 @@ def mark(options: CommonOptions, targets: Targets, words: str) -> None:
 
     It moves nothing.
     """
-    if not words.strip():
-        raise click.UsageError("WORDS are empty; say what happened: 'it hit the chair'")
+    if not words.strip() or len(words) > MAX_REASON:
+        wanted = f"WORDS have {len(words)} characters; expected 1 to {MAX_REASON}"
+        raise click.UsageError(f"{wanted}, such as 'it hit the chair'")
     id = secrets.token_hex(6)
     with asking(options, targets, needs_status=False) as asked:
         outcome = asked.targeted.request(MarkRequest, words=words, incident=id)

@@ -37,7 +37,8 @@ FileName = Annotated[
     ),
 ]
 """The name of a file in a known folder: no path, no hidden file, no control character."""
-ReasonText = Annotated[str, Meta(max_length=256)]
+MAX_REASON = 256  # characters
+ReasonText = Annotated[str, Meta(max_length=MAX_REASON)]
 BoundedScalar = (
     bool
     | Annotated[int, Meta(ge=-(2**53), le=2**53)]

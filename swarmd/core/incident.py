@@ -127,7 +127,10 @@ def found(before: Status | None, now: Status) -> Found | None:
         epoch = before.epoch
         is_silent = kind is IncidentKind.STALL
         id = silent_id(now.robot, epoch.instance, epoch.revision) if is_silent else ""
-        return Found(kind, f"{now.state} ({now.reason}) {now.detail}".rstrip(), id)
+        # A base that is lost says why in an event.
+        logged = [one.text for one in now.events if one.at > before.uptime]
+        why = now.detail or (logged[-1] if logged else "")
+        return Found(kind, f"{now.state} ({now.reason}) {why}".rstrip(), id)
     for finding in now.findings:
         if finding not in before.findings:
             return Found(IncidentKind.ASSUMPTION, finding)

@@ -181,6 +181,8 @@ class IncidentService:
                 left = read_left(path)
                 if left is not None and left.frames:
                     self._on_left(left)
+                    if self.fault:  # the minute stays in memory, for a start with room on the disk
+                        return
             except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
                 log.warning("what the daemon before left is lost: %s", error)
             head, now = self._head(), boottime()

@@ -152,6 +152,17 @@ def test_the_robot_that_told_an_incident_first_describes_it() -> None:
     assert (one.incident.text, one.age) == ("a chair fell", 7.0)
 
 
+def test_the_robot_that_had_an_incident_describes_it() -> None:
+    silent = structs.replace(kept().incident, text="not heard any more", by="tb3-01")
+    died = structs.replace(kept().incident, text="its daemon died")
+    replies = {
+        "tb3-01": reply("tb3-01", structs.replace(kept(age=9.0), incident=silent)),
+        "tb3-02": reply("tb3-02", structs.replace(kept(age=8.0), incident=died)),
+    }
+    (one,) = gathered(replies)
+    assert (one.incident.text, one.age) == ("its daemon died", 8.0)
+
+
 def test_a_fetched_incident_is_replayed_as_one_swarm(
     robots: Robots, files: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -233,6 +244,7 @@ def test_the_beginning_of_an_id_names_one_incident(
     assert robots.swarmctl("incidents", "fetch", prefix, "-d", str(tmp_path))[0] == code
 
 
-def test_a_mark_without_words_is_refused(robots: Robots) -> None:
-    code, _, err = robots.swarmctl("incident", "mark", " ")
+@pytest.mark.parametrize("words", ["", " ", "x" * 257])
+def test_a_mark_without_words_or_with_too_many_is_refused(robots: Robots, words: str) -> None:
+    code, _, err = robots.swarmctl("incident", "mark", words)
     assert (code, "WORDS" in err) == (2, True)

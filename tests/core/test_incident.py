@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.incident import BEGINS, Found, IncidentKind, found, silent_id
-from swarmd.core.messages import Epoch, FenceSummary, Latch, Reason, State, Status
+from swarmd.core.messages import Epoch, FenceSummary, Latch, LoggedEvent, Reason, State, Status
 from tests.support.page_reader import ROOT
 from tests.support.statuses import RUNNING
 
@@ -45,6 +45,18 @@ def kind_of(what: Found | None) -> IncidentKind | None:
 def test_what_begins_an_incident(before: Status, now: Status, kind: str) -> None:
     assert kind_of(found(before, now)) == kind
     assert found(now, now) is None  # it goes on
+
+
+def test_the_words_of_an_incident_are_those_of_the_robot() -> None:
+    events = (LoggedEvent(at=1.0, text="started"), LoggedEvent(at=9.0, text="nothing from tcp/x"))
+    before = replace(RUNNING, uptime=8.0, events=events[:1])
+    lost = replace(before, reason=Reason.DRIVER_LOST, uptime=9.0)
+    what = found(before, replace(lost, events=events))
+    assert what is not None
+    assert what.text.endswith("nothing from tcp/x")
+    what = found(before, lost)
+    assert what is not None
+    assert "started" not in what.text
 
 
 @pytest.mark.parametrize(

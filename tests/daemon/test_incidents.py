@@ -335,6 +335,18 @@ async def test_an_incident_whose_file_was_being_written_at_the_kill_is_written(
     assert told.id in Service(tmp_path).files()
 
 
+async def test_what_a_killed_daemon_left_waits_for_room_on_the_disk(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.die()
+    first.folder.write_text("in the way")
+    full = Service(tmp_path)
+    assert "not on disk" in full.reply().fault
+    full.service.close(has_crashed=False)
+    first.folder.unlink()
+    assert len(Service(tmp_path).files()) == 1
+
+
 async def test_an_incident_right_before_a_kill_is_written(tmp_path: Path) -> None:
     first = Service(tmp_path)
     first.keep(frames.EventEntry(boottime(), "x"))

@@ -98,6 +98,7 @@ HISTORIES = 10_200
 TELL_TIME = 50.0  # s: a pull over a cut link takes 20 s, the next one may wait 10 s, a file 10 s
 WINDOW = 50.0  # s: a robot takes an incident that is up to 100 s old
 INCIDENT_GAP, INCIDENTS_AN_HOUR, INCIDENT_FILES = 10.0, 6, 20
+RING_LAG = 0.4  # s between the last entry of a ring and a death, at most: a tick at rest
 MAX_SENT = 300  # datagrams of one robot within a second
 
 
@@ -375,8 +376,8 @@ class Invariants:
         if death is None:
             return
         before, self._died_at[daemon.name] = self._died_at.get(daemon.name, -math.inf), death.at
-        # One of less than 10 s after another one begins none.
-        is_counted = death.at - before > INCIDENT_GAP
+        # One of less than 10 s after another one begins none; the ring ends a tick before a death.
+        is_counted = death.at - before > INCIDENT_GAP + RING_LAG
         if is_counted and self._swarm.now - daemon.black_box.began > 1.0:
             self._deaths[daemon.name] = death
 
