@@ -377,7 +377,7 @@ class Invariants:
             return
         before, self._died_at[daemon.name] = self._died_at.get(daemon.name, -math.inf), death.at
         # One of less than 10 s after another one begins none; the ring ends a tick before a death.
-        is_counted = death.at - before > INCIDENT_GAP + RING_LAG
+        is_counted = death.last - before > INCIDENT_GAP + RING_LAG
         if is_counted and self._swarm.now - daemon.black_box.began > 1.0:
             self._deaths[daemon.name] = death
 
