@@ -47,7 +47,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Lesson:
         "arena": {"size": [3, 3]},
         "groups": {"r": {"platform": "burger", "count": 1}},
     }
-    targets = {"runs/crowd": ["path_length >= 2", "max(arena_contacts) == 0"]}
+    targets = {"runs/crowd": ["min(path_length) >= 2", "max(arena_contacts) == 0"]}
     lesson = Lesson(title="Short", targets=targets, pattern="bold", scenario=scenario)
     monkeypatch.setattr(lessons, "load_lessons", lambda: {"5": lesson})
     return lesson
@@ -127,14 +127,14 @@ def test_the_table_has_the_targets_the_values_and_a_reason(tmp_path: Path, short
     (tmp_path / "ben.py").write_text(BOLD.replace("] = 0.2", "] = 0.01"))
     result = checked(tmp_path, "5")
     lines = result.stdout.splitlines()
-    assert lines[:2] == ["A  path_length >= 2", "B  max(arena_contacts) == 0"]
+    assert lines[:2] == ["A  min(path_length) >= 2", "B  max(arena_contacts) == 0"]
     assert lines[3].split() == ["PUPIL", "CHECKS", "A", "B", "VERDICT", "WHY"]
     (_, checks, value, _, verdict, why), ben = lines[4].split(), lines[5].split(maxsplit=5)
     assert (checks.split("/")[0], verdict, why) == (checks.split("/")[1], "passed", "-")
     assert float(value) >= 2.0
     assert ben[2].endswith("!")
     assert ben[4] == "failed"
-    assert ben[5].startswith("path_length is ")
+    assert ben[5].startswith("min(path_length) is ")
 
 
 @pytest.mark.integration
