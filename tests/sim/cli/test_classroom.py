@@ -15,7 +15,9 @@ from click.testing import CliRunner, Result
 from swarmd.sim.cli.classroom import classroom
 from swarmd.sim.experiments import lessons
 from swarmd.sim.experiments.lessons import Lesson, load_lessons, mark_results
-from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.experiments.manifest import manifest_of
+from swarmd.sim.experiments.simulate import plan_of, simulate
+from swarmd.sim.experiments.store import open_store
 from tests.support.examples import part
 from tests.support.processes import has_landlock
 
@@ -155,6 +157,24 @@ def test_handed_in_results_are_compared_with_the_targets(
         "cem": False,
     }
     assert result.exit_code == 1
+
+
+def test_only_a_target_that_an_interval_excludes_is_missed(
+    tmp_path: Path, duo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five of five runs reach down to 0.566, and none of five up to 0.434 (Wilson)."""
+    targets = {"runs/first": ["one_cluster_at_end >= 0.8"]}
+    monkeypatch.setattr(lessons, "load_lessons", lambda: {"1": Lesson("First", targets)})
+    plan = plan_of(str(duo), range(5))
+    for pupil, value in (("anna", 1.0), ("ben", 0.0)):
+        folder = tmp_path / "class" / pupil / "runs/first"
+        manifest = manifest_of(plan, traces=False, command=[])
+        with open_store(folder, manifest, ("one_cluster_at_end",)) as store:
+            for run in plan.runs:
+                store.add(run, {"one_cluster_at_end": value}, 0.1)
+    anna, ben = checked(tmp_path / "class", "1").stdout.splitlines()[-2:]
+    assert anna.split()[2:4] == ["1?", "passed"]
+    assert ben.split()[2:4] == ["0!", "failed"]
 
 
 @pytest.mark.integration
