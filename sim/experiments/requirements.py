@@ -79,12 +79,13 @@ class RequirementFinding:
         return self.verdict is Verdict.MET and not self.few
 
     def document(self) -> dict[str, Any]:
-        """The finding as plain values."""
+        """The finding as plain values; None for an infinite end of the interval."""
+        ends = self.interval and [end if math.isfinite(end) else None for end in self.interval]
         return {
             "requirement": self.requirement.text,
             "variant": self.variant,
             "value": self.value,
-            "interval": self.interval,
+            "interval": ends,
             "met": self.verdict is Verdict.MET,
             "verdict": self.verdict,
             "sure": self.is_sure,

@@ -160,6 +160,12 @@ def test_an_unknown_metric_is_refused_with_the_nearest() -> None:
         found("minimum_gaps > 3")
 
 
+def test_an_end_of_an_interval_that_is_never_is_null_in_json() -> None:
+    times: list[float | None] = [*range(1, 15), *[None] * 6]
+    document = found("median(gather_time) <= 15", "gather_time", times).document()
+    assert json.loads(json.dumps(document, allow_nan=False))["interval"] == [6.0, None]
+
+
 def test_a_time_that_some_runs_never_had_has_no_mean() -> None:
     one = found("gather_time <= 1000", "gather_time", [10.0, 20.0, 30.0, None])
     assert one.verdict is Verdict.NOT_MET
