@@ -127,6 +127,21 @@ def median_interval(values: Array) -> Interval | None:
     return _of_equal(values) or bootstrap_interval((values,), np.median, "percentile")
 
 
+def censored_median_interval(times: Array) -> Interval | None:
+    """The 95 % interval of the median of times to an event (n,), some of them NaN: never.
+
+    Its ends are order statistics: the least rank below which fewer than half of the values lie in
+    97.5 % of samples, and the same from above (Conover, Practical Nonparametric Statistics, 1999,
+    chapter 3.2). An end is inf if the event never happened there. None with fewer than six times,
+    which cannot give 95 %.
+    """
+    from scipy.stats import binom
+
+    rank = int(binom.ppf((1.0 - LEVEL) / 2.0, times.size, 0.5))
+    ordered = np.sort(np.where(np.isnan(times), np.inf, times))
+    return Interval(float(ordered[rank - 1]), float(ordered[-rank])) if rank else None
+
+
 def _of_equal(values: Array) -> Interval | None:
     """The interval of two or more equal finite values; None for other values."""
     if values.size >= 2 and np.isfinite(values).all() and np.ptp(values) == 0.0:

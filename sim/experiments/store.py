@@ -205,7 +205,7 @@ class Store:
                 head = header(self.plan, rows[0].metrics)
                 write_whole(self.folder / TABLE, lines([head, *(row.cells for row in rows)]))
             self._write_failures()
-            write_json(self.folder / SUMMARY, {**_HEAD, **summary})
+        write_summary(self.folder, summary)
 
     def _write_failures(self) -> None:
         failures = {**self._earlier_failures, **self.failures}
@@ -236,6 +236,28 @@ def open_store(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> It
         with _translate_errors(folder):
             store = _opened(folder, manifest, metrics)
         yield store
+
+
+def write_summary(folder: Path, summary: Mapping[str, object]) -> None:
+    """Write summary.json; SwarmError if the disk is full."""
+    with _translate_errors(folder):
+        write_json(folder / SUMMARY, {**_HEAD, **summary})
+
+
+def set_seeds(folder: Path, manifest: Manifest, *, is_longer: bool) -> None:
+    """Prolong (`is_longer`) or shorten the seeds of the experiment in a folder to those of another.
+
+    Nothing is done without an experiment there, or if more than the end of the seeds differs. Runs
+    of seeds that are left out must have no row. ConfigError if the folder is in use.
+    """
+    if (folder / manifests.NAME).exists():
+        with _locked(folder), _translate_errors(folder):
+            recorded = read_manifest(folder)
+            short, long = (recorded, manifest) if is_longer else (manifest, recorded)
+            changed = msgspec.structs.replace(recorded, seeds=manifest.seeds)
+            is_same = next(manifests.differences(changed, manifest), None) is None
+            if is_same and long.seeds[: len(short.seeds)] == short.seeds:
+                write_json(folder / manifests.NAME, msgspec.to_builtins(changed))
 
 
 def read_failures(folder: Path) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import math
 import re
 import runpy
 import shlex
@@ -285,6 +286,48 @@ def test_metrics_and_requirements_exist() -> None:
             is_file = file in ("report", "reading", *files(page)) or (ROOT / file).is_file()
             if not is_file:
                 wrong.append(f"{name_of(page)}: {name}")
+    assert wrong == []
+
+
+def seeds_that_decide(text: str) -> int:
+    """The least number of seeds with which `exp check --sure` can find a requirement met.
+
+    By hand: Wilson's interval of n of n runs begins at n / (n + z^2), with z^2 = 3.8415. Other
+    means and medians need the 10 runs of docs/experiments.md.
+    """
+    one = parse_requirement(text)
+    if one.metric == RUNS or one.statistic in ("min", "max"):
+        return 1
+    if one.metric in METRICS and METRICS[one.metric].unit == "0 or 1":
+        share = one.value if one.comparison in (">=", ">") else 1.0 - one.value
+        return math.ceil(3.8415 * share / (1.0 - share))
+    return 10
+
+
+def test_a_page_says_how_many_seeds_its_requirements_take() -> None:
+    """Of runs that are too few for a sure answer; `class check` may make fewer than the page."""
+    runs = [(page, words) for page, words in commands_of_pages("swarmctl")
+            if words[:2] == ["exp", "run"] and "--out" in words]  # fmt: skip
+    made = {
+        words[words.index("--out") + 1]: int(words[words.index("--seeds") + 1])
+        for _, words in runs
+        if "--seeds" in words
+    }
+    lessons = {place.partition(":")[0]: lesson.seeds for lesson in load_lessons().values()
+               if lesson.pattern for place in lesson.targets}  # fmt: skip
+    too_few, wrong = set(), []
+    for page, words in commands_of_pages("swarmctl"):
+        if words[:2] != ["exp", "check"]:
+            continue
+        folder = words[2].partition(":")[0]
+        seeds = min(made.get(folder, 20), lessons.get(folder, 20))
+        text = " ".join(text_of(page).split())
+        for needed in map(seeds_that_decide, words[3:]):
+            if needed > seeds:
+                too_few.add((name_of(page), needed))
+                if "--sure" not in text or f"{needed} seeds" not in text:
+                    wrong.append(f"{name_of(page)}: {folder} of {seeds} seeds takes {needed} seeds")
+    assert ("experiments.md", 35) in {(name.rpartition("/")[2], n) for name, n in too_few}
     assert wrong == []
 
 
