@@ -66,7 +66,8 @@ def connect(
     import dask
 
     # Dask would log, with its stack, each loss that is reported below in one line.
-    with dask.config.set({"logging": {"distributed": "critical"}}):
+    levels = dict.fromkeys(("distributed", "distributed.client"), "critical")
+    with dask.config.set({"logging": levels}):
         from distributed import Client
         from distributed.comm.addressing import resolve_address
     try:
