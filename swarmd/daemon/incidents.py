@@ -410,7 +410,7 @@ class IncidentService:
             # One more would end the oldest, whose file may be due; the list is pulled again.
             is_full = len(self._told) >= MAX_TOLD
             is_wanted = is_ours and not (is_known or is_late or is_full)
-            if is_wanted and self._may_begin(_origin_of(incident), received):
+            if is_wanted and self._may_begin(_origin_of(incident), boottime()):
                 self._tell(told)
                 self._await_tail(incident, told.at)
 

@@ -152,6 +152,8 @@ class Invariants:
         self._latches: set[str] = set()  # all that were held
         self._deaths: dict[str, Death] = {}  # by robot, the last one
         self._died_at: dict[str, float] = {}
+        # By robot, life and goal: the latest stop of all that each of its givers has obeyed.
+        self._given: dict[tuple[str, int, str], float] = {}
         # By robot, instance and revision: the ids that peers gave, and when.
         self._silent: dict[tuple[str, str, int], list[tuple[str, float]]] = {}
 
@@ -316,11 +318,10 @@ class Invariants:
             )
 
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
-        """The rule `old_goal`: what the robot that hands a goal on has obeyed."""
-        giver = self._robots.get(source)
-        self._given = found.goal.id, -1.0 if giver is None else giver.stopped_all
-
-    _given: tuple[str, float] = ("", -1.0)
+        """The rule `old_goal`: what those that hand a goal on have obeyed, the least of them."""
+        giver, given = self._robots.get(source), (daemon.name, daemon.lives, found.goal.id)
+        stopped_all = -1.0 if giver is None else giver.stopped_all
+        self._given[given] = min(stopped_all, self._given.get(given, math.inf))
 
     # Incidents
 
@@ -474,8 +475,8 @@ class Invariants:
                     f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
                     f" {what} that it obeyed",
                 )
-        given, stopped_all = self._given
-        if given == goal.id and issued < stopped_all - AGE_SHIFT:
+        stopped_all = self._given.get((name, daemon.lives, goal.id), -1.0)
+        if issued < stopped_all - AGE_SHIFT:
             raise BrokenRuleError(
                 "old_goal",
                 f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
