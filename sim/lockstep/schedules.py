@@ -134,6 +134,9 @@ class EventTimeline:
         if event.fields:
             swarm.world.change_fields(event.fields)
         rows = [self._rows[robot] for robot in event.robots]
+        if event.fault is not None and event.action in ("fault", "mend"):
+            swarm.change_fault(event.fault, rows, is_on=event.action == "fault")
+            return
         if event.action == "join":
             swarm.start([row for row in rows if not swarm.has_daemon[row]])
             return

@@ -49,7 +49,12 @@ def meta_of(scenario: Scenario, seed: int) -> Mapping[str, Any]:
         "thresholds": {p.name: p.protection.get("threshold", 0.0) for p in platforms},
         "v_max": {p.name: p.limits.linear for p in platforms},
         "events": [
-            {"at": e.at, "action": e.action, "robots": list(e.robots), "pattern": e.pattern}
+            {
+                "at": e.at,
+                "action": e.text if e.fault else e.action,
+                "robots": list(e.robots),
+                "pattern": e.pattern,
+            }
             for e in scenario.events
         ],
     }
