@@ -26,6 +26,7 @@ from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
 from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
+from swarmd.sim.world.faults import FaultKind, ProcessFault, RadioFault, fault_of
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import Radio, RadioSettings, neighbors_rate
@@ -69,6 +70,9 @@ class RealTimeWorld:
         self._recorder = recorder
         self._clock = clock
         self._radio, self._emulated = radio, emulated
+        if radio is not None:
+            radio.faults = world.faults
+        self._mends: list[tuple[float, FaultKind, list[int]]] = []  # s of simulation; to end
         self._transport = emulated or link
         n, start = len(world.ids), world.time
 
@@ -115,6 +119,9 @@ class RealTimeWorld:
         self._take_commands()
         safe = np.where(self._is_fresh(now)[:, None], self._commands, 0.0)
         self._world.set_commands(safe)
+        for mend in [one for one in self._mends if one[0] <= self._world.time]:
+            self._mends.remove(mend)
+            self._world.change_fault(*mend[1:], is_on=False)
         for _ in range(steps):
             self._world.step()
             self._recorder.note(safe)
@@ -219,10 +226,32 @@ class RealTimeWorld:
             case "fields":
                 self._world.change_fields(request.fields)
             case "take_out":
-                if request.robot not in self._rows:
-                    raise ConfigError(unknown("robot", request.robot, self._rows))
-                self._world.take_out(self._rows[request.robot])
+                self._world.take_out(self._row(request.robot))
+            case "fault" | "mend":
+                self._change_fault(request)
         return ""
+
+    def _row(self, robot: str) -> int:
+        if robot not in self._rows:
+            raise ConfigError(unknown("robot", robot, self._rows))
+        return self._rows[robot]
+
+    def _change_fault(self, request: WorldRequest) -> None:
+        fault, world = fault_of(request.fault, "fault"), self._world
+        rows = [self._row(robot) for robot in request.robots]
+        if isinstance(fault, ProcessFault):
+            raise ConfigError(f"{fault.text}: the world has no daemons; signal their processes")
+        if isinstance(fault, RadioFault) and self._radio is None:
+            text = "this world simulates no radio; start it with a range (--radio-range 100)"
+            raise ConfigError(f"{fault.text}: {text}")
+        for row in rows:
+            misfit = fault.misfit(world.platforms[row], is_posed=row in world.posed)
+            if misfit:
+                raise ConfigError(f"{fault.text}: {world.ids[row]} {misfit}")
+        self._mends = [one for one in self._mends if one[1].text != fault.text or one[2] != rows]
+        world.change_fault(fault, rows, is_on=request.action == "fault")
+        if request.seconds is not None:
+            self._mends.append((world.time + request.seconds, fault, rows))
 
     def _state(self) -> WorldState:
         world, record = self._world, self._recorder
@@ -247,6 +276,7 @@ class RealTimeWorld:
             dropped=self._link.dropped + emulated + self._unreadable,
             boxes={name: pose for name, pose in boxes if np.isfinite(pose).all()},
             touching=record.touching(),
+            faults=world.faults.texts(),
         )
 
 

@@ -121,13 +121,18 @@ class Faults:
             command = kind.followed(command, fault)
         return command
 
-    def reaches(self, sender: int, receiver: int) -> bool:
-        """False if a fault cuts all messages from one robot to another."""
-        return not any(
-            kind.is_cut(is_sender=row == sender)
-            for row in (sender, receiver)
+    def _delay(self, sender: int, receiver: int, draw: Callable[[], float]) -> float:
+        """Seconds that a message takes longer by the faults of both robots; inf: it is lost."""
+        ends = ((sender, True), (receiver, False))
+        return sum(
+            kind.delay(draw, is_sender=is_sender)
+            for row, is_sender in ends
             for kind, _ in self._at("radio", row)
         )
+
+    def reaches(self, sender: int, receiver: int) -> bool:
+        """False if a fault cuts all messages from one robot to another."""
+        return math.isfinite(self._delay(sender, receiver, lambda: 1.0))
 
     def flights(self, flights: Sequence[Flight]) -> list[Flight]:
         """The flights that faults leave, those of a receiver in their order."""
@@ -136,11 +141,9 @@ class Faults:
             # The sender's own generator, so that the number of processes has no effect.
             if sender not in self._draws:
                 self._draws[sender] = generator(self.seed, "fault of radio", self.ids[sender])
-            draw = self._draws[sender].random
             for receiver in receivers:
-                kinds = [kind for row in (sender, receiver) for kind, _ in self._at("radio", row)]
-                late = sum(kind.delay(draw) for kind in kinds)
-                if self.reaches(sender, receiver) and math.isfinite(late):
+                late = self._delay(sender, receiver, self._draws[sender].random)
+                if math.isfinite(late):
                     found.append((at + late, rank, [receiver], sender, name, item))
         return found
 

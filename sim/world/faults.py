@@ -46,6 +46,11 @@ class ActiveFault:
     """s of a step of the world."""
     kept: Any = None
 
+    def keep(self, value: Any) -> Any:
+        """The first value of the fault's calls."""
+        self.kept = value if self.kept is None else self.kept
+        return self.kept
+
 
 class FaultKind(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="fault"):
     """A kind of fault with its parameters."""
@@ -56,6 +61,12 @@ class FaultKind(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, t
     def text(self) -> str:
         """Place and kind, such as `scan frozen`."""
         return f"{self.place} {self.__struct_config__.tag}"
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The mapping of which `fault_of` makes this fault."""
+        values = {name: getattr(self, name) for name in self.__struct_fields__}
+        return {self.place: self.__struct_config__.tag, **values}
 
     def misfit(self, platform: Platform, *, is_posed: bool) -> str:
         """Why a robot cannot have this fault, empty if it can; `is_posed`: a tracker measures."""
@@ -82,9 +93,7 @@ class FrozenScan(ScanFault, frozen=True, tag="frozen"):
 
     def seen(self, scan: Scan, fault: ActiveFault) -> Scan:
         """The ranges of the first scan of the fault."""
-        if fault.kept is None:
-            fault.kept = scan.ranges.copy()
-        return replace(scan, ranges=fault.kept.copy())
+        return replace(scan, ranges=fault.keep(scan.ranges).copy())
 
 
 class BlindSector(ScanFault, frozen=True, tag="blind_sector"):
@@ -206,9 +215,7 @@ class FrozenOdometry(OdometryFault, frozen=True, tag="frozen"):
 
     def measured(self, motion: Array, seconds: float, fault: ActiveFault) -> Array:
         """No motion, and the first twist of the fault."""
-        if fault.kept is None:
-            fault.kept = motion[1]
-        return np.stack((np.zeros(3), fault.kept))
+        return np.stack((np.zeros(3), fault.keep(motion[1])))
 
 
 class OdometryDrift(OdometryFault, frozen=True, tag="drift"):
@@ -222,7 +229,7 @@ class OdometryDrift(OdometryFault, frozen=True, tag="drift"):
     def measured(self, motion: Array, seconds: float, fault: ActiveFault) -> Array:
         """The motion with the drift."""
         drift = np.array((self.linear, self.angular, 0.0))
-        return motion + np.stack((drift * seconds, drift))
+        return np.array(motion + np.stack((drift * seconds, drift)))
 
 
 class OdometrySlip(OdometryFault, frozen=True, tag="slip"):
@@ -232,7 +239,8 @@ class OdometrySlip(OdometryFault, frozen=True, tag="slip"):
 
     def measured(self, motion: Array, seconds: float, fault: ActiveFault) -> Array:
         """The motion times the factor."""
-        return motion * (1.0 + self.sd * float(fault.rng.standard_normal()))
+        factor = 1.0 + self.sd * float(fault.rng.standard_normal())
+        return np.array(motion * factor)
 
 
 class OdometryScale(OdometryFault, frozen=True, tag="scale"):
@@ -314,8 +322,8 @@ class LateBase(BaseFault, frozen=True, tag="late"):
 
     def followed(self, command: Array, fault: ActiveFault) -> Array:
         """The command of `seconds` ago; at first that of the fault's begin."""
-        fault.kept = [*(fault.kept or ()), command.copy()]
-        line: list[Array] = fault.kept
+        line: list[Array] = fault.keep([])
+        line.append(command.copy())
         return line.pop(0) if len(line) > round(self.seconds / fault.step) else line[0]
 
 
@@ -324,10 +332,8 @@ class IgnoresZero(BaseFault, frozen=True, tag="ignores_zero"):
 
     def followed(self, command: Array, fault: ActiveFault) -> Array:
         """The last command that is not zero."""
-        if fault.kept is None or command.any():
-            fault.kept = command.copy()
-        kept: Array = fault.kept
-        return kept
+        fault.kept = command.copy() if command.any() else fault.keep(command.copy())
+        return np.array(fault.kept)
 
 
 class DeadZone(BaseFault, frozen=True, tag="dead_zone"):
@@ -349,29 +355,28 @@ class RadioFault(FaultKind, frozen=True):
 
     place = "radio"
 
-    def is_cut(self, *, is_sender: bool) -> bool:
-        """True if the robot cannot send (`is_sender`), or cannot receive."""
-        return False
+    def delay(self, draw: Callable[[], float], *, is_sender: bool) -> float:
+        """Seconds that a message from (`is_sender`) or to the robot takes longer; inf: it is lost.
 
-    def delay(self, draw: Callable[[], float]) -> float:
-        """Seconds that a message takes longer, inf: it is lost; `draw`: a number from 0 to 1."""
+        `draw`: gives a random number from 0 to 1.
+        """
         return 0.0
 
 
 class Mute(RadioFault, frozen=True, tag="mute"):
     """The robot sends nothing, and is no neighbor of others."""
 
-    def is_cut(self, *, is_sender: bool) -> bool:
-        """True for sending."""
-        return is_sender
+    def delay(self, draw: Callable[[], float], *, is_sender: bool) -> float:
+        """Lost on sending."""
+        return math.inf if is_sender else 0.0
 
 
 class Deaf(RadioFault, frozen=True, tag="deaf"):
     """The robot receives nothing, and has no neighbors."""
 
-    def is_cut(self, *, is_sender: bool) -> bool:
-        """True for receiving."""
-        return not is_sender
+    def delay(self, draw: Callable[[], float], *, is_sender: bool) -> float:
+        """Lost on receiving."""
+        return 0.0 if is_sender else math.inf
 
 
 class RadioLoss(RadioFault, frozen=True, tag="loss"):
@@ -379,7 +384,7 @@ class RadioLoss(RadioFault, frozen=True, tag="loss"):
 
     share: Share = 0.5
 
-    def delay(self, draw: Callable[[], float]) -> float:
+    def delay(self, draw: Callable[[], float], *, is_sender: bool) -> float:
         """Seconds."""
         return math.inf if draw() < self.share else 0.0
 
@@ -390,7 +395,7 @@ class RadioDelay(RadioFault, frozen=True, tag="delay"):
     # s
     seconds: Seconds = 1.0
 
-    def delay(self, draw: Callable[[], float]) -> float:
+    def delay(self, draw: Callable[[], float], *, is_sender: bool) -> float:
         """Seconds."""
         return self.seconds
 
@@ -441,10 +446,7 @@ class FrozenPose(PoseFault, frozen=True, tag="frozen"):
 
     def tracked(self, pose: Array, now: float, fault: ActiveFault) -> Array:
         """The first pose of the fault."""
-        if fault.kept is None:
-            fault.kept = pose.copy()
-        kept: Array = fault.kept
-        return kept
+        return np.array(fault.keep(pose))
 
 
 class PoseDrift(PoseFault, frozen=True, tag="drift"):
@@ -530,11 +532,8 @@ def _rearranged(scan: Scan, fault: ActiveFault, source: Callable[[Array], Array]
 
 def _braked(command: Array, most: Array, fault: ActiveFault) -> Array:
     """The command (3,), whose parts fall by `most` (3,) in m/s2 or rad/s2 at most."""
-    kept = command if fault.kept is None else fault.kept
-    way = most * fault.step
-    is_slower = np.abs(command) < np.abs(kept)
-    fault.kept = np.where(
-        is_slower | (command * kept < 0.0), kept + np.clip(command - kept, -way, way), command
-    )
-    braked: Array = fault.kept
-    return braked
+    before, way = fault.keep(command), most * fault.step
+    is_braking = (np.abs(command) < np.abs(before)) | (command * before < 0.0)
+    slower = before + np.clip(command - before, -way, way)
+    fault.kept = np.where(is_braking, slower, command)
+    return np.array(fault.kept)
