@@ -124,7 +124,7 @@ class Faults:
     def _delay(self, sender: int, receiver: int, draw: Callable[[], float]) -> float:
         """Seconds that a message takes longer by the faults of both robots; inf: it is lost."""
         ends = ((sender, True), (receiver, False))
-        return sum(
+        return math.fsum(
             kind.delay(draw, is_sender=is_sender)
             for row, is_sender in ends
             for kind, _ in self._at("radio", row)

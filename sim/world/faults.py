@@ -250,7 +250,7 @@ class OdometryScale(OdometryFault, frozen=True, tag="scale"):
 
     def measured(self, motion: Array, seconds: float, fault: ActiveFault) -> Array:
         """The scaled motion."""
-        return motion * np.array((self.factor, 1.0, self.factor))
+        return np.multiply(motion, (self.factor, 1.0, self.factor))
 
 
 class WrongSign(OdometryFault, frozen=True, tag="wrong_sign"):
