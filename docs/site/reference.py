@@ -403,7 +403,9 @@ def scenarios() -> Iterator[str]:
     yield from _schema("fields, kind floor: patches", Patch)
     yield from _schema("events", EventSection)
     for fault in FAULTS:
-        yield from _schema(f"events, fault: {{{fault.place}: {fault.__struct_config__.tag}}}", fault)
+        yield from _schema(
+            f"events, fault: {{{fault.place}: {fault.__struct_config__.tag}}}", fault
+        )
     yield from _schema("radio", RadioSettings)
     yield from _schema("realism.lidar", LidarNoise)
     yield from _schema("realism.odometry", OdometryNoise)
