@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -90,7 +91,7 @@ def up(
 
 @sim.command()
 @click.argument("robots", nargs=-1, required=True, metavar="ROBOT... PLACE=KIND [KEY=VALUE]...")
-@click.option("--for", "seconds", type=Duration(), help="End the fault after this time, as 10s.")
+@click.option("--for", "seconds", type=Duration(), help="Wait, and end the fault after this time.")
 @click.option("--end", is_flag=True, help="End the fault of this kind now.")
 @click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default].")
 @click.pass_context
@@ -102,10 +103,10 @@ def fault(
     end: bool,
     swarm: str | None,
 ) -> None:
-    """Give robots of a running simulated world a fault, such as scan=frozen or base=late seconds=1.
+    """Give robots of a running simulated world a fault, such as scan=frozen or scan=noise sd=0.2.
 
     The kinds and their parameters are those of the event `fault` of scenarios. process=killed kills
-    the daemons. process=frozen halts them; with --for this command waits, and lets them continue.
+    the daemons, process=frozen halts them. With --for this command waits, and then ends the fault.
     """
     need("mujoco")
     from swarmd.sim.live.fleet import running
@@ -114,30 +115,29 @@ def fault(
     from swarmd.texts.assignments import read_assignments
 
     names = [word for word in robots if "=" not in word]
-    given = read_assignments((word for word in robots if "=" in word), "fault")
-    kind = fault_of(given, "fault")
+    kind = fault_of(read_assignments((word for word in robots if "=" in word), "fault"), "fault")
     if not names:
         raise click.UsageError("no robot is named; give one, such as tb3-02")
     name = _swarm_of(ctx, swarm)
     world = running(name)
-    if isinstance(kind, ProcessFault):
-        signal_daemons(world.pids, names, kind, seconds, is_on=not end)
-    else:
-        with WorldView(name, world.endpoint) as view:
-            view.change_fault(kind.plain, names, is_on=not end, seconds=seconds)
-    has_ended = end or (isinstance(kind, ProcessFault) and seconds is not None)
-    click.echo(f"{', '.join(names)}: {kind.text} {'has ended' if has_ended else 'is on'}")
+    with ExitStack() as ends, signals_end():
+        change: Callable[..., object]
+        if isinstance(kind, ProcessFault):
+            change = partial(signal_daemons, world.pids, kind, names)
+        else:
+            view = ends.enter_context(WorldView(name, world.endpoint))
+            change = partial(view.change_fault, kind.plain, names)
+        change(is_on=not end)
+        click.echo(f"{', '.join(names)}: {kind.text} {'has ended' if end else 'is on'}")
+        if seconds is not None:
+            ends.callback(change, is_on=False)
+            time.sleep(seconds)
 
 
 def signal_daemons(
-    pids: Mapping[str, int],
-    robots: Sequence[str],
-    kind: ProcessFault,
-    seconds: float | None,
-    *,
-    is_on: bool,
+    pids: Mapping[str, int], kind: ProcessFault, robots: Sequence[str], *, is_on: bool
 ) -> None:
-    """Kill, halt or continue the daemons of robots; a halt of `seconds` is waited for.
+    """Kill, halt or continue the daemons of robots.
 
     `pids`: the processes of the world by name. ConfigError for a robot without a daemon.
     """
@@ -145,29 +145,14 @@ def signal_daemons(
     from swarmd.sim.live.fleet import WORLD
     from swarmd.sim.world.faults import KilledProcess
 
+    begin = signal.SIGKILL if isinstance(kind, KilledProcess) else signal.SIGSTOP
     for robot in robots:
         if robot == WORLD or robot not in pids:
-            known = [name for name in pids if name != WORLD]
-            raise ConfigError(unknown("robot with a daemon", robot, known))
-    if isinstance(kind, KilledProcess) and (seconds is not None or not is_on):
-        raise ConfigError(
-            f"{kind.text} has no end here: the world says how to start a daemon again"
-        )
-    begin = signal.SIGKILL if isinstance(kind, KilledProcess) else signal.SIGSTOP
-    with ExitStack() as ends:
-        if seconds is not None:
-            ends.callback(_send, pids, robots, signal.SIGCONT)
-        _send(pids, robots, begin if is_on else signal.SIGCONT)
-        with signals_end():
-            time.sleep(seconds or 0.0)
-
-
-def _send(pids: Mapping[str, int], robots: Sequence[str], number: int) -> None:
-    for robot in robots:
+            raise ConfigError(unknown("robot with a daemon", robot, pids.keys() - {WORLD}))
         try:
-            os.kill(pids[robot], number)
+            os.kill(pids[robot], begin if is_on else signal.SIGCONT)
         except ProcessLookupError:
-            warn(f"{robot}: its daemon has ended")
+            warn(f"{robot}: its daemon has ended; `sim up` tells how to start it again")
 
 
 def _swarm_of(ctx: click.Context, swarm: str | None) -> str:

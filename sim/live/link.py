@@ -262,10 +262,9 @@ class WorldView(Closing):
         robots: Sequence[str],
         *,
         is_on: bool = True,
-        seconds: float | None = None,
         timeout: float = 10.0,
     ) -> WorldState:
-        """Begin (`is_on`) or end a fault of robots, for `seconds` or until it is ended.
+        """Begin (`is_on`) or end a fault of robots.
 
         `fault`: as of `fault_of`. SwarmError for an unknown robot, and for a fault that the world
         does not know or cannot simulate.
@@ -274,7 +273,6 @@ class WorldView(Closing):
             action="fault" if is_on else "mend",
             fault=dict(fault),
             robots=tuple(robots),
-            seconds=seconds,
         )
         return self._done(request, timeout)
 

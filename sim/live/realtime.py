@@ -26,7 +26,7 @@ from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
 from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
-from swarmd.sim.world.faults import FaultKind, ProcessFault, RadioFault, fault_of
+from swarmd.sim.world.faults import ProcessFault, RadioFault, fault_of
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import Radio, RadioSettings, neighbors_rate
@@ -72,7 +72,6 @@ class RealTimeWorld:
         self._radio, self._emulated = radio, emulated
         if radio is not None:
             radio.faults = world.faults
-        self._mends: list[tuple[float, FaultKind, list[int]]] = []  # s of simulation; to end
         self._transport = emulated or link
         n, start = len(world.ids), world.time
 
@@ -119,9 +118,6 @@ class RealTimeWorld:
         self._take_commands()
         safe = np.where(self._is_fresh(now)[:, None], self._commands, 0.0)
         self._world.set_commands(safe)
-        for mend in [one for one in self._mends if one[0] <= self._world.time]:
-            self._mends.remove(mend)
-            self._world.change_fault(*mend[1:], is_on=False)
         for _ in range(steps):
             self._world.step()
             self._recorder.note(safe)
@@ -248,10 +244,7 @@ class RealTimeWorld:
             misfit = fault.misfit(world.platforms[row], is_posed=row in world.posed)
             if misfit:
                 raise ConfigError(f"{fault.text}: {world.ids[row]} {misfit}")
-        self._mends = [one for one in self._mends if one[1].text != fault.text or one[2] != rows]
         world.change_fault(fault, rows, is_on=request.action == "fault")
-        if request.seconds is not None:
-            self._mends.append((world.time + request.seconds, fault, rows))
 
     def _state(self) -> WorldState:
         world, record = self._world, self._recorder

@@ -72,8 +72,7 @@ class WorldRequest(Struct, frozen=True, kw_only=True):
     - `remove`: take the movable `box` out of the arena.
     - `take_out`: take the `robot` out of the arena.
     - `fields`: replace each field of the world by the field of the same name in `fields`.
-    - `fault`, `mend`: begin or end `fault` (as of `fault_of`) of `robots`; with `seconds` it ends
-      after this time.
+    - `fault`, `mend`: begin or end `fault` (as of `fault_of`) of `robots`.
     """
 
     action: Action
@@ -83,7 +82,6 @@ class WorldRequest(Struct, frozen=True, kw_only=True):
     fields: Annotated[tuple[Field, ...], Meta(max_length=1000)] = ()
     fault: Annotated[dict[Name, float | Name], Meta(max_length=20)] = {}
     robots: Annotated[tuple[Name, ...], Meta(max_length=1000)] = ()
-    seconds: Seconds | None = None
 
 
 class WorldReply(Struct, frozen=True, kw_only=True):

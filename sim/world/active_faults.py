@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,14 +22,6 @@ and value of any type. Of messages that arrive at one instant, those of lower ra
 
 
 @dataclass(slots=True)
-class _OdometryChain:
-    """The last true reading of a robot that has or had a fault of odometry, and its own pose."""
-
-    last: Odometry
-    pose: Pose
-
-
-@dataclass(slots=True)
 class Faults:
     """The faults that are on, of robots `ids` with `platforms` in the order of rows."""
 
@@ -41,7 +34,8 @@ class Faults:
     """Of the body of a platform by key, as of `bodies.value`."""
     _active: dict[tuple[str, int], dict[str, ActiveFault]] = field(default_factory=dict)
     """By place and row, then by kind."""
-    _chains: dict[int, _OdometryChain] = field(default_factory=dict)
+    _chains: dict[int, tuple[Odometry, Pose]] = field(default_factory=dict)
+    """The last true reading of each robot that has or had a fault of odometry, and its own pose."""
     _draws: dict[int, np.random.Generator] = field(default_factory=dict)
 
     def begin(self, kind: FaultKind, rows: Iterable[int], now: float) -> None:
@@ -78,42 +72,32 @@ class Faults:
 
     def scan(self, row: int, scan: Scan) -> tuple[Scan | None, float]:
         """The scan that the lidar sends in place of `scan`, and its further delay in s."""
-        delay, seen = 0.0, scan
+        seen: Scan | None = scan
+        delay = 0.0
         for kind, fault in self._at("scan", row):
+            seen = None if seen is None else kind.seen(seen, fault)
             delay += kind.delay
-            changed = kind.seen(seen, fault)
-            if changed is None:
-                return None, delay
-            seen = changed
         return seen, delay
-
-    @property
-    def is_odometry_changed(self) -> bool:
-        """True once a robot has had a fault of odometry, whose error stays."""
-        return bool(self._chains or self.rows("odometry"))
 
     def odometry(self, row: int, reading: Odometry) -> Odometry:
         """The reading that the odometry gives in place of `reading`."""
-        active = self._at("odometry", row)
-        chain = self._chains.get(row)
-        if chain is None:
-            if active:
-                self._chains[row] = _OdometryChain(reading, reading.pose)
+        if row not in self._chains and ("odometry", row) not in self._active:
             return reading
-        last, own, pose, twist = chain.last, chain.pose, reading.pose, reading.twist
-        ahead, left = _ahead_and_left(last.pose, pose)
-        seconds, turn = reading.stamp - last.stamp, wrap(pose.yaw - last.pose.yaw)
-        motion = np.array(
-            ((ahead, turn, left), (twist.linear, twist.angular, twist.lateral)), np.float64
-        )
-        for kind, fault in active:
-            motion = kind.measured(motion, seconds, fault)
+        last, own = self._chains.get(row, (reading, reading.pose))
+        pose, twist = reading.pose, reading.twist
+        turn = wrap(pose.yaw - last.pose.yaw)
+        # Ahead and to the left of the mean heading, as a complex number.
+        way = complex(pose.x - last.pose.x, pose.y - last.pose.y)
+        way *= cmath.rect(1.0, -last.pose.yaw - turn / 2.0)
+        speeds = (twist.linear, twist.angular, twist.lateral)
+        motion = np.array(((way.real, turn, way.imag), speeds))
+        for kind, fault in self._at("odometry", row):
+            motion = kind.measured(motion, reading.stamp - last.stamp, fault)
         (ahead, turn, left), speeds = motion.tolist()
-        middle = own.yaw + turn / 2.0
-        c, s = math.cos(middle), math.sin(middle)
-        x, y = own.x + c * ahead - s * left, own.y + s * ahead + c * left
-        chain.last, chain.pose = reading, Pose(x, y, wrap(own.yaw + turn))
-        return Odometry(reading.stamp, chain.pose, Twist(*speeds))
+        way = complex(ahead, left) * cmath.rect(1.0, own.yaw + turn / 2.0)
+        own = Pose(own.x + way.real, own.y + way.imag, wrap(own.yaw + turn))
+        self._chains[row] = reading, own
+        return Odometry(reading.stamp, own, Twist(*speeds))
 
     def command(self, row: int, command: Array) -> Array:
         """The command (3,) that the base follows in this step; call it at each step."""
@@ -157,11 +141,3 @@ class Faults:
         for kind, fault in self._at("pose", row):
             pose = kind.tracked(pose, now, fault)
         return pose
-
-
-def _ahead_and_left(before: Pose, after: Pose) -> tuple[float, float]:
-    """The motion in m along and across the mean heading of two poses."""
-    x, y = after.x - before.x, after.y - before.y
-    middle = before.yaw + wrap(after.yaw - before.yaw) / 2.0
-    c, s = math.cos(middle), math.sin(middle)
-    return c * x + s * y, c * y - s * x

@@ -77,11 +77,7 @@ class ScanFault(FaultKind, frozen=True):
     """A fault of the lidar; `delay`: s that scans take longer to the robot."""
 
     place = "scan"
-
-    @property
-    def delay(self) -> float:
-        """Seconds."""
-        return 0.0
+    delay = 0.0
 
     def seen(self, scan: Scan, fault: ActiveFault) -> Scan | None:
         """The scan in place of a sound `scan`; None: lost."""
@@ -155,12 +151,7 @@ class LateScan(ScanFault, frozen=True, tag="late"):
     """Scans arrive late; their stamps are true."""
 
     # s
-    seconds: Seconds = 0.5
-
-    @property
-    def delay(self) -> float:
-        """Seconds."""
-        return self.seconds
+    delay: Seconds = 0.5
 
 
 class ScanStamps(ScanFault, frozen=True, tag="stamps"):

@@ -341,8 +341,6 @@ class World:
         poses, twists = self._odometers.read(chosen, self._places(), self.twists())
         places, speeds = map(Pose, *poses.T.tolist()), map(Twist, *twists.T.tolist())
         readings = list(map(Odometry, repeat(now), places, speeds))
-        if not self.faults.is_odometry_changed:
-            return readings
         return list(map(self.faults.odometry, chosen.tolist(), readings))
 
     def readings(self, robot: int) -> Mapping[str, float]:

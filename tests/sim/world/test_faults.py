@@ -101,7 +101,7 @@ def test_a_frozen_lidar_repeats_ranges_with_new_numbers() -> None:
 
 
 def test_noise_has_the_wanted_deviation_and_a_late_scan_keeps_its_stamp() -> None:
-    made = faults({"scan": "noise", "sd": 0.2}, {"scan": "late", "seconds": 0.7})
+    made = faults({"scan": "noise", "sd": 0.2}, {"scan": "late", "delay": 0.7})
     errors = []
     for seq in range(500):
         one, delay = made.scan(0, scan_of([2.0] * 4, seq))
