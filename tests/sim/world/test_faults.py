@@ -304,6 +304,15 @@ def test_a_halted_daemon_is_absent_and_continues() -> None:
     assert "loop_stalled" in said(trace)
 
 
+@pytest.mark.parametrize("action", ["kill", "remove"])
+def test_a_halted_daemon_that_is_ended_does_not_continue(action: str) -> None:
+    halt = {"at": 1.0, "fault": {"process": "frozen"}, "robots": FAULTY, "for": 2.0}
+    events = [halt, {"at": 2.0, action: FAULTY}]
+    trace = simulate_run(scenario_of({**BASE, "events": events, "duration": 4.0}), 1)
+    assert trace.present is not None
+    assert not trace.present[-1, trace.ids.index(FAULTY)]
+
+
 def test_a_killed_daemon_starts_again_without_a_run() -> None:
     events = [{"at": 2.0, "fault": {"process": "killed"}, "robots": FAULTY, "for": 3.0}]
     trace = simulate_run(scenario_of({**BASE, "events": events}), 1)
