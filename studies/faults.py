@@ -172,7 +172,7 @@ def _said(trace: Trace, *, is_control: bool) -> Iterator[tuple[str, float]]:
 
 
 def table(records: Sequence[Record], patterns: Sequence[str]) -> str:
-    """The sentence of what no robot names, then a row for each pattern and fault."""
+    """How often robots name each fault, the most seldom first; then a row for each cell."""
     by_cell: defaultdict[tuple[str, str], list[Record]] = defaultdict(list)
     for record in records:
         by_cell[record.task.pattern, record.task.fault].append(record)
@@ -198,8 +198,11 @@ def table(records: Sequence[Record], patterns: Sequence[str]) -> str:
                     *ends,
                 )
             )
-    never = [fault for fault, count in named.items() if not count]
-    first = f"In no run a robot named: {', '.join(never) or 'none of them'}."
+    seldom_first = sorted(named, key=lambda fault: named[fault])
+    runs_of = {fault: sum(one.task.fault == fault for one in records) for fault in FAULTS}
+    counts = [f"{fault} {named[fault]} of {runs_of[fault]}" for fault in seldom_first]
+    seeds = len({one.task.seed for one in records})
+    first = f"Runs in which the robot named its fault: {'; '.join(counts)}. Seeds: {seeds}."
     return f"{first}\n\n{markdown(rows)}"
 
 
