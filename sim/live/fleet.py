@@ -27,7 +27,7 @@ import msgspec
 from msgspec import Struct, structs
 
 from swarmd.core.errors import NetworkError, SwarmError
-from swarmd.core.files import as_text, user_path
+from swarmd.core.files import as_text, cache_folder, user_path, whole_file
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Platform
@@ -152,6 +152,7 @@ class Fleet:
             stderr=log,
         )
         self._children.append(Child(robot, daemon, log))
+        self._note()
 
     def end_daemon(self, robot: str, *, in_order: bool) -> None:
         """End the daemon of a robot, by SIGTERM (`in_order`) or SIGKILL.
@@ -165,6 +166,13 @@ class Fleet:
         else:
             child.process.kill()
         end_processes([child.process])
+        self._note()
+
+    def halt_daemon(self, robot: str, *, is_on: bool) -> None:
+        """Halt the daemon of a robot (SIGSTOP), or let it continue; nothing without a daemon."""
+        for child in self._children[1:]:
+            if child.name == robot:
+                child.process.send_signal(signal.SIGSTOP if is_on else signal.SIGCONT)
 
     def ended(self) -> Mapping[str, str]:
         """A text about the end of each child that has ended, by name."""
@@ -186,6 +194,16 @@ class Fleet:
         end_processes(processes[1:])
         end_processes(processes[:1])
         self._children = []
+        with contextlib.suppress(OSError, RuntimeError):  # without a home there is no file
+            running_file(self.spec.swarm).unlink(missing_ok=True)
+
+    def _note(self) -> None:
+        """Write where the world and its daemons are, for other processes of this user."""
+        with contextlib.suppress(OSError, RuntimeError):  # a fleet runs without a home, too
+            path = running_file(self.spec.swarm)
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            with whole_file(path) as partial:
+                partial.write_bytes(msgspec.json.encode(Running(self.endpoint, dict(self.pids))))
 
     def _start(self) -> None:
         spec = self.spec
@@ -221,6 +239,29 @@ def end_processes(processes: Sequence[Process], delay: float = KILL_DELAY) -> No
             process.wait()
         if process.stdout is not None:
             process.stdout.close()
+
+
+class Running(Struct, frozen=True):
+    """The viewers' endpoint of a running world, and the processes by name."""
+
+    endpoint: str
+    pids: dict[str, int]
+
+
+def running_file(swarm: str) -> Path:
+    """The file of a running world, by the name of its swarm."""
+    return cache_folder() / "worlds" / f"{swarm}.json"
+
+
+def running(swarm: str) -> Running:
+    """The running world of a swarm on this machine; SwarmError without one."""
+    try:
+        found = msgspec.json.decode(running_file(swarm).read_bytes(), type=Running)
+        os.kill(found.pids[WORLD], 0)
+    except (OSError, RuntimeError, KeyError, msgspec.DecodeError):
+        text = f"no simulated world of swarm {swarm!r} runs on this machine"
+        raise SwarmError(f"{text}; start it with swarmctl sim up") from None
+    return found
 
 
 def robot_ids(platform: str, count: int) -> tuple[str, ...]:
