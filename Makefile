@@ -32,7 +32,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety faults outcomes voting learning films screens mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
+.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety faults outcomes voting learning films mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
 .DELETE_ON_ERROR:
 
 help:
@@ -64,7 +64,6 @@ help:
 	@echo "make learning    what protection does to learning: trains a policy with it and without; six minutes of a core"
 	@echo "make voting      how voting scales with robots and tiles; half an hour"
 	@echo "make films       a short film of each pattern; a few minutes"
-	@echo "make screens     pictures of the page in all sizes, to look at, in build/screens; three minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make faults      one of seven robots has a fault: who names it, what touches, what is lost; half a CPU-hour"
 	@echo "make mutants   600 small changes of what decides motion, and the tests that notice them; some hours of a core"
@@ -234,11 +233,6 @@ voting: $(VENV)/tools
 # A short film of each pattern, in build/films; ARGS=patterns replaces those of the pages.
 films: $(VENV)/tools
 	@$(BIN)/python -m studies.films $(ARGS)
-
-# The page in Chromium: light and dark, 3 to 200 robots, four widths, each panel. ARGS="--figure
-# docs/figures/page.png" makes the picture of docs/watching.md anew.
-screens: $(VENV)/tools
-	@$(BIN)/python -m studies.page_screens $(ARGS)
 
 # Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
 # ARGS="--robot-hours 30" a tenth of it; --attack-share sets how many of them are among attackers.

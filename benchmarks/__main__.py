@@ -24,7 +24,6 @@ from benchmarks import (
     startup,
     steps,
     switch,
-    view,
 )
 from benchmarks.compare import compare
 from benchmarks.table import machine
@@ -44,7 +43,6 @@ ALL: Mapping[str, Callable[[], None]] = {
     "ros1": lambda: ros1.main([]),
     "ros2": lambda: ros2.main([]),
     "switch": lambda: switch.main([]),
-    "view": lambda: view.main([]),
 }
 ON_REQUEST: Mapping[str, Callable[[], None]] = {"bursts": bursts.main}
 """By name, benchmarks that take real-time priority, and run only if they are named."""
