@@ -228,7 +228,7 @@ def run(
     start_time = time.monotonic()
     with (
         connect(scheduler, timeout or STEP_TIMEOUT, jobs, cores or 1)
-        if scheduler
+        if scheduler is not None
         else nullcontext(workers(jobs, timeout, cores or 1))
     ) as runner:
         results = do_runs(

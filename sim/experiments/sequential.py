@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
+from itertools import chain
 from pathlib import Path
 
 import msgspec
@@ -37,6 +38,7 @@ from swarmd.sim.metrics.metric import Metric
 
 BETS = 64
 """Constant bets on each side; 16 give the same numbers of runs to 2 %."""
+_ROUNDING = 1e-9  # of a value at a bound, as a share of the range
 
 
 def bet(capital: Array, values: Array, target: float) -> Array:
@@ -65,14 +67,16 @@ class SequentialTest:
         """`text`: such as `one_cluster_at_end >= 0.9`. `about`: finds the metric by its name.
 
         ConfigError for a requirement that no number of runs decides: a metric without known bounds,
-        a statistic that is not the mean, `==`, or a value that is not within the bounds.
+        a time to an event, a statistic that is not the mean, `==`, or a value that is not within
+        the bounds.
         """
         self.requirement = requirement = parse_requirement(text)
         self.metric = about(requirement.metric)
-        if self.metric.bounds is None:
+        if self.metric.bounds is None or self.metric.is_time_to_event:
             raise ConfigError(
-                f"--until {text!r}: {self.metric.name} has no known range, so that no number of"
-                " runs is enough; take a share, or give a function of your own `bounds`"
+                f"--until {text!r}: {self.metric.name} has no known range, or is a time to an"
+                " event, so that no number of runs is enough; take a share, or give a function of"
+                " your own `bounds`"
             )
         self._low, high = self.metric.bounds
         if (
@@ -103,7 +107,7 @@ class SequentialTest:
         if value is None or not self.is_open:
             return
         scaled, target = (np.array([value, self.requirement.value]) - self._low) / self._range
-        if not 0.0 <= scaled <= 1.0:
+        if not -_ROUNDING <= scaled <= 1.0 + _ROUNDING:
             raise SwarmError(
                 f"{self.metric.name} of run {run} is {value:g}, outside its bounds: correct the"
                 " bounds of the metric"
@@ -136,28 +140,31 @@ def run_until(
 
     The folder then holds the experiment of the seeds up to the one that decided, whatever the
     runner: later runs that it has done meanwhile are dropped. A later call with the same or more
-    seeds begins with the runs of the folder. The other errors are those of `run_experiment`.
+    seeds takes the runs of the folder at their turn, and repeats those that have failed. The other
+    errors are those of `run_experiment`.
     """
 
     def in_order(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
-        for row in read_table(folder, manifest.plan)[1].values():
-            test.add(row.run.id, row.metrics[test.metric.name])
-        arrived: dict[str, JobResult] = {}
-        waiting = deque(jobs)
-        with closing(runner(jobs if test.is_open else [])) as reports:
-            for report in reports:
+        job_by_run = {job.run: job for job in jobs}
+        rows = read_table(folder, manifest.plan)[1]
+        arrived = {run: JobResult(run, row.metrics) for run, row in rows.items()}
+        waiting = deque(run.id for run in manifest.plan.runs)
+        with closing(runner(jobs)) as reports:
+            for report in chain([dict[str, float]()], reports):  # at first the rows alone
                 if isinstance(report, JobResult):
                     arrived[report.run] = report
                 else:
                     yield report
-                while test.is_open and waiting and waiting[0].run in arrived:
-                    result = arrived[waiting.popleft().run]
+                while test.is_open and waiting and waiting[0] in arrived:
+                    result = arrived[waiting.popleft()]
                     test.add(result.run, (result.metrics or {}).get(test.metric.name))
-                    yield result
+                    if result.run in job_by_run:
+                        yield result
                 if not test.is_open:
                     break
-        for trace in filter(None, (job.trace for job in waiting)):
-            trace.unlink(missing_ok=True)
+        for job in map(job_by_run.get, waiting):
+            if job is not None and job.trace is not None:
+                job.trace.unlink(missing_ok=True)
 
     set_seeds(folder, manifest, is_longer=True)
     results = run_experiment(manifest, folder, in_order, on_progress=on_progress)

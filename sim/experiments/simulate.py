@@ -132,7 +132,9 @@ def simulate(
     here = run_in_workers if max(jobs, cores) > 1 else run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
-        with connect(scheduler, timeout, cores=cores) if scheduler else nullcontext(here) as runner:
+        with (
+            nullcontext(here) if scheduler is None else connect(scheduler, timeout, cores=cores)
+        ) as runner:
             results = run_experiment(manifest, folder, runner, on_progress=on_progress)
     except BaseException:
         if out is None:

@@ -83,13 +83,14 @@ def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool =
     """The statistics of a metric over runs: mean, median, their 95 % intervals, least, greatest.
 
     `values` (runs,): NaN if a run has no value. `is_share`: the metric is 0 or 1 by definition, not
-    a count that happens to be 0 or 1. `is_time_to_event`: NaN means that the event never happened
+    a count that happens to be 0 or 1; values of a user's metric that are neither have no share. `is_time_to_event`: NaN means that the event never happened
     in the run.
     """
     known = values[~np.isnan(values)]
     never = values.size - known.size if is_time_to_event else None
     if not known.size:
         return Summary(n=0, never=never)
+    is_share = is_share and bool(np.isin(known, (0.0, 1.0)).all())
     if never:
         # The time of an event that never happened is longer than each run, but not known. So the
         # least time is known, and if most runs have the event, the median; all else is not.

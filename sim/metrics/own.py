@@ -23,8 +23,10 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import math
 import traceback
 from collections.abc import Callable, Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -136,7 +138,10 @@ def _metric(
         raise ConfigError(f"metric {name}: better is {better!r}; expected 'less' or 'more'")
     bounds = getattr(function, "bounds", None)
     if bounds is not None and not (
-        isinstance(bounds, tuple) and len(bounds) == 2 and bounds[0] < bounds[1]
+        isinstance(bounds, tuple)
+        and len(bounds) == 2
+        and all(isinstance(bound, Real) for bound in bounds)
+        and 0.0 < bounds[1] - bounds[0] < math.inf
     ):
         raise ConfigError(f"metric {name}: bounds is {bounds!r}; expected a range such as (0, 1)")
 

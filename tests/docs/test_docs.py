@@ -331,6 +331,21 @@ def test_a_page_says_how_many_seeds_its_requirements_take() -> None:
     assert wrong == []
 
 
+def test_the_tables_of_outcomes_have_what_their_number_of_runs_can_show() -> None:
+    """Beside a wanted bound: the lower end of Wilson's interval of n of n runs, n / (n + z^2)."""
+    runs = set[int]()
+    for page in ROOT.glob("patterns/*/page.md"):
+        for table in re.findall(r"^\| what \| wanted \|.*\n(?:\|.*\n)*", page.read_text(), re.M):
+            rows = [[cell.strip() for cell in line.split("|")] for line in table.splitlines()]
+            column = rows[0].index("runs") if "runs" in rows[0] else 0
+            runs |= {int(row[column]) for row in rows if row[column].isdecimal()}
+    text = " ".join((ROOT / "patterns/README.md").read_text().split())
+    assert {20, 40} <= runs
+    for n in runs - set(range(20)):  # a page with fewer says so in its first line
+        assert re.search(rf"\b{100 * n / (n + 3.8415):.0f} %[^;]* after {n}\b", text), n
+    assert f"90 % [takes {math.ceil(3.8415 * 0.9 / 0.1)} runs]" in text
+
+
 def test_members_of_classes_that_a_page_names_exist() -> None:
     named = [(page, *names) for page in PAGES for names in MEMBER.findall(page.read_text())]
     wrong = [

@@ -230,9 +230,13 @@ def test_a_difference_that_may_change_bits_is_named(
     assert difference.partition(":")[0].partition(" ")[0] == subject
 
 
-def test_an_address_without_a_scheduler_is_refused(duo: Path, refusal: Refusal) -> None:
-    words = ("exp", "run", duo, "--seeds", 1, "--out", "far", "--scheduler", "nonsense://x")
-    assert "nonsense://x" in refusal(*words)
+@pytest.mark.parametrize("address", ["nonsense://x", ""])
+def test_an_address_without_a_scheduler_is_refused(
+    duo: Path, refusal: Refusal, address: str
+) -> None:
+    """The empty one is that of an unset variable of a shell."""
+    words = ("exp", "run", duo, "--seeds", 1, "--out", "far", "--scheduler", address)
+    assert f"scheduler {address}:" in refusal(*words)
 
 
 def test_a_missing_library_of_clusters_is_named_with_its_extra(

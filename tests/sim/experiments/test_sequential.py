@@ -23,7 +23,7 @@ from swarmd.sim.experiments.sequential import (
     run_until,
     sides_won,
 )
-from swarmd.sim.experiments.simulate import Runner
+from swarmd.sim.experiments.simulate import Runner, run_experiment
 from swarmd.sim.metrics.catalog import METRICS, metric_of
 
 EXPERIMENTS, MOST, ALPHA = 2000, 500, 0.05
@@ -125,11 +125,27 @@ def test_bounds_of_a_metric_of_ones_own_are_taken_and_kept(tmp_path: Path) -> No
     with pytest.raises(SwarmError, match=r"s0007 is 3\.5"):
         test.add("s0007", 3.5)
     for number in range(60):
-        test.add(str(number), 3.0)
+        test.add(str(number), 3.0 + 1e-12)  # a sum that is rounded up
     assert test.verdict == "met"
-    file.write_text("def reward(trace): ...\nreward.bounds = 3\n")
-    with pytest.raises(ConfigError, match="bounds is 3"):
+
+
+@pytest.mark.parametrize(
+    "bounds", ["3", "(0, math.inf)", "(-1e308, 1e308)", "('a', 'b')", "(1, 0)"]
+)
+def test_bounds_that_bound_nothing_are_refused(tmp_path: Path, bounds: str) -> None:
+    file = tmp_path / "reward.py"
+    file.write_text(f"import math\ndef reward(trace): ...\nreward.bounds = {bounds}\n")
+    with pytest.raises(ConfigError, match="bounds is"):
         metric_of(f"{file}:reward")
+
+
+def test_a_time_to_an_event_has_no_mean_to_decide(tmp_path: Path) -> None:
+    """None means never: the mean over the other runs would improve with each run that fails."""
+    file = tmp_path / "far.py"
+    lines = ("def far(trace): ...", "far.bounds = (0, 60)", "far.is_time_to_event = True")
+    file.write_text("\n".join(lines))
+    with pytest.raises(ConfigError, match=r"far\.py:far"):
+        SequentialTest(f"{file}:far <= 30", ALPHA, metric_of)
 
 
 FAILED = frozenset({2})
@@ -238,7 +254,25 @@ def test_an_interrupted_experiment_goes_on_and_a_decided_one_is_not_done_again(
     done.clear()
     _, again = until(folder, done=done)
     assert again.verdict == "not met"
-    assert done == []
+    assert done == ["s0002"]  # a run that has failed is tried again, as by any `exp run`
+    assert vars(kept(folder)) == vars(kept(tmp_path / "whole"))
+
+
+def test_runs_of_a_folder_count_in_the_order_of_their_seeds(tmp_path: Path) -> None:
+    """`exp run` with several workers, interrupted, has left later seeds and not seed 1."""
+    folder, seeds = tmp_path / "x", by_hand()
+
+    def interrupted(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+        for report in runner((0, *range(2, seeds), 1))(jobs):
+            if "s0001" in (report if isinstance(report, dict) else ()):
+                raise KeyboardInterrupt
+            yield report
+
+    with pytest.raises(KeyboardInterrupt):
+        run_experiment(manifest(40), folder, interrupted)
+    assert 1 not in {run.seed for run in load_results(folder).runs}
+    until(folder)
+    until(tmp_path / "whole")
     assert vars(kept(folder)) == vars(kept(tmp_path / "whole"))
 
 
