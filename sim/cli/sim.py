@@ -123,7 +123,7 @@ def fault(
     with ExitStack() as ends, signals_end():
         change: Callable[..., object]
         if isinstance(kind, ProcessFault):
-            change = partial(signal_daemons, world.pids, kind, names)
+            change = partial(signal_daemons, world.pids, name, kind, names)
         else:
             view = ends.enter_context(WorldView(name, world.endpoint))
             change = partial(view.change_fault, kind.plain, names)
@@ -135,23 +135,27 @@ def fault(
 
 
 def signal_daemons(
-    pids: Mapping[str, int], kind: ProcessFault, robots: Sequence[str], *, is_on: bool
+    pids: Mapping[str, int], swarm: str, kind: ProcessFault, robots: Sequence[str], *, is_on: bool
 ) -> None:
     """Kill, halt or continue the daemons of robots.
 
-    `pids`: the processes of the world by name. ConfigError for a robot without a daemon.
+    `pids`: the processes of the world by name, as its file has them; a process that is not the
+    daemon of its robot gets no signal. SwarmError, before any signal, for a robot without a daemon.
     """
-    from swarmd.core.errors import ConfigError, unknown
-    from swarmd.sim.live.fleet import WORLD
+    from swarmd.core.errors import ConfigError, SwarmError, unknown
+    from swarmd.sim.live.fleet import WORLD, is_daemon
     from swarmd.sim.world.faults import KilledProcess
 
-    begin = signal.SIGKILL if isinstance(kind, KilledProcess) else signal.SIGSTOP
     for robot in robots:
         if robot == WORLD or robot not in pids:
             raise ConfigError(unknown("robot with a daemon", robot, pids.keys() - {WORLD}))
-        try:
+        if is_on and not is_daemon(pids[robot], robot, swarm):
+            raise SwarmError(f"{robot}: its daemon has ended; start it as `sim up` tells")
+    begin = signal.SIGKILL if isinstance(kind, KilledProcess) else signal.SIGSTOP
+    for robot in robots:
+        if is_daemon(pids[robot], robot, swarm):
             os.kill(pids[robot], begin if is_on else signal.SIGCONT)
-        except ProcessLookupError:
+        else:
             warn(f"{robot}: its daemon has ended; `sim up` tells how to start it again")
 
 

@@ -264,6 +264,15 @@ def running(swarm: str) -> Running:
     return found
 
 
+def is_daemon(pid: int, robot: str, swarm: str) -> bool:
+    """False if the daemon of a robot has ended, even if another process has its id now."""
+    name = f"{robot}@{swarm}".encode()[:15]  # as `start_daemon` gives it and the kernel keeps it
+    try:
+        return Path(f"/proc/{pid}/comm").read_bytes() == name + b"\n"
+    except OSError:
+        return False
+
+
 def robot_ids(platform: str, count: int) -> tuple[str, ...]:
     """Ids for `count` robots of a platform, such as tb3-01."""
     stem = {"burger": "tb3", "waffle_pi": "tb3"}.get(platform, platform.replace("_", "-"))

@@ -172,7 +172,13 @@ def _with_ends(events: Iterable[ScheduledEvent]) -> Iterator[ScheduledEvent]:
         yield event
         if event.fault is not None and event.seconds is not None:
             action: Action = "join" if event.action == "kill" else "mend"
-            yield replace(event, at=event.at + event.seconds, action=action, seconds=None)
+            # Rounded: 0.1 + 0.2 is 0.3. At least 1 ns, since ends precede begins of one time.
+            yield replace(
+                event,
+                at=round(event.at + max(event.seconds, 1e-9), 9),
+                action=action,
+                seconds=None,
+            )
 
 
 def _robots(layers: Layered, groups: Groups, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
@@ -221,7 +227,8 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
         for index in range(len(file.events))
         for event in _with_ends([read_event(layers, file, groups, index)])
     ]
-    ordered = sorted(read, key=lambda one: one[1].at)
+    # A fault that begins when another of its kind ends begins after this end.
+    ordered = sorted(read, key=lambda one: (one[1].at, one[1].action != "mend"))
     # The first action that lets a robot join or leave; a robot that joins is absent until then.
     first: dict[str, str] = {}
     for _, event in ordered:
@@ -307,7 +314,7 @@ class _ScheduleChecker:
             if event.at < has_fault.get(event.fault.text, 0.0):
                 text = f"{robot} has {event.fault.text} already at {event.at:g} s"
                 raise self._error(keys, f"{text}; end it before, with `for`")
-            has_fault[event.fault.text] = event.at + (event.seconds or math.inf)
+            has_fault[event.fault.text] = round(event.at + (event.seconds or math.inf), 9)
 
     def _halt(self, keys: Keys, event: ScheduledEvent) -> None:
         for _, state in self._present(event):

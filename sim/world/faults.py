@@ -297,6 +297,10 @@ class DeadWheel(BaseFault, frozen=True, tag="dead_wheel"):
 
     side: Literal["left", "right"] = "left"
 
+    def misfit(self, platform: Platform, *, is_posed: bool) -> str:
+        """A platform that moves sideways."""
+        return "has no differential drive" if platform.limits.lateral > 0.0 else ""
+
     def followed(self, command: Array, fault: ActiveFault) -> Array:
         """The motion of the other wheel."""
         separation = fault.body("wheel_separation")

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -18,9 +18,11 @@ from swarmd.core.messages import State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_daemon_settings
+from swarmd.sim.cli.sim import signal_daemons
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_options
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.starting import await_robots, statuses_of
+from swarmd.sim.world.faults import FrozenProcess, KilledProcess, ProcessFault
 from tests.support.processes import (
     assert_keeps_nothing_of_its_daemon,
     children,
@@ -163,6 +165,20 @@ def test_faults_by_command_reach_the_world_and_the_daemons(
         assert fault("tb3-02", "process=killed").code == 0
         wait_until(lambda: "tb3-02" in fleet.ended(), "the daemon is killed")
     assert fault("tb3-01", "scan=frozen").code == 1
+
+
+@pytest.mark.parametrize("kind", [KilledProcess(), FrozenProcess()])
+@pytest.mark.parametrize("is_on", [True, False])
+def test_a_process_that_has_the_id_of_an_ended_daemon_gets_no_signal(
+    monkeypatch: pytest.MonkeyPatch, kind: ProcessFault, is_on: bool
+) -> None:
+    sent: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "kill", lambda pid, number: sent.append((pid, number)))
+    pids = {"world": os.getpid(), "tb3-01": os.getpid(), "tb3-02": -1}
+    for robot in ("tb3-01", "tb3-02"):
+        with pytest.raises(SwarmError, match=robot) if is_on else nullcontext():
+            signal_daemons(pids, "default", kind, [robot], is_on=is_on)
+    assert sent == []
 
 
 @pytest.mark.integration

@@ -168,6 +168,24 @@ def test_an_event_changes_the_fields_of_a_name(load: Load) -> None:
     assert made.effective["events"][-1]["fields"] == fields
 
 
+@pytest.mark.parametrize(("at", "seconds", "again"), [(20, 15, 35), (2.1, 0.2, 2.3)])
+@pytest.mark.parametrize("is_first_in_file", [True, False])
+def test_a_fault_that_begins_at_the_end_of_the_same_fault_stays(
+    load: Load, at: float, seconds: float, again: float, is_first_in_file: bool
+) -> None:
+    assert 2.1 + 0.2 > 2.3
+    times: tuple[dict[str, float], ...] = ({"at": again}, {"at": at, "for": seconds})
+    pair = [{"fault": {"scan": "frozen"}, "robots": "red", **one} for one in times]
+    events = load({"events": pair if is_first_in_file else pair[::-1]}).events
+    assert [e.action for e in events if e.fault] == ["fault", "mend", "fault"]
+
+
+def test_a_short_fault_ends(load: Load) -> None:
+    event = {"at": 20, "fault": {"scan": "frozen"}, "robots": "red", "for": 1e-15}
+    events = load({"events": [event]}).events
+    assert [e.action for e in events if e.fault] == ["fault", "mend"]
+
+
 @pytest.mark.parametrize(
     ("event", "fault"),
     [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -113,10 +114,10 @@ def test_noise_has_the_wanted_deviation_and_a_late_scan_keeps_its_stamp() -> Non
 
 def test_only_the_robot_with_the_fault_has_it_and_only_until_its_end() -> None:
     made = faults({"scan": "mirrored"}, rows=(1,))
-    assert (
-        made.scan(0, scan_of([1, 2, 3, 4]))[0] == (sound := made.scan(0, scan_of([1, 2, 3, 4])))[0]
-        or sound
-    )
+    for row, wanted in ((0, [1, 2, 3, 4]), (1, [1, 4, 3, 2])):
+        arrived, _ = made.scan(row, scan_of([1, 2, 3, 4]))
+        assert arrived is not None
+        assert arrived.ranges.tolist() == wanted
     assert made.texts() == {"b": "scan mirrored"}
     made.end(fault_of({"scan": "mirrored"}, "here"), (1,))
     after, _ = made.scan(1, scan_of([1, 2, 3, 4]))
@@ -233,6 +234,16 @@ def test_an_unknown_kind_parameter_or_value_is_refused_in_one_line(
     assert text.startswith("file: events[0].fault: ")
     assert subject in text
     assert "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("platform", "has_wheels"), [("burger", True), ("rosbot_xl", False), ("crazyflie", False)]
+)
+def test_only_a_differential_drive_has_a_wheel_that_dies(platform: str, has_wheels: bool) -> None:
+    groups = {"tb3": {"platform": platform, "count": 2}}
+    event = {"at": 1.0, "fault": {"base": "dead_wheel"}, "robots": "all"}
+    with nullcontext() if has_wheels else pytest.raises(ConfigError, match=r"events\[0\]\.fault"):
+        scenario_of({**BASE, "groups": groups, "events": [event]})
 
 
 # Runs
