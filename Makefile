@@ -32,7 +32,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
+.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety faults outcomes voting learning films mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
 .DELETE_ON_ERROR:
 
 help:
@@ -53,19 +53,19 @@ help:
 	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
 	@echo "make budget    each budget: a ratio to a yardstick of the same run, in three minutes"
 	@echo "make arm64     tests, traces and a daemon on an emulated arm64; as root, half an hour at first"
-	@echo "make processors  which bits depend on the variant of x86-64, and by which function; ten minutes of a core"
+	@echo "make processors  which bits depend on the variant of x86-64, and which functions differ; ten minutes of a core"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; some six hours of a core"
-	@echo "make evidence  long tests, then the five studies below; hours on two cores"
+	@echo "make evidence  long tests, then six of the studies below; hours on two cores"
 	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
 	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; ten minutes of a core"
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
 	@echo "make learning    what protection does to learning: trains a policy with it and without; six minutes of a core"
 	@echo "make voting      how voting scales with robots and tiles; half an hour"
 	@echo "make films       a short film of each pattern; a few minutes"
-	@echo "make screens     pictures of the page in all sizes, to look at, in build/screens; three minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
+	@echo "make faults      one of seven robots has a fault: who names it, what touches, what is lost; half a CPU-hour"
 	@echo "make mutants   600 small changes of what decides motion, and the tests that notice them; some hours of a core"
 	@echo "make mutants-of  the same for all that commits changed there; ARGS=HEAD [default], or COMMIT.."
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
@@ -133,7 +133,7 @@ test-robot: kernels
 evidence: $(VENV)/tools
 	@$(BIN)/python -m pytest -n $(or $(JOBS),6) --dist loadfile -m "evidence or hypothesis" \
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
-	@$(MAKE) --no-print-directory ARGS= outcomes paper voting tuning safety
+	@$(MAKE) --no-print-directory ARGS= outcomes paper voting tuning safety faults
 
 # Every sequence up to a length, judged by the rules of docs/safety.md; the same command resumes.
 # ARGS="robot events --depth 5" goes further, for some CPU-hours.
@@ -234,16 +234,16 @@ voting: $(VENV)/tools
 films: $(VENV)/tools
 	@$(BIN)/python -m studies.films $(ARGS)
 
-# The page in Chromium: light and dark, 3 to 200 robots, four widths, each panel. ARGS="--figure
-# docs/figures/page.png" makes the picture of docs/watching.md anew.
-screens: $(VENV)/tools
-	@$(BIN)/python -m studies.page_screens $(ARGS)
-
 # Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
 # ARGS="--robot-hours 30" a tenth of it; --attack-share sets how many of them are among attackers.
 safety: $(VENV)/tools
 	@$(BIN)/python -m studies.safety hours $(ARGS)
 	@$(BIN)/python -m studies.safety progress
+
+# Five patterns, ten faults of one of seven robots, twenty seeds, for docs/evidence/faults.md; 1200 runs,
+# half an hour of two idle cores. The same command resumes. ARGS="--seeds 5 --patterns flocking" runs less.
+faults: $(VENV)/tools
+	@$(BIN)/python -m studies.faults $(ARGS)
 
 # Three robots on DDS behind one bridge, and what their daemons make of thirty faults, in docs/ros_faults.md.
 ros-study: $(VENV)/tools

@@ -16,7 +16,6 @@ from benchmarks import (
     learning,
     lidar,
     lockstep,
-    peers,
     protection,
     recording,
     resources,
@@ -24,9 +23,7 @@ from benchmarks import (
     ros2,
     startup,
     steps,
-    subscribers,
     switch,
-    view,
 )
 from benchmarks.compare import compare
 from benchmarks.table import machine
@@ -38,17 +35,14 @@ ALL: Mapping[str, Callable[[], None]] = {
     "lidar": lidar.main,
     "lockstep": lambda: lockstep.main([]),
     "learning": learning.main,
-    "peers": peers.main,
     "latency": lambda: latency.main([]),
     "resources": lambda: resources.main([]),
-    "subscribers": lambda: subscribers.main([]),
     "recording": lambda: recording.main([]),
     "startup": startup.main,
     "cli": cli.main,
     "ros1": lambda: ros1.main([]),
     "ros2": lambda: ros2.main([]),
     "switch": lambda: switch.main([]),
-    "view": lambda: view.main([]),
 }
 ON_REQUEST: Mapping[str, Callable[[], None]] = {"bursts": bursts.main}
 """By name, benchmarks that take real-time priority, and run only if they are named."""

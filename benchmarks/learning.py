@@ -3,20 +3,13 @@
 Random actions in one process. A step does the work of a step of an experiment (noisy lidars of 360
 rays, odometry, protection), and computes observations and the reward. Each sample is 2 s of
 simulation.
-
-`--vmas PYTHON` measures VMAS in the same run, by an interpreter that has vmas and torch.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import subprocess
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -59,26 +52,9 @@ def rows(parts: int = PARTS) -> Iterator[Row]:
             yield Row(what, rates(agents, mode, parts), unit="")
 
 
-def vmas_rows(python: str) -> Iterator[Row]:
-    """One row for each task of VMAS with a lidar, number of agents and of environments."""
-    script = str(Path(__file__).with_name("vmas_steps.py"))
-    command = [python, "-W", "ignore", script, *map(str, AGENTS)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
-    for result in json.loads(done.stdout):
-        what = (
-            f"agent-steps a CPU-second, VMAS {result['task']}, {result['agents']} agents, "
-            f"{result['rays']} rays, environments: {result['environments']}"
-        )
-        yield Row(what, result["rates"], unit="")
-
-
-def main(words: Sequence[str] = ()) -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.learning")
-    parser.add_argument("--vmas", metavar="PYTHON", help="an interpreter that has vmas and torch")
-    python = parser.parse_args(words).vmas
-    table_rows = [*rows(), *(vmas_rows(python) if python else ())]
-    print_table("Environment for learning, one processor", table_rows)
+def main() -> None:
+    print_table("Environment for learning, one processor", rows())
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
@@ -21,6 +21,7 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.yamlfile import text_of
+from swarmd.sim.live.fleet import end_processes
 
 HERE = Path(__file__).parent
 PLUGINS = HERE / "plugins"
@@ -76,9 +77,9 @@ class Swarm:
 
     def close(self) -> None:
         """End all processes; the stamps are written by then."""
-        end(self.daemons.values())
+        end_processes([*self.daemons.values()], STOP_TIMEOUT)
         if self.world is not None:
-            end([self.world], WRITE_TIMEOUT)
+            end_processes([self.world], WRITE_TIMEOUT)
 
     def run(self, pattern: str, **params: Any) -> Outcome:
         """Run a pattern on all robots; SystemExit unless all of them have it."""
@@ -178,19 +179,3 @@ class Swarm:
     def _last_words(self) -> str:
         texts = {log.stem: log.read_text(errors="replace") for log in self.folder.glob("*.log")}
         return "; ".join(f"{name}: {text.strip()[-200:]}" for name, text in sorted(texts.items()))
-
-
-def end(processes: Iterable[Process], timeout: float = STOP_TIMEOUT) -> None:
-    """TERM, and KILL for what is left after a while."""
-    some = list(processes)
-    for process in some:
-        process.terminate()
-    deadline = time.monotonic() + timeout
-    for process in some:
-        try:
-            process.wait(timeout=max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.stdout is not None:
-            process.stdout.close()

@@ -187,6 +187,24 @@ def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.int16]]:
     return tuple(names), indices
 
 
+def faults_at(trace: Trace, time: float) -> Mapping[str, str]:
+    """The faults that are on at `time` s from the start, by robot, such as `scan frozen`."""
+    on: dict[str, dict[str, None]] = {}
+    for event in trace.meta.get("events", ()):
+        action, _, fault = str(event["action"]).partition(" ")
+        for robot in event["robots"] if action in ("fault", "mend") and event["at"] <= time else ():
+            on.setdefault(robot, {}).pop(fault, None)
+            if action == "fault":
+                on[robot][fault] = None
+    return {robot: ", ".join(faults) for robot, faults in on.items() if faults}
+
+
+def said_in(trace: Trace) -> Sequence[tuple[float, str, str]]:
+    """What robots logged in a run with faults: s from the start, robot and text, by time."""
+    start = float(trace.t[0]) if len(trace.t) else 0.0
+    return [(float(at) - start, robot, text) for at, robot, text in trace.meta.get("said", ())]
+
+
 def _most_unpacked(path: Path) -> int:
     return MAX_RATIO * path.stat().st_size + MAX_SPARE
 

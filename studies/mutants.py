@@ -20,7 +20,6 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import sqrt
 from pathlib import Path
 
 from swarmd.core.kernels import KERNELS, source_of
@@ -265,17 +264,6 @@ def touched(source: str, lines: set[int]) -> list[int]:
     return [n for n, (node, _) in enumerate(places(tree)) if getattr(node, "lineno", 0) in near]
 
 
-def interval(hits: int, count: int) -> tuple[float, float]:
-    """The 95 % interval of Wilson of a share; interval(0, 0) == (0, 1)."""
-    if not count:
-        return 0.0, 1.0
-    z = 1.96
-    share, scale = hits / count, 1.0 + z * z / count
-    middle = (share + z * z / (2 * count)) / scale
-    half = z * sqrt(share * (1.0 - share) / count + z * z / (4 * count * count)) / scale
-    return middle - half, middle + half
-
-
 def table(mutants: Sequence[Mutant], judged: Sequence[tuple[str, bool]]) -> str:
     """Markdown: by folder, how many mutants there are, were judged, and survived.
 
@@ -328,8 +316,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("\n".join(f"SURVIVED  {one.text}" for one in survivors))
     print()
     print(table(whole, [(one.path, one.survived) for one in verdicts]))
+    # Not before: the tests of mutants are to be the first to import modules of swarmd.
+    from swarmd.sim.experiments.statistics import wilson
+
     killed = len(verdicts) - len(survivors)
-    least, most = interval(killed, len(verdicts))
+    least, most = wilson(killed, len(verdicts)) if verdicts else (0.0, 1.0)
     print(
         f"\n{killed} of {len(verdicts)} mutants were noticed: {killed / max(len(verdicts), 1):.0%}"
         f" (95 % interval {least:.0%} to {most:.0%});"

@@ -51,7 +51,7 @@ EXCEPTIONS: dict[tuple[str, str], str] = {
 }
 # Executable statements of the sources, studies and benchmarks: what moves still counts. A part that
 # needs more names the part that goes.
-MOST_STATEMENTS = 73_250
+MOST_STATEMENTS = 74_350
 # Lines of all modules in the import closure of a module: what one must know of it. CLOSURE_SLACK
 # above them is a fault.
 CLOSURES = {

@@ -41,7 +41,7 @@ INNER = {
         "docs/drivers",
     ],
     "docs/evidence/README": [
-        *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals"),
+        *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals", "faults"),
         *_inside("docs/evidence", "network", "security", "simulation"),
         *("docs/paper", "docs/ros_faults", "benchmarks/README"),
         "ARCHITECTURE",

@@ -94,6 +94,7 @@ from swarmd.sim.scenarios.schema import (
     SegmentSection,
     StartSection,
 )
+from swarmd.sim.world.faults import KINDS as FAULTS
 from swarmd.sim.world.floor import Patch
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
@@ -401,6 +402,10 @@ def scenarios() -> Iterator[str]:
         yield from _schema(f"fields, kind {kind.__struct_config__.tag}", kind)
     yield from _schema("fields, kind floor: patches", Patch)
     yield from _schema("events", EventSection)
+    for fault in FAULTS:
+        yield from _schema(
+            f"events, fault: {{{fault.place}: {fault.__struct_config__.tag}}}", fault
+        )
     yield from _schema("radio", RadioSettings)
     yield from _schema("realism.lidar", LidarNoise)
     yield from _schema("realism.odometry", OdometryNoise)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 FAILED = 1  # exit code
 _CHECK_TIMEOUT = 30.0  # s for one point of the check of a pattern
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+_SIGNS = MappingProxyType({"met": "", "not met": "!", "undecided": "?"})
+"""Behind a value, by the verdict on its target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +247,7 @@ def _fault(point: Point) -> str:
 
 
 def _print(lesson: Lesson, works: Sequence[Work]) -> None:
-    """The targets by letter, and a row for each pupil; `!` marks a value that misses its target."""
+    """The targets by letter, and a row for each pupil, with the signs of `_value_text`."""
     targets = _targets(lesson)
     for letter, text in zip(_LETTERS, targets, strict=False):
         click.echo(f"{letter}  {text}")
@@ -271,11 +274,11 @@ def _row(lesson: Lesson, work: Work) -> tuple[str, ...]:
 
 
 def _value_text(finding: RequirementFinding | None) -> str:
-    """A value with `!` if the value misses its target; `-` for a value that is missing."""
+    """A value with `!` if it misses its target, `?` if the runs leave that open; `-` without it."""
     if finding is None:
         return "-"
     value = "-" if finding.value is None else f"{finding.value:.3g}"
-    return value if finding.is_met else f"{value}!"
+    return f"{value}{_SIGNS[finding.verdict]}"
 
 
 def _targets(lesson: Lesson) -> list[str]:

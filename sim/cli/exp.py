@@ -6,6 +6,7 @@ import itertools
 import shlex
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from signal import SIGTERM
@@ -19,6 +20,7 @@ from swarmd.cli.patterns import report_mission
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_bench import bench
 from swarmd.sim.cli.exp_results import (
+    MISSED,
     check,
     exit_if_incomplete,
     export,
@@ -57,6 +59,7 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
     from swarmd.sim.experiments.plan import Plan
     from swarmd.sim.experiments.results import Results
+    from swarmd.sim.experiments.sequential import SequentialTest
     from swarmd.sim.metrics.metric import Metric
 
 _FAILURES_SHOWN = 5
@@ -106,7 +109,26 @@ def exp() -> None:
 @click.option(
     "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
 )
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask cluster: tcp://HOST:8786."
+)
 @click.option("--no-traces", is_flag=True, help="Keep only metrics; fewer plots are possible.")
+@click.option(
+    "--until",
+    metavar="REQUIREMENT",
+    help="Run seeds in their order until it is sure whether 'METRIC >= VALUE' holds for the mean of"
+    " a metric with a known range, such as 'one_cluster_at_end >= 0.9'.",
+)
+@click.option(
+    "--alpha",
+    type=click.FloatRange(0.0, 0.5, min_open=True),
+    help="With --until: the probability of a wrong answer, at most [0.05].",
+)
+@click.option(
+    "--most",
+    type=click.IntRange(min=1),
+    help="With --until: the number of seeds after which it stays undecided [500, or --seeds].",
+)
 @_metrics
 @output_option
 @click.pass_context
@@ -121,7 +143,11 @@ def run(
     timeout: float | None,
     out: Path | None,
     shard: str | None,
+    scheduler: str | None,
     no_traces: bool,
+    until: str | None,
+    alpha: float | None,
+    most: int | None,
     metrics: str | None,
     is_json: bool,
 ) -> None:
@@ -130,18 +156,40 @@ def run(
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed. A run in which a pattern
     raised an error counts as failed here, and its results are kept. Before several runs with a
     pattern of a file, the first second of the first run is tried.
+
+    With --until the exit code is also 1 if the requirement is not met. The folder then holds the
+    runs up to the seed that decided, the same with any --jobs.
     """
     # 1. Libraries.
     need("mujoco")
+    if scheduler is not None:
+        need("distributed", extra="sim,plot,cluster")
     from swarmd.sim.cli.progress import time_span
+    from swarmd.sim.experiments.cluster import connect
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
+    from swarmd.sim.experiments.pool import STEP_TIMEOUT
+    from swarmd.sim.experiments.requirements import Verdict
+    from swarmd.sim.experiments.sequential import SequentialTest
     from swarmd.sim.experiments.simulate import plan_of
+    from swarmd.sim.metrics.catalog import metric_of
 
     # 2. The metrics to show (None: a default choice), and the plan of all runs.
     chosen = chosen_metrics(metrics)
+    test = None
+    if until is not None:
+        test = SequentialTest(until, alpha or 0.05, metric_of)
+        if sweeps or shard is not None:
+            raise ConfigError(
+                "--until decides one variant in one folder: no --sweep and no --shard"
+            )
+        chosen = (test.metric, *(one for one in chosen or () if one.name != test.metric.name))
+        if ctx.get_parameter_source("seeds") is click.core.ParameterSource.DEFAULT:
+            seeds = str(most or 500)
+    elif alpha is not None or most is not None:
+        raise ConfigError("--alpha and --most need --until REQUIREMENT")
     plan = plan_of(
         scenario,
-        parse_seeds(seeds),
+        parse_seeds(seeds)[:most],
         parse_sets(sets),
         parse_sweeps(sweeps),
         on_note=lambda note: warn(f"note: {note}"),
@@ -150,7 +198,7 @@ def run(
         plan = replace(plan, shard=parse_shard(shard))
         if out is None:
             raise ConfigError("--shard needs --out DIR, so that the same command resumes the part")
-    if cores is None and plan.runs:
+    if cores is None and plan.runs and scheduler is None:
         cores = _spare_cores(plan, jobs)
 
     # 3. The command line that resumes the experiment in its folder.
@@ -165,8 +213,12 @@ def run(
             "--jobs": jobs,
             "--cores": cores,
             "--shard": shard,
+            "--scheduler": scheduler,
             "--out": folder,
             "--no-traces": no_traces,
+            "--until": until,
+            "--alpha": alpha,
+            "--most": most,
             "--metrics": ",".join(metric.origin or metric.name for metric in chosen or ()) or None,
             "--timeout": None if timeout is None else f"{timeout:g}",
         },
@@ -174,23 +226,33 @@ def run(
 
     # 4. The runs.
     start_time = time.monotonic()
-    results = do_runs(
-        plan,
-        folder,
-        workers(jobs, timeout, cores or 1),
-        traces=not no_traces,
-        command=command,
-        metrics=chosen or (),
-    )
+    with (
+        connect(scheduler, timeout or STEP_TIMEOUT, jobs, cores or 1)
+        if scheduler is not None
+        else nullcontext(workers(jobs, timeout, cores or 1))
+    ) as runner:
+        results = do_runs(
+            plan,
+            folder,
+            runner,
+            traces=not no_traces,
+            command=command,
+            metrics=chosen or (),
+            test=test,
+        )
 
     # 5. The statistics and the exit code.
     measured = None if chosen is None else [results.about(metric.name) for metric in chosen]
-    _print_results(results, measured, is_json)
+    _print_results(results, measured, is_json, test)
     duration = time_span(time.monotonic() - start_time)
-    warn(f"{len(results.runs)} of {counted(len(plan.runs), 'run')} done after {duration}")
+    warn(f"{len(results.runs)} of {counted(len(results.plan.runs), 'run')} done after {duration}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
     faultless = len(results.runs) - len(results.pattern_faults)
-    ctx.exit(exit_code(faultless, is_complete=faultless == len(plan.runs)))
+    if test is not None:
+        warn(f"{until}: {test.verdict} after {counted(test.runs, 'run')}, alpha {test.alpha:g}")
+        if test.verdict is Verdict.NOT_MET:
+            ctx.exit(MISSED)
+    ctx.exit(exit_code(faultless, is_complete=faultless == len(results.plan.runs)))
 
 
 def _spare_cores(plan: Plan, jobs: int | None) -> int | None:
@@ -489,14 +551,26 @@ def _measured(file: Path, metrics: Sequence[Metric]) -> dict[str, float | None]:
     return values
 
 
-def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bool) -> None:
+def _print_results(
+    results: Results,
+    names: Sequence[Metric] | None,
+    is_json: bool,
+    test: SequentialTest | None = None,
+) -> None:
     for run, fault in list(results.pattern_faults.items())[:1]:
         warn(
             f"{fault} of run {run}: a pattern failed in {len(results.pattern_faults)} of"
             f" {len(results.runs)} runs, see failures.json"
         )
     if is_json:
-        print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
+        print_json(
+            "ExperimentSummary",
+            {
+                **results.document(names),
+                "folder": str(results.folder),
+                "until": test and test.document(),
+            },
+        )
     else:
         click.echo(results.text(names))
     warn_of_few(len(results.seeds(variant)) for variant in results.variants)

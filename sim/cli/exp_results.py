@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.record_merge import parts_of
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.numbers import finite_number
@@ -21,6 +23,7 @@ from swarmd.sim.cli.options import (
     out_option,
     output_option,
     trust_option,
+    warn_of_few,
 )
 from swarmd.texts.values import counted, megabytes
 
@@ -79,19 +82,34 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
 @click.command(epilog="Example: swarmctl exp check runs/first 'median(gather_time) <= 40'")
 @click.argument("experiment", metavar="DIR")
 @click.argument("requirements", metavar="REQUIREMENT..", nargs=-1, required=True)
+@click.option(
+    "--sure",
+    "must_be_sure",
+    is_flag=True,
+    help="Exit code 0 only if each requirement is met, and by at least 10 runs.",
+)
 @output_option
 @click.pass_context
 def check(
-    ctx: click.Context, experiment: str, requirements: tuple[str, ...], is_json: bool
+    ctx: click.Context,
+    experiment: str,
+    requirements: tuple[str, ...],
+    must_be_sure: bool,
+    is_json: bool,
 ) -> None:
     """Check whether the experiment in DIR, or DIR:VARIANT of a sweep, meets requirements.
 
-    A requirement is 'METRIC >= VALUE' in quotes. It compares the mean of the metric over all runs.
+    A requirement is 'METRIC >= VALUE' in quotes. It concerns the mean of the metric over all runs.
     'median(METRIC)', 'min(METRIC)' and 'max(METRIC)' stand for other statistics, and 'runs' for the
     number of runs. Comparisons are >= <= > < ==. Every variant of a sweep must meet each
     requirement.
 
-    Exit code 0 if all requirements are met and no planned run is missing, else 1.
+    The 95 % interval of a mean or median decides: 'met' if all of it meets the requirement, 'not
+    met' if nothing of it does, else 'undecided'. More runs decide; `exp run --until` makes as many
+    as it takes. min, max and runs are numbers of these runs alone.
+
+    Exit code 1 if a requirement is not met or a planned run is missing; with --sure also if a
+    requirement is undecided, or met by the bootstrap interval of fewer than 10 runs. Else 0.
     """
     from swarmd.sim.experiments import requirements as checking
     from swarmd.sim.experiments.compare import sides_of
@@ -100,7 +118,10 @@ def check(
     sides = sides_of(experiment)  # one for each variant
     findings = [checking.check(requirement, side) for side in sides for requirement in parsed]
     missing_runs = sides[0].results.lacking  # a text; empty if no run is missing
-    is_passed = not missing_runs and all(finding.is_met for finding in findings)
+    is_passed = not missing_runs and all(
+        finding.is_sure if must_be_sure else finding.verdict is not checking.Verdict.NOT_MET
+        for finding in findings
+    )
     if is_json:
         listed = [finding.document() for finding in findings]
         print_json("Check", {"passed": is_passed, "missing": missing_runs, "requirements": listed})
@@ -108,9 +129,14 @@ def check(
         _print_findings(findings)
     if missing_runs:
         warn(f"not complete: {missing_runs}")
-    number_met = sum(finding.is_met for finding in findings)
+    warn_of_few(finding.few for finding in findings)
+    counts = Counter(finding.verdict for finding in findings)
+    open_ones = f", {counts[checking.Verdict.UNDECIDED]} undecided"
     so_far = " so far" if missing_runs else ""
-    warn(f"{number_met} of {counted(len(findings), 'requirement')} met{so_far}")
+    warn(
+        f"{counts[checking.Verdict.MET]} of {counted(len(findings), 'requirement')} met"
+        f"{open_ones if counts[checking.Verdict.UNDECIDED] else ''}{so_far}"
+    )
     ctx.exit(0 if is_passed else MISSED)
 
 
@@ -121,14 +147,14 @@ def _print_findings(findings: Sequence[RequirementFinding]) -> None:
 
     rows = []
     for finding in findings:
-        remark = f"({finding.remark})" if finding.remark else ""
+        remark = f" ({finding.remark})" if finding.remark else ""
         rows.append(
             (
                 finding.requirement.text,
                 finding.variant or NOTHING,
                 number(finding.value),
                 interval(finding.interval),
-                "met" if finding.is_met else f"missed {remark}",
+                f"{finding.verdict}{remark}",
             )
         )
     print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), rows)
@@ -151,9 +177,10 @@ def report(
 ) -> None:
     """Write the experiment in DIR as one HTML file: results, figures, a run to play, the manifest.
 
-    With FILE.mcap, the recording of one robot or of a swarm (`record merge`), the report has
-    states, gaps, stops, and paths by odometry. A report needs no network and no other file, and
-    prints well.
+    With FILE.mcap, the recording of one robot or of a swarm (`record merge`), or with a folder of
+    recordings (`record fetch`, `incidents fetch`), the report has states, gaps, stops, and paths by
+    odometry. Its player begins 10 s before an incident. A report needs no network and no other
+    file, and prints well.
 
     Exit code 1 if planned runs of the experiment are missing.
     """
@@ -161,8 +188,8 @@ def report(
     need("mujoco", "matplotlib")
     from swarmd.sim.experiments.manifest import write_whole
 
-    is_recording = place.suffix == ".mcap"
-    path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
+    is_recording = place.suffix == ".mcap" or _has_recordings(place)
+    path = out or (place.with_suffix(".html") if place.is_file() else place / "report.html")
     if out is not None and (path.suffix != ".html" or not path.parent.is_dir()):
         raise ConfigError(f"{path}: expected a name that ends in .html, in a folder that exists")
 
@@ -174,9 +201,8 @@ def report(
         need("mcap", "rosbags", extra="sim,plot,record")
         from swarmd.sim.report.recording_report import recording_report
 
-        text = recording_report(place)
+        text = recording_report(parts_of((place,)), place)
     else:
-        _refuse_recordings(place)
         from swarmd.sim.experiments.results import load_results
         from swarmd.sim.report.html import report_of
 
@@ -197,15 +223,11 @@ def report(
         exit_if_incomplete(results)
 
 
-def _refuse_recordings(folder: Path) -> None:
-    """Raise ConfigError for a folder with recordings that is no experiment."""
+def _has_recordings(folder: Path) -> bool:
+    """True for a folder with recordings that is no experiment."""
     from swarmd.sim.experiments.manifest import NAME
 
-    if not (folder / NAME).exists() and folder.is_dir() and any(folder.rglob("*.mcap")):
-        raise ConfigError(
-            f"{folder}: a folder of recordings; expected an experiment or one file, such as"
-            f" that of: swarmctl record merge {folder} -o {folder.name}.mcap"
-        )
+    return not (folder / NAME).exists() and folder.is_dir() and any(folder.rglob("*.mcap"))
 
 
 @click.command(epilog="Example: swarmctl exp view runs/gather --seed 7")

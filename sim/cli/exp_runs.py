@@ -19,6 +19,7 @@ from swarmd.texts.values import counted
 if TYPE_CHECKING:
     from swarmd.sim.experiments.plan import Plan
     from swarmd.sim.experiments.results import Results
+    from swarmd.sim.experiments.sequential import SequentialTest
     from swarmd.sim.experiments.simulate import Runner
     from swarmd.sim.metrics.metric import Metric
 
@@ -47,14 +48,17 @@ def do_runs(
     traces: bool,
     command: list[str],
     metrics: Sequence[Metric],
+    test: SequentialTest | None = None,
 ) -> Results:
     """Do the runs of a plan that `folder` lacks, with progress on stderr.
 
     `command`: the command line that resumes them, printed after a signal. `metrics`: those to show.
+    `test`: ends the runs when it is decided; None: all runs are done.
     Before several runs with a pattern of a file, the first second of the first run is tried.
     """
     from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments.manifest import manifest_of, plugin_folders
+    from swarmd.sim.experiments.sequential import run_until
     from swarmd.sim.experiments.simulate import check_first_second, run_experiment
     from swarmd.sim.metrics.catalog import beyond_catalog
 
@@ -69,6 +73,8 @@ def do_runs(
         with signals_end(SIGTERM), progress() as on_progress:
             if plan.runs[1:] and plugin_folders(plan):
                 check_first_second(plan, runner)
+            if test is not None:
+                return run_until(test, manifest, folder, runner, on_progress=on_progress)
             return run_experiment(manifest, folder, runner, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
         _tell_how_to_resume(folder, plan, command)

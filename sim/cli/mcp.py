@@ -185,6 +185,7 @@ def make_server(
         tools.describe,
         tools.goal,
         tools.events,
+        tools.incidents,
         tools.patterns,
         tools.pattern,
         tools.scenarios,
@@ -346,6 +347,15 @@ class SwarmTools:
             "did_not_answer": list(members.missing),
             "exit_code": members.exit_code,
         }
+
+    async def incidents(self) -> Answer:
+        """What went wrong on robots (incidents), with the robots that keep their last minute of it.
+
+        A person fetches such a minute with `swarmctl incidents fetch ID`, and replays it.
+        """
+        found = await self._swarm.incidents()
+        answer = found.as_json()
+        return {"did_not_answer": answer.pop("missing"), **answer, "exit_code": found.exit_code}
 
     async def patterns(self) -> Answer:
         """The behaviours (patterns) that are installed on this computer, with what each needs."""

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 from msgspec import structs
 
-from swarmd.cli.options import CommonOptions, VerbGroup
+from swarmd.cli.options import CommonOptions, Duration, VerbGroup
 from swarmd.cli.output import print_section, signals_end, warn
 from swarmd.client.network_options import DEFAULT_SWARM
 from swarmd.settings.contexts import context_in_use
@@ -21,7 +24,9 @@ from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
+    from swarmd.sim.live.demo_run import LiveTimeline
     from swarmd.sim.live.fleet import Fleet, FleetSpec
+    from swarmd.sim.world.faults import ProcessFault
 
 CHECK_PERIOD = 1.0  # s between two checks of the processes
 
@@ -67,18 +72,14 @@ def up(
     """Start one world, and a daemon for each of its robots; Ctrl-C ends all of these processes.
 
     SCENARIO is a name of `swarmctl exp list` or a YAML file. The world has the arena, robots,
-    fields and radio of the scenario, with one seed. The robots start idle: the patterns and events
-    of a scenario run only with `swarmctl demo SCENARIO`. Command the robots from another terminal
-    with the other verbs of swarmctl.
+    fields and radio of the scenario, with one seed, and its faults begin and end at their times.
+    The robots start idle: patterns and other events run only with `swarmctl demo SCENARIO`. Command
+    the robots from another terminal with the other verbs of swarmctl.
     """
     need("mujoco")
-    from swarmd.core.keys import check_id
     from swarmd.sim.live.simulated_swarm import kept_folder
 
-    # The name of the swarm: of the verb's option, of the option before the verb, or of $SWARM.
-    common = ctx.find_object(CommonOptions)  # the options before the verb; None without `swarmctl`
-    swarm_option = swarm or (common.swarm if common is not None else None)
-    name = check_id(swarm_option or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
+    name = _swarm_of(ctx, swarm)
     with kept_folder(keep) as folder:
         # `world`: the values of `fleet_options`. `bases_only`: the user starts the daemons.
         spec = structs.replace(fleet_for(name, folder, **world), endpoint=endpoint)
@@ -86,6 +87,85 @@ def up(
             serve_bases(spec, page)
         else:
             serve(spec, page)
+
+
+@sim.command()
+@click.argument("robots", nargs=-1, required=True, metavar="ROBOT... PLACE=KIND [KEY=VALUE]...")
+@click.option("--for", "seconds", type=Duration(), help="Wait, and end the fault after this time.")
+@click.option("--end", is_flag=True, help="End the fault of this kind now.")
+@click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default].")
+@click.pass_context
+def fault(
+    ctx: click.Context,
+    /,
+    robots: tuple[str, ...],
+    seconds: float | None,
+    end: bool,
+    swarm: str | None,
+) -> None:
+    """Give robots of a running simulated world a fault, such as scan=frozen or scan=noise sd=0.2.
+
+    The kinds and their parameters are those of the event `fault` of scenarios. process=killed kills
+    the daemons, process=frozen halts them. With --for this command waits, and then ends the fault.
+    """
+    need("mujoco")
+    from swarmd.sim.live.fleet import running
+    from swarmd.sim.live.link import WorldView
+    from swarmd.sim.world.faults import ProcessFault, fault_of
+    from swarmd.texts.assignments import read_assignments
+
+    names = [word for word in robots if "=" not in word]
+    kind = fault_of(read_assignments((word for word in robots if "=" in word), "fault"), "fault")
+    if not names:
+        raise click.UsageError("no robot is named; give one, such as tb3-02")
+    name = _swarm_of(ctx, swarm)
+    world = running(name)
+    with ExitStack() as ends, signals_end():
+        change: Callable[..., object]
+        if isinstance(kind, ProcessFault):
+            change = partial(signal_daemons, world.pids, name, kind, names)
+        else:
+            view = ends.enter_context(WorldView(name, world.endpoint))
+            change = partial(view.change_fault, kind.plain, names)
+        change(is_on=not end)
+        click.echo(f"{', '.join(names)}: {kind.text} {'has ended' if end else 'is on'}")
+        if seconds is not None:
+            ends.callback(change, is_on=False)
+            time.sleep(seconds)
+
+
+def signal_daemons(
+    pids: Mapping[str, int], swarm: str, kind: ProcessFault, robots: Sequence[str], *, is_on: bool
+) -> None:
+    """Kill, halt or continue the daemons of robots.
+
+    `pids`: the processes of the world by name, as its file has them; a process that is not the
+    daemon of its robot gets no signal. SwarmError, before any signal, for a robot without a daemon.
+    """
+    from swarmd.core.errors import ConfigError, SwarmError, unknown
+    from swarmd.sim.live.fleet import WORLD, is_daemon
+    from swarmd.sim.world.faults import KilledProcess
+
+    for robot in robots:
+        if robot == WORLD or robot not in pids:
+            raise ConfigError(unknown("robot with a daemon", robot, pids.keys() - {WORLD}))
+        if is_on and not is_daemon(pids[robot], robot, swarm):
+            raise SwarmError(f"{robot}: its daemon has ended; start it as `sim up` tells")
+    begin = signal.SIGKILL if isinstance(kind, KilledProcess) else signal.SIGSTOP
+    for robot in robots:
+        if is_daemon(pids[robot], robot, swarm):
+            os.kill(pids[robot], begin if is_on else signal.SIGCONT)
+        else:
+            warn(f"{robot}: its daemon has ended; `sim up` tells how to start it again")
+
+
+def _swarm_of(ctx: click.Context, swarm: str | None) -> str:
+    """The name of the swarm: of the verb's option, of the option before the verb, or of $SWARM."""
+    from swarmd.core.keys import check_id
+
+    common = ctx.find_object(CommonOptions)  # the options before the verb; None without `swarmctl`
+    swarm_option = swarm or (common.swarm if common is not None else None)
+    return check_id(swarm_option or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
 
 
 def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
@@ -96,7 +176,9 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     """
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
+    from swarmd.sim.live.demo_run import LiveTimeline
     from swarmd.sim.live.fleet import Fleet
+    from swarmd.sim.live.link import WorldView
     from swarmd.sim.live.simulated_swarm import check_free
     from swarmd.sim.live.starting import await_robots, statuses_of
 
@@ -109,7 +191,11 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
                     warn(f"{robot} is not up yet; its log: {spec.folder}/{robot}.log")
             with suppress(KeyboardInterrupt):
                 _print_usage(spec)
-                _report_ends(fleet)
+                with WorldView(spec.swarm, fleet.endpoint) as world:
+                    events = () if spec.live is None else spec.live.scenario.events
+                    faults = [event for event in events if event.fault is not None]
+                    timeline = LiveTimeline(faults, fleet, operator, world)
+                    _report_ends(fleet, timeline)
             click.echo("ending all")
 
 
@@ -134,16 +220,25 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
         click.echo("ending the world")
 
 
-def _report_ends(fleet: Fleet) -> NoReturn:
+def _report_ends(fleet: Fleet, timeline: LiveTimeline | None = None) -> NoReturn:
     """Warn once of each daemon that ends; SwarmError if the process of the world ends.
+
+    Carries out the events of `timeline` meanwhile, and tells each; its time 0 is now.
 
     The other daemons keep running, since users kill robots of a simulated swarm on purpose.
     """
     from swarmd.sim.live.fleet import WORLD
 
     reported: set[str] = set()
+    begin = time.monotonic()
     while True:
         fleet.check(WORLD)
+        if timeline is not None:
+            timeline.apply(time.monotonic() - begin)
+            for event in timeline.done:
+                problem = f": {event.problem}" if event.problem else ""
+                warn(f"{event.at:g} s: {event.action}, {', '.join(event.robots)}{problem}")
+            timeline.done.clear()
         for name, line in fleet.ended().items():
             if name not in reported:
                 reported.add(name)

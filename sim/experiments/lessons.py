@@ -28,6 +28,7 @@ from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_jobs
 from swarmd.sim.experiments.requirements import (
     RUNS,
     RequirementFinding,
+    Verdict,
     check,
     parse_requirement,
 )
@@ -61,7 +62,7 @@ class LessonMark:
     findings: Sequence[RequirementFinding] = ()
     """A finding for each target that has results."""
     why: str = ""
-    """The first fault in one line; empty if the work meets all targets."""
+    """The first fault in one line; empty if no target is missed. An undecided target is none."""
 
 
 def load_lessons() -> Mapping[str, Lesson]:
@@ -163,7 +164,7 @@ def _check_measured(results: Results, texts: Sequence[str]) -> None:
 
 def _missed(findings: Sequence[RequirementFinding]) -> Iterator[str]:
     for finding in findings:
-        if not finding.is_met:
+        if finding.verdict is Verdict.NOT_MET:
             what, wanted = finding.requirement.text.split(finding.requirement.comparison, 1)
             where = f" with {finding.variant}" if finding.variant else ""
             value = f"is {finding.value:.3g}" if finding.value is not None else "has no value"

@@ -10,7 +10,7 @@ from shutil import copyfileobj
 
 from msgspec import structs
 
-from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError
 from swarmd.core.files import open_regular, read_regular, whole_file
 from swarmd.sim.experiments.manifest import Manifest, differences, joined, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run, parts_of
@@ -22,6 +22,7 @@ from swarmd.sim.experiments.store import (
     read_failures,
     read_table,
     trace_path,
+    translated_errors,
 )
 
 _NAMED = 10  # runs that a message lists
@@ -141,16 +142,13 @@ def _check_same(
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a trace atomically; SwarmError if the copy cannot be written."""
-    try:
-        with (
-            whole_file(target) as partial,
-            open_regular(source) as file,
-            partial.open("wb") as copy,
-        ):
-            copyfileobj(file, copy)
-    except OSError as error:
-        text = f"{target.parent}: {error.strerror or error}; merged runs are kept"
-        raise SwarmError(f"{text}: mend it and give the same command again") from error
+    with (
+        translated_errors(target.parent),
+        whole_file(target) as partial,
+        open_regular(source) as file,
+        partial.open("wb") as copy,
+    ):
+        copyfileobj(file, copy)
 
 
 def _missing_runs(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:

@@ -1,4 +1,9 @@
-"""Requirements on the statistics of an experiment, such as `median(gather_time) <= 60`."""
+"""Requirements on the statistics of an experiment, such as `median(gather_time) <= 60`.
+
+The 95 % interval of a mean or median decides: the requirement is met if each value of the interval
+meets it, not met if none does, and else undecided. `min`, `max` and `runs` are numbers of the runs
+that were made, which say nothing of other seeds, so that the number itself decides.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +12,13 @@ import operator
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.numbers import finite_number
 from swarmd.sim.experiments.compare import Side
-from swarmd.sim.experiments.statistics import Interval, Summary
+from swarmd.sim.experiments.statistics import FEW, Interval, Summary, censored_median_interval
 
 RUNS = "runs"
 """The number of finished runs, in place of a metric."""
@@ -29,6 +35,14 @@ _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
 _GRAMMAR = re.compile(
     r"\s*(?:(\w+)\(\s*(\S+?)\s*\)|([^\s()<>]*?[^\s()<>=]))\s*(>=|<=|==|>|<)\s*([^\s<>=]+)\s*"
 )
+
+
+class Verdict(StrEnum):
+    """Whether a requirement is met; undecided: the runs leave it open."""
+
+    MET = "met"
+    NOT_MET = "not met"
+    UNDECIDED = "undecided"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +68,27 @@ class RequirementFinding:
     """The 95 % interval of a mean or median; None without one."""
     remark: str
     """Why the statistic does not exist, or how many runs never had the event; else empty."""
-    is_met: bool
+    verdict: Verdict
+    """By the interval. Not met without a value; undecided with a mean or median that has none."""
+    few: int = 0
+    """The number of runs of a bootstrap interval, if they are fewer than FEW; else 0."""
+
+    @property
+    def is_sure(self) -> bool:
+        """True if the requirement is met, and not by a bootstrap interval of few runs."""
+        return self.verdict is Verdict.MET and not self.few
 
     def document(self) -> dict[str, Any]:
-        """The finding as plain values."""
+        """The finding as plain values; None for an infinite end of the interval."""
+        ends = self.interval and [end if math.isfinite(end) else None for end in self.interval]
         return {
             "requirement": self.requirement.text,
             "variant": self.variant,
             "value": self.value,
-            "interval": self.interval,
-            "met": self.is_met,
+            "interval": ends,
+            "met": self.verdict is Verdict.MET,
+            "verdict": self.verdict,
+            "sure": self.is_sure,
             "remark": self.remark,
         }
 
@@ -89,21 +114,41 @@ def parse_requirement(text: str) -> Requirement:
 def check(requirement: Requirement, side: Side) -> RequirementFinding:
     """Check a requirement on one variant; ConfigError with the nearest name for unknown metrics."""
     results, name = side.results, requirement.metric
-    interval, remark = None, ""
-    value: float | None
     if name == RUNS:
-        value = float(len(results.seeds(side.variant)))
+        runs = float(len(results.seeds(side.variant)))
+        return RequirementFinding(
+            requirement, side.variant, runs, None, "", _verdict(requirement, Interval(runs, runs))
+        )
+    metric = results.about(name)
+    summary = results.summary(side.variant, [metric])[metric.name]
+    value: float | None = getattr(summary, requirement.statistic)
+    interval = None
+    if requirement.statistic == "mean":
+        interval = summary.share_interval or summary.mean_interval
+    elif requirement.statistic == "median" and summary.never:
+        interval = censored_median_interval(results.metric(metric, side.variant))
+    elif requirement.statistic == "median":
+        interval = summary.median_interval
+    is_bootstrap = interval is not None and not summary.share_interval and not summary.never
+    few = summary.n if is_bootstrap and summary.n < FEW else 0
+    if value is None and interval is None:
+        verdict = Verdict.NOT_MET
+    elif value is not None and requirement.statistic in ("min", "max"):
+        verdict = _verdict(requirement, Interval(value, value))
     else:
-        metric = results.about(name)
-        summary = results.summary(side.variant, [metric])[metric.name]
-        value = getattr(summary, requirement.statistic)
-        remark = _remark(summary, requirement.statistic, value)
-        if requirement.statistic == "mean":
-            interval = summary.share_interval or summary.mean_interval
-        elif requirement.statistic == "median":
-            interval = summary.median_interval
-    is_met = value is not None and _COMPARISONS[requirement.comparison](value, requirement.value)
-    return RequirementFinding(requirement, side.variant, value, interval, remark, is_met)
+        verdict = _verdict(requirement, interval or Interval(-math.inf, math.inf))
+    remark = _remark(summary, requirement.statistic, value)
+    return RequirementFinding(requirement, side.variant, value, interval, remark, verdict, few)
+
+
+def _verdict(requirement: Requirement, interval: Interval) -> Verdict:
+    """What an interval says of a requirement."""
+    compare = _COMPARISONS[requirement.comparison]
+    is_met_at = {compare(end, requirement.value) for end in interval}
+    # An interval around the wanted value of `==` has no end that meets it, and does not exclude it.
+    if len(is_met_at) == 2 or interval.low < requirement.value < interval.high:
+        return Verdict.UNDECIDED
+    return Verdict.MET if True in is_met_at else Verdict.NOT_MET
 
 
 def _remark(summary: Summary, statistic: str, value: float | None) -> str:

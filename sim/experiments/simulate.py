@@ -16,9 +16,10 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
+from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
-from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from contextlib import closing, nullcontext, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from numbers import Integral
 from pathlib import Path
@@ -27,10 +28,12 @@ from typing import Any, TypeAlias, cast
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.plugins import MISSION
+from swarmd.sim.experiments.cluster import connect
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
 from swarmd.sim.experiments.pool import (
     STEP_TIMEOUT,
+    ClusterShares,
     Job,
     JobResult,
     Shares,
@@ -60,6 +63,8 @@ class Progress:
 
     At least the longest running run's rest, times the number of running runs: workers may wait for
     the longest run."""
+    workers: Mapping[str, int] = field(default_factory=dict)
+    """The number of runs in progress by worker of a cluster."""
 
 
 _TRIAL = 1.0  # simulated s
@@ -83,6 +88,7 @@ def simulate(
     timeout: float = STEP_TIMEOUT,
     shard: str | None = None,
     cores: int = 1,
+    scheduler: str | None = None,
     metrics: Iterable[str | Metric] = (),
     on_progress: OnProgress | None = None,
 ) -> Results:
@@ -99,6 +105,8 @@ def simulate(
       folder and equal arguments continues an interrupted experiment. Without `out` the results lie
       in a temporary folder, which is deleted with the returned object.
     - `cores`: the number of processes that share the robots of each run, for runs with many robots.
+    - `scheduler`: the address of a Dask scheduler, such as `"tcp://HOST:8786"`. Its workers do the
+      runs, one for each of their threads, whatever `jobs` is; the extra `cluster` is needed.
     - `metrics`: metrics besides those of the catalog: `report:...`, `reading:...`,
       `FILE.py:FUNCTION`.
     - `shard`: with "3/40" only the third of forty parts is run; `merge` joins the parts' folders.
@@ -121,10 +129,13 @@ def simulate(
     custom = beyond_catalog(map(metric_of, metrics))
     manifest = manifest_of(plan, traces=traces, command=[], metrics=custom)
     run_in_workers = partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
-    runner = run_in_workers if max(jobs, cores) > 1 else run_here
+    here = run_in_workers if max(jobs, cores) > 1 else run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
-        results = run_experiment(manifest, folder, runner, on_progress=on_progress)
+        with (
+            nullcontext(here) if scheduler is None else connect(scheduler, timeout, cores=cores)
+        ) as runner:
+            results = run_experiment(manifest, folder, runner, on_progress=on_progress)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -238,6 +249,7 @@ class _Work:
     def __init__(self, work: Mapping[str, float]) -> None:
         """`work`: of all runs to do, by run."""
         self.shares: dict[str, float] = {}  # simulated share 0..1 of runs in progress, by run
+        self.workers: dict[str, str] = {}  # worker of a cluster, by run in progress
         self._work = work
         self._ended = 0.0  # simulated by runs that have ended
         self._to_end = sum(work.values())  # of all runs that have not ended
@@ -245,6 +257,7 @@ class _Work:
     def end(self, run: str, *, has_failed: bool) -> None:
         """Count a run that has ended; a failed run has done its last reported share."""
         last_share = self.shares.pop(run, 0.0)
+        self.workers.pop(run, None)
         self._ended += self._work[run] * last_share if has_failed else self._work[run]
         self._to_end -= self._work[run]
 
@@ -280,13 +293,15 @@ def _gather(
         if on_progress is not None:
             failed = len(store.failures)
             done = len(store.rows) + failed
-            on_progress(Progress(done, total, failed, *work.done_and_left()))
+            workers = Counter(work.workers.values())
+            on_progress(Progress(done, total, failed, *work.done_and_left(), workers))
 
     with closing(reports):
         report_progress()
         for result in reports:
             if not isinstance(result, JobResult):
                 work.shares = dict(result)
+                work.workers = dict(result.workers) if isinstance(result, ClusterShares) else {}
                 report_progress()
                 continue
             if result.write_error:

@@ -83,13 +83,14 @@ def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool =
     """The statistics of a metric over runs: mean, median, their 95 % intervals, least, greatest.
 
     `values` (runs,): NaN if a run has no value. `is_share`: the metric is 0 or 1 by definition, not
-    a count that happens to be 0 or 1. `is_time_to_event`: NaN means that the event never happened
+    a count that happens to be 0 or 1; values of a user's metric that are neither have no share. `is_time_to_event`: NaN means that the event never happened
     in the run.
     """
     known = values[~np.isnan(values)]
     never = values.size - known.size if is_time_to_event else None
     if not known.size:
         return Summary(n=0, never=never)
+    is_share = is_share and bool(np.isin(known, (0.0, 1.0)).all())
     if never:
         # The time of an event that never happened is longer than each run, but not known. So the
         # least time is known, and if most runs have the event, the median; all else is not.
@@ -125,6 +126,21 @@ def median_interval(values: Array) -> Interval | None:
     None with fewer than two or infinite values.
     """
     return _of_equal(values) or bootstrap_interval((values,), np.median, "percentile")
+
+
+def censored_median_interval(times: Array) -> Interval | None:
+    """The 95 % interval of the median of times to an event (n,), some of them NaN: never.
+
+    Its ends are order statistics: the least rank below which fewer than half of the values lie in
+    97.5 % of samples, and the same from above (Conover, Practical Nonparametric Statistics, 1999,
+    chapter 3.2). An end is inf if the event never happened there. None with fewer than six times,
+    which cannot give 95 %.
+    """
+    from scipy.stats import binom
+
+    rank = int(binom.ppf((1.0 - LEVEL) / 2.0, times.size, 0.5))
+    ordered = np.sort(np.where(np.isnan(times), np.inf, times))
+    return Interval(float(ordered[rank - 1]), float(ordered[-rank])) if rank else None
 
 
 def _of_equal(values: Array) -> Interval | None:

@@ -181,12 +181,12 @@ class Store:
         """Append a finished run; SwarmError if it cannot be written."""
         if errors:
             self.errors[run.id] = dict(errors)
-            with _translate_errors(self.folder):
+            with translated_errors(self.folder):
                 self._write_failures()
         row = Row(run, metrics, round(wall, 3))
         # "r+" raises an error if the table has been removed. A line that a full disk has torn is
         # cut off when the folder is opened again.
-        with _translate_errors(self.folder), (self.folder / TABLE).open("r+b") as file:
+        with translated_errors(self.folder), (self.folder / TABLE).open("r+b") as file:
             file.seek(0, os.SEEK_END)
             file.write(lines([row.cells]).encode())
         self.rows[run.id] = row
@@ -194,18 +194,18 @@ class Store:
     def fail(self, run: Run, reason: str) -> None:
         """Record that a run failed, and why; SwarmError if it cannot be written."""
         self.failures[run.id] = reason
-        with _translate_errors(self.folder):
+        with translated_errors(self.folder):
             self._write_failures()
 
     def close(self, summary: Mapping[str, object]) -> None:
         """Put the rows in order and write the summary; SwarmError if the disk is full."""
         rows = [self.rows[run.id] for run in self.plan.runs if run.id in self.rows]
-        with _translate_errors(self.folder):
+        with translated_errors(self.folder):
             if rows:
                 head = header(self.plan, rows[0].metrics)
                 write_whole(self.folder / TABLE, lines([head, *(row.cells for row in rows)]))
             self._write_failures()
-            write_json(self.folder / SUMMARY, {**_HEAD, **summary})
+        write_summary(self.folder, summary)
 
     def _write_failures(self) -> None:
         failures = {**self._earlier_failures, **self.failures}
@@ -230,12 +230,47 @@ def open_store(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> It
     `metrics`: the columns of the table. ConfigError, before any change, if the folder has files
     that are not of an experiment, belongs to another experiment, or is in use.
     """
-    with _translate_errors(folder):
+    with translated_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
-        with _translate_errors(folder):
+        with translated_errors(folder):
             store = _opened(folder, manifest, metrics)
         yield store
+
+
+def write_summary(folder: Path, summary: Mapping[str, object]) -> None:
+    """Write summary.json; SwarmError if the disk is full."""
+    with translated_errors(folder):
+        write_json(folder / SUMMARY, {**_HEAD, **summary})
+
+
+def set_seeds(folder: Path, manifest: Manifest, *, is_longer: bool) -> None:
+    """Prolong (`is_longer`) or shorten the seeds of the experiment in a folder to those of another.
+
+    Nothing is done without an experiment there, or if more than the end of the seeds differs. Runs
+    of seeds that are left out must have no row. ConfigError if the folder is in use.
+    """
+    if (folder / manifests.NAME).exists():
+        with _locked(folder), translated_errors(folder):
+            recorded = read_manifest(folder)
+            short, long = (recorded, manifest) if is_longer else (manifest, recorded)
+            changed = msgspec.structs.replace(recorded, seeds=manifest.seeds)
+            is_same = next(manifests.differences(changed, manifest), None) is None
+            if is_same and long.seeds[: len(short.seeds)] == short.seeds:
+                write_json(folder / manifests.NAME, msgspec.to_builtins(changed))
+
+
+@contextmanager
+def translated_errors(folder: Path) -> Iterator[None]:
+    """Turn an OSError into a ConfigError or SwarmError of one line that names the folder."""
+    try:
+        yield
+    except (FileExistsError, NotADirectoryError) as error:
+        raise ConfigError(f"{error.filename}: is a file; name a folder with --out") from error
+    except OSError as error:
+        text = f"{folder}: {error.strerror or error}; finished runs are kept"
+        remedy = "give the same command again, or name another folder with --out"
+        raise SwarmError(f"{text}: mend it and {remedy}") from error
 
 
 def read_failures(folder: Path) -> dict[str, str]:
@@ -322,16 +357,3 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-@contextmanager
-def _translate_errors(folder: Path) -> Iterator[None]:
-    """Turn an OSError into a ConfigError or SwarmError of one line that names the folder."""
-    try:
-        yield
-    except (FileExistsError, NotADirectoryError) as error:
-        raise ConfigError(f"{error.filename}: is a file; name a folder with --out") from error
-    except OSError as error:
-        text = f"{folder}: {error.strerror or error}; finished runs are kept"
-        remedy = "give the same command again, or name another folder with --out"
-        raise SwarmError(f"{text}: mend it and {remedy}") from error

@@ -1,1 +1,1 @@
-"""Films of simulated runs, rendered by MuJoCo."""
+"""Films of simulated runs, drawn by matplotlib and encoded by ffmpeg."""

@@ -17,7 +17,7 @@ from swarmd.sim.film.encode import check_output, encoder
 from swarmd.sim.metrics.window import cut
 from swarmd.sim.plots import scene
 from swarmd.sim.plots.theme import new_figure
-from swarmd.sim.trace import Trace, poses_at
+from swarmd.sim.trace import Trace, faults_at, poses_at
 from swarmd.sim.view.trace_source import RecordedRun
 from swarmd.sim.world.geometry import radius
 from swarmd.sim.world.scalar_fields import Field
@@ -200,9 +200,13 @@ class Drawing:
         scene.paint_movable_boxes(axes, present)
         scene.paint_bodies(axes, present, -1, colours, is_filled=True)
         reach = max(map(radius, trace.footprints.values()))
-        for name, (x, y, _) in zip(self._names, present.pose[0].tolist(), strict=False):
+        faults = faults_at(trace, time)
+        for row, (name, (x, y, _)) in enumerate(
+            zip(self._names, present.pose[0].tolist(), strict=False)
+        ):
             if math.isfinite(x + y):
-                axes.text(x, y + reach, name, ha="center", va="bottom", fontsize=8, clip_on=True)
+                label = ": ".join(filter(None, (name, faults.get(trace.ids[row]))))
+                axes.text(x, y + reach, label, ha="center", va="bottom", fontsize=8, clip_on=True)
         # The time comes first: a title that is too long is cut at its end.
         axes.set_title(f"{time:.1f} s: {self._title}", loc="left", fontsize=10)
         self._canvas.draw()

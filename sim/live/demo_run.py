@@ -29,6 +29,7 @@ from swarmd.sim.live.summary import METRICS, DemoSummary, DoneEvent, all_moved_a
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.trace import load_trace
+from swarmd.sim.world.faults import FaultKind, FrozenProcess
 from swarmd.view.scene import Area, Scene
 
 STATUS_PERIOD = 0.5  # s between two rounds of statuses: what a terminal can show without much load
@@ -57,8 +58,7 @@ class LiveTimeline:
                 problem = ""
             except SwarmError as error:
                 problem = str(error)
-            what = f"{event.action} {event.pattern or event.box}".rstrip()
-            self.done.append(DoneEvent(event.at, now, what, event.robots, problem))
+            self.done.append(DoneEvent(event.at, now, event.text, event.robots, problem))
 
     def send_stop(self, verb: StopVerb, robots: Sequence[str]) -> Outcome:
         """Stop or estop robots; swarm-wide if `robots` are all robots of the fleet."""
@@ -77,6 +77,8 @@ class LiveTimeline:
             case "place":
                 assert event.pose is not None  # checked when the scenario was read
                 self._world.place(event.box, event.pose)
+            case "fault" | "mend" if event.fault is not None:
+                self._change_fault(event.fault, event.robots, is_on=event.action == "fault")
             case "remove" if event.box:
                 self._world.remove(event.box)
             case "fields":
@@ -96,6 +98,13 @@ class LiveTimeline:
                 _check(event.action, self.send_stop(event.action, with_daemon))
             case _:
                 self._request(event, with_daemon)
+
+    def _change_fault(self, fault: FaultKind, robots: Sequence[str], *, is_on: bool) -> None:
+        if not isinstance(fault, FrozenProcess):
+            self._world.change_fault(fault.plain, robots, is_on=is_on)
+            return
+        for robot in robots:
+            self._fleet.halt_daemon(robot, is_on=is_on)
 
     def _end_daemons(self, robots: Sequence[str], *, in_order: bool) -> None:
         for robot in robots:

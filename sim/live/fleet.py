@@ -18,16 +18,16 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import msgspec
 from msgspec import Struct, structs
 
 from swarmd.core.errors import NetworkError, SwarmError
-from swarmd.core.files import as_text, user_path
+from swarmd.core.files import as_text, cache_folder, user_path, whole_file
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Platform
@@ -39,6 +39,7 @@ from swarmd.sim.scenarios.preflight import WHOLE_BODIES
 from swarmd.sim.world.detector import DETECTIONS
 from swarmd.sim.world.radio import RadioSettings
 
+Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
 WORLD = "world"
 FORKED_DAEMON = "swarmd.sim.live.forked_daemon"
 DAEMON_MODULES = (
@@ -93,7 +94,7 @@ class Child:
     """A child process and the file of its standard error."""
 
     name: str
-    process: subprocess.Popen[bytes] | ForkedProcess
+    process: Process
     log: Path
 
     def how_it_ended(self) -> str:
@@ -151,6 +152,7 @@ class Fleet:
             stderr=log,
         )
         self._children.append(Child(robot, daemon, log))
+        self._note()
 
     def end_daemon(self, robot: str, *, in_order: bool) -> None:
         """End the daemon of a robot, by SIGTERM (`in_order`) or SIGKILL.
@@ -163,7 +165,14 @@ class Fleet:
             child.process.terminate()
         else:
             child.process.kill()
-        _end([child])
+        end_processes([child.process])
+        self._note()
+
+    def halt_daemon(self, robot: str, *, is_on: bool) -> None:
+        """Halt the daemon of a robot (SIGSTOP), or let it continue; nothing without a daemon."""
+        for child in self._children[1:]:
+            if child.name == robot:
+                child.process.send_signal(signal.SIGSTOP if is_on else signal.SIGCONT)
 
     def ended(self) -> Mapping[str, str]:
         """A text about the end of each child that has ended, by name."""
@@ -181,9 +190,20 @@ class Fleet:
 
     def stop(self) -> None:
         """End every child: TERM, after 2 s KILL. The world ends last, to record the stops."""
-        _end(self._children[1:])
-        _end(self._children[:1])
+        processes = [child.process for child in self._children]
+        end_processes(processes[1:])
+        end_processes(processes[:1])
         self._children = []
+        with contextlib.suppress(OSError, RuntimeError):  # without a home there is no file
+            running_file(self.spec.swarm).unlink(missing_ok=True)
+
+    def _note(self) -> None:
+        """Write where the world and its daemons are, for other processes of this user."""
+        with contextlib.suppress(OSError, RuntimeError):  # a fleet runs without a home, too
+            path = running_file(self.spec.swarm)
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            with whole_file(path) as partial:
+                partial.write_bytes(msgspec.json.encode(Running(self.endpoint, dict(self.pids))))
 
     def _start(self) -> None:
         spec = self.spec
@@ -204,6 +224,53 @@ class Fleet:
         for robot in spec.robots:
             if robot not in spec.absent:
                 self.start_daemon(robot)
+
+
+def end_processes(processes: Sequence[Process], delay: float = KILL_DELAY) -> None:
+    """End child processes by SIGTERM, and by SIGKILL those that are left after `delay` s."""
+    for process in processes:
+        process.terminate()
+    deadline = time.monotonic() + delay
+    for process in processes:
+        try:
+            process.wait(timeout=max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+class Running(Struct, frozen=True):
+    """The viewers' endpoint of a running world, and the processes by name."""
+
+    endpoint: str
+    pids: dict[str, int]
+
+
+def running_file(swarm: str) -> Path:
+    """The file of a running world, by the name of its swarm."""
+    return cache_folder() / "worlds" / f"{swarm}.json"
+
+
+def running(swarm: str) -> Running:
+    """The running world of a swarm on this machine; SwarmError without one."""
+    try:
+        found = msgspec.json.decode(running_file(swarm).read_bytes(), type=Running)
+        os.kill(found.pids[WORLD], 0)
+    except (OSError, RuntimeError, KeyError, msgspec.DecodeError):
+        text = f"no simulated world of swarm {swarm!r} runs on this machine"
+        raise SwarmError(f"{text}; start it with swarmctl sim up") from None
+    return found
+
+
+def is_daemon(pid: int, robot: str, swarm: str) -> bool:
+    """False if the daemon of a robot has ended, even if another process has its id now."""
+    name = f"{robot}@{swarm}".encode()[:15]  # as `start_daemon` gives it and the kernel keeps it
+    try:
+        return Path(f"/proc/{pid}/comm").read_bytes() == name + b"\n"
+    except OSError:
+        return False
 
 
 def robot_ids(platform: str, count: int) -> tuple[str, ...]:
@@ -236,6 +303,7 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
         "driver": ready.driver,
         "driver_options": {**ready.driver_options, **_detections(spec, robot)},
         "state_dir": str((spec.folder / "state").absolute()),
+        "blackbox": {"folder": str((spec.folder / "blackbox").absolute())},
     }
     if spec.live is not None:
         config |= spec.live.daemon_config(robot, spec.folder)
@@ -287,20 +355,6 @@ def _await_ready(world: Child) -> Ready:
     if world.process.poll() is not None:
         raise SwarmError(world.how_it_ended())
     raise NetworkError(f"the world was not ready after {WORLD_TIMEOUT:.0f} s (log: {world.log})")
-
-
-def _end(children: list[Child]) -> None:
-    for child in children:
-        child.process.terminate()
-    deadline = time.monotonic() + KILL_DELAY
-    for child in children:
-        try:
-            child.process.wait(timeout=max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            child.process.kill()
-            child.process.wait()
-        if child.process.stdout is not None:
-            child.process.stdout.close()
 
 
 def _last_line(log: Path) -> str:

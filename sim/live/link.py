@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import zenoh
 
@@ -254,6 +255,26 @@ class WorldView(Closing):
     def take_out(self, robot: str, timeout: float = 10.0) -> WorldState:
         """Take a robot out of the arena for good; SwarmError if there is no such robot."""
         return self._done(WorldRequest(action="take_out", robot=robot), timeout)
+
+    def change_fault(
+        self,
+        fault: Mapping[str, Any],
+        robots: Sequence[str],
+        *,
+        is_on: bool = True,
+        timeout: float = 10.0,
+    ) -> WorldState:
+        """Begin (`is_on`) or end a fault of robots.
+
+        `fault`: as of `fault_of`. SwarmError for an unknown robot, and for a fault that the world
+        does not know or cannot simulate.
+        """
+        request = WorldRequest(
+            action="fault" if is_on else "mend",
+            fault=dict(fault),
+            robots=tuple(robots),
+        )
+        return self._done(request, timeout)
 
     def _done(self, request: WorldRequest, timeout: float) -> WorldState:
         reply = self._ask(request, timeout)

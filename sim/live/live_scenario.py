@@ -15,6 +15,7 @@ from swarmd.core.values import Platform
 from swarmd.settings.yamlfile import text_of
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.detector import DETECTIONS
+from swarmd.sim.world.faults import RadioFault
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import configured
 
@@ -87,6 +88,9 @@ def _impossible(scenario: Scenario, most: int, emulator: str | None) -> Iterator
     if emulator is None:
         return
     default = RadioSettings()
+    if any(isinstance(event.fault, RadioFault) for event in scenario.events):
+        text = f"emulated robots ({emulator}) have no simulated radio; leave --emulate out"
+        yield "events", f"fault of radio: {text}"
     for key in RadioSettings.__struct_fields__:
         if getattr(scenario.radio, key) != getattr(default, key):
             text = f"emulated robots ({emulator}) have no simulated radio; leave --emulate out"

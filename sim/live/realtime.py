@@ -26,6 +26,7 @@ from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
 from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
+from swarmd.sim.world.faults import ProcessFault, RadioFault, fault_of
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import Radio, RadioSettings, neighbors_rate
@@ -69,6 +70,8 @@ class RealTimeWorld:
         self._recorder = recorder
         self._clock = clock
         self._radio, self._emulated = radio, emulated
+        if radio is not None:
+            radio.faults = world.faults
         self._transport = emulated or link
         n, start = len(world.ids), world.time
 
@@ -219,10 +222,29 @@ class RealTimeWorld:
             case "fields":
                 self._world.change_fields(request.fields)
             case "take_out":
-                if request.robot not in self._rows:
-                    raise ConfigError(unknown("robot", request.robot, self._rows))
-                self._world.take_out(self._rows[request.robot])
+                self._world.take_out(self._row(request.robot))
+            case "fault" | "mend":
+                self._change_fault(request)
         return ""
+
+    def _row(self, robot: str) -> int:
+        if robot not in self._rows:
+            raise ConfigError(unknown("robot", robot, self._rows))
+        return self._rows[robot]
+
+    def _change_fault(self, request: WorldRequest) -> None:
+        fault, world = fault_of(request.fault, "fault"), self._world
+        rows = [self._row(robot) for robot in request.robots]
+        if isinstance(fault, ProcessFault):
+            raise ConfigError(f"{fault.text}: the world has no daemons; signal their processes")
+        if isinstance(fault, RadioFault) and self._radio is None:
+            text = "this world simulates no radio; start it with a range (--radio-range 100)"
+            raise ConfigError(f"{fault.text}: {text}")
+        for row in rows:
+            misfit = fault.misfit(world.platforms[row], is_posed=row in world.posed)
+            if misfit:
+                raise ConfigError(f"{fault.text}: {world.ids[row]} {misfit}")
+        world.change_fault(fault, rows, is_on=request.action == "fault")
 
     def _state(self) -> WorldState:
         world, record = self._world, self._recorder
@@ -247,6 +269,7 @@ class RealTimeWorld:
             dropped=self._link.dropped + emulated + self._unreadable,
             boxes={name: pose for name, pose in boxes if np.isfinite(pose).all()},
             touching=record.touching(),
+            faults=world.faults.texts(),
         )
 
 

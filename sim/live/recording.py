@@ -142,7 +142,13 @@ class StatusLog:
         shape = len(trace.t), len(trace.ids)
         known: dict[str, Any] = blank_decisions(shape)
         named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
+        said: dict[tuple[str, float, str], float] = {}
         for time, statuses in self._received:
+            said |= {
+                (name, event.at, event.text): round(time - status.uptime + event.at, 3)
+                for name, status in statuses.items()
+                for event in status.events
+            }
             since = int(np.searchsorted(trace.t, time - 1e-9))
             for robot, status in statuses.items():
                 if robot not in trace.ids:
@@ -152,6 +158,9 @@ class StatusLog:
                 enter_decision(known, place, state, reason, status.decision)
                 enter_named(named, place, shape, status)
         known |= {kind: dict(sorted(arrays.items())) for kind, arrays in named.items()}
+        if any("fault" in event["action"] for event in trace.meta.get("events", ())):
+            lines = sorted((time, name, text) for (name, _, text), time in said.items())
+            known["meta"] = {**trace.meta, "said": lines}
         return replace(trace, **known, **self._presence(trace, known))
 
     def _presence(self, trace: Trace, known: Mapping[str, Any]) -> dict[str, Any]:

@@ -33,10 +33,10 @@ from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import WorldOptions
 from swarmd.sim.scenarios.scenario import Scenario
-from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
+from swarmd.sim.scenarios.simulation import has_live_radio, meta_of, radio_of, world_of
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.radio import RadioSettings, needs_radio
+from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import REALISMS, Realism
 
 
@@ -99,7 +99,7 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
         # The default settings of the radio mean that all robots hear each other. The world then
         # simulates no radio and publishes no neighbors, and daemons assume the same. Any other
         # setting, also range and bearing, needs the radio, which gives the neighbors.
-        has_radio = scenario.radio != RadioSettings()
+        has_radio = scenario.radio != RadioSettings() or has_live_radio(scenario)
         live = RealTimeWorld(
             world,
             link,
@@ -139,7 +139,7 @@ def _driver_side(
     """
     if options.emulator is None:
         driver_options: dict[str, Value] = {"endpoint": link.endpoint}
-        if needs_radio(scenario.radio):  # messages of patterns pass the world, not Zenoh
+        if has_live_radio(scenario):  # messages of patterns pass the world, not Zenoh
             driver_options["radio"] = True
         return _DriverSide(DRIVER, driver_options)
     driver = options.emulator

@@ -13,7 +13,9 @@ from swarmd.core.bounds import Count, Line, Metres, Name, Rate, Seconds, Word
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder
 from swarmd.sim.world.scalar_fields import Field
 
-Action = Literal["start", "finish", "poses", "place", "remove", "take_out", "fields"]
+Action = Literal[
+    "start", "finish", "poses", "place", "remove", "take_out", "fields", "fault", "mend"
+]
 Triple = tuple[Metres, Metres, Metres]
 
 
@@ -57,6 +59,7 @@ class WorldState(Struct, frozen=True, kw_only=True):
     boxes: dict[Name, Triple] = {}  # poses of the movable boxes in the arena
     # Pairs in contact in the last 0.5 s, each a robot and a robot or part of the arena.
     touching: tuple[tuple[Name, Name], ...] = ()
+    faults: dict[Name, Line] = {}  # those that are on, by robot
 
 
 class WorldRequest(Struct, frozen=True, kw_only=True):
@@ -69,6 +72,7 @@ class WorldRequest(Struct, frozen=True, kw_only=True):
     - `remove`: take the movable `box` out of the arena.
     - `take_out`: take the `robot` out of the arena.
     - `fields`: replace each field of the world by the field of the same name in `fields`.
+    - `fault`, `mend`: begin or end `fault` (as of `fault_of`) of `robots`.
     """
 
     action: Action
@@ -76,6 +80,8 @@ class WorldRequest(Struct, frozen=True, kw_only=True):
     robot: Word = ""
     pose: Triple = (0.0, 0.0, 0.0)
     fields: Annotated[tuple[Field, ...], Meta(max_length=1000)] = ()
+    fault: Annotated[dict[Name, float | Name], Meta(max_length=20)] = {}
+    robots: Annotated[tuple[Name, ...], Meta(max_length=1000)] = ()
 
 
 class WorldReply(Struct, frozen=True, kw_only=True):

@@ -51,9 +51,11 @@ from swarmd.sim.scenarios.pseudo_reality import drawn
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.active_faults import Flight
+from swarmd.sim.world.faults import FaultKind, FrozenProcess
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
-from swarmd.sim.world.radio import Flight, neighbors_rate
+from swarmd.sim.world.radio import neighbors_rate
 from swarmd.sim.world.realism import configured
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
@@ -140,6 +142,7 @@ class Lockstep:
         installed = cache(lambda: _loader(scenario))
         self._find = lambda name: patterns.get(name) or installed()(name)
         self._radio = radio_of(scenario, seed)
+        self._radio.faults = self.world.faults
         # A layer that bounds commands needs the pose of each robot in the world.
         self.world.posed = frozenset(
             row
@@ -205,6 +208,7 @@ class Lockstep:
         self.commands = np.zeros((n, 3))
         self.has_new_commands = True  # `commands` differ from those of the world
         self._silent_at: dict[int, float] = {}  # s at which a base without a daemon stops
+        self._frozen: dict[int, RobotShell | None] = {}  # halted daemons by row
         self._boots = [0] * n  # daemons that were started
         # None: the robot has no daemon, or belongs to another process.
         self.shells: list[RobotShell | None] = [None] * n
@@ -280,11 +284,36 @@ class Lockstep:
             self._latches[row] = shell.latches
         self.exchange()
         self._peer_latches.pop(row, None)
+        self._set_absent(row)
+        self._latched.discard(row)
+
+    def change_fault(self, fault: FaultKind, rows: Sequence[int], *, is_on: bool) -> None:
+        """Begin or end a fault of robots `rows`.
+
+        A halted daemon is absent for its peers, and its base stops as that of a killed daemon.
+        """
+        if not isinstance(fault, FrozenProcess):
+            self.world.change_fault(fault, rows, is_on=is_on)
+            return
+        for row in rows:
+            if is_on and self.has_daemon[row]:
+                self._frozen[row] = self.shells[row]
+                self._silent_at[row] = self.world.time + BASE_TIMEOUT
+                self._set_absent(row)
+            elif not is_on and row in self._frozen:
+                self.has_daemon[row], self._absent_count = True, self._absent_count - 1
+                self._silent_at.pop(row, None)
+                shell = self.shells[row] = self._frozen.pop(row)
+                if shell is not None:
+                    self.alarms.set(row, self.world.time)
+                    for latches in list(self._peer_latches.values()):
+                        shell.step(events.LatchesInput(latches), self.world.time)
+
+    def _set_absent(self, row: int) -> None:
         self.alarms.set(row, None)
         self.shells[row] = None
         self.has_daemon[row] = False
         self._absent_count += 1
-        self._latched.discard(row)
 
     def exchange(self, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Give the outputs of this process's robots since the last call to all processes.
@@ -385,7 +414,22 @@ class Lockstep:
         """The trace up to now, complete in the first process; all processes must call this."""
         self._recorder.record_instant(self.world.time, self.commands, self.shells)
         kept = self._process.collect(self._recorder.kept(self._process.rows))
-        return self._recorder.trace(meta_of(self.scenario, self.seed), kept)
+        meta = dict(meta_of(self.scenario, self.seed))
+        if any(event.fault for event in self.scenario.events):
+            meta["said"] = sorted(
+                line for part in self._process.collect(self._said()) for line in part
+            )
+        return self._recorder.trace(meta, kept)
+
+    def _said(self) -> list[tuple[float, str, str]]:
+        """Time in s, robot and text of the events that the robots of this process logged."""
+        now = self.world.time
+        statuses = [shell.robot.status(now) for shell in self.shells if shell is not None]
+        return [
+            (round(now - status.uptime + event.at, 3), status.robot, event.text)
+            for status in statuses
+            for event in status.events
+        ]
 
     def _step(self) -> None:
         world, now = self.world, self.world.time

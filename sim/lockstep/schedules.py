@@ -16,6 +16,7 @@ from swarmd.core.messages import Code
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.scenarios.scenario import ScheduledEvent
+from swarmd.sim.world.faults import FrozenProcess
 
 if TYPE_CHECKING:
     from swarmd.sim.lockstep.lockstep import Lockstep
@@ -134,12 +135,17 @@ class EventTimeline:
         if event.fields:
             swarm.world.change_fields(event.fields)
         rows = [self._rows[robot] for robot in event.robots]
+        if event.fault is not None and event.action in ("fault", "mend"):
+            swarm.change_fault(event.fault, rows, is_on=event.action == "fault")
+            return
         if event.action == "join":
             swarm.start([row for row in rows if not swarm.has_daemon[row]])
             return
         for row in rows:
             shell = swarm.shells[row]
             if event.action in ("leave", "kill", "remove"):
+                # A halted daemon that is ended does not continue with the end of its fault.
+                swarm.change_fault(FrozenProcess(), [row], is_on=False)
                 if swarm.has_daemon[row]:
                     swarm.end(row, in_order=event.action == "leave")
             elif shell is not None:

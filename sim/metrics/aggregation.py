@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
-from swarmd.sim.metrics.metric import Metric, at_end, at_start, late_mean, peak
+from swarmd.sim.metrics.metric import SHARE, Metric, at_end, at_start, late_mean, peak
 from swarmd.sim.metrics.window import LATE, by_platform, centroids, late, presence, row_means
 from swarmd.sim.trace import Trace
 
@@ -172,14 +172,14 @@ METRICS = (
            at_end(_linked(largest_cluster)), _linked(largest_cluster)),
     Metric("largest_cluster_share", "share",
            "share of the robots present that are in the largest cluster at the end", _SNEATH,
-           at_end(_linked(largest_cluster_share)), _linked(largest_cluster_share)),
+           at_end(_linked(largest_cluster_share)), _linked(largest_cluster_share), bounds=SHARE),
     Metric("largest_cluster_peak", "robots", "robots in the largest cluster of the whole run",
            _SNEATH, peak(_linked(largest_cluster)), _linked(largest_cluster)),
     Metric("one_cluster_at_end", "0 or 1", "whether all robots are in one cluster at the end",
-           _SNEATH, at_end(_linked(is_one_cluster)), _linked(is_one_cluster)),
+           _SNEATH, at_end(_linked(is_one_cluster)), _linked(is_one_cluster), bounds=SHARE),
     Metric("time_in_one_cluster_late", "share",
            "share of the last 60 s in which all are in one cluster", _SNEATH,
-           late_mean(_linked(is_one_cluster)), _linked(is_one_cluster)),
+           late_mean(_linked(is_one_cluster)), _linked(is_one_cluster), bounds=SHARE),
     Metric("gather_time", "s",
            "until all are in one cluster and half as far from the centroid as at the start", "ours",
            _linked(gather_time), is_time_to_event=True, event="gathering"),

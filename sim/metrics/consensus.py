@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from swarmd.core.values import OPINION, Array
-from swarmd.sim.metrics.metric import Metric
+from swarmd.sim.metrics.metric import SHARE, Metric
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import Trace
 
@@ -68,7 +68,7 @@ METRICS = (
     Metric("consensus_time", "s", "until all robots hold one opinion, and keep it to the end",
            _VALENTINI, consensus_time, better="less", is_time_to_event=True, event="consensus"),
     Metric("consensus_share", "share", "robots that hold the most common opinion at the end",
-           _VALENTINI, consensus_share, consensus_shares, "more"),
+           _VALENTINI, consensus_share, consensus_shares, "more", bounds=SHARE),
     Metric("consensus_opinion", "", "the opinion that all robots hold at the end", _VALENTINI,
            consensus_opinion),
 )  # fmt: skip

@@ -16,6 +16,8 @@ from swarmd.sim.trace import Trace
 Value: TypeAlias = Callable[[Trace], float | None]
 Series: TypeAlias = Callable[[Trace], Array | None]
 Better: TypeAlias = Literal["less", "more"]
+SHARE = (0.0, 1.0)
+"""The bounds of a share, or of a metric that is 0 or 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,8 @@ class Metric:
     """The name by which `metric_of` finds a custom metric from any working folder; else empty."""
     digest: str = ""
     """The SHA-256 of the code of a custom metric; else empty."""
+    bounds: tuple[float, float] | None = None
+    """The least and the largest value that a run can have; None: not known."""
 
 
 def at_start(series: Series) -> Value:

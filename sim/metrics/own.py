@@ -23,8 +23,10 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import math
 import traceback
 from collections.abc import Callable, Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -47,17 +49,22 @@ class MetricError(SwarmError):
 
 
 def metric(
-    *, unit: str = "", better: Better | None = None, is_time_to_event: bool = False
+    *,
+    unit: str = "",
+    better: Better | None = None,
+    is_time_to_event: bool = False,
+    bounds: tuple[float, float] | None = None,
 ) -> Callable[[_Function], _Function]:
     """Make a function of a trace a metric with a unit and a direction.
 
     `better`: the better direction; None if it depends on the task. `is_time_to_event`: the value is
-    a duration in s, None where the event never happened.
+    a duration in s, None where the event never happened. `bounds`: the least and the largest value
+    that a run can have, which `exp run --until` needs; None: not known.
     """
 
     def decorated(function: _Function) -> _Function:
         attributes = {"unit": unit, "better": better, "is_time_to_event": is_time_to_event}
-        vars(function).update(attributes)
+        vars(function).update(attributes, bounds=bounds)
         return function
 
     return decorated
@@ -124,11 +131,19 @@ def _metric(
     `origin`: the text that names the function on the command line. `digest`: the SHA-256 of its
     file. `source`: the file or package, for tables. If the function returns an array over time, the
     value of a run is its mean at the end of the run, as the module says. ConfigError for a wrong
-    attribute `better`.
+    attribute `better` or `bounds`.
     """
     better = getattr(function, "better", None)
     if better not in (None, "less", "more"):
         raise ConfigError(f"metric {name}: better is {better!r}; expected 'less' or 'more'")
+    bounds = getattr(function, "bounds", None)
+    if bounds is not None and not (
+        isinstance(bounds, tuple)
+        and len(bounds) == 2
+        and all(isinstance(bound, Real) for bound in bounds)
+        and 0.0 < bounds[1] - bounds[0] < math.inf
+    ):
+        raise ConfigError(f"metric {name}: bounds is {bounds!r}; expected a range such as (0, 1)")
 
     def value(trace: Trace) -> float | None:
         result = _called(name, function, trace)
@@ -147,6 +162,7 @@ def _metric(
         series=series,
         better=better,
         is_time_to_event=bool(getattr(function, "is_time_to_event", False)),
+        bounds=bounds,
         origin=origin,
         digest=digest,
     )

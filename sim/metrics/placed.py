@@ -20,7 +20,16 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.numbers import finite_number
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
-from swarmd.sim.metrics.metric import Better, Metric, Series, Value, at_end, late_mean, over_time
+from swarmd.sim.metrics.metric import (
+    SHARE,
+    Better,
+    Metric,
+    Series,
+    Value,
+    at_end,
+    late_mean,
+    over_time,
+)
 from swarmd.sim.metrics.window import arena_of, presence, row_means
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import Arena
@@ -239,6 +248,7 @@ def placed_metric(name: str) -> Metric:
         value=placed.over(series),
         series=series,
         better=placed.better,
+        bounds=SHARE if kind.startswith("share_") else None,
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Array
-from swarmd.sim.metrics.metric import Metric
+from swarmd.sim.metrics.metric import SHARE, Metric
 from swarmd.sim.metrics.window import by_platform, late, mean, presence, reaches, row_means
 from swarmd.sim.trace import Trace
 
@@ -168,19 +168,19 @@ _KAISER = "Kaiser et al. 2022, ICRA"
 METRICS = (
     Metric("protection_duty", "share",
            "share of scans on which protection replaced or reduced the requested command", _KAISER,
-           protection_duty, protection_duties, "less"),
+           protection_duty, protection_duties, "less", bounds=SHARE),
     Metric("protection_duty_late", "share", "the same in the last 60 s", _KAISER,
-           lambda trace: protection_duty(late(trace)), protection_duties, "less"),
+           lambda trace: protection_duty(late(trace)), protection_duties, "less", bounds=SHARE),
     Metric("command_alteration", "share",
            "mean difference of safe and requested command; 1 is full speed",
            "change of the control: Wang et al. 2017, IEEE T-RO 33; its scale: ours",
            command_alteration, mean_alterations, "less"),
     Metric("hold_share", "share",
            "share of running time with a hold, in which the safe command is zero", "ours",
-           hold_share, better="less"),
+           hold_share, better="less", bounds=SHARE),
     Metric("recovery_share", "share",
            "share of running time in recovery, which leads a robot around an obstacle", "ours",
-           recovery_share, better="less"),
+           recovery_share, better="less", bounds=SHARE),
     Metric("travel_extent", "m",
            "mean extent of the area that a robot covers in 60 s while it requests motion; small in"
            " a deadlock, even if it wanders", "ours", travel_extent, better="more"),

@@ -13,7 +13,7 @@ import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
-from swarmd.sim.metrics.metric import Metric, at_end
+from swarmd.sim.metrics.metric import SHARE, Metric, at_end
 from swarmd.sim.metrics.pairs import Pairs
 from swarmd.sim.metrics.window import arena_of, mean, presence, tall_boxes
 from swarmd.sim.trace import Trace
@@ -109,7 +109,7 @@ _ZAVLANOS = "Zavlanos et al. 2011, Proc. IEEE 99"
 
 METRICS = (
     Metric("radio_connected", "share", "share of time in which the radio graph is connected",
-           _ZAVLANOS, radio_connected, is_radio_connected, "more"),
+           _ZAVLANOS, radio_connected, is_radio_connected, "more", bounds=SHARE),
     Metric("radio_components_end", "", "connected components of the radio graph at the end",
            _ZAVLANOS, at_end(radio_components), radio_components, "less"),
 )  # fmt: skip

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
-from swarmd.sim.metrics.metric import TIMES, Metric, over_time
+from swarmd.sim.metrics.metric import SHARE, TIMES, Metric, over_time
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import WORD, Trace
 from swarmd.sim.world.item_kind import DELIVERED, HELD
@@ -81,6 +81,7 @@ def reported_metric(name: str, report_units: Mapping[str, str]) -> Metric:
         source=f"{'reports' if is_report else 'readings'} of the robots",
         value=value,
         series=series,
+        bounds=SHARE if parts.text and parts.robots != "sum" else None,
     )
 
 

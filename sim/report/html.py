@@ -28,6 +28,7 @@ from swarmd.sim.report.player import Player, player_of, script
 from swarmd.sim.report.tables import (
     contacts_table,
     differences_tables,
+    events_table,
     manifest_table,
     metrics_table,
     shown_metrics,
@@ -88,7 +89,8 @@ def report_of(
         assert source.playback is not None  # only sources of a live swarm have none
         player = player_of(source)
         run_text = f"The run of {source.playback.run}"
-        sections.append(("run", "One run", player_section(run_text, player.period)))
+        played = player_section(run_text, player.period) + events_table(source.marks())
+        sections.append(("run", "One run", played))
     sections += [
         ("scenario", "Scenario", _scenario(results, manifest)),
         ("again", "How to make it again", _again(folder, manifest)),

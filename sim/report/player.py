@@ -49,8 +49,8 @@ class Player:
     period: float
 
 
-def player_of(source: Source) -> Player:
-    """Sample the run that a source plays, for the player of a report.
+def player_of(source: Source, start: float = 0.0) -> Player:
+    """Sample the run that a source plays, for the player of a report, which begins at `start` s.
 
     Moves the playback time of the source. The number of samples is limited, so that a report stays
     small.
@@ -81,6 +81,7 @@ def player_of(source: Source) -> Player:
     hello = {**hello_of(source, "operator"), "runs": [playback.run]}
     data = {
         "hello": hello,
+        "start": start,
         "period": period,
         "count": count,
         "centre": centre,

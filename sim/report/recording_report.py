@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import shlex
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,19 +36,23 @@ LEAST_STOP = 1.0
 """Seconds from which a stop is listed."""
 MOVING = 0.005  # m/s and rad/s above which a command moves a robot
 MAX_STOPS, MAX_EVENTS = 40, 60
+BEFORE = 10.0
+"""Seconds before an incident at which the player begins."""
 PERIOD = 0.1  # s between two instants of the trace
 MAX_INSTANTS = 20_000
 
 
-def recording_report(path: Path) -> str:
-    """The report of a recording, of one robot or merged, as HTML.
+def recording_report(paths: Sequence[Path], place: Path) -> str:
+    """The report of recordings of robots, or of a merged file, as HTML.
 
-    ConfigError if the file at `path` is no recording, or has no odometry.
+    `place`: the file, or the folder of `paths`. The player begins BEFORE an incident. ConfigError
+    if a file is no recording, or none has odometry.
     """
-    source = RecordingSource([path])
+    source = RecordingSource(paths)
     timeline = source.timeline
-    trace = trace_of(timeline, path)
-    player = player_of(source)
+    trace = trace_of(timeline, place)
+    incident = timeline.incident(paths[0].name)
+    player = player_of(source, start=max(incident[0] - BEFORE, 0.0) if incident else 0.0)
     frame_text = "Positions are in the shared frame of the robots."
     if not timeline.is_shared:
         frame_text = (
@@ -77,15 +81,15 @@ def recording_report(path: Path) -> str:
         (
             "again",
             "How to make it again",
-            f"<pre>swarmctl exp report {shlex.quote(str(path))}</pre>",
+            f"<pre>swarmctl exp report {shlex.quote(str(place))}</pre>",
         ),
         ("manifest", "Made with", _made_with(timeline)),
     ]
     count = len(trace.ids)
     return page(
-        title=path.stem,
+        title=place.stem,
         question=f"Recording of {count} robot{'s' if count > 1 else ''}, {trace.duration:.0f} s",
-        summary=str(path.name),
+        summary=f"{place.name}; {incident[1].line(incident[0])}" if incident else place.name,
         sections=sections,
         player=player,
     )

@@ -18,7 +18,7 @@ from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.plots.select import RUN_BY_RUN
 
-MAX_CONTACTS = 30
+MAX_CONTACTS, MAX_EVENTS = 30, 100
 _CONTACTS = ("robot_contacts", "arena_contacts", "box_contacts")
 
 
@@ -122,6 +122,15 @@ def contacts_table(results: Results) -> str:
         text += f"; the first {MAX_CONTACTS} of {len(rows)} are listed"
     head = ("RUN", "TIME", "BETWEEN", "MOVING", "CLOSING SPEED")
     return f"<p>{text}.</p>\n{table(head, rows[:MAX_CONTACTS], 'contacts')}"
+
+
+def events_table(marks: Sequence[tuple[float, str, Sequence[str]]]) -> str:
+    """The first events of a run as HTML, from `Source.marks`; empty without any."""
+    rows = [
+        (f"{at:.1f} s", escape(", ".join(robots)), escape(text))
+        for at, text, robots in marks[:MAX_EVENTS]
+    ]
+    return table(("TIME", "ROBOTS", "EVENT"), rows, "contacts") if rows else ""
 
 
 def manifest_table(manifest: Manifest) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from swarmd.core.values import Array, Platform, Scalar
 from swarmd.settings.robot_settings import PatternParameters, RobotSettings
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.faults import FaultKind
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Realism
@@ -30,6 +31,8 @@ Action = Literal[
     "remove",
     "fields",
     "param",
+    "fault",
+    "mend",
 ]
 
 
@@ -43,6 +46,7 @@ class ScheduledEvent:
     - place: on the box `box`, at `pose` (x, y in m, yaw in rad).
     - remove: on the box `box`, or on `robots` without a box.
     - fields: the fields in `fields` replace the fields of the same names.
+    - fault, mend: `fault` begins or ends on `robots`.
     """
 
     at: float
@@ -55,6 +59,13 @@ class ScheduledEvent:
     box: str = ""
     pose: tuple[float, float, float] | None = None
     fields: tuple[Field, ...] = ()
+    fault: FaultKind | None = None
+
+    @property
+    def text(self) -> str:
+        """The action with its pattern, box or fault, such as `fault scan frozen`."""
+        more = self.pattern or self.box or (self.fault.text if self.fault else "")
+        return f"{self.action} {more}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

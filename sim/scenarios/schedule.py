@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.conditions import parse_conditions
@@ -16,16 +16,18 @@ from swarmd.sim.scenarios.environment import blamed, check_inside, fields_of
 from swarmd.sim.scenarios.groups import ALL, Groups
 from swarmd.sim.scenarios.scenario import Action, ScheduledEvent
 from swarmd.sim.scenarios.schema import EventSection, ScenarioFile, Values
+from swarmd.sim.world.faults import KilledProcess, fault_of
 from swarmd.sim.world.scalar_fields import channels_of
 
 OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kill")
 """Actions whose value is their targets."""
 
-ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove", "fields")
+ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove", "fields", "fault")
 _BESIDES = {
     "run": ("targets", "parameters", "for", "until"),
     "param": ("targets",),
     "place": ("pose",),
+    "fault": ("robots", "for"),
 }
 
 
@@ -49,6 +51,8 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
     movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
     if action == "place" or (action == "remove" and _removes_box(section, movable, groups)):
         return _box_event(layers, file, section, (*keys, action), movable)
+    if action == "fault":
+        return _fault_event(layers, file, groups, section, (*keys, action))
     # An event of robots: its action names the robots (`stop: all`), or else the key `targets`.
     target_key = action if action in (*OF_ROBOTS, "remove") else "targets"
     # The conditions of `until` are parsed only to find faults: the event keeps their texts.
@@ -78,7 +82,8 @@ def _removes_box(section: EventSection, movable: Sequence[str], groups: Groups) 
 
 def targets_of(section: EventSection, action: Action) -> Sequence[str]:
     """The targets of an event as written; `all` without any."""
-    targets = getattr(section, action) if action in (*OF_ROBOTS, "remove") else section.targets
+    is_named = action in (*OF_ROBOTS, "remove")
+    targets = getattr(section, action) if is_named else section.targets or section.robots
     if targets is None:
         return (ALL,)
     return (targets,) if isinstance(targets, str) else targets
@@ -140,6 +145,42 @@ def _field_event(
     return ScheduledEvent(at=section.at, action="fields", fields=fields)
 
 
+def _fault_event(
+    layers: Layered, file: ScenarioFile, groups: Groups, section: EventSection, keys: Keys
+) -> ScheduledEvent:
+    """The event that begins a fault; ConfigError for a robot that cannot have the fault."""
+    name = f"events[{keys[1]}]"
+    fault = fault_of(section.fault or {}, str(layers.error(keys, f"{name}.fault")))
+    if section.robots is None:
+        raise layers.error(keys, f"{name}.robots is missing; expected a robot, a group or all")
+    robots = _robots(layers, groups, (*keys[:2], "robots"), targets_of(section, "fault"))
+    for robot in robots:
+        platform = groups.robots[robot]
+        is_posed = bool(file.layers or "pose" in platform.provides or file.radio.places)
+        if misfit := fault.misfit(platform, is_posed=is_posed):
+            raise layers.error(keys, f"{name}.fault: {fault.text}: {robot} {misfit}")
+    # A killed daemon is the same as by the event `kill`.
+    action: Action = "kill" if isinstance(fault, KilledProcess) else "fault"
+    return ScheduledEvent(
+        at=section.at, action=action, robots=robots, seconds=section.seconds, fault=fault
+    )
+
+
+def _with_ends(events: Iterable[ScheduledEvent]) -> Iterator[ScheduledEvent]:
+    """The events, and behind each fault with a duration the event that ends it."""
+    for event in events:
+        yield event
+        if event.fault is not None and event.seconds is not None:
+            action: Action = "join" if event.action == "kill" else "mend"
+            # Rounded: 0.1 + 0.2 is 0.3. At least 1 ns, since ends precede begins of one time.
+            yield replace(
+                event,
+                at=round(event.at + max(event.seconds, 1e-9), 9),
+                action=action,
+                seconds=None,
+            )
+
+
 def _robots(layers: Layered, groups: Groups, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
     """The targeted robots in the order of the scenario."""
     meant: dict[str, None] = {}
@@ -181,11 +222,16 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
 
     At time 0 groups start their patterns first. Simultaneous events keep the order of the file.
     """
-    read = [read_event(layers, file, groups, index) for index in range(len(file.events))]
-    order = sorted(range(len(read)), key=lambda index: read[index].at)
+    read = [
+        (index, event)
+        for index in range(len(file.events))
+        for event in _with_ends([read_event(layers, file, groups, index)])
+    ]
+    # A fault that begins when another of its kind ends begins after this end.
+    ordered = sorted(read, key=lambda one: (one[1].at, one[1].action != "mend"))
     # The first action that lets a robot join or leave; a robot that joins is absent until then.
     first: dict[str, str] = {}
-    for event in (read[index] for index in order):
+    for _, event in ordered:
         if event.action in _MEMBERSHIP:
             first = {**dict.fromkeys(event.robots, event.action), **first}
     absent = frozenset(robot for robot, action in first.items() if action == "join")
@@ -197,9 +243,9 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
             event = ScheduledEvent(at=0.0, action="run", robots=robots, pattern=group.pattern)
             checker.run(("groups", name, "pattern"), event)
             events.append(event)
-    for index in order:
-        checker.apply(("events", index, read[index].action), read[index])
-        events.append(read[index])
+    for index, event in ordered:
+        checker.apply(("events", index, "fault" if event.fault else event.action), event)
+        events.append(event)
     return Schedule(tuple(events), absent, tuple(checker.preflights))
 
 
@@ -213,6 +259,7 @@ class _Robot:
     pattern: str = ""  # of the present run; empty without a run
     parameters: Values = field(default_factory=dict)
     until: float = math.inf  # the end of the run in s
+    faults: dict[str, float] = field(default_factory=dict)  # the end of each in s
 
 
 class _ScheduleChecker:
@@ -228,7 +275,7 @@ class _ScheduleChecker:
 
     def apply(self, keys: Keys, event: ScheduledEvent) -> None:
         """Apply an event; ConfigError if it is impossible."""
-        if event.fields:
+        if event.fields or event.action == "mend":
             return
         if event.box:
             if event.action == "remove" and not self._movable_boxes[event.box]:
@@ -236,6 +283,8 @@ class _ScheduleChecker:
             self._movable_boxes[event.box] = event.action == "place"
         elif event.action in (*_MEMBERSHIP, "remove"):
             self._come_or_go(keys, event)
+        elif event.fault is not None:
+            self._begin_fault(keys, event)
         else:
             self._check_there(keys, event)
             act = {"run": self.run, "param": self._set}.get(event.action, self._halt)
@@ -256,6 +305,16 @@ class _ScheduleChecker:
                 raise self._error(keys, f"{robot} runs nothing at {event.at:g} s; run a pattern")
             state.parameters = {**state.parameters, **event.parameters}
             self.preflights.append(Preflight(keys, robot, state.pattern, state.parameters))
+
+    def _begin_fault(self, keys: Keys, event: ScheduledEvent) -> None:
+        """Check that no earlier fault of the kind is on, whose end would end this one, too."""
+        assert event.fault is not None
+        for robot in event.robots:
+            has_fault = self._robots[robot].faults
+            if event.at < has_fault.get(event.fault.text, 0.0):
+                text = f"{robot} has {event.fault.text} already at {event.at:g} s"
+                raise self._error(keys, f"{text}; end it before, with `for`")
+            has_fault[event.fault.text] = round(event.at + (event.seconds or math.inf), 9)
 
     def _halt(self, keys: Keys, event: ScheduledEvent) -> None:
         for _, state in self._present(event):

@@ -123,7 +123,10 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `place`: a box.
     - `remove`: a box, or robots, whose daemons are killed and which leave the arena for good.
     - `fields`: fields that replace the fields of the same names.
+    - `fault`: a fault of `robots` by its place and kind, then its parameters, such as `{scan:
+      noise, sd: 0.2}`; with `for` it ends after this time.
     - `targets`: the robots of `run` and `param`; None: all.
+    - `robots`: the robots of `fault`.
     - `parameters`: of the pattern of `run`.
     - `seconds` (`for` in files), `until`: the run ends after this time in s, or with a condition
       such as `nearer:0.5`.
@@ -142,7 +145,9 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     place: str | None = None
     remove: str | None = None
     fields: list[dict[str, Any]] | None = None
+    fault: dict[str, Any] | None = None
     targets: Targets | None = None
+    robots: Targets | None = None
     parameters: Values | None = None
     seconds: Seconds | None = field(default=None, name="for")
     until: list[str] | None = None

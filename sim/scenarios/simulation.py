@@ -9,8 +9,9 @@ from msgspec import to_builtins
 
 from swarmd.sim.scenarios.pseudo_reality import draws
 from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.world.faults import RadioFault
 from swarmd.sim.world.lidar import LidarModel
-from swarmd.sim.world.radio import Radio
+from swarmd.sim.world.radio import Radio, needs_radio
 from swarmd.sim.world.world import World
 
 
@@ -33,6 +34,12 @@ def radio_of(scenario: Scenario, seed: int) -> Radio:
     return Radio(scenario.radio, tuple(scenario.robots), scenario.arena, seed=seed)
 
 
+def has_live_radio(scenario: Scenario) -> bool:
+    """True if a live world must carry the messages of patterns."""
+    faults = (event.fault for event in scenario.events)
+    return needs_radio(scenario.radio) or any(isinstance(one, RadioFault) for one in faults)
+
+
 def meta_of(scenario: Scenario, seed: int) -> Mapping[str, Any]:
     """What a trace holds of its scenario."""
     platforms = scenario.robots.values()
@@ -49,7 +56,12 @@ def meta_of(scenario: Scenario, seed: int) -> Mapping[str, Any]:
         "thresholds": {p.name: p.protection.get("threshold", 0.0) for p in platforms},
         "v_max": {p.name: p.limits.linear for p in platforms},
         "events": [
-            {"at": e.at, "action": e.action, "robots": list(e.robots), "pattern": e.pattern}
+            {
+                "at": e.at,
+                "action": e.text if e.fault else e.action,
+                "robots": list(e.robots),
+                "pattern": e.pattern,
+            }
             for e in scenario.events
         ],
     }

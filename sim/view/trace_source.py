@@ -23,7 +23,7 @@ from swarmd.sim.metrics.aggregation import cluster_link
 from swarmd.sim.metrics.contacts import TraceContact, contact_list
 from swarmd.sim.metrics.window import arena_of, presence
 from swarmd.sim.scenarios.environment import fields_of
-from swarmd.sim.trace import Trace, load_trace, patterns_of, poses_at
+from swarmd.sim.trace import Trace, faults_at, load_trace, patterns_of, poses_at, said_in
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field
@@ -238,6 +238,8 @@ class _ShownRun:
             return None
         row = self.rows(now)[name]
         values = [["Platform", self._trace.platforms[index]], ["Pattern", row["pattern"] or "-"]]
+        if fault := faults_at(self._trace, now).get(name):
+            values.append(["Fault", fault])
         units = self._units
         values += [[f"Report {k}", quantity(v, units.get(k))] for k, v in row["report"].items()]
         values += [[f"Reading {key}", _short(value)] for key, value in row["readings"].items()]
@@ -249,6 +251,12 @@ class _ShownRun:
             for at, partner in touches
             if partner and at <= now
         ]
+        events += [
+            [f"{at:.1f} s", text]
+            for at, robot, text in said_in(self._trace)
+            if robot == name and at <= now
+        ]
+        events.sort(key=lambda event: float(event[0].split()[0]))
         return {"values": values, "events": events[::-1][:MAX_EVENTS]}
 
     def _marks(self) -> list[tuple[float, str, Sequence[str]]]:
@@ -261,6 +269,7 @@ class _ShownRun:
             text = " ".join(filter(None, (event["action"], event.get("pattern"))))
             robots = event.get("robots") or ids
             lines += [EventLine(float(event["at"]), robot, "event", text) for robot in robots]
+        lines += [EventLine(at, robot, "event", text) for at, robot, text in said_in(self._trace)]
         if state is not None and len(self._t):
             for at, i in np.argwhere(state[1:] != state[:-1]).tolist():
                 word = str(state[at + 1, i])

@@ -77,6 +77,14 @@ class WorldSource(LiveSource):
             for name, row in super().rows().items()
         }
 
+    def detail(self, name: str) -> Mapping[str, Any] | None:
+        """As of a live swarm, with the faults of the robot that are on."""
+        found = super().detail(name)
+        faults = "" if self._state is None else self._state.faults.get(name, "")
+        if found is None or not faults:
+            return found
+        return {**found, "sections": [["Simulation", [("faults", faults)]], *found["sections"]]}
+
     def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:
         """The movable boxes in the arena."""
         boxes = {} if self._state is None else self._state.boxes

@@ -7,7 +7,7 @@ delay of datagrams is not modelled: on one network it is below a twentieth of th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from swarmd.core.neighbor_places import NeighborPlaces
 from swarmd.core.values import Array, Neighbor, PeerPlace, Pose, SharedPose
@@ -28,10 +28,20 @@ class ExchangedPoses:
         self._gap_phases = [rng.uniform(0.0, _GAP_PERIOD) for rng in self._rngs]
         self._known = [NeighborPlaces() for _ in ids]  # by row, what a robot knows
 
-    def measure(self, rows: Iterable[int], poses: Array, now: float) -> None:
-        """Measure the poses of robots `rows`, except of those in a gap; `poses` (n, 3), `now` s."""
+    def measure(
+        self,
+        rows: Iterable[int],
+        poses: Array,
+        now: float,
+        tracked: Callable[[int, Array, float], Array] = lambda row, pose, now: pose,
+    ) -> None:
+        """Measure the poses of robots `rows`, except of those in a gap; `poses` (n, 3), `now` s.
+
+        `tracked(row, pose, now)`: the pose in place of a sound one, by a fault of the tracker.
+        """
         for row in rows:
-            x, y, yaw = (poses[row] + self._rngs[row].normal(0.0, (_SD, _SD, _YAW_SD))).tolist()
+            sound = poses[row] + self._rngs[row].normal(0.0, (_SD, _SD, _YAW_SD))
+            x, y, yaw = tracked(row, sound, now).tolist()
             if (now + self._gap_phases[row]) % _GAP_PERIOD >= _GAP:
                 self._known[row].on_pose(
                     SharedPose(now, Pose(x, y, yaw), _ERROR, _YAW_ERROR, _FRAME), now

@@ -31,8 +31,7 @@ class NoisyLidar:
         self._rngs = [generator(seed, "lidar", robot) for robot in ids]
         self._factors = np.array([1.0 + noise.bias * r.standard_normal() for r in self._rngs])
         self._reach = np.array([(spec.range_min, spec.range_max) for spec in specs]).reshape(-1, 2)
-        # The range of a lost ray: 0, or NaN for a sensor whose zeros mean "too close" (REP 117).
-        self._lost = np.array([math.nan if s.zero == "too_close" else 0.0 for s in specs])
+        self._lost = np.array([lost_range(spec) for spec in specs])
         self._near = np.array([_near(spec) for spec in specs])
         self._nothing = np.array([_nothing(spec) for spec in specs])
         blocks = [noise.block_dropout if spec.zero == "lds" else 0.0 for spec in specs]
@@ -81,6 +80,11 @@ class NoisyLidar:
             uniform,
         )
         return errors, normal, uniform
+
+
+def lost_range(spec: ScanSpec) -> float:
+    """The range of a lost ray: 0, or NaN for a sensor whose zeros mean "too close" (REP 117)."""
+    return math.nan if spec.zero == "too_close" else 0.0
 
 
 def _nothing(spec: ScanSpec) -> float:

@@ -13,6 +13,7 @@ from msgspec import Meta, Struct, structs
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import PLACES_BY_POSE, Array, Neighbor, Platform
+from swarmd.sim.world.active_faults import Faults, Flight
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.exchanged_poses import ExchangedPoses
@@ -22,9 +23,6 @@ from swarmd.sim.world.seeding import generator
 
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Arrival = tuple[int, int, str, Any]
-Flight = tuple[float, float, list[int], int, str, Any]
-"""A message in transit: time of arrival in s, rank, rows of the receivers, row of the sender, name
-and value of any type. Of messages that arrive at one instant, those of lower rank arrive first."""
 
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors without range and bearing."""
@@ -124,11 +122,13 @@ class Radio:
         self._plain = [Neighbor(robot, 0.0) for robot in ids]
         self._in_flight: DelayQueue[tuple[list[int], int, str, Any]] = DelayQueue()
         self._all_others: dict[int, tuple[Neighbor, ...]] = {}
+        self.faults = Faults(ids, seed)
+        """Without any; the caller may set those of its world."""
 
     def measure_poses(self, rows: Iterable[int], poses: Array, now: float) -> None:
         """With `places`, measure the poses of robots `rows` in the shared frame at `now` s."""
         if self._poses is not None:
-            self._poses.measure(rows, poses, now)
+            self._poses.measure(rows, poses, now, self.faults.pose)
 
     def neighbors(
         self, row: int, poses: Array, movable_boxes: Array | None = None, *, now: float = 0.0
@@ -137,6 +137,15 @@ class Radio:
 
         `now`: s, from which the ages of poses in a shared frame count (`measure_poses`).
         """
+        found = self._neighbors(row, poses, movable_boxes, now)
+        if not self.faults.rows("radio"):
+            return found
+        rows = {robot: index for index, robot in enumerate(self._ids)}
+        return tuple(one for one in found if self.faults.reaches(rows[one.id], row))
+
+    def _neighbors(
+        self, row: int, poses: Array, movable_boxes: Array | None, now: float
+    ) -> tuple[Neighbor, ...]:
         hears_all = math.isinf(self._reach) and self._sight is None
         if hears_all and not self.settings.has_places:
             return self._others(row)
@@ -196,11 +205,13 @@ class Radio:
         rank = self._rank(row, now)
         if settings.jitter > 0.0:
             jitter = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()
-            return [
+            flights = [
                 (arrival + offset, rank, [receiver], row, name, value)
                 for offset, receiver in zip(jitter, rows, strict=True)
             ]
-        return [(arrival, rank, rows, row, name, value)] if rows else []
+        else:
+            flights = [(arrival, rank, rows, row, name, value)] if rows else []
+        return self.faults.flights(flights) if self.faults.rows("radio") else flights
 
     def _rank(self, row: int, now: float) -> float:
         """The random rank of a sender at `now` s, which orders messages that arrive at one instant.

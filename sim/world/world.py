@@ -18,11 +18,13 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
 from swarmd.sim.world import bodies
+from swarmd.sim.world.active_faults import Faults
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.batteries import charge, has_battery
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
 from swarmd.sim.world.detector import ObjectsAround
+from swarmd.sim.world.faults import FaultKind
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.hovering import Hovering
 from swarmd.sim.world.item_kind import ItemKind
@@ -80,6 +82,7 @@ class World:
         self.ids, self.platforms = tuple(robots), tuple(robots.values())
         self.arena, self.dt, self._steps = arena, TIME_STEP, 0
         self.fields = tuple(fields)
+        self.faults = Faults(self.ids, seed, self.platforms, self.dt, bodies.value)
         # Each part needs the parts before it.
         self._begin_bodies(robots, starts)
         self._items = Items(items, arena, self.platforms, seed)
@@ -133,6 +136,7 @@ class World:
         self._bases = base.Bases(realism.actuation, self.platforms, memory, self.dt)
         self._hovering = Hovering(self.platforms, self.ids, self._bases.drift, self.dt, seed)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
+        self._commanded: Array = np.zeros_like(starts)
         self.posed = frozenset[int]()  # set by the caller
 
     def _begin_lidars(self, model: LidarModel, realism: Realism, seed: int) -> None:
@@ -186,7 +190,16 @@ class World:
         Commands are clipped to the platform's limits, as firmware does. Non-finite values become 0.
         `realism` sets the delay and the acceleration limits of the bases.
         """
+        self._commanded = twists.copy()
         self._bases.put(twists)
+
+    def change_fault(self, kind: FaultKind, rows: Sequence[int], *, is_on: bool) -> None:
+        """Begin or end a fault of robots `rows`, except one of processes, from now on."""
+        if is_on:
+            self.faults.begin(kind, rows, self.time)
+        else:
+            self.faults.end(kind, rows)
+            self._bases.put(self._commanded)
 
     def step(self, k: int = 1) -> None:
         """Advance by `k` steps of `dt`."""
@@ -198,6 +211,11 @@ class World:
         data = self.data
         self.measure_rays()
         self._hovering.step()
+        if faulty := self.faults.rows("base"):
+            followed = self._commanded.copy()
+            for row in faulty:
+                followed[row] = self.faults.command(row, followed[row])
+            self._bases.put(followed)
         self._bases.drive()
         if self.movable_boxes:
             self._movable_boxes.apply_friction()
@@ -223,7 +241,7 @@ class World:
             for scan in rolling.advance(poses, self._steps, ends_only=ends_only):
                 ranges = self._noise.measured(scan.row, scan.ranges)
                 sent = self._scan(scan.row, ranges, scan.begun * self.dt, scan.ages)
-                self._transport.send(scan.row, sent, self.time)
+                self._send(scan.row, sent)
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped), world frame, ground truth.
@@ -271,7 +289,13 @@ class World:
         if at_once:
             scans = self.scans(np.array(at_once, dtype=np.intp))
             for row, scan in zip(at_once, scans, strict=True):
-                self._transport.send(row, scan, self.time)
+                self._send(row, scan)
+
+    def _send(self, row: int, scan: Scan) -> None:
+        """Send a scan whose last ray is measured now to its robot, with the faults of its lidar."""
+        seen, delay = self.faults.scan(row, scan)
+        if seen is not None:
+            self._transport.send(row, seen, self.time + delay)
 
     def arrived_scans(self) -> list[tuple[int, Scan]]:
         """The scans that have arrived since the last call, with their rows, in order of rows."""
@@ -316,7 +340,8 @@ class World:
         chosen, now = np.arange(len(self.ids)) if robots is None else robots, self.time
         poses, twists = self._odometers.read(chosen, self._places(), self.twists())
         places, speeds = map(Pose, *poses.T.tolist()), map(Twist, *twists.T.tolist())
-        return list(map(Odometry, repeat(now), places, speeds))
+        readings = list(map(Odometry, repeat(now), places, speeds))
+        return list(map(self.faults.odometry, chosen.tolist(), readings))
 
     def readings(self, robot: int) -> Mapping[str, float]:
         """The readings of a robot by name: fields at its sensors or axle, and items near it."""
@@ -326,7 +351,7 @@ class World:
         pose = self.poses()[robot]
         of_fields = readings_at(self.fields, self.platforms[robot].sensors, pose, is_clear)
         of_fields |= self._hovering.readings(robot)
-        of_fields |= charge(self.platforms[robot], self.time)
+        of_fields |= self.faults.charge(robot, charge(self.platforms[robot], self.time))
         return of_fields | self._items.readings(robot, pose) if self._items.names else of_fields
 
     @property
@@ -336,8 +361,9 @@ class World:
         return bool(self.fields or self._items.names or has_more)
 
     def shared_pose(self, robot: int, stamp: float) -> SharedPose:
-        """The robot's pose in the frame `world`, without an error."""
-        pose = Pose(*self.poses()[robot].tolist())
+        """The robot's pose in the frame `world`, without an error but those of `faults`."""
+        tracked = self.faults.pose(robot, self.poses()[robot], self.time)
+        pose = Pose(*tracked.tolist())
         return SharedPose(stamp, pose, _POSE_ERROR, _POSE_YAW_ERROR, "world")
 
     def objects_around(self, robot: int) -> ObjectsAround:

@@ -1,1 +1,1 @@
-"""Which bits of a run depend on the processor, and which function is the first cause."""
+"""Which bits of a run depend on the processor, and which functions give other bits there."""

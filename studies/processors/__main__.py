@@ -1,10 +1,11 @@
-"""Which bits of a run depend on the processor, and which function is the first cause.
+"""Which bits of a run depend on the processor, and which functions give other bits there.
 
 `python -m studies.processors variants FOLDER` runs the scenarios of SCENARIOS for some seconds in
 each variant of this machine (other functions of glibc and numpy on x86-64, interpreted kernels, two
-processes, another hash seed), and prints which traces differ, where, and the first function that
-gave other bits. The exit code is 1 if a difference has no such function, or if a variant of the
-program alone differs. `traces` and `compare` do the same for two machines: `make arm64`.
+processes, another hash seed). It prints which traces differ, where, and which functions, sums,
+products and steps give other bits for the same arguments. The exit code is 1 if a variant of the
+program alone differs, or if traces differ and no function does. `traces` and `compare` do the same
+for two machines: `make arm64`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from studies.processors.cause import Side, first_cause, write_calls
 from studies.processors.runs import (
     SCENARIOS,
     Variant,
@@ -32,16 +32,8 @@ def main(words: Sequence[str] | None = None) -> int:
     if args.command == "traces":
         write_traces(args.folder, args.only, share=args.share, cores=args.cores)
         return 0
-    if args.command == "calls":
-        write_calls(args.scenario, args.seconds, args.to, args.at)
-        return 0
     if args.command == "compare":
         return compare(args.a, args.b)
-    if args.command == "cause":
-        both, more = (dict(word.split("=", 1) for word in one) for one in (args.both, args.there))
-        there = Side({**both, **more}, args.prefix, args.python, args.compiler)
-        print(found := first_cause(args.scenario, args.seconds, Side(both), there))
-        return found is not None and not found.function
     return run_all(args.folder, args.only, args.share)
 
 
@@ -57,14 +49,10 @@ def run_all(folder: Path, names: Sequence[str], share: float) -> int:
         print(f"\n{name}: {len(equal)} of {len(found)} traces equal")
         if facts := differing_facts(folder / "here", there):
             print(f"  differs: {', '.join(facts)}")
-        is_good &= not variant.is_equal or len(equal) == len(found)
+        is_good &= len(equal) == len(found) or (bool(facts) and not variant.is_equal)
         for scenario, text in found.items():
             if text:
-                seconds = SCENARIOS[scenario] * share
-                cause = first_cause(scenario, seconds, Side({}), Side(variant.environment))
                 print(f"  {scenario}: {text}")
-                print(f"    {f'{cause.text}, {cause.line}' if cause else 'no function'}")
-                is_good &= cause is not None and bool(cause.function)
         sys.stdout.flush()
     return int(not is_good)
 
@@ -90,21 +78,6 @@ def _parser() -> argparse.ArgumentParser:
     command = commands.add_parser("compare")
     command.add_argument("a", type=Path)
     command.add_argument("b", type=Path)
-    command = commands.add_parser("cause")
-    command.add_argument("scenario")
-    command.add_argument("--there", nargs="+", default=[], metavar="NAME=VALUE", help="environment")
-    command.add_argument(
-        "--both", nargs="+", default=[], metavar="NAME=VALUE", help="of both sides"
-    )
-    command.add_argument("--python", default=sys.executable, help="there")
-    command.add_argument("--compiler", default="gcc", help="for there")
-    command.add_argument("--seconds", type=float, default=5.0)
-    command.add_argument("--prefix", nargs=argparse.REMAINDER, default=[], help="command there")
-    command = commands.add_parser("calls", help="what `cause` starts")
-    command.add_argument("scenario")
-    command.add_argument("to", type=Path)
-    command.add_argument("--seconds", type=float, default=5.0)
-    command.add_argument("--at", type=int, default=-1)
     return parser
 
 

@@ -9,11 +9,9 @@ streets of three bodies, a hallway of seven.
 from __future__ import annotations
 
 import math
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ from benchmarks.table import markdown
 from studies.safety.driven import faults
 from studies.safety.judge import collisions, stuck_windows
 from studies.safety.passages import Passage, passage_scenario
-from studies.safety.runs import commit, fingerprint
+from studies.safety.runs import Kept, carry_out_missing, commit
 from studies.safety.scenes import PLUGINS, Scene, protected, scenario
 from studies.safety.tracking import TrueTracker, replace_trackers
 from swarmd.core.values import Array
@@ -77,11 +75,10 @@ class Run(Struct, frozen=True, order=True):
     seed: int
 
 
-class Record(Struct, frozen=True, kw_only=True):
-    """A finished run: `code` is the digest of the sources, `commit` that of the checkout."""
+class Record(Kept, frozen=True, kw_only=True):
+    """A finished run; `commit` is that of the checkout."""
 
-    run: Run
-    code: str
+    task: Run
     commit: str
     found: Found
 
@@ -253,43 +250,21 @@ def perform(task: str, mode: str, seed: int) -> Found:
 def carry_out(
     tasks: Sequence[str], modes: Sequence[str], seeds: Sequence[int], jobs: int, file: Path
 ) -> dict[tuple[str, str], list[Found]]:
-    """The runs of each task and mode, one for each seed.
+    """The runs of each task and mode, one for each seed, as `carry_out_missing` does them.
 
-    Runs with a record of the same sources in `file` are not repeated. Each record is written when
-    the run is finished. Seeds come first: after an interruption all cells have as many runs.
+    Seeds come first: after an interruption all cells have as many runs.
     """
     cells = [(task, mode) for task in tasks for mode in modes]
     runs = [Run(*cell, seed) for seed in seeds for cell in cells]
-    code, at = fingerprint(), commit()
-    known = {one.run: one.found for one in _read(file) if one.code == code}
-    missing = [run for run in runs if run not in known]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with file.open("ab") as out:
-        for run, found in _done(missing, jobs):
-            known[run] = found
-            record = Record(run=run, code=code, commit=at, found=found)
-            out.write(msgspec.json.encode(record) + b"\n")
-            out.flush()
-    return {cell: [known[Run(*cell, seed)] for seed in seeds] for cell in cells}
+    found: dict[tuple[str, str], list[Found]] = {cell: [] for cell in cells}
+    for record in carry_out_missing(runs, partial(_recorded, at=commit()), Record, file, jobs):
+        found[record.task.task, record.task.mode].append(record.found)
+    return found
 
 
-def _done(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, Found]]:
-    if jobs == 1:
-        yield from ((run, perform(run.task, run.mode, run.seed)) for run in runs)
-        return
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        of = {pool.submit(perform, run.task, run.mode, run.seed): run for run in runs}
-        try:
-            for future in as_completed(of):
-                yield of[future], future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _read(file: Path) -> list[Record]:
-    lines = file.read_bytes().splitlines() if file.exists() else []
-    return [msgspec.json.decode(line, type=Record) for line in lines]
+def _recorded(run: Run, code: str, *, at: str) -> Record:
+    found = perform(run.task, run.mode, run.seed)
+    return Record(task=run, code=code, cpu=found.cpu, commit=at, found=found)
 
 
 def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from swarmd.cli.send import known_members, send_to
 from swarmd.cli.targets import takes_targets
 from swarmd.client.ask_robots import ASK_TIME
 from swarmd.client.targets import Targets, targets_of
-from swarmd.core.errors import NetworkError
+from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.verbs import RecordRequest
 from swarmd.network.operator.exit_codes import NO_TARGET, PARTIAL, TIMEOUT
 from swarmd.texts.values import NOTHING, counted, megabytes, seconds
@@ -24,7 +25,7 @@ from swarmd.texts.values import NOTHING, counted, megabytes, seconds
 if TYPE_CHECKING:
     from swarmd.core.verbs import RecordingFile, RecordingsReply
     from swarmd.network.operator.operator import Operator
-    from swarmd.recording.fetch import Ask, Copy
+    from swarmd.recording.fetch import Ask, Copy, Source
 
 
 @click.group(cls=VerbGroup)
@@ -110,41 +111,58 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
     """
     with options.operator() as operator:
         replies, failed_robots = _recordings(options, operator, targets)
-        ask = partial(_ask, options, operator)
-        rows = []  # (robot, path, size, state of the copy)
-        for robot, reply in replies.items():
-            copies, is_complete = _copied(ask, robot, reply, folder)
-            for copy in copies:
-                # "so far": the robot still writes the file.
-                state = copy.fault or ("whole" if copy.is_whole else "so far")
-                rows.append((robot, str(copy.path), megabytes(copy.size, 2), state))
-            if not is_complete:
-                failed_robots.append(robot)
-        if sys.stderr.isatty():
-            rewrite("")  # clears the line of progress
-        if not rows and not failed_robots:
-            raise Failure(f"{', '.join(replies)}: no recording to fetch", NO_TARGET)
-        if options.is_json:
-            files = [
-                {"robot": robot, "path": path, "state": state} for robot, path, _, state in rows
-            ]
-            print_json("Fetched", {"files": files, "missing": failed_robots})
-        else:
-            print_table(("NAME", "FILE", "SIZE", "COPY"), rows)
-        _exit_if_failed(replies.keys(), failed_robots)
+        files = {robot: reply.files for robot, reply in replies.items()}
+        fetch_files(options, operator, files, failed_robots, folder)
 
 
-def _copied(ask: Ask, robot: str, reply: RecordingsReply, folder: Path) -> tuple[list[Copy], bool]:
-    """Copy the recordings of a robot into `folder`; the copies, and True if no file is missing."""
+def fetch_files(
+    options: CommonOptions,
+    operator: Operator,
+    files: Mapping[str, Sequence[RecordingFile]],
+    failed_robots: list[str],
+    folder: Path,
+    source: Source | None = None,
+) -> None:
+    """Copy files of robots into `folder`, print the copies, and exit if a robot failed.
+
+    `failed_robots`: the robots that have failed before. `source`: None for recordings.
+    """
+    ask = partial(_ask, options, operator)
+    rows = []  # (robot, path, size, state of the copy)
+    for robot, listed in files.items():
+        copies, is_complete = _copied(ask, robot, listed, folder, source)
+        for copy in copies:
+            # "so far": the robot still writes the file.
+            state = copy.fault or ("whole" if copy.is_whole else "so far")
+            rows.append((robot, str(copy.path), megabytes(copy.size, 2), state))
+        if not is_complete:
+            failed_robots.append(robot)
+    if sys.stderr.isatty():
+        rewrite("")  # clears the line of progress
+    if not rows and not failed_robots:
+        raise Failure(f"{', '.join(files)}: no recording to fetch", NO_TARGET)
+    if options.is_json:
+        copied = [{"robot": robot, "path": path, "state": state} for robot, path, _, state in rows]
+        print_json("Fetched", {"files": copied, "missing": failed_robots})
+    else:
+        print_table(("NAME", "FILE", "SIZE", "COPY"), rows)
+    _exit_if_failed(files.keys(), failed_robots)
+
+
+def _copied(
+    ask: Ask, robot: str, files: Sequence[RecordingFile], folder: Path, source: Source | None
+) -> tuple[list[Copy], bool]:
+    """Copy files of a robot into `folder`; the copies, and True if no file is missing."""
+    from swarmd.recording.fetch import RECORDING, note_clock
     from swarmd.recording.fetch import fetch as copy_file
-    from swarmd.recording.fetch import note_clock
 
     copies: list[Copy] = []
     try:
         note_clock(ask, robot, folder)  # the offset of its clock, for `record merge`
-        for file in reply.files:
+        for file in files:
             progress = partial(_tell, robot, file.name)
-            copies.append(copy_file(ask, robot, file, folder, progress))
+            copy = copy_file(ask, robot, file, folder, progress, source=source or RECORDING)
+            copies.append(_readable(copy))
     except NetworkError as error:  # the remaining files are left out
         warn(str(error))
         return copies, False
@@ -153,6 +171,18 @@ def _copied(ask: Ask, robot: str, reply: RecordingsReply, folder: Path) -> tuple
             f"{folder}: {error.strerror}; what came is kept; make room and fetch again"
         ) from error
     return copies, not any(copy.fault for copy in copies)
+
+
+def _readable(copy: Copy) -> Copy:
+    """The copy; of an incident the recording that is written beside it."""
+    from swarmd.recording.incident_file import SUFFIX, to_recording
+
+    if not copy.is_whole or copy.path.suffix != SUFFIX:
+        return copy
+    try:
+        return copy._replace(path=to_recording(copy.path))
+    except CodecError as error:
+        return copy._replace(fault=str(error))
 
 
 record.add_command(merge)

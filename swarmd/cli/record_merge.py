@@ -100,6 +100,6 @@ def parts_of(files: tuple[Path, ...]) -> list[Path]:
     for one in files:
         inside = sorted([*one.rglob("*.mcap"), *one.rglob("*.mcap.partial")])
         if one.is_dir() and not inside:
-            raise click.UsageError(f"{one}: no recording (.mcap) in this folder")
+            raise click.UsageError(f"{one}: no recording (.mcap) in this folder; fetch it again")
         parts |= dict.fromkeys(real_path(path) for path in (inside if one.is_dir() else [one]))
     return list(parts)

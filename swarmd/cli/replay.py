@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +40,9 @@ if TYPE_CHECKING:
 )
 @click.option("--plugin-dir", type=FOLDER, help="The folder of patterns of your own.")
 @click.option("--until", type=Duration(), metavar="SECONDS", help="End the replay at this instant.")
-@click.option("--why", metavar="NAME", help="Print the last inputs of this robot, too.")
+@click.option(
+    "--why", metavar="NAME", help="Print the incident and the last decisions of this robot first."
+)
 @click.option(
     "--life",
     "number",
@@ -109,9 +111,12 @@ def replay(
         robot: max(life.error for life in lives if life.head.identity.robot == robot)
         for robot in by_robot
     }
+    lines = [printable(line) for life in watched for line in _why(life)]
     if options.is_json:
-        _print_json(by_robot, errors, difference, is_equal)
+        _print_json(by_robot, errors, difference, is_equal, lines)
     else:
+        for line in lines:
+            click.echo(line)
         _print_table(by_robot, errors, lives, is_swarm=is_swarm)
     if difference is not None and not options.is_json:
         life, found = difference
@@ -121,8 +126,6 @@ def replay(
                 f" {found.field} {found.recorded}, here {found.replayed}"
             )
         )
-    for life in watched:
-        _print_inputs(life)
     for robot, parity in by_robot.items():
         for note in parity.notes:
             warn(f"{robot}: {note}" if is_swarm else note)
@@ -196,6 +199,7 @@ def _print_json(
     errors: Mapping[str, float],
     difference: tuple[Life, Difference] | None,
     is_equal: bool,
+    why: Sequence[str],
 ) -> None:
     rows = [
         {
@@ -213,7 +217,8 @@ def _print_json(
         life, found = difference
         where = {"robot": life.head.identity.robot, "at": found.at}
         first = {**where, **fields(found, "field", "recorded", "replayed")}
-    print_json("Replay", {"robots": rows, "first_difference": first, "is_equal": is_equal})
+    content = {"robots": rows, "first_difference": first, "is_equal": is_equal}
+    print_json("Replay", {**content, "why": list(why)})
 
 
 def _print_table(
@@ -247,11 +252,21 @@ def _print_table(
     print_table(names[begin:], [row[begin:] for row in rows])
 
 
-def _print_inputs(life: Life) -> None:
-    """The last inputs of a robot before its first difference, else before its end."""
-    difference = life.replay.difference
-    inputs = life.replay.last_inputs if difference is None else difference.inputs
-    until = "the end" if difference is None else f"{difference.field} differs"
-    warn(f"{life.head.identity.robot}, before {until}:")
-    for kind, at in inputs:
-        warn(f"  {kind} at {at:.6f} s")
+def _why(life: Life) -> Iterator[str]:
+    """The incident of a recording, if it has one, and the last inputs and decisions of its robot.
+
+    The last ones before its first difference, else before the incident, else before the end.
+    """
+    from swarmd.replay.replay import decision_text
+
+    replay, name = life.replay, Path(life.where).name
+    # A file may name others of the same minute: its name begins with the id of its own incident.
+    own = sorted(replay.incidents, key=lambda one: name.startswith(one.incident.id))[-1:]
+    yield from (one.incident.line(one.at) for one in own)
+    last, until = (own[0].last, "the incident") if own else (tuple(replay.last), "the end")
+    if replay.difference is not None:
+        last, until = replay.difference.last, f"{replay.difference.field} differs"
+    yield f"{life.head.identity.robot}, before {until}:"
+    for what, at in last:
+        text = what if isinstance(what, str) else decision_text(what)
+        yield f"  {at:.6f} s  {text}"

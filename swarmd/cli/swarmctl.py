@@ -88,6 +88,8 @@ VERBS = dict((
           "Write, check and reload patterns of your own, and push them to robots."),
     _verb("mission", OWN, "check patrol.yaml", "Check a mission before robots run it.", "patterns"),
     _verb("record", RECORD, "start --all", "Record robots, and fetch their recordings."),
+    _verb("incidents", RECORD, "fetch 3fa2",
+          "List what went wrong, fetch the last minute of all robots, or mark an incident."),
     _verb("replay", RECORD, "tb3-01.mcap",
           "Repeat a recorded run without a robot, and compare its commands."),
     _verb("calibrate", RECORD, "tb3-01 --floor 2.5",
@@ -117,6 +119,7 @@ class Verbs(LazyGroup):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of that name, imported; None if it is unknown."""
+        cmd_name = "incidents" if cmd_name == "incident" else cmd_name  # `incident mark`
         if (command := super().get_command(ctx, cmd_name)) is not None:
             return command
         from swarmd import plugins

@@ -71,7 +71,7 @@ class AsyncSwarm:
     The methods, their parameters and results are those of `Swarm`. `events` and `states` are async
     iterators; all other methods are awaited. Each method runs on a thread, so that the event loop
     does not wait for robots. A stop waits for no other method. Looks (`members`, `describe`,
-    `goal`, `params`, `frame`) take turns. SwarmError if 8 requests are under way.
+    `goal`, `incidents`, `params`, `frame`) take turns. SwarmError if 8 requests are under way.
 
     A cancelled task no longer waits, but robots may have applied its request. The cancellation also
     ends three methods: a `wait`; a run with a canary, whose canaries are stopped; and a run `at` a
@@ -102,6 +102,7 @@ class AsyncSwarm:
     members = _in_turn(Swarm.members)
     describe = _in_turn(Swarm.describe)
     goal = _in_turn(Swarm.goal)
+    incidents = _in_turn(Swarm.incidents)
     params = _in_turn(Swarm.params)
     frame = _in_turn(Swarm.frame)
     run = _awaited(Swarm.run)

@@ -20,6 +20,7 @@ from swarmd.network.operator.exit_codes import TIMEOUT
 
 if TYPE_CHECKING:
     from swarmd.client.event_feed import EventLine
+    from swarmd.client.incidents import Incidents
     from swarmd.client.operator_pool import OperatorPool
     from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.outcome import Outcome
@@ -150,6 +151,13 @@ class Swarm(Closing):
             chosen = session.named_now(targets)
             for lines in follow_events(session, EventFeed(since), chosen):
                 yield from lines
+
+    def incidents(self, *, timeout: float | None = None) -> Incidents:
+        """What went wrong on robots lately, and which robots keep their last minute of it."""
+        from swarmd.client.incidents import ask_incidents
+
+        with self._session(timeout) as session:
+            return ask_incidents(session)
 
     def states(
         self,

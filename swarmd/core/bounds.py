@@ -25,6 +25,8 @@ Step = Annotated[float, Meta(ge=-10.0, le=10.0)]
 Height = Annotated[float, Meta(ge=0.0, le=100.0)]
 Name = Annotated[str, Meta(min_length=1, max_length=63)]
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
+IncidentId = Annotated[str, Meta(pattern=r"^[0-9a-f]{12}\Z")]
+"""It names files, so it is no name of a robot."""
 Word = Annotated[str, Meta(max_length=64)]
 Line = Annotated[str, Meta(max_length=1000)]
 FileName = Annotated[
@@ -35,7 +37,8 @@ FileName = Annotated[
     ),
 ]
 """The name of a file in a known folder: no path, no hidden file, no control character."""
-ReasonText = Annotated[str, Meta(max_length=256)]
+MAX_REASON = 256  # characters
+ReasonText = Annotated[str, Meta(max_length=MAX_REASON)]
 BoundedScalar = (
     bool
     | Annotated[int, Meta(ge=-(2**53), le=2**53)]

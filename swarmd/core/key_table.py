@@ -59,6 +59,7 @@ HANDED_OVER: Mapping[str, str] = {
     "roster": "the signed roster of the swarm",
     "patterns": "the table of pushed patterns",
     "pattern": "the code of one pushed pattern",
+    "incidents": "the incidents of the last minutes",
 }
 """What a query of `shared/<name>/<asker>` gets, piece by piece: `network/spread/pull.py`."""
 _QUERIED = {STATE: ANSWERED, CONTROL: VERBS, SHARED: HANDED_OVER}

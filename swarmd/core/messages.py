@@ -354,6 +354,7 @@ class Health(Struct, frozen=True, kw_only=True):
 
     - `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`.
     - `storage`: why a restart would lose latches; empty if latches are on disk.
+    - `black_box`: how much it keeps for incidents, or why nothing.
     - `usage`, `pattern_usage`: the usage of the daemon and of its pattern host. None: unknown, in
       the first second.
     - `sandbox`: the sandbox of the pattern host; None until the first host has started.
@@ -368,6 +369,7 @@ class Health(Struct, frozen=True, kw_only=True):
     driver_up: bool = False
     network: Annotated[Line, shown("Health", "network")] = ""
     storage: Annotated[Line, shown("Health", "storage")] = ""
+    black_box: Annotated[Line, shown("Health", "black box")] = ""
     usage: Annotated[ProcessUsage | None, shown("Health", "daemon")] = None
     pattern_usage: Annotated[ProcessUsage | None, shown("Health", "pattern host")] = None
     sandbox: Annotated[Sandbox | None, shown("Health", "sandbox")] = None

@@ -33,6 +33,7 @@ class RecordKind(IntEnum):
     LATCH = 0
     GOAL = 1
     PATTERN = 2
+    INCIDENT = 3
 
 
 class Record(Struct, frozen=True, kw_only=True):

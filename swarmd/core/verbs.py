@@ -26,6 +26,7 @@ from swarmd.core.bounds import (
     Count,
     FileName,
     Id,
+    IncidentId,
     Line,
     Name,
     ParamValues,
@@ -35,6 +36,7 @@ from swarmd.core.bounds import (
 )
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_LABELS, Goal
+from swarmd.core.incident import Incident
 from swarmd.core.messages import Epochs, PeerView, Reply, Sandbox
 
 MAX_LATE = 0.5
@@ -47,6 +49,7 @@ MAX_AGE = 5.0
 MAX_PLANNED = 3600.0
 """Seconds of `planned` that count at most."""
 
+MAX_INCIDENTS = 64  # that a robot lists
 MAX_FINDINGS = 1000
 """Findings of assumption monitors in one request: three of each robot at most."""
 
@@ -203,6 +206,16 @@ class RecordRequest(_EpochRequest, frozen=True, kw_only=True, tag="record"):
     action: Literal["start", "stop"]
 
 
+class MarkRequest(_EpochRequest, frozen=True, kw_only=True, tag="mark"):
+    """Begin an incident with these words: all robots keep their last minute. It moves nothing.
+
+    `incident`: its id, which all targets get.
+    """
+
+    words: ReasonText
+    incident: IncidentId
+
+
 class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
     """Take a signed roster, and the new certificate of the robot's name if there is one.
 
@@ -254,7 +267,7 @@ Request = (
     | GoalRequest
     | LabelRequest
 )
-AnyRequest = Request | ForgetRequest | RecordRequest | RosterRequest | PushRequest
+AnyRequest = Request | ForgetRequest | RecordRequest | MarkRequest | RosterRequest | PushRequest
 
 
 def starts_motion(request: AnyRequest) -> bool:
@@ -330,6 +343,39 @@ class FetchReply(Struct, frozen=True, kw_only=True):
     data: bytes
     crc: Count
     text: Line = ""
+
+
+class KeptIncident(Struct, frozen=True, kw_only=True):
+    """An incident of which a robot keeps its last minute.
+
+    - `age`: s since the incident, on the clock of this robot; None: not known after a reboot.
+    - `begin`, `end`: s after the incident (negative: before) between which the file has entries;
+      None while the minute after it is not over. `missing`: why seconds are missing; empty if none.
+    - `file`, `size`, `crc`: of the file; size 0 without one.
+    """
+
+    incident: Incident
+    age: Seconds | None
+    begin: Annotated[float, Meta(ge=-1e9, le=1e9)] | None = None
+    end: Annotated[float, Meta(ge=-1e9, le=1e9)] | None = None
+    missing: Line = ""
+    file: FileName
+    size: Count = 0
+    crc: Count = 0
+
+
+class IncidentsReply(Struct, frozen=True, kw_only=True):
+    """The incidents that a robot keeps, oldest first; `now`: s on the clock `clock` of the robot.
+
+    `kept`: s that the black box holds now; None: it is off. `fault`: why it keeps nothing.
+    """
+
+    robot: Name
+    now: Seconds
+    clock: Annotated[str, Meta(max_length=32)]
+    incidents: Annotated[tuple[KeptIncident, ...], Meta(max_length=MAX_INCIDENTS)] = ()
+    kept: Seconds | None = None
+    fault: Line = ""
 
 
 class PushedPatternReport(Struct, frozen=True, kw_only=True):
@@ -642,6 +688,7 @@ class Handler(Enum):
     NETWORK = "network"
     """`ZenohBus.serve_view`."""
     RECORDING = "recording"
+    INCIDENTS = "incidents"
     ROSTERS = "rosters"
     PUSHES = "pushes"
     PUSHED = "pushed"
@@ -713,6 +760,8 @@ _RECORDING = Handler.RECORDING
 MEMBERS = Verb("members", MembersQuery, PeerView, Handler.NETWORK)
 RECORDINGS = Verb("recordings", Nothing, RecordingsReply, _RECORDING)
 FETCH = Verb("fetch", FetchQuery, FetchReply, _RECORDING)
+INCIDENTS = Verb("incidents", Nothing, IncidentsReply, Handler.INCIDENTS)
+INCIDENT = Verb("incident", FetchQuery, FetchReply, Handler.INCIDENTS, is_for_operators=True)
 PLUGINS = Verb("plugins", Nothing, PushedPatternsReply, Handler.PUSHED)
 LOGS = Verb("logs", LogsQuery, LogBatch, _TOOLS)
 AUDIT = Verb("audit", AuditQuery, AuditReply, _TOOLS, is_for_operators=True)
@@ -736,7 +785,8 @@ _ROWS: tuple[Verb[Any, Any], ...] = (
     _request(PushRequest, Handler.PUSHES, _push_line),
     _request(ForgetRequest, _TOOLS, lambda request: request.name),
     _request(RecordRequest, _RECORDING, lambda request: request.action),
+    _request(MarkRequest, Handler.INCIDENTS, lambda request: f"({shortened(request.words)})"),
     _request(RosterRequest, Handler.ROSTERS),
-    *(RECORDINGS, FETCH, PLUGINS, LOGS, AUDIT, LINKS, DOCTOR),
+    *(RECORDINGS, FETCH, INCIDENTS, INCIDENT, PLUGINS, LOGS, AUDIT, LINKS, DOCTOR),
 )
 VERBS: Mapping[str, Verb[Any, Any]] = {row.name: row for row in _ROWS}

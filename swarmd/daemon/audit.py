@@ -18,6 +18,7 @@ import msgspec
 from msgspec.structs import replace
 
 from swarmd.core.clock import FIRST_WALL
+from swarmd.core.files import read_regular
 from swarmd.core.messages import Code, Reply
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.verbs import MAX_PART, VERBS, AnyRequest, AuditEntry, AuditQuery, shortened
@@ -114,7 +115,7 @@ class Audit:
 
     def _write_line(self, line: str, omitted: int) -> None:
         """Write a line of the log; `omitted`: lines left out before, which the line tells."""
-        line = _printable(line)
+        line = printable(line)
         if omitted:
             line = f"[{omitted} requests left out of this log] {line}"
         self._write(line[:MAX_LINE])
@@ -135,12 +136,12 @@ class Audit:
             boot=round(now, 3),
             clock=self._clock,
             wall=round(wall, 3) if wall >= FIRST_WALL else None,
-            operator=_printable(shortened(operator, 128)),
-            source=_printable(shortened(source)),
-            verb=_printable(what.partition(" ")[0][:MAX_PART]),
-            what=_printable(shortened(what, MAX_WHAT)),
+            operator=printable(shortened(operator, 128)),
+            source=printable(shortened(source)),
+            verb=printable(what.partition(" ")[0][:MAX_PART]),
+            what=printable(shortened(what, MAX_WHAT)),
             result=result[:MAX_PART],
-            text=_printable(text[:MAX_LINE]),
+            text=printable(text[:MAX_LINE]),
         )
 
 
@@ -168,7 +169,7 @@ def describe_request(request: AnyRequest) -> str:
     return " ".join(filter(None, (request.verb, VERBS[request.verb].audit(request), "to", count)))
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """The text in one line: an operator's name must not start a new line of a log."""
     return "".join(char if char.isprintable() else "?" for char in text)
 
@@ -314,7 +315,7 @@ class AuditLog:
     def _newest_first(self) -> Iterator[AuditEntry]:
         for number in range(FILES):
             try:
-                lines = self._path(number).read_bytes().splitlines()
+                lines = read_regular(self._path(number)).splitlines()
             except OSError:
                 continue
             for line in reversed(lines):

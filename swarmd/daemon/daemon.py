@@ -24,7 +24,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from swarmd.core import events
-from swarmd.core.clock import ClockSample, boottime, clock_id
+from swarmd.core.clock import TICK, ClockSample, boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.goal import Goal
@@ -39,6 +39,7 @@ from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
 from swarmd.daemon.driver_commands import DriverCommands
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
+from swarmd.daemon.incidents import IncidentService
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
@@ -87,6 +88,7 @@ NETWORK_PERIOD = 2  # ticks between two looks at the network without an event
 STORAGE_PERIOD = 100  # ticks between two tries to write to a state folder that failed
 ACTIVE_TIME = 1.0
 """Seconds after an event with 20 ticks a second, each of which looks at the network."""
+SCAN_LOST = 1.0  # s after a scan without another one: the black box waits for none
 _ROUTINE = (events.TickInput, events.HostInput)  # inputs on which a running robot decides
 _MEASURED = (  # any input that is neither measured nor routine is an event
     events.ScanInput,
@@ -147,6 +149,7 @@ class Daemon:
         self._notify = Notifier()  # tells systemd that the daemon is ready, and that it is alive
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
+        self._scan_at = -math.inf  # s; the arrival of the last scan
         self._periods = 0  # `TickTimer.periods` at the last tick
         self._provisional: tuple[int, ...] = ()  # the generations in the last ProvisionalInput
         folder = settings.state_dir / settings.network.swarm / settings.id
@@ -154,7 +157,7 @@ class Daemon:
         self._begin_records(folder)
         self._begin_code(folder)
         self._begin_network()
-        self._begin_requests()
+        self._begin_requests(folder)
         self._begin_robot(driver)
 
     def _begin_driver(self, driver: Driver) -> None:
@@ -191,7 +194,9 @@ class Daemon:
         self._pattern_pull = PatternPull(
             state, intake, self._puller, self._on_pulled_code, self._drops
         )
-        self._pulled = {RecordKind.PATTERN: self._pattern_pull}
+        self._pulled: dict[RecordKind, PatternPull | IncidentService] = {
+            RecordKind.PATTERN: self._pattern_pull
+        }
         identity = settings.identity
         self._runner = ProcessRunner(
             self._loop,
@@ -219,11 +224,23 @@ class Daemon:
             hears_programs=settings.file.neighbors.programs,
         )
 
-    def _begin_requests(self) -> None:
+    def _begin_requests(self, folder: Path) -> None:
         """Make the services of the daemon, and the server that hands requests to them."""
         settings = self._settings
         self._recording = RecordingService(
             settings.id, settings.recording, self._head, self.on_event
+        )
+        self._recorder = self._recording.recorder
+        self._incidents = self._pulled[RecordKind.INCIDENT] = IncidentService(
+            settings.id,
+            folder,
+            settings.blackbox,
+            recorder=self._recorder,
+            puller=self._puller,
+            head=self._head,
+            identity=lambda: self._rosters.identity,
+            is_member=self._network.is_robot,
+            on_event=self.on_event,
         )
         self._tools = FieldTools(
             settings,
@@ -242,6 +259,7 @@ class Daemon:
             self._audit,
             Services(
                 recording=self._recording,
+                incidents=self._incidents,
                 rosters=self._rosters,
                 pushes=self._pattern_intake,
                 pushed=self._pattern_pull,
@@ -271,6 +289,8 @@ class Daemon:
             self._loop,
         )
         self.sink = DriverSink(self.step, self._neighborhood)
+        if self._gathering_driver is not None:  # odometry waits until a decision needs it
+            self._gathering_driver.gather(self.sink.take_late)
         self._commands: DriverCommands | None = None
         if (source := command_source(driver)) is not None:
             self._commands = DriverCommands(
@@ -323,6 +343,7 @@ class Daemon:
     async def _live(self) -> None:
         """Join the network, then run the driver until this task is cancelled."""
         self._recording.start_if_wanted()  # before any input, so that a replay has all inputs
+        self._incidents.open()
         self._check_storage()
         await self._join()
         gc.collect()
@@ -392,9 +413,9 @@ class Daemon:
             self._neighborhood.close()
             self._rosters.close()
             self._puller.close()
-            for pulled in self._pulled.values():
-                pulled.close()
+            self._pattern_pull.close()
             self._pattern_intake.close()
+            self._incidents.close(has_crashed=self._crash is not None)
             self._recording.close()
             self._runner.close()
             self._network.close(is_leaving=self._crash is None)
@@ -417,20 +438,19 @@ class Daemon:
         # A decision uses all odometry that has arrived.
         if kind not in _MEASURED and not _is_stop(input) and self._gathering_driver is not None:
             self._gathering_driver.read()
-        actions = self._recording.recorder.step(self._robot, input, boottime() - age)
+        actions = self._recorder.step(self._robot, input, boottime() - age)
         if actions is not None:
             self._carry_out(actions, may_repeat=may_repeat and kind not in _FREQUENT)
+        self._recorder.settle(self._robot)
         if kind is events.ScanInput:
             self._timer.tick_early()
-
-    def _gather(self, may_gather: bool) -> None:
-        """Let the driver leave odometry in its socket until a decision needs it, or end that.
-
-        While a recording is made, each reading is taken when it arrives: entries of a recording are
-        in the order of their times.
-        """
-        if self._gathering_driver is not None:
-            self._gathering_driver.gather(self.sink.take_late if may_gather else None)
+            self._scan_at = boottime()
+        elif kind is events.HostInput or (kind is events.TickInput and not self._robot.is_running):
+            # The command of this tick has gone to the base: the next scan or tick changes it.
+            now = boottime()
+            # Lidars turn at most once in two ticks. One that is lost or not there sends no scan.
+            is_between = not TICK <= now - self._scan_at < SCAN_LOST
+            self._recorder.remember(self._robot, now, self._timer.left if is_between else 0.0)
 
     def _tell_provisional(self) -> None:
         """Hand the robot the generations of the present run and load that are provisional code."""
@@ -470,7 +490,7 @@ class Daemon:
 
     def on_clock(self, sample: ClockSample) -> None:
         """Record a reading of the clock of a peer."""
-        self._recording.recorder.add(frames.ClockEntry(boottime(), *sample))
+        self._recorder.add(frames.ClockEntry(boottime(), *sample))
 
     def on_interface(self, change: InterfaceChange) -> None:
         """Log a change of the interface; a change of address also stops the robot."""
@@ -513,6 +533,10 @@ class Daemon:
         """Log a warning, also among the robot's events."""
         log.warning("%s", text)
         self.step(events.NoteInput(text))
+
+    def on_lost(self, beacon: Beacon) -> None:
+        """Begin an incident if the robot, which has failed, ran."""
+        self._incidents.on_lost(beacon)
 
     def on_members(self) -> None:
         """Hand the robot the bodies of all members, and the neighbors.
@@ -579,12 +603,12 @@ class Daemon:
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_active = boottime() < self._active_until  # stops of the last second may be on their way
         self._timer.rest(self._may_rest and self._robot.is_at_rest and not is_active)
-        self._gather(not self._recording.recorder.is_on)
         if self._commands is not None:
             self._commands.note_epoch(boottime())
         self._network.advance(may_wait=not (is_active or is_due(NETWORK_PERIOD)))
-        if self._recording.recorder.is_on:
+        if self._recorder.is_on or self._incidents.is_pending:
             self._network.ask_clocks()  # to merge this recording with recordings of peers
+        self._incidents.advance(boottime())
         if pose_and_age := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
@@ -695,6 +719,7 @@ class Daemon:
             status.health,
             network=self._network.interface_text,
             storage=self._latches.fault,
+            black_box=self._incidents.text,
             sandbox=self._runner.sandbox,
         )
         return replace(
@@ -706,7 +731,6 @@ class Daemon:
         )
 
     def _head(self) -> RecordingHead:
-        self._gather(False)  # a recording begins
         return recording_head(self._robot, self._settings.network.swarm, boottime())
 
 

@@ -69,12 +69,13 @@ class HealthMeter:
         self._pattern.measure(pattern_pid, now)
 
     def added_to(
-        self, health: Health, *, network: str, storage: str, sandbox: Sandbox | None
+        self, health: Health, *, network: str, storage: str, black_box: str, sandbox: Sandbox | None
     ) -> Health:
         """The robot's `health` with the values that the daemon measures.
 
         `network`: the state of the interface in words. `storage`: why a restart would lose latches;
-        empty if a restart would keep them. `sandbox`: the sandbox of the pattern host.
+        empty if a restart would keep them. `black_box`: what it keeps, in words. `sandbox`: the
+        sandbox of the pattern host.
         """
         dropped = dict(health.dropped)
         for drops in self._drops:
@@ -86,6 +87,7 @@ class HealthMeter:
             dropped=dropped,
             network=network,
             storage=storage[:1000],
+            black_box=black_box[:1000],
             usage=self._own.usage,
             pattern_usage=self._pattern.usage,
             sandbox=sandbox,

@@ -87,6 +87,9 @@ class NetworkOwner(Protocol):
     def on_clock(self, sample: ClockSample) -> None:
         """Record a reading of the clock of a peer."""
 
+    def on_lost(self, beacon: Beacon) -> None:
+        """A robot whose last beacon this is has failed."""
+
     def on_members(self) -> None:
         """Act on a change of the members or of their data."""
 
@@ -528,6 +531,10 @@ class Network:
             self._owner.on_input(DuplicateInput(f"instance {actions.duplicate}"))
         if actions.changed:
             self._owner.on_members()
+        for robot in actions.changed:
+            lost = None if self._peer is None else self._peer.membership.lost_beacon(robot)
+            if lost is not None:
+                self._owner.on_lost(lost)
 
     def _add_recipients(self, addresses: Iterable[Address]) -> None:
         """Send datagrams also to robots that are known only from the member lists of peers."""
@@ -601,14 +608,15 @@ class Network:
         if bus is not None and self._is_settled:
             # Behind routers the bus would also deliver the messages of robots, a second time.
             takes_messages = self._hears_programs and self._settings.profile != "routed"
-            bus.meet_programs(self._is_robot, takes_messages=takes_messages)
+            bus.meet_programs(self.is_robot, takes_messages=takes_messages)
             self._owner.serve(bus)
 
-    def _is_robot(self, name: str) -> bool:
-        """True for this robot, for robots of the roster, and for robots heard since the start."""
+    def is_robot(self, name: str) -> bool:
+        """True for this robot, for robots of the roster, and for robots heard here or by others."""
         if name == self._robot.name or name in self._roster or self._peer is None:
             return True
-        return self._peer.membership.member(name, boottime()) is not None
+        membership = self._peer.membership
+        return name in membership.indirect or membership.member(name, boottime()) is not None
 
 
 def _as_relayed(stop: Stop) -> Stop:

@@ -1,10 +1,13 @@
-"""Records a robot by a process of its own, and hands recordings to operators.
+"""Records a robot by a process of its own and in the ring of the black box; hands out recordings.
 
 The recorder sends entries (inputs, decisions, events) to that process by a socket, and never blocks
 the loop. Entries are sent in batches, twice a second. A process that wakes at each tick costs twice
 as much, since the code of the process has then left the CPU's caches. If the disk is slower than
 the robot, the socket fills; then a batch is dropped and counted. If the process ends, an event
 reports the end, and the robot continues.
+
+The ring gets the entries of each tick at its end, after the command has gone to the base. So a
+daemon that is killed loses the entries of one tick, and no command is later than without the ring.
 """
 
 from __future__ import annotations
@@ -12,17 +15,19 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import math
 import os
 import socket
 import subprocess
 import sys
 import time
 import zlib
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -43,7 +48,7 @@ from swarmd.core.events import (
     TickInput,
     tag_of,
 )
-from swarmd.core.files import write_fault
+from swarmd.core.files import open_regular, read_regular, write_fault
 from swarmd.core.messages import Code, RecordingSummary, Refusal, Reply, Status
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Scan
@@ -52,6 +57,7 @@ from swarmd.plugins import need
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
+from swarmd.recording.ring import Ring
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import remember
 from swarmd.robot.robot import Robot
@@ -66,6 +72,13 @@ MAX_ENTRIES = 500
 """Entries that are sent at once, before BATCH_PERIOD is over."""
 BATCH_PERIOD = 0.5
 """Seconds between two batches: a daemon that is killed loses the entries of that time."""
+SEGMENT_TIME = 30.0
+"""Seconds after which a segment of the ring is followed by another one."""
+FIRST_COST = 0.01
+"""Seconds that a memory is expected to take before one was taken."""
+COSTS = 3  # memories whose shortest time counts
+HEADROOM = 1.5
+"""The time left for a memory, to the time that the last one took."""
 DROPS_PERIOD = 10.0
 """Seconds between two events that count dropped entries."""
 BUFFER = 1 << 20
@@ -109,6 +122,15 @@ class _Process:
         self.pidfd = os.pidfd_open(self.process.pid)
 
 
+class _Step(NamedTuple):
+    """A step of the robot that has no entries so far; `state`: after it."""
+
+    input: Input
+    now: float
+    actions: Actions | None
+    state: str = ""
+
+
 class Recorder:
     """Records one robot between `start` and `stop`.
 
@@ -122,7 +144,15 @@ class Recorder:
         self.began = 0.0  # s; start of the present or last recording
         self._open: _Process | None = None
         self._ending: list[_Process] = []
-        self._entries: list[frames.Entry] = []
+        self._steps: list[_Step] = []  # without entries so far
+        self._entries: list[bytes] = []  # encoded, for the process
+        self.ring: Ring | None = None
+        self.ring_fault = ""  # why the ring ended by itself
+        self.on_status: Callable[[Status], object] = lambda status: None
+        self._ring_entries: list[bytes] = []
+        self._segment_at = -math.inf  # s; the begin of the present segment of the ring
+        # s that the last memories took; a busy machine makes some of them slow.
+        self._memory_costs = deque([FIRST_COST], maxlen=COSTS)
         # The last input of each lasting kind; a recording begins with these inputs.
         self._lasting: dict[type[Input], Input] = {}
         self._scans: dict[type[Input], Scan] = {}  # the last scan of each kind
@@ -130,9 +160,7 @@ class Recorder:
         self._logged_to = -1.0  # s since the start of the daemon: time of the last recorded event
         self._flush_at = 0.0
         self._reported_at = -DROPS_PERIOD
-        self._forget_drops()
-        self.fault = ""
-        self.report = frames.RecorderReport("", 0)
+        self._forget_recording()
 
     @property
     def is_on(self) -> bool:
@@ -150,9 +178,7 @@ class Recorder:
         self._loop.add_reader(recorder.socket, self._on_report, recorder)
         self._loop.add_reader(recorder.pidfd, self._on_end, recorder)
         self._scans, self._entries = {}, []
-        self._forget_drops()
-        self.fault = ""
-        self.report = frames.RecorderReport("", 0)
+        self._forget_recording()
         began = self.began = boottime()
         self.add(
             frames.Begin(
@@ -166,11 +192,14 @@ class Recorder:
         )
         # A replay begins with the inputs that still hold, such as the neighbors. Then follows the
         # robot's memory, which is recorded at the next step.
-        for lasting in tuple(self._lasting.values()):  # a copy: `self.input` changes `_lasting`
-            self.input(lasting, began)
+        for lasting in self._lasting.values():
+            self._entries.append(frames.encode(frames.input_entry(lasting, began)))
         self._is_memory_due = True
 
-    def _forget_drops(self) -> None:
+    def _forget_recording(self) -> None:
+        """Clear the fault, the report and the counts of the recording before."""
+        self.fault = ""
+        self.report = frames.RecorderReport("", 0)
         self.dropped = 0  # entries dropped in all
         self._unreported = 0  # of these, entries that no event has told so far
         self._unrecorded = 0  # of these, entries whose gap is not in the recording so far
@@ -191,25 +220,57 @@ class Recorder:
             self._on_end(recorder)
 
     def step(self, robot: Robot, input: Input, now: float) -> Actions | None:
-        """Step `robot`; record the input and the decision that follows from it."""
-        if not self.is_on:
-            if type(input) in _LASTING:
-                self._lasting[type(input)] = input
+        """Step `robot`; `settle` records the input and the decision that follows from it."""
+        if type(input) in _LASTING:
+            self._lasting[type(input)] = input
+        if not self.is_on and self.ring is None:
             return robot.step(input, now)
-        if self._is_memory_due:
+        if self._is_memory_due and self.is_on:
+            self.settle(robot)
             self._memory(robot, now)
-        self.input(input, now)
-        actions = robot.step(input, now)
-        if actions is not None:
-            self._decided(robot, input, actions, now)
-        if type(input) is TickInput:
-            self.flush_if_due(now)
+        try:
+            actions = robot.step(input, now)
+        except Exception:  # the daemon ends: the black box keeps what ended it
+            self._steps.append(_Step(input, now, None))
+            self.settle(robot)
+            raise
+        self._steps.append(_Step(input, now, actions, robot.state))
         return actions
+
+    def settle(self, robot: Robot) -> None:
+        """Record the steps since the last call; call it once their actions are carried out.
+
+        An error ends the black box, and not the daemon.
+        """
+        if not self._steps:
+            return
+        try:
+            self._settle(robot)
+        except Exception as error:
+            log.exception("the black box ends")
+            self.end_ring(repr(error))
+
+    def _settle(self, robot: Robot) -> None:
+        steps, self._steps = self._steps, []
+        if self.ring is not None:
+            self.ring.revision = robot.epoch.revision
+        statuses: list[Status] = []
+        for input, now, actions, state in steps:
+            self.input(input, now)
+            if actions is not None:
+                self._decided(input, actions, now, state)
+                if actions.has_status:
+                    statuses.append(robot.status(now))
+                    self._status(statuses[-1], now)
+            if type(input) is TickInput:
+                self.flush_if_due(now)
+            if type(input) is TickInput or actions is None or not actions.is_quiet:
+                self.write_ring()
+        for status in statuses:
+            self.on_status(status)
 
     def input(self, input: Input, now: float) -> None:
         """Record an input; a scan whose geometry equals that of the last scan omits it."""
-        if type(input) in _LASTING:
-            self._lasting[type(input)] = input
         if isinstance(input, ScanInput | RangesInput):
             scan, last = input.scan, self._scans.get(type(input))
             self._scans[type(input)] = scan
@@ -229,14 +290,11 @@ class Recorder:
         for number, part in enumerate(parts):
             self.add(frames.MemoryEntry(now, part, number, len(parts)))
 
-    def _decided(self, robot: Robot, input: Input, actions: Actions, now: float) -> None:
-        reason = actions.decision.reason or ""
-        cause, state = tag_of(input), robot.state
-        self.add(frames.DecisionEntry(now, cause, state, reason, actions.decision))
+    def _decided(self, input: Input, actions: Actions, now: float, state: str) -> None:
+        decision = actions.decision
+        self.add(frames.DecisionEntry(now, tag_of(input), state, decision.reason or "", decision))
         for channel, value in actions.messages.items():
             self.add(frames.SentEntry(now, channel, value))
-        if actions.has_status:
-            self._status(robot.status(now), now)
 
     def _status(self, status: Status, now: float) -> None:
         self.add(frames.TextEntry(now, "/status", frames.as_json(status)))
@@ -249,11 +307,62 @@ class Recorder:
 
     def add(self, entry: frames.Entry) -> None:
         """Add an entry to the next batch; ignored while nothing is recorded."""
-        if self._open is None:
+        if self._open is None and self.ring is None:
             return
-        self._entries.append(entry)
-        if len(self._entries) >= MAX_ENTRIES:
-            self.flush()
+        encoded = frames.encode(entry)
+        if self.ring is not None:
+            self._ring_entries.append(encoded)
+        if self._open is not None:
+            self._entries.append(encoded)
+            if len(self._entries) >= MAX_ENTRIES:
+                self.flush()
+
+    # The ring
+
+    def remember(self, robot: Robot, now: float, time_left: float) -> None:
+        """Begin a segment of the ring with the memory of the robot if one is due.
+
+        Call it after a decision. `time_left`: s until the next input that may change the command;
+        0: a scan may come at any time. The memory waits for time enough, for SEGMENT_TIME at most.
+        """
+        ring, age = self.ring, now - self._segment_at
+        if ring is None or not time_left or (age < SEGMENT_TIME and not ring.is_long):
+            return
+        if time_left < HEADROOM * min(self._memory_costs) and age < 2.0 * SEGMENT_TIME:
+            return
+        self.settle(robot)
+        self.write_ring()
+        began = boottime()
+        try:
+            data = remember(robot, MAX_MEMORY)
+        except CodecError as error:  # tried again after SEGMENT_TIME
+            self._segment_at = now
+            self._on_event(f"black box: {error}")
+            return
+        self._scans = {}  # the first scan of the segment has its geometry
+        ring.begin_segment(now)
+        ring.set_clock(boottime(), time.time())  # a robot without a battery clock starts in 1970
+        self._segment_at = now
+        self._ring_entries.append(frames.encode(frames.MemoryEntry(now, data)))
+        self.write_ring()
+        self._memory_costs.append(boottime() - began)
+
+    def write_ring(self) -> None:
+        """Write the entries so far to the ring."""
+        entries, self._ring_entries = self._ring_entries, []
+        if self.ring is None or not entries:
+            return
+        try:
+            self.ring.write(frames.batch(entries[-frames.MAX_BATCH :]))
+        except OSError as error:
+            self.end_ring(error.strerror or str(error))
+
+    def end_ring(self, fault: str) -> None:
+        """End the black box, and say why."""
+        if self.ring is not None:  # its file would tell the next daemon of a crash
+            self.ring.close(keeps_file=False)
+        self.ring, self.ring_fault = None, f"off: {fault}"
+        self._on_event(f"black box ends: {fault}")
 
     def flush_if_due(self, now: float) -> None:
         """Send the entries if the last batch is BATCH_PERIOD old."""
@@ -268,8 +377,7 @@ class Recorder:
         entries, self._entries = self._entries, []
         part: list[bytes] = []
         size = 0
-        for number, entry in enumerate(entries):
-            encoded = frames.encode(entry)
+        for number, encoded in enumerate(entries):
             if size + len(encoded) > MAX_BATCH and part:
                 if not self._send(part):
                     # Later entries may depend on the dropped part (scans without geometry).
@@ -287,7 +395,8 @@ class Recorder:
     def _send(self, part: list[bytes]) -> bool:
         """Send encoded entries; False if they were dropped."""
         assert self._open is not None
-        lost = [self._gap()] if self._unrecorded else []
+        gap = frames.DroppedEntry(boottime(), self._unrecorded)
+        lost = [frames.encode(gap)] if self._unrecorded else []
         try:
             self._open.socket.send(frames.batch([*lost, *part]))
         except OSError:  # full, or just ended: the pidfd is watched
@@ -295,9 +404,6 @@ class Recorder:
             return False
         self._unrecorded = 0
         return True
-
-    def _gap(self) -> bytes:
-        return frames.encode(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
         """Count dropped entries, and record after the gap what a replay needs to continue.
@@ -380,8 +486,7 @@ class RecordingService:
         self._robot, self._section, self._head = robot, section, head
         self._folder = Path(section.folder or "recordings")
         self._on_event = on_event
-        loop = asyncio.get_running_loop()
-        self.recorder = Recorder(loop, on_event)
+        self.recorder = Recorder(asyncio.get_running_loop(), on_event)
         self._is_closed = False
 
     @property
@@ -449,7 +554,7 @@ class RecordingService:
 
     def on_fetch(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:
         """Bytes of a recording file; the returned function runs in a thread."""
-        return partial(self._fetch, query)
+        return partial(piece_of, self._robot, self._folder, ".mcap", query)
 
     def close(self) -> None:
         """Finish the recording."""
@@ -463,9 +568,8 @@ class RecordingService:
         except OSError:
             paths = []
         open_now = Path(self.recorder.report.path).name if self.recorder.is_on else ""
-        recorder = self.recorder
         files = [
-            _described(path, is_open=path.name == open_now, dropped=recorder.dropped)
+            _described(path, is_open=path.name == open_now, dropped=self.recorder.dropped)
             for path in paths
         ]
         return verbs.RecordingsReply(
@@ -473,31 +577,33 @@ class RecordingService:
             now=boottime(),
             clock=clock_id(),
             files=tuple(one for one in files if one is not None),
-            fault=recorder.fault[:1000],
+            fault=self.recorder.fault[:1000],
         )
 
-    def _fetch(self, query: verbs.FetchQuery) -> verbs.FetchReply:
-        data, size, text = b"", 0, ""
-        try:
-            if not query.file.endswith(".mcap"):
-                raise FileNotFoundError
-            with (self._folder / query.file).open("rb") as file:
-                size = file.seek(0, 2)
-                file.seek(query.offset)
-                data = file.read(query.length)
-        except FileNotFoundError:
-            text = "there is no such recording"
-        except OSError as error:
-            text = error.strerror or "cannot be read"
-        return verbs.FetchReply(
-            robot=self._robot,
-            file=query.file,
-            offset=query.offset,
-            size=size,
-            data=data,
-            crc=zlib.crc32(data),
-            text=text,
-        )
+
+def piece_of(robot: str, folder: Path, suffix: str, query: verbs.FetchQuery) -> verbs.FetchReply:
+    """Bytes of a file in `folder` whose name ends in `suffix`, for an operator."""
+    data, size, text = b"", 0, ""
+    try:
+        if not query.file.endswith(suffix):
+            raise FileNotFoundError
+        with open_regular(folder / query.file) as file:
+            size = file.seek(0, 2)
+            file.seek(query.offset)
+            data = file.read(query.length)
+    except FileNotFoundError:
+        text = "there is no such recording"
+    except OSError as error:
+        text = error.strerror or "cannot be read"
+    return verbs.FetchReply(
+        robot=robot,
+        file=query.file,
+        offset=query.offset,
+        size=size,
+        data=data,
+        crc=zlib.crc32(data),
+        text=text,
+    )
 
 
 def _is_told(name: str) -> bool:
@@ -517,10 +623,7 @@ def _described(path: Path, *, is_open: bool, dropped: int) -> verbs.RecordingFil
         size = path.stat().st_size
     except OSError:  # the file was removed meanwhile
         return None
-    finished = _finished(path, size)
-    if finished is not None:
-        return finished
-    return verbs.RecordingFile(
+    return _finished(path, size) or verbs.RecordingFile(
         name=path.name, size=size, is_open=is_open, dropped=dropped if is_open else 0
     )
 
@@ -531,7 +634,7 @@ def _finished(path: Path, size: int) -> verbs.RecordingFile | None:
     None without a valid index: the file is being written, or was cut off.
     """
     try:
-        index: dict[str, Any] = json.loads(path.with_suffix(".index.json").read_text())
+        index: dict[str, Any] = json.loads(read_regular(path.with_suffix(".index.json")))
         return verbs.RecordingFile(
             name=path.name,
             size=size,

@@ -30,6 +30,7 @@ from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Stop
 
 if TYPE_CHECKING:
+    from swarmd.daemon.incidents import IncidentService
     from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
     from swarmd.daemon.recorder import RecordingService
     from swarmd.daemon.roster_service import RosterService
@@ -81,6 +82,7 @@ class Services:
     """
 
     recording: RecordingService
+    incidents: IncidentService
     rosters: RosterService
     pushes: PatternIntake
     pushed: PatternPull

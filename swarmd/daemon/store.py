@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from swarmd.core.clock import clock_id
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError, PluginError
-from swarmd.core.files import sync_folder, write_fault, write_whole
+from swarmd.core.files import read_regular, sync_folder, write_fault, write_whole
 from swarmd.core.messages import Latch
 from swarmd.core.pattern_manifest import Manifests, PatternManifest, read_table
 from swarmd.pattern_host.wheel import inspect_wheel
@@ -57,7 +57,7 @@ class StateFile(Generic[T]):
     def read(self) -> T:
         """The record that was written last; an empty record without a file."""
         try:
-            return self._decoded(self.path.read_bytes())
+            return self._decoded(read_regular(self.path))
         except FileNotFoundError:
             return self._kind()
         except (OSError, CodecError) as error:
@@ -289,7 +289,7 @@ class PatternFiles(StateFile[CodeRecord]):
         folder = self._folder_of(name, digest)
         for path in (folder / f"{name}.py", folder / WHEEL):
             with suppress(OSError):
-                content = path.read_bytes()
+                content = read_regular(path)
                 return content if hashlib.sha256(content).digest() == digest else None
         return None
 

@@ -43,6 +43,11 @@ class TickTimer:
         ranked = sorted(self._lateness)
         return ranked[int(0.99 * (len(ranked) - 1))] if ranked else 0.0
 
+    @property
+    def left(self) -> float:
+        """Seconds until the next tick."""
+        return max(self._next - self._loop.time(), 0.0)
+
     def rest(self, is_resting: bool) -> None:
         """True: tick every RESTING_PERIODS after the next tick. False: every 50 ms from now on."""
         self._is_resting = is_resting

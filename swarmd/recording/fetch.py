@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.files import read_regular
 from swarmd.recording.clock_offset import Exchange
+from swarmd.recording.incident_file import SUFFIX
 from swarmd.recording.reader import crc_of
 
 CLOCKS_FILE = "clocks.jsonl"
@@ -28,6 +30,20 @@ MAX_NAME = 200
 
 Ask = Callable[[str, str, bytes], bytes | None]
 """Robot, name of the query and payload to the answer; None if none came."""
+
+AskPiece = Callable[[int, int], verbs.FetchReply]
+"""Offset and length of a piece of one file to its bytes; NetworkError without them."""
+
+
+class Source(NamedTuple):
+    """A kind of file on robots: the verb that gives pieces of it, and how its names end."""
+
+    verb: str
+    suffix: str
+
+
+RECORDING = Source(verbs.FETCH.name, ".mcap")
+INCIDENT = Source(verbs.INCIDENT.name, SUFFIX)
 
 _recordings = Decoder(verbs.RecordingsReply, 256 * 1024)
 _fetched = Decoder(verbs.FetchReply, 2 * PIECE)
@@ -84,21 +100,24 @@ def fetch(
     file: verbs.RecordingFile,
     folder: Path,
     on_progress: Callable[[int, int], None] = lambda received, size: None,
+    *,
+    source: Source = RECORDING,
 ) -> Copy:
-    """Copy a recording of a robot to `<folder>/<robot>/`; present bytes are not copied again.
+    """Copy a file of a robot to `<folder>/<robot>/`; present bytes are not copied again.
 
-    `ask` queries the robot. `on_progress` gets the copied bytes and the size. An incomplete copy
-    ends in `.partial`, and can be read like a truncated file. A file that the robot still writes is
-    copied up to its present end. NetworkError if the robot does not answer or sends damaged pieces,
-    OSError if the disk fails; received bytes are kept.
+    `ask` queries the robot. `source`: the kind of file. `on_progress` gets the copied bytes and the
+    size. An incomplete copy ends in `.partial`, and can be read like a truncated file. A file that
+    the robot still writes is copied up to its present end. NetworkError if the robot does not
+    answer or sends damaged pieces, OSError if the disk fails; received bytes are kept.
     """
-    if not _is_name(file.name):
+    if not _is_name(file.name, source.suffix):
         raise NetworkError(f"{robot} lists {file.name!r}; expected the name of a recording")
+    ask_piece = partial(_piece, ask, source.verb, robot, file.name)
     path = folder / robot / file.name
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".mcap.partial")
-    for present in (path, partial):
-        if present.exists() and not _is_part_of(present, ask, robot, file):
+    incomplete = path.with_name(f"{path.name}.partial")
+    for present in (path, incomplete):
+        if present.exists() and not _is_part_of(present, ask_piece, file):
             present.rename(_unused(present))  # of another recording with the same name
     if path.exists():
         present_size = path.stat().st_size
@@ -108,29 +127,28 @@ def fetch(
         has_grown = file.crc is None and present_size < file.size
         if not has_grown:
             return Copy(path, received=0, size=present_size, is_whole=True)
-        path.rename(partial)
-    copied = _append(ask, robot, file, partial, on_progress)
+        path.rename(incomplete)
+    copied = _append(ask_piece, file, incomplete, on_progress)
     if file.is_open or copied.fault:
         return copied
-    if file.crc is not None and crc_of(partial) != file.crc:
-        partial.unlink()
+    if file.crc is not None and crc_of(incomplete) != file.crc:
+        incomplete.unlink()
         raise NetworkError(f"{robot}: the copy of {file.name} was damaged; fetch again")
-    partial.replace(path)
+    incomplete.replace(path)
     return copied._replace(path=path, is_whole=True)
 
 
 def _append(
-    ask: Ask,
-    robot: str,
+    ask_piece: AskPiece,
     file: verbs.RecordingFile,
-    partial: Path,
+    incomplete: Path,
     on_progress: Callable[[int, int], None],
 ) -> Copy:
-    """Append the missing pieces of a file to its incomplete copy `partial`."""
+    """Append the missing pieces of a file to its incomplete copy."""
     received_bytes, fault = 0, ""
-    with partial.open("ab") as copy:
+    with incomplete.open("ab") as copy:
         while copy.tell() < file.size and not fault:
-            reply = _piece(ask, robot, file.name, copy.tell(), PIECE)
+            reply = ask_piece(copy.tell(), PIECE)
             if reply.text:
                 fault = reply.text
             elif not reply.data:
@@ -139,16 +157,16 @@ def _append(
             received_bytes += len(reply.data)
             on_progress(copy.tell(), file.size)
         size = copy.tell()
-    return Copy(partial, received_bytes, size, is_whole=False, fault=fault)
+    return Copy(incomplete, received_bytes, size, is_whole=False, fault=fault)
 
 
-def _is_name(name: str) -> bool:
+def _is_name(name: str, suffix: str) -> bool:
     """True if the name is a plain file name here, without control characters for a terminal."""
     is_alone = Path(name).name == name and name.isprintable()
-    return is_alone and name.endswith(".mcap") and len(name.encode()) <= MAX_NAME
+    return is_alone and name.endswith(suffix) and len(name.encode()) <= MAX_NAME
 
 
-def _is_part_of(here: Path, ask: Ask, robot: str, file: verbs.RecordingFile) -> bool:
+def _is_part_of(here: Path, ask_piece: AskPiece, file: verbs.RecordingFile) -> bool:
     """True if the file `here` equals the robot's file, or its beginning."""
     size = here.stat().st_size
     if size > file.size:
@@ -158,7 +176,7 @@ def _is_part_of(here: Path, ask: Ask, robot: str, file: verbs.RecordingFile) -> 
     length = min(size, PIECE)
     if not length:
         return True
-    reply = _piece(ask, robot, file.name, 0, length)
+    reply = ask_piece(0, length)
     with here.open("rb") as copy:
         return bool(reply.text) or copy.read(length) == reply.data
 
@@ -169,10 +187,11 @@ def _unused(path: Path) -> Path:
     return next(candidate for candidate in numbers if not candidate.exists())
 
 
-def _piece(ask: Ask, robot: str, name: str, offset: int, length: int) -> verbs.FetchReply:
-    answer = ask(
-        robot, verbs.FETCH.name, encode(verbs.FetchQuery(file=name, offset=offset, length=length))
-    )
+def _piece(
+    ask: Ask, verb: str, robot: str, name: str, offset: int, length: int
+) -> verbs.FetchReply:
+    query = verbs.FetchQuery(file=name, offset=offset, length=length)
+    answer = ask(robot, verb, encode(query))
     if answer is None:
         raise NetworkError(f"{robot} does not answer; {name} has {offset} bytes here; fetch again")
     try:

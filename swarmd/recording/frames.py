@@ -23,6 +23,10 @@ MAX_ENTRY = 130_000
 """Bytes of an entry; a batch above about 212 kB does not fit into the socket's buffer."""
 
 
+MAX_BATCH = 65_535
+"""Entries of a frame."""
+
+
 class Begin(Struct, frozen=True, array_like=True, tag="begin"):
     """The first entry of a recording: folder and name of its files, texts on the robot (`about`).
 

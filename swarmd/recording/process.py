@@ -32,7 +32,11 @@ REPORT_PERIOD = 1.0
 
 
 class Converter:
-    """Writes entries as ROS messages, with times in ns since 1970."""
+    """Writes entries as ROS messages, with times in ns since 1970.
+
+    A robot may get an input with an earlier time than the input before. Its message gets the time
+    of the message before, so that readers keep the order; a replay takes the time in the input.
+    """
 
     def __init__(self, begin: frames.Begin) -> None:
         self._begin = begin
@@ -41,6 +45,7 @@ class Converter:
         self._scans: dict[str, Scan] = {}  # by topic: the last scan, with its geometry
         self._memory: list[frames.MemoryEntry] = []  # the received parts of the present memory
         self._robot = begin.about.get("robot", "")
+        self._last = 0  # ns; the time of the last message
         self.writer = RecordingWriter(
             Path(begin.folder),
             begin.name,
@@ -91,7 +96,8 @@ class Converter:
             self._write(entry, MEMORY, messages.bytes_message(data, stamp))
 
     def _write(self, entry: frames.Entry, topic: str, message: Message, sequence: int = 0) -> None:
-        self.writer.add(topic, message, self.ns(entry.at), sequence)
+        self._last = max(self._last, self.ns(entry.at))
+        self.writer.add(topic, message, self._last, sequence)
 
     def _text(self, entry: frames.Entry, topic: str, value: object) -> None:
         text = frames.as_json(value).decode()

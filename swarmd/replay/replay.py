@@ -11,13 +11,15 @@ platform, the replay begins with a new robot, and the recording must begin outsi
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from platform import machine
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -25,6 +27,7 @@ import numpy as np
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
 from swarmd.core.events import HostInput, Input, RequestInput, tag_of
 from swarmd.core.host_messages import KillHost, Load, LoadRefused, StartTrial, Stepped
+from swarmd.core.incident import Incident
 from swarmd.core.kernels import describe_kernels, load_kernel
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.messages import State
@@ -40,11 +43,16 @@ from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import recall
 from swarmd.robot.robot import Robot
+from swarmd.texts.why import protection_word
 
 STAMP_END = 12
 """Bytes of the encoding and of the stamp, at the begin of a message with a header."""
-LAST_INPUTS = 8
-"""Inputs before a difference that a replay names."""
+LAST = 20
+"""Inputs and decisions before a difference, or before an incident, that a replay names."""
+INCIDENT = "/incident"
+"""The topic of the incidents of which the robot keeps its last minute."""
+Last: TypeAlias = tuple[tuple[Any, float], ...]
+"""Inputs by kind, and messages of decisions, each with its time in s on the timeline."""
 
 
 @dataclass(slots=True)
@@ -94,7 +102,15 @@ class Difference(NamedTuple):
     field: str  # such as safe
     recorded: str
     replayed: str
-    inputs: tuple[tuple[str, float], ...]  # the last inputs before: kind, and s as `at`
+    last: Last  # before it
+
+
+class Noted(NamedTuple):
+    """An incident in a recording, at `at` s on the timeline, and what came before it."""
+
+    incident: Incident
+    at: float
+    last: Last
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +166,8 @@ class Replay:
         self.begin = 0.0  # the same in s on the timeline of all robots
         self.safe, self.requested = Compared(), Compared()
         self.difference: Difference | None = None
-        # Kind and time of the last inputs, in s on the timeline.
-        self.last_inputs: deque[tuple[str, float]] = deque(maxlen=LAST_INPUTS)
+        self.last: deque[tuple[Any, float]] = deque(maxlen=LAST)
+        self.incidents: list[Noted] = []
         self._last = 0.0  # time of the last message, s after the first
         self._notes: dict[str, None] = {}  # in their order, each once
 
@@ -204,7 +220,9 @@ class Replay:
             self._lose(f"{before} entries were dropped or are damaged or missing")
         # Also while inputs are skipped: the ray directions of a scan are needed for later scans.
         input = self._inputs.read(message)
-        if message.topic == MEMORY and self._awaits_memory:
+        if message.topic == INCIDENT:
+            self._take_incident(message)
+        elif message.topic == MEMORY and self._awaits_memory:
             self._robot = recall(memory_in(message), self._head.identity.setup)
             self._actions = None
             self._awaits_memory = False
@@ -215,6 +233,15 @@ class Replay:
             self._compare(message, now)
         elif input is not None:
             self._step(*input)
+
+    def _take_incident(self, message: RecordedMessage) -> None:
+        """Keep an incident with what came before it; one that cannot be read is left out."""
+        with suppress(CodecError, msgspec.MsgspecError, ValueError, RecursionError):
+            text = messages.message_on(message.topic, message.kind, message.payload)
+            incident = msgspec.json.decode(text.json, type=Incident)
+            # A robot may hear of it later; the stamp is the time of the incident itself.
+            at = clock_of(self._about, round(1e9 * messages.stamp_of(text)))
+            self.incidents.append(Noted(incident, self._place(at), tuple(self.last)))
 
     def _lose(self, what: str) -> None:
         """Note that an input is lost, so that the robot here knows less than the recorded one."""
@@ -229,7 +256,7 @@ class Replay:
                 return  # a new robot does not know which requests were executed before
         if isinstance(input, HostInput) and isinstance(input.event, Stepped):
             self._compare_requested(input.event, now)
-        self.last_inputs.append((tag_of(input), self._place(now)))
+        self.last.append((tag_of(input), self._place(now)))
         with np.errstate(all="ignore"):  # a damaged memory may contain any numbers
             actions = self._robot.step(input, now)
         if actions is not None:
@@ -276,6 +303,7 @@ class Replay:
 
     def _compare(self, recorded: RecordedMessage, now: float) -> None:
         message = messages.message_on(recorded.topic, recorded.kind, recorded.payload)
+        self.last.append((message, self._place(now)))
         if self._actions is None:
             return
         decision = self._actions.decision
@@ -296,7 +324,7 @@ class Replay:
                 field=field,
                 recorded=repr(recorded),
                 replayed=repr(replayed),
-                inputs=tuple(self.last_inputs),
+                last=tuple(self.last),
             )
 
     def _note(self, text: str) -> None:
@@ -362,7 +390,7 @@ def prepare(
     recorded = _joined(files)
     notes = [_other_program(head)]
     fault = "another platform has no memory" if platform else _fault_of_memory(recorded, head)
-    check_beginning(recorded, where, fault)
+    check_beginning(recorded, where, "; ".join(filter(None, (fault, fault and notes[0]))))
     if fault and not platform:
         notes.append(f"{fault}; what the robot learned before is not repeated")
     replayed = Replay(head, about, origins, platform, recalls=not fault)
@@ -444,6 +472,28 @@ def total(parities: Iterable[Parity]) -> Parity:
     return Parity(safe, requested, seconds, tuple(notes), difference)
 
 
+def decision_text(decision: Any) -> str:
+    """The message of a decision in a line, with the bound that decided: the tightest obstacle."""
+    requested, safe = (
+        f"{twist.linear:.3f} m/s {twist.angular:.3f} rad/s"
+        for twist in (messages.twist_of(decision.requested), messages.twist_of(decision.safe))
+    )
+    state = " ".join(filter(None, (decision.state, decision.reason)))
+    word = protection_word(
+        is_active=decision.is_active,
+        is_recovering=decision.is_recovering,
+        avoiding=decision.avoiding,
+    )
+    by = " ".join(filter(None, (decision.mode, word)))
+    text = f"{state}, {by}: {requested} -> {safe}"
+    if not len(decision.bearings):
+        return text
+    bearing, gap, cap = (
+        float(column[0]) for column in (decision.bearings, decision.gaps, decision.caps)
+    )
+    return f"{text}, an obstacle at {math.degrees(bearing):.0f} deg, {gap:.2f} m, cap {cap:.3f} m/s"
+
+
 def _fields_of(decision: Any) -> dict[str, Any]:
     """The fields of a decision's message by name, except its header."""
     return {
@@ -474,6 +524,6 @@ def check_beginning(recorded: list[RecordedMessage], where: str, fault: str) -> 
         raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")
     if fault and _state_in(first, where) == State.RUNNING:
         raise ConfigError(
-            f"{where}: the recording begins in a run, and {fault}; expected a recording that was"
-            " started before `run`"
+            f"{where}: the recording begins in a run, and {fault}; expected the version of"
+            " swarmd that recorded it, or a recording that was started before `run`"
         )

@@ -51,6 +51,7 @@ class DaemonSettings:
     - `parameters`: of this robot's patterns.
     - `state_dir`: shared by all daemons of a user; `<state_dir>/<swarm>/<id>` belongs to this
       daemon.
+    - `blackbox`: how many seconds the robot keeps for incidents.
     - `recording`: how the robot records; `folder` is an absolute path.
     - `identity`: the swarm is secured if set.
     - `provenance`: the source of each key: file, `--option`, `$VARIABLE`, `host name`, `identity`
@@ -70,6 +71,7 @@ class DaemonSettings:
     state_dir: Path
     plugin_dir: Path | None
     recording: swarmfile.RecordingSection
+    blackbox: swarmfile.BlackboxSection
     identity: Identity | None = None
     die_with_parent: int | None = None
     provenance: Mapping[str, str] = field(default_factory=dict)
@@ -123,6 +125,7 @@ def load_daemon_settings(
         roster=file.robots if identity is None else identity.roster.robots,
         state_dir=state_dir,
         plugin_dir=swarmfile.path_of(layers, "plugin_dir", file.plugin_dir, config),
+        blackbox=file.blackbox,
         recording=structs.replace(file.recording, folder=str(recordings.absolute())),
         identity=identity,
         die_with_parent=cast("int | None", parent),

@@ -152,6 +152,19 @@ class RecordingSection(FileLimits, frozen=True, kw_only=True, forbid_unknown_fie
     folder: str | None = None
 
 
+class BlackboxSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The black box: what a robot keeps for the recording of an incident.
+
+    - `seconds`: how much it keeps in memory, from 10 to 600 s; 0 turns it off. 60 s take 4 MB.
+    - `folder`: of its file, on a file system in memory; by default the `RuntimeDirectory` of the
+      service, else `/dev/shm/swarmd-<uid>`. A file on a disk would be written to the disk all the
+      time.
+    """
+
+    seconds: Annotated[float, Meta(ge=0.0, le=600.0)] = 60.0
+    folder: str | None = None
+
+
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The keys of the file of one daemon: the keys of swarm.yaml, and further keys.
 
@@ -164,6 +177,7 @@ class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=Tru
       stop. If it is a memory disk, a reboot clears the emergency stop.
     - `plugin_dir`: folder of patterns and missions of your own.
     - `recording`: whether the robot records from the start, to which folder, and how much.
+    - `blackbox`: how many seconds the robot keeps for incidents.
     """
 
     swarm_file: str | None = None
@@ -174,6 +188,7 @@ class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     state_dir: str | None = None
     plugin_dir: str | None = None
     recording: RecordingSection = RecordingSection()
+    blackbox: BlackboxSection = BlackboxSection()
 
 
 def load_swarm(
@@ -227,6 +242,9 @@ def check(file: Any, _: Keys) -> Iterator[Fault]:
             yield fault_at(("neighbors", key), text)
         for keys, text in RobotSettings.of(file).faults():
             yield fault_at(keys, text)
+        if 0.0 < file.blackbox.seconds < 10.0:
+            text = f"is {file.blackbox.seconds:g}; expected 10 to 600 s, or 0 for no black box"
+            yield fault_at(("blackbox", "seconds"), text)
         if file.recording.keep_bytes < 2 * file.recording.file_bytes:
             text = f"is {file.recording.keep_bytes}; expected at least two files of file_bytes"
             yield fault_at(("recording", "keep_bytes"), text)

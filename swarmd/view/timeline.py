@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.incident import Incident
 from swarmd.core.messages import Status
 from swarmd.core.values import Platform, Pose, Scan
 from swarmd.recording import messages
@@ -35,7 +37,10 @@ MAX_STEP = 1.0
 TimedMessage = tuple[int, str, str, bytes]
 """The time in ns, the topic `/robot/...`, the type and the content of a message."""
 _TOPICS = frozenset(
-    ("odometry", "pose", "scan", "scan/geometry", "decision", "status", "readings", "event")
+    (
+        *("odometry", "pose", "scan", "scan/geometry", "decision", "status", "readings"),
+        *("event", "incident"),
+    )
 )
 
 
@@ -133,6 +138,15 @@ class Track:
         """The message of the last decision until a time; None without such a message."""
         return self.topics["decision"].at(now) if self.is_heard(now) else None
 
+    def incidents(self) -> Iterator[tuple[float, Incident]]:
+        """The incidents that the robot knew of, with the time in s at which it noted each."""
+        topic = self.topics["incident"]
+        for index, at in enumerate(topic.times):
+            message = topic.get(index)
+            with suppress(ValueError, RecursionError):
+                if message is not None:
+                    yield at, msgspec.json.decode(message.json, type=Incident)
+
     def events(self, now: float, most: int | None = None) -> list[tuple[float, str]]:
         """The last events until a time, as time in s and text; the latest comes first."""
         events = self.topics["event"]
@@ -159,6 +173,19 @@ class Timeline:
     def duration(self) -> float:
         """The time of the last message in s."""
         return max(track.end for track in self.tracks.values())
+
+    def incident(self, name: str) -> tuple[float, Incident] | None:
+        """The incident of the files whose name begins with its id, else the last; its time in s.
+
+        Robots that hear of it later note it later: the earliest time counts. `name`: of a file.
+        """
+        found: dict[str, tuple[float, Incident]] = {}
+        for track in self.tracks.values():
+            for at, one in track.incidents():
+                found[one.id] = min(found.get(one.id, (at, one)), (at, one), key=itemgetter(0))
+        return max(
+            found.values(), key=lambda one: (name.startswith(one[1].id), one[0]), default=None
+        )
 
     def pose(self, robot: str, now: float) -> tuple[float, float, float] | None:
         """x, y in m and yaw in rad at a time; None before the first pose, or if not recorded."""

@@ -54,6 +54,7 @@ from swarmd.core.verbs import EstopRequest, Request, ResetRequest, RunRequest, S
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.world.faults import fault_of
 
 PERIOD = 0.1  # s between two looks of the operator
 ANSWER_TIME = 3.0  # s
@@ -71,7 +72,6 @@ ROOM: dict[str, Any] = {
 HALL: dict[str, Any] = {"size": [7.0, 3.0]}
 
 ScanFault = Callable[[Scan], Scan | None]
-CommandFault = Callable[[Array], Array]
 _HANDS = {"A12": 0.0, "A13": 90.0, "A14": 180.0, "A15": -90.0}
 
 
@@ -86,10 +86,8 @@ class Bench:
         verdicts: dict[str, Verdict] | None = None,
         arena: dict[str, Any] = ROOM,
         realism: dict[str, Any] = LIGHT_NOISE,
-        base: dict[str, float] | None = None,
+        faults: Sequence[dict[str, Any]] = (),
         scan_fault: ScanFault = lambda scan: scan,
-        command_fault: CommandFault = lambda commands: commands,
-        odometry_scale: float = 1.0,
         odometry_burst: float = 0.0,
         has_watchdog: bool = True,
         has_button: bool = True,
@@ -97,8 +95,8 @@ class Bench:
         charges: Mapping[str, float] | None = None,
     ) -> None:
         self.platform = platform
-        self.scan_fault, self.command_fault = scan_fault, command_fault
-        self.has_watchdog, self.odometry_scale, self.reading = has_watchdog, odometry_scale, reading
+        self.scan_fault = scan_fault
+        self.has_watchdog, self.reading = has_watchdog, reading
         self.charges = charges or {}
         self.has_button, self.is_pressed = has_button, False
         self.odometry_burst = odometry_burst  # s between two deliveries; 0: at once
@@ -111,8 +109,9 @@ class Bench:
                 "start": {"layout": "row"},
             }
         )
-        given = replace(platform, body={**platform.body, **(base or {})})
-        self.sim = Lockstep(replace(scenario, robots={"r": given}), 3)
+        self.sim = Lockstep(replace(scenario, robots={"r": platform}), 3)
+        for fault in faults:
+            self.sim.world.change_fault(fault_of(fault, "bench"), [0], is_on=True)
         self.inputs: list[tuple[Any, float]] = []
         self.decisions: list[TimedDecision] = []
         self.kept: dict[str, Samples] = {}
@@ -152,10 +151,10 @@ class Bench:
 
     def _wrap_world(self) -> None:
         world = self.sim.world
-        measure, obey = world.odometry, world.set_commands
+        measure, obey, send = world.odometry, world.set_commands, world._send
 
         def odometry(rows: Any = None) -> list[Odometry]:
-            readings = [self._scaled(one) for one in measure(rows)]
+            readings = measure(rows)
             if self.now < self.lost_until:
                 return self.last_odometry  # repeats, of which the robot takes none
             self.last_odometry = readings
@@ -172,18 +171,12 @@ class Bench:
                 given = np.zeros_like(commands)
             if is_lost and not self.has_watchdog:
                 return
-            obey(self.command_fault(given.copy()))
+            obey(given)
 
         world.odometry = odometry  # type: ignore[method-assign, assignment]
         world.set_commands = set_commands  # type: ignore[method-assign, assignment]
-
-    def _scaled(self, odometry: Odometry) -> Odometry:
-        pose, twist, scale = odometry.pose, odometry.twist, self.odometry_scale
-        return Odometry(
-            odometry.stamp,
-            replace_struct(pose, x=scale * pose.x, y=scale * pose.y),
-            replace_struct(twist, linear=scale * twist.linear),
-        )
+        # The hand is before the lidar, and so before its faults.
+        world._send = lambda row, scan: send(row, self._with_hand(scan))  # type: ignore[method-assign]
 
     def _wrap_shell(self) -> None:
         shell = self.shell
@@ -194,7 +187,7 @@ class Bench:
             if self.now < self.lost_until:
                 return
             if isinstance(input, ScanInput):
-                scan = self.scan_fault(self._with_hand(input.scan))
+                scan = self.scan_fault(input.scan)
                 if scan is None:
                     return
                 input = ScanInput(scan)

@@ -137,7 +137,7 @@ def test_a_box_that_is_pushed(push: float, coasts: bool, result: str, word: str)
     arena["boxes"][0] |= {"name": "box", "mass": 2.0}
     PushedBox.push = push
     known = {"B1": passed(""), "C2": passed("")}
-    fault = faults.coasts() if coasts else {}
+    fault = faults.faulty(base="weak_brakes", linear=0.05) if coasts else {}
     bench = PushedBox(BURGER, [STEPS["D11"]], arena=arena, verdicts=known, **fault).run()
     found = bench.verdicts["D11"]
     assert (found.result, word in found.reason) == (result, True), found

@@ -32,12 +32,7 @@ FEWER = {"C2": {"floor": 2.0, "repeats": 1}}
 """Parameters of a shorter calibration."""
 OUTSIDE = ("A1", "A2", "A3", "A4", "A5", "C8")
 """Steps that need a network, a machine or a person's file."""
-DEGREE_OF_MAST, MAST = 100, 0.05  # deg, m: at the left rim of the outline
-LOST = 0.08  # share of the scans
 TILT, TILT_HEIGHT = math.radians(5.0), 0.18  # rad, m: the floor is seen at 2.06 m
-DEAD_ZONE = 0.05  # m/s
-COASTS = 0.05  # m/s2
-STEP = 0.01  # s
 
 
 @dataclass(frozen=True)
@@ -53,10 +48,6 @@ class Row:
     make: Callable[[], dict[str, Any]] = dict
     also: tuple[str, ...] = ()
     is_alone: bool = False
-
-
-def mirrored(scan: Scan) -> Scan:
-    return replace(scan, ranges=np.roll(scan.ranges[::-1], 1))
 
 
 def turned(scan: Scan) -> Scan:
@@ -95,77 +86,35 @@ def joined() -> dict[str, Any]:
     return {"scan_fault": seen}
 
 
-def late_stamp(scan: Scan) -> Scan:
-    return replace(scan, stamp=scan.stamp - 3.0)
-
-
-def early_stamp(scan: Scan) -> Scan:
-    return replace(scan, stamp=scan.stamp + 3.0)
-
-
-def with_mast(scan: Scan) -> Scan:
-    ranges = scan.ranges.copy()
-    ranges[DEGREE_OF_MAST - 3 : DEGREE_OF_MAST + 3] = MAST
-    return replace(scan, ranges=ranges)
-
-
 def half_rate() -> dict[str, Any]:
     return {"scan_fault": lambda scan: None if scan.seq % 2 else scan}
 
 
-def losses() -> dict[str, Any]:
-    draws = np.random.default_rng(5)
-    return {"scan_fault": lambda scan: None if draws.random() < LOST else scan}
-
-
-def dead_zone(commands: Array) -> Array:
-    commands[np.abs(commands[:, 0]) < DEAD_ZONE, 0] = 0.0
-    return commands
-
-
-def memory_of_base(change: Callable[[float, float], float]) -> dict[str, Any]:
-    """A base whose speed follows from the command and from its speed before."""
-    speed = 0.0
-
-    def follow(commands: Array) -> Array:
-        nonlocal speed
-        speed = change(speed, float(commands[0, 0]))
-        commands[0, 0] = speed
-        return commands
-
-    return {"command_fault": follow}
-
-
-def ignores_zero() -> dict[str, Any]:
-    return memory_of_base(lambda speed, wanted: wanted or speed)
-
-
-def coasts() -> dict[str, Any]:
-    return memory_of_base(lambda speed, wanted: max(wanted, speed - STEP * COASTS))
+def faulty(**fault: Any) -> dict[str, Any]:
+    """A fault of the table in `sim/world/faults.py`."""
+    return {"faults": (fault,)}
 
 
 ROWS = {
-    "brakes 30 % weaker": Row(
-        "C3", "brakes", {"base": {"linear_acceleration": 0.7, "angular_acceleration": 2.1}}
-    ),
-    "command delay 200 ms": Row(
-        "C4", "later", {"realism": {"preset": "realistic", "actuation": {"delay": 0.2}}}
-    ),
-    "lidar mirrored": Row("A13", "mirrored", {"scan_fault": mirrored}, also=("A15",)),
-    "lidar turned": Row("A12", "turned by 90", {"scan_fault": turned}, also=("A13", "A14", "A15")),
-    "stamps 3 s old": Row("A8", "older", {"scan_fault": late_stamp}),
-    "stamps 3 s new": Row("A8", "newer", {"scan_fault": early_stamp}),
+    "brakes 30 % weaker": Row("C3", "brakes", faulty(base="weak_brakes", linear=0.7, angular=2.1)),
+    "command delay 200 ms": Row("C4", "later", faulty(base="late", seconds=0.17)),
+    "lidar mirrored": Row("A13", "mirrored", faulty(scan="mirrored"), also=("A15",)),
+    "lidar turned": Row("A12", "turned by 90", faulty(scan="turned"), also=("A13", "A14", "A15")),
+    "stamps 3 s old": Row("A8", "older", faulty(scan="stamps", seconds=-3.0)),
+    "stamps 3 s new": Row("A8", "newer", faulty(scan="stamps", seconds=3.0)),
     "scans at half rate": Row("A7", "rarely", make=half_rate),
-    "8 % of scans lost": Row("A7", "lost", make=losses),
+    "8 % of scans lost": Row("A7", "lost", faulty(scan="lost", share=0.08)),
     "two lidars on one topic": Row("A7", "two sensors", {"scan_fault": of_two}),
     "odometry in bursts": Row("A10", "bursts", {"odometry_burst": 0.5}),
-    "own mast in the scan": Row("A9", "inside", {"scan_fault": with_mast}),
-    "odometry scale 10 % off": Row("C6", "scale", {"odometry_scale": 1.1}, also=("C5",)),
+    "own mast in the scan": Row("A9", "inside", faulty(scan="mast")),
+    "odometry scale 10 % off": Row(
+        "C6", "scale", faulty(odometry="scale", factor=1.1), also=("C5",)
+    ),
     "watchdog off": Row("B7", "drove on", {"has_watchdog": False}, also=("B8",)),
     "stop button without effect": Row("B9", "button", {"has_button": False}, is_alone=True),
-    "base that ignores zero": Row("B1", "ignores zero", make=ignores_zero),
-    "base that coasts": Row("B1", "coasts", make=coasts),
-    "dead zone": Row("C1", "dead zone", {"command_fault": dead_zone}),
+    "base that ignores zero": Row("B1", "ignores zero", faulty(base="ignores_zero")),
+    "base that coasts": Row("B1", "coasts", faulty(base="coasts", deceleration=0.05)),
+    "dead zone": Row("C1", "dead zone", faulty(base="dead_zone", speed=0.05)),
     "lidar tilted ahead": Row(
         "C9", "tilted", {"scan_fault": tilted(0.0), "arena": HALL}, is_alone=True
     ),

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import pytest
 
 from swarmd.core.verbs import VERBS, AnyRequest, Handler, Request, Verb
+from swarmd.daemon.incidents import IncidentService
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
 from swarmd.daemon.recorder import RecordingService
 from swarmd.daemon.requests import RequestServer, Services
@@ -23,6 +24,7 @@ SERVICES = {
     Handler.PUSHED: PatternPull,
     Handler.TOOLS: FieldTools,
     Handler.RECORDING: RecordingService,
+    Handler.INCIDENTS: IncidentService,
     Handler.ROSTERS: RosterService,
 }
 
@@ -66,9 +68,14 @@ def test_only_stops_need_no_epoch_of_the_robot() -> None:
     assert {row.name for row in VERBS.values() if row.is_datagram} == {"stop", "estop"}
 
 
-def test_viewers_may_ask_questions_alone_but_not_for_the_audit_log() -> None:
+def test_viewers_may_ask_questions_alone_but_not_for_the_audit_log_or_the_file_of_an_incident() -> (
+    None
+):
     asked = {row.name for row in VERBS.values() if row.is_for_viewers}
-    assert asked == {row.name for row in VERBS.values() if not row.is_request} - {"audit"}
+    assert asked == {row.name for row in VERBS.values() if not row.is_request} - {
+        "audit",
+        "incident",
+    }
 
 
 def test_each_verb_of_the_command_line_is_a_command_of_its_name() -> None:

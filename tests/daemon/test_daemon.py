@@ -8,6 +8,7 @@ import errno
 import logging
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -47,6 +48,7 @@ from swarmd.network.peer import PeerActions, Summary
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
+from swarmd.settings.swarmfile import BlackboxSection
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.viewer import Viewer
 
@@ -80,7 +82,12 @@ class RecordingDriver:
 
 @pytest.fixture
 def settings(tmp_path: Path) -> DaemonSettings:
-    values = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path)}
+    values: dict[str, object] = {
+        "id": "tb3-01",
+        "swarm": unique_swarm(),
+        "state_dir": str(tmp_path),
+    }
+    values["blackbox"] = {"seconds": 0}  # these tests replace parts of the robot, which it keeps
     return load_daemon_settings(None, values)
 
 
@@ -218,17 +225,6 @@ async def test_a_stop_waits_for_no_odometry(
 ) -> None:
     taken = await inputs_of(settings, monkeypatch, lambda daemon: daemon.step(input))
     assert [kind for kind, _ in taken] == [type(input)]
-
-
-async def test_a_recording_begins_with_odometry_that_is_no_longer_gathered(
-    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def begin(daemon: Daemon) -> None:
-        daemon._head()
-        daemon.step(LeaveInput())
-
-    taken = await inputs_of(settings, monkeypatch, begin)
-    assert [kind for kind, _ in taken] == [OdometryInput, LeaveInput]
 
 
 async def test_every_second_tick_looks_at_the_network_and_each_tick_after_an_event(
@@ -570,3 +566,27 @@ async def test_a_daemon_stopped_while_joining_never_serves(tmp_path: Path) -> No
     await run(daemon, stop, stop.set)
     assert not daemon._network.owns_id
     assert all(twist.is_zero for twist in driver.sent)
+
+
+async def test_the_black_box_keeps_what_a_robot_without_scans_does(
+    settings: DaemonSettings, tmp_path: Path
+) -> None:
+    section = BlackboxSection(folder=str(tmp_path / "memory"))
+    daemon = Daemon(dataclasses.replace(settings, blackbox=section), RecordingDriver())
+    stop = asyncio.Event()
+
+    async def wait() -> None:
+        ring = daemon._recorder.ring
+        assert ring is not None
+        with suppress(TimeoutError):
+            async with asyncio.timeout(10.0):
+                while ring.begin is None:
+                    await asyncio.sleep(0.01)
+        kept.append(ring.begin)
+        stop.set()
+
+    kept: list[float | None] = []
+    tasks: list[asyncio.Task[None]] = []
+    await run(daemon, stop, lambda: tasks.append(asyncio.ensure_future(wait())))
+    await tasks[0]
+    assert kept[0] is not None

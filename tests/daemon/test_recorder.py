@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +31,12 @@ from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages, process
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.recording.ring import Ring
 from swarmd.robot.setup import RobotIdentity, RobotSetup
 from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import RecordingSection
+from tests.support.recorded_stories import Story
 
 pytestmark = pytest.mark.integration
 
@@ -328,3 +331,16 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_was_written(tmp_path: Pat
     assert events[-1].startswith("recording ends: ")
     assert events[-1].endswith(": No space left on device")
     assert has_kept == "True"
+
+
+def test_a_segment_of_the_ring_has_the_wall_clock_of_its_begin(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    with closing(asyncio.new_event_loop()) as loop:
+        recorder = Recorder(loop, print)
+    recorder.ring = Ring(tmp_path / "r", {}, capacity=1 << 20, seconds=60.0, boot=1.0, wall=2.0)
+    before = time.time() - boottime()  # set by NTP after the start of the daemon
+    recorder.remember(story.robot.robot, 5.0, 1.0)
+    left = recorder.ring.left()
+    recorder.ring.close()
+    assert left.frames
+    assert left.wall - left.boot == pytest.approx(before, abs=60.0)

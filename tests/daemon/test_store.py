@@ -79,8 +79,9 @@ def test_file_and_folder_are_synced_before_the_ack(
         lambda path: path.write_bytes(b"\x01\x93 not a latch record"),
         lambda path: path.write_bytes(b""),
         lambda path: path.mkdir(),
+        os.mkfifo,  # to open it would wait for a writer
     ],
-    ids=["rubbish", "empty", "folder"],
+    ids=["rubbish", "empty", "folder", "pipe"],
 )
 def test_unreadable_file_latches(tmp_path: Path, harm: Callable[[Path], object]) -> None:
     file = LatchFile(tmp_path)

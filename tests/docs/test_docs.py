@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import math
 import re
 import runpy
 import shlex
@@ -286,6 +287,63 @@ def test_metrics_and_requirements_exist() -> None:
             if not is_file:
                 wrong.append(f"{name_of(page)}: {name}")
     assert wrong == []
+
+
+def seeds_that_decide(text: str) -> int:
+    """The least number of seeds with which `exp check --sure` can find a requirement met.
+
+    By hand: Wilson's interval of n of n runs begins at n / (n + z^2), with z^2 = 3.8415. Other
+    means and medians need the 10 runs of docs/experiments.md.
+    """
+    one = parse_requirement(text)
+    if one.metric == RUNS or one.statistic in ("min", "max"):
+        return 1
+    if one.metric in METRICS and METRICS[one.metric].unit == "0 or 1":
+        share = one.value if one.comparison in (">=", ">") else 1.0 - one.value
+        return math.ceil(3.8415 * share / (1.0 - share))
+    return 10
+
+
+def test_a_page_says_how_many_seeds_its_requirements_take() -> None:
+    """Of runs that are too few for a sure answer; `class check` may make fewer than the page."""
+    runs = [(page, words) for page, words in commands_of_pages("swarmctl")
+            if words[:2] == ["exp", "run"] and "--out" in words]  # fmt: skip
+    made = {
+        words[words.index("--out") + 1]: int(words[words.index("--seeds") + 1])
+        for _, words in runs
+        if "--seeds" in words
+    }
+    lessons = {place.partition(":")[0]: lesson.seeds for lesson in load_lessons().values()
+               if lesson.pattern for place in lesson.targets}  # fmt: skip
+    too_few, wrong = set(), []
+    for page, words in commands_of_pages("swarmctl"):
+        if words[:2] != ["exp", "check"]:
+            continue
+        folder = words[2].partition(":")[0]
+        seeds = min(made.get(folder, 20), lessons.get(folder, 20))
+        text = " ".join(text_of(page).split())
+        for needed in map(seeds_that_decide, words[3:]):
+            if needed > seeds:
+                too_few.add((name_of(page), needed))
+                if "--sure" not in text or f"{needed} seeds" not in text:
+                    wrong.append(f"{name_of(page)}: {folder} of {seeds} seeds takes {needed} seeds")
+    assert ("experiments.md", 35) in {(name.rpartition("/")[2], n) for name, n in too_few}
+    assert wrong == []
+
+
+def test_the_tables_of_outcomes_have_what_their_number_of_runs_can_show() -> None:
+    """Beside a wanted bound: the lower end of Wilson's interval of n of n runs, n / (n + z^2)."""
+    runs = set[int]()
+    for page in ROOT.glob("patterns/*/page.md"):
+        for table in re.findall(r"^\| what \| wanted \|.*\n(?:\|.*\n)*", page.read_text(), re.M):
+            rows = [[cell.strip() for cell in line.split("|")] for line in table.splitlines()]
+            column = rows[0].index("runs") if "runs" in rows[0] else 0
+            runs |= {int(row[column]) for row in rows if row[column].isdecimal()}
+    text = " ".join((ROOT / "patterns/README.md").read_text().split())
+    assert {20, 40} <= runs
+    for n in runs - set(range(20)):  # a page with fewer says so in its first line
+        assert re.search(rf"\b{100 * n / (n + 3.8415):.0f} %[^;]* after {n}\b", text), n
+    assert f"90 % [takes {math.ceil(3.8415 * 0.9 / 0.1)} runs]" in text
 
 
 def test_members_of_classes_that_a_page_names_exist() -> None:

@@ -22,7 +22,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from tests.histories.invariants import HEAL_TIME, BrokenRuleError, Invariants, no_exception
+from tests.histories.invariants import (
+    HEAL_TIME,
+    TELL_TIME,
+    BrokenRuleError,
+    Invariants,
+    no_exception,
+)
 from tests.histories.operators import Command, VirtualOperator
 from tests.histories.swarm import DELAY, DISK_TIME, JOIN_TICK, Disk, VirtualDaemon, VirtualSwarm
 
@@ -90,6 +96,12 @@ class History:
             self.await_commands()
             self.swarm.advance(HEAL_TIME)
         self.judge.check_healed()
+        unheard = self.judge.unheard()
+        with no_exception():
+            self.swarm.until(
+                lambda: all(one.black_box.has_file(told.id) for one, told in unheard), TELL_TIME
+            )
+        self.judge.check_incidents(unheard)
 
     def await_commands(self) -> None:
         """Wait until no command is under way."""
@@ -134,6 +146,10 @@ class History:
 
     def label(self, by: str, targets: tuple[str, ...] = (), labels: tuple[str, ...] = ()) -> None:
         self._begin(by, "label", lambda one: one.label(targets, labels))
+
+    def incident(self, by: str, targets: tuple[str, ...] = ()) -> None:
+        """An operator marks that something has happened to these robots."""
+        self._begin(by, "mark", lambda one: one.mark(targets))
 
     def push(self, by: str, pattern: str = "pushed", targets: tuple[str, ...] = ()) -> None:
         self._begin(by, "push", lambda one: one.push(pattern, targets))
@@ -256,9 +272,13 @@ def replay(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> History:
     """Let a history happen. BrokenRuleError if it breaks a rule."""
     is_fenced = any(one.name == "freeze_pose" for one in steps)
     history = History(count, seed, is_fenced=is_fenced)
-    for one in steps:
-        history.carry_out(one)
-    history.end()
+    try:
+        for one in steps:
+            history.carry_out(one)
+        history.end()
+    except BaseException:
+        history.swarm.close()
+        raise
     return history
 
 
@@ -552,6 +572,7 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_program_stop, 2.0),
     (_put, 0.7),
     (_command("reset"), 3.0),
+    (_command("incident"), 1.5),
     (_command("resume"), 1.0),
     (_goal, 0.5),
     (_undo, 0.7),
@@ -591,7 +612,7 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
 def fault_of(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> BrokenRuleError | None:
     """The rule that a history breaks; None if all hold."""
     try:
-        replay(count, steps, seed)
+        replay(count, steps, seed).swarm.close()
     except BrokenRuleError as error:
         return error
     return None

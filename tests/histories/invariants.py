@@ -33,6 +33,13 @@ leave open:
   channel within a second than the limits allow.
 - `still_pose`: at most STANDING_WAY by one request of an operator, in one life of the daemon.
 - `lost_base`: after a loss of more than LOSS_TIME only a run that began after it moves the robot.
+- `unmoved`: the state, the epoch, latches, goal and pattern of the robot and its command are the
+  same before and after its black box has worked.
+- `heard`: judged on the incidents of the last WINDOW s that a robot tells when all is healed,
+  unless six of the same origin came before.
+- `few`: the death of the own daemon may follow an incident at once.
+- `death`: the minute before the death is in the file. Judged if the daemon had worked for a second,
+  and if the next one works long enough to write it.
 
 The time that a stop is on its way adds nothing to its age: no clocks are compared. So it may seem
 later than it was, by the delay of each of its hops, and never earlier: in doubt it acts. So does
@@ -49,6 +56,7 @@ ready.
 from __future__ import annotations
 
 import logging
+import math
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -57,6 +65,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import CoreFault
 from swarmd.core.goal import Goal, GoalState
+from swarmd.core.incident import Incident, IncidentKind
 from swarmd.core.message_limits import CHANNEL_BURST, CHANNEL_RATE
 from swarmd.core.messages import Code, Reason, Reply, State
 from swarmd.core.verbs import (
@@ -74,6 +83,7 @@ from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_relay import LIFETIME
 
 if TYPE_CHECKING:  # the sequences of one robot need no network
+    from tests.histories.black_box import Death
     from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
 
 AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
@@ -85,6 +95,10 @@ ROUNDING = 0.005  # s: a stop counts its age in ms, rounded by each robot that h
 LOSS_TIME = 3.5  # s: a hold ends a run after 2 s, and the daemon may stall for 1 s meanwhile
 HISTORIES = 10_200
 """Random histories: 100 in `make test`, the others in `make evidence`."""
+TELL_TIME = 50.0  # s: a pull over a cut link takes 20 s, the next one may wait 10 s, a file 10 s
+WINDOW = 50.0  # s: a robot takes an incident that is up to 100 s old
+INCIDENT_GAP, INCIDENTS_AN_HOUR, INCIDENT_FILES = 10.0, 6, 20
+RING_LAG = 0.4  # s between the last entry of a ring and a death, at most: a tick at rest
 MAX_SENT = 300  # datagrams of one robot within a second
 
 
@@ -133,10 +147,21 @@ class Invariants:
         self._robots: dict[str, _Memory] = {}
         self._issued = swarm.issued
         self._taken: dict[tuple[str, int, str], list[float]] = {}
+        # By robot and origin, then by id: the life and s in which it was taken, and s of it.
+        self._incidents: dict[tuple[str, str, str], dict[str, tuple[int, float, float]]] = {}
+        self._latches: set[str] = set()  # all that were held
+        self._deaths: dict[str, Death] = {}  # by robot, the last one
+        self._died_at: dict[str, float] = {}
+        # By robot, life and goal: the latest stop of all that each of its givers has obeyed.
+        self._given: dict[tuple[str, int, str], float] = {}
+        # By robot, instance and revision: the ids that peers gave, and when.
+        self._silent: dict[tuple[str, str, int], list[tuple[str, float]]] = {}
 
     def forget(self, robot: str) -> None:
         """A robot has lost its disk."""
         self._robots.pop(robot, None)
+        for key in [key for key in self._incidents if key[0] == robot]:
+            del self._incidents[key]
 
     def forget_stops(self, robot: str) -> None:
         """A robot has ended before what it obeyed was on its disk."""
@@ -293,11 +318,121 @@ class Invariants:
             )
 
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
-        """The rule `old_goal`: what the robot that hands a goal on has obeyed."""
-        giver = self._robots.get(source)
-        self._given = found.goal.id, -1.0 if giver is None else giver.stopped_all
+        """The rule `old_goal`: what those that hand a goal on have obeyed, the least of them."""
+        giver, given = self._robots.get(source), (daemon.name, daemon.lives, found.goal.id)
+        stopped_all = -1.0 if giver is None else giver.stopped_all
+        self._given[given] = min(stopped_all, self._given.get(given, math.inf))
 
-    _given: tuple[str, float] = ("", -1.0)
+    # Incidents
+
+    def motion_of(self, daemon: VirtualDaemon) -> object:
+        """What moves a robot."""
+        robot = daemon.robot
+        held = frozenset(robot.latches)
+        return (
+            robot.state, robot.epoch, held, robot.goal, robot.running_generation, daemon.twist
+        )  # fmt: skip
+
+    def check_motion(self, daemon: VirtualDaemon, before: object) -> None:
+        """The rule `unmoved`."""
+        if before != (after := self.motion_of(daemon)):
+            raise BrokenRuleError(
+                "unmoved", f"the black box of {daemon.name} changes {before} to {after}"
+            )
+
+    def on_incident(self, daemon: VirtualDaemon, incident: Incident, at: float) -> None:
+        """The rule `few`, in all lives that have the same disk."""
+        now, name, life = self._swarm.now, daemon.name, daemon.lives
+        is_silent = incident.kind == IncidentKind.SILENT and incident.by == name
+        is_death = is_silent and incident.robot == name
+        taken = self._incidents.setdefault((name, *_origin_of(incident)), {})
+        # A daemon knows of earlier lives when the incidents were, not when it heard of them. One
+        # that was killed within a tick may take the same incident again.
+        others = [times for id, times in taken.items() if id != incident.id]
+        last = max(
+            (heard if lived == life else began for lived, heard, began in others), default=-1
+        )
+        is_soon = not is_death and now - last < INCIDENT_GAP and last >= 0.0
+        count = sum(now - began < 3600.0 for _, _, began in others)
+        if is_soon or count >= INCIDENTS_AN_HOUR:
+            raise BrokenRuleError(
+                "few", f"{name} takes another incident of {incident.by} after {count}: {incident}"
+            )
+        taken[incident.id] = (life, at if is_death else now, at)
+        if is_silent and not is_death:
+            seen = daemon.peer.membership.lost_beacon(incident.robot)
+            assert seen is not None
+            key = incident.robot, seen.instance.hex(), seen.revision
+            self._silent.setdefault(key, []).append((incident.id, now))
+
+    def on_file(self, daemon: VirtualDaemon) -> None:
+        """The rule `few`: files."""
+        if (count := daemon.black_box.count()) > INCIDENT_FILES:
+            raise BrokenRuleError("few", f"{daemon.name} keeps {count} files of incidents")
+
+    def on_death(self, daemon: VirtualDaemon, death: Death | None) -> None:
+        """The rule `death`, of the death before the one that is noted now."""
+        self._check_death(daemon)
+        self._deaths.pop(daemon.name, None)
+        if death is None:
+            return
+        before, self._died_at[daemon.name] = self._died_at.get(daemon.name, -math.inf), death.at
+        # One of less than 10 s after another one begins none; the ring ends a tick before a death.
+        is_counted = death.last - before > INCIDENT_GAP + RING_LAG
+        if is_counted and self._swarm.now - daemon.black_box.began > 1.0:
+            self._deaths[daemon.name] = death
+
+    def _check_death(self, daemon: VirtualDaemon) -> None:
+        name, box, death = daemon.name, daemon.black_box, self._deaths.get(daemon.name)
+        if death is None or box.was_frozen or self._swarm.now < box.writes_at:
+            return
+        if len(self._incidents.get((name, name, "death"), ())) >= INCIDENTS_AN_HOUR:
+            return
+        found = [
+            id
+            for id, head in box.heads().items()
+            if head.incident.kind == IncidentKind.SILENT
+            and head.incident.robot == name
+            and head.at <= death.at
+            and death.last - 1.0 <= head.end
+        ]
+        if not found:
+            raise BrokenRuleError("death", f"{name} has no incident of {death}")
+        given = self._silent.get((name, death.instance, death.revision), ())
+        if not all(id in death.known for id, at in given if at < death.last):
+            return  # it does not know of an earlier silence
+        for id, at in given:
+            if at >= death.last and id not in (*found, *death.known):
+                raise BrokenRuleError("death", f"{name} keeps {death} as {found}, a peer as {id}")
+
+    def unheard(self) -> list[tuple[VirtualDaemon, Incident]]:
+        """The incidents that robots tell and others do not keep, which were up then."""
+        now = self._swarm.now
+        alive = [one for one in self._swarm.robots.values() if one.is_up]
+        told = [both for one in alive for both in one.black_box.service.told]
+        return [
+            (one, incident)
+            for one in alive
+            for incident, at in told
+            if max(now - WINDOW, one.black_box.began + 1.0) < at
+            and not one.black_box.has_file(incident.id)
+            and len(self._incidents.get((one.name, *_origin_of(incident)), ())) < INCIDENTS_AN_HOUR
+        ]
+
+    def check_incidents(self, unheard: list[tuple[VirtualDaemon, Incident]]) -> None:
+        """Rules `heard` and `death`; `unheard`: TELL_TIME ago, when all was healed."""
+        estops = set()
+        for one in self._swarm.robots.values():
+            self._check_death(one)
+            heads = one.black_box.heads().items()
+            estops |= {id for id, head in heads if head.incident.kind == IncidentKind.ESTOP}
+        for one, incident in unheard:
+            if not one.black_box.has_file(incident.id):
+                raise BrokenRuleError("heard", f"{one.name} does not keep {incident}")
+        if len(estops) > len(self._latches):
+            raise BrokenRuleError(
+                "heard", f"{len(self._latches)} emergency stops have {len(estops)} ids"
+            )
 
     # Rules
 
@@ -340,8 +475,8 @@ class Invariants:
                     f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
                     f" {what} that it obeyed",
                 )
-        given, stopped_all = self._given
-        if given == goal.id and issued < stopped_all - AGE_SHIFT:
+        stopped_all = self._given.get((name, daemon.lives, goal.id), -1.0)
+        if issued < stopped_all - AGE_SHIFT:
             raise BrokenRuleError(
                 "old_goal",
                 f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
@@ -449,6 +584,7 @@ class Invariants:
             raise BrokenRuleError(
                 "latch", f"{daemon.name} holds {sorted(back)} again, which were reset"
             )
+        self._latches |= held
         for id in new:
             issued = self._issued.get(id, self._swarm.now)
             known.stopped = max(known.stopped, issued)
@@ -509,6 +645,15 @@ class Invariants:
             known.was_running, known.runs, known.goal = False, None, None
             known.order = (None, None)
         return known
+
+
+def _origin_of(incident: Incident) -> tuple[str, str]:
+    """The robot that begins it, and what it counts among."""
+    if incident.kind == IncidentKind.MARK:
+        return incident.by, "mark"
+    if incident.robot != incident.by:
+        return incident.by, "peers"
+    return incident.by, "death" if incident.kind == IncidentKind.SILENT else ""
 
 
 class _Errors(logging.Handler):
@@ -649,6 +794,29 @@ _ROWS = (
         "A pose that stands still moves no fenced robot farther than 25 cm in one life of its"
         " daemon.",
         (Invariants.on_twist,),
+    ),
+    Rule(
+        "unmoved",
+        "An incident, marked or told by a peer, changes no state, command or goal of a robot.",
+        (Invariants.check_motion,),
+    ),
+    Rule(
+        "heard",
+        "Within 50 s after all is healed each robot that was up keeps what others tell of the 50 s"
+        " before, under one id; an emergency stop has one id on all robots.",
+        (Invariants.check_incidents,),
+    ),
+    Rule(
+        "few",
+        "A robot takes at most one incident of an origin in 10 s and six an hour, of itself, its"
+        " deaths, lost peers and marks, and keeps at most 20 files.",
+        (Invariants.on_incident, Invariants.on_file),
+    ),
+    Rule(
+        "death",
+        "A robot whose daemon was killed keeps an incident of that after its restart, under the id"
+        " that its peers gave it.",
+        (Invariants._check_death,),
     ),
 )
 RULES: Mapping[str, Rule] = {rule.name: rule for rule in _ROWS}

@@ -24,6 +24,7 @@ from swarmd.core.verbs import (
     AnyRequest,
     GoalRequest,
     LabelRequest,
+    MarkRequest,
     ResetRequest,
     ResumeRequest,
     RunRequest,
@@ -332,6 +333,13 @@ class VirtualOperator(Node):
         view = yield from self._look()
         names = _chosen(view, targets)
         return (yield from self._request(LabelRequest, view, names, typed, labels=labels))
+
+    def mark(self, targets: tuple[str, ...] = ()) -> Command:
+        """As `swarmctl incident mark`."""
+        typed = self.swarm.now
+        view = yield from self._look(needs_status=False)
+        names, id = _chosen(view, targets), self._new_id()
+        return (yield from self._request(MarkRequest, view, names, typed, words="hm", incident=id))
 
     def push(self, pattern: str, targets: tuple[str, ...] = ()) -> Command:
         """Reduced: the pieces arrive at once, and no reply is waited for."""

@@ -15,11 +15,14 @@ import heapq
 import itertools
 import math
 import random
+import shutil
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Any, Protocol
 from unittest.mock import Mock
 
@@ -60,9 +63,11 @@ from swarmd.core.host_messages import (
     Stepped,
     TrialDone,
 )
+from swarmd.core.incident import Incident
 from swarmd.core.kernels import load_kernel
 from swarmd.core.keys import MESSAGE, build
 from swarmd.core.messages import Code, PeerView, Refusal, Reply
+from swarmd.core.record import RecordKind
 from swarmd.core.values import (
     ZERO,
     Array,
@@ -76,6 +81,7 @@ from swarmd.core.values import (
 )
 from swarmd.core.verbs import (
     ForgetRequest,
+    MarkRequest,
     PushRequest,
     RecordRequest,
     ReloadRequest,
@@ -94,6 +100,7 @@ from swarmd.network.signature import Author
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_freshness import REPLAYED
 from swarmd.protection.fence.fence_settings import FenceSettings
+from swarmd.recording.ring import Ring
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
@@ -101,6 +108,7 @@ from swarmd.robot.setup import EarlierLives, RobotSetup
 from swarmd.security.roster import Role
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
+from tests.histories.black_box import BlackBox, Death, memory_folder
 from tests.support.fake_services import fake_services
 
 STEERING = load_kernel("swarmd.steering.steering").Steering
@@ -119,6 +127,10 @@ PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pus
 SPEEDS = {"drive": 0.1, "circle": 0.05}
 ROSTER = ("r1", "r2", "r3", "r4", "r5", "r6", "r7")
 NO_DATA = np.full(8, np.inf)
+
+
+_OF_SERVICES = ForgetRequest | RecordRequest | MarkRequest | RosterRequest | PushRequest
+"""The requests that the robot itself does not answer."""
 
 
 class Disturbance(Protocol):
@@ -157,6 +169,21 @@ class Judge(Protocol):
 
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
         """A robot is about to be handed the goal of a peer."""
+
+    def motion_of(self, daemon: VirtualDaemon) -> object:
+        """What moves a robot, before its black box works."""
+
+    def check_motion(self, daemon: VirtualDaemon, before: object) -> None:
+        """The black box of a robot has worked."""
+
+    def on_incident(self, daemon: VirtualDaemon, incident: Incident, at: float) -> None:
+        """A robot begins to keep an incident, which was at `at` s."""
+
+    def on_file(self, daemon: VirtualDaemon) -> None:
+        """A robot has written the file of an incident."""
+
+    def on_death(self, daemon: VirtualDaemon, death: Death | None) -> None:
+        """A daemon has ended; `death`: if it was killed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +284,9 @@ class VirtualSwarm:
         self._by_address: dict[Address, Node] = {}
         self._events: list[tuple[float, int, Callable[[], object]]] = []
         self._order = itertools.count()
+        self.chance_of_ids = random.Random(f"incidents {seed}")
+        self.folder, self.rings = memory_folder(), set[Ring]()
+        self.close = weakref.finalize(self, _remove, self.folder, self.rings)
 
     def add(self, node: Node) -> None:
         """A robot or an operator comes; its address is that of its name for good."""
@@ -348,6 +378,13 @@ class VirtualSwarm:
         if self.disturbance is not None:
             return self.disturbance.arrivals(sender, receiver, what)
         return (0.0, *copies)
+
+
+def _remove(folder: Path, rings: set[Ring]) -> None:
+    """Close the open rings of a swarm, and remove its folder."""
+    for ring in rings:
+        ring.close()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 class Node:
@@ -466,18 +503,20 @@ class VirtualDaemon(Node):
             StrictDrops(),
             takes_messages=True,
         )
+        self.black_box = BlackBox(self, keeps_files=disk is None)
         audit = Audit(
-            lambda line: self._step(NoteInput(line)),
+            self.note,
             wall=lambda: self.swarm.wall + self.wall,
         )
         self.server = RequestServer(
             self.name,
             self._on_request,
             audit,
-            fake_services(),
+            replace(fake_services(), incidents=self.black_box.service),
             drops=StrictDrops(),
             is_secured=swarm.is_secured,
         )
+        self.black_box.open()
         self._observe()
         self._tick_at(now)
 
@@ -489,8 +528,10 @@ class VirtualDaemon(Node):
 
     def kill(self) -> None:
         """The daemon ends at once: what is not on the disk is lost."""
-        if self._unwritten is not None and self.swarm.judge is not None:
-            self.swarm.judge.forget_stops(self.name)
+        if self.swarm.judge is not None:
+            if self._unwritten is not None:
+                self.swarm.judge.forget_stops(self.name)
+            self.swarm.judge.on_death(self, self.black_box.die())
         self._unwritten = None
         self.is_up = self.is_frozen = False
         self.twist = ZERO
@@ -503,11 +544,13 @@ class VirtualDaemon(Node):
         if self._unwritten is not None:
             self._store(replace(self.disk, goals=self._unwritten))
             self._unwritten = None
+        self.black_box.close()
         self.kill()
 
     def freeze(self, seconds: float = math.inf) -> None:
         """The daemon stalls; what is sent to it waits in its sockets, and its base stands."""
         self.is_frozen = True
+        self.black_box.frozen_at = self.swarm.now
         self.twist = ZERO
         if seconds < math.inf:
             life = self.lives
@@ -646,6 +689,8 @@ class VirtualDaemon(Node):
             )
             self._send(ack, sender)
         self._apply(effects, source)
+        if effects.beacon is not None:
+            self.black_box.on_beacon(effects.beacon, source)
         self._tick_soon()
 
     def _on_request(self, request: Request) -> None:
@@ -681,6 +726,9 @@ class VirtualDaemon(Node):
             self.event = found
             self._step(GoalInput(found.goal, found.age, may_join=found.may_join))
             self.event = None
+        for robot in effects.changed:
+            if (lost := self.peer.membership.lost_beacon(robot)) is not None:
+                self.black_box.on_lost(lost)
         for lease in effects.leases:
             self._step(LeaseInput(lease.id, lease.count))
         if effects.duplicate:
@@ -698,6 +746,7 @@ class VirtualDaemon(Node):
             robot.epoch.revision,
             robot.latches,
             robot.goal,
+            pulled={RecordKind.INCIDENT: self.black_box.digest},
             wished=robot.wished,
             reset_at=robot.reset_at,
             cleared=robot.cleared,
@@ -766,9 +815,15 @@ class VirtualDaemon(Node):
 
     def _step(self, input: Input) -> None:
         """As `Daemon.step`."""
-        actions = self.robot.step(input, self.swarm.now)
+        now = self.swarm.now
+        actions = self.black_box.recorder.step(self.robot, input, now)
         if actions is not None:
             self._carry_out(actions)
+        self.black_box.step(input, now)
+
+    def note(self, line: str) -> None:
+        """A line for the log of the robot."""
+        self._step(NoteInput(line))
 
     def _carry_out(self, actions: Actions) -> None:
         """As `Daemon._carry_out`."""
@@ -792,9 +847,7 @@ class VirtualDaemon(Node):
         for reply in actions.replies:
             if self.swarm.judge is not None:
                 pending = self.server._pending.get(reply.id)
-                if pending is not None and not isinstance(
-                    pending.request, ForgetRequest | RecordRequest | RosterRequest | PushRequest
-                ):
+                if pending is not None and not isinstance(pending.request, _OF_SERVICES):
                     self.swarm.judge.on_reply(self, pending.request, reply)
             robot = self.robot
             if self._unwritten is None or robot.is_running or robot.latches:

@@ -63,3 +63,9 @@ def test_a_clock_of_1970_has_links_and_one_beyond_the_certificates_stops_alone(
     assert estop["applied"] == list(ROBOTS), estop
     for robot in ("r01", "r02"):
         swarm.daemons[robot].kill()
+
+
+def test_each_robot_keeps_an_incident_that_another_one_has_signed(swarm: FieldSwarm) -> None:
+    prepare(swarm, "idle")
+    assert swarm.ctl(NEAR, "incident", "mark", "it shook", "r01").code == 0
+    wait_until(lambda: swarm.keepers(NEAR, "it shook") == set(ROBOTS), "all keep it")

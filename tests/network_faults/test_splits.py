@@ -134,3 +134,13 @@ def test_answers_are_true_while_the_radio_flaps(swarm: FieldSwarm, seconds: floa
     swarm.field.heal()
     swarm.await_states(NEAR, "estopped")
     check_all_alive(swarm)
+
+
+def test_an_incident_of_one_side_is_kept_by_all_once_a_split_heals(swarm: FieldSwarm) -> None:
+    """The right side keeps its own last minute of it, although it hears of it later."""
+    prepare(swarm, "idle")
+    swarm.field.set_between(LEFT, RIGHT, is_cut=True)
+    assert swarm.ctl(NEAR, "incident", "mark", "it shook", "r01").code == 0
+    wait_until(lambda: swarm.keepers(NEAR, "it shook") == set(LEFT), "the left side keeps it")
+    swarm.field.heal()
+    wait_until(lambda: swarm.keepers(NEAR, "it shook") == set(ROBOTS), "all keep it")

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.events import TICK_INPUT, Input, OdometryInput
+from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Odometry, Pose
 from swarmd.recording import frames, messages
 from swarmd.recording.inputs import INPUT, InputReader
@@ -33,6 +34,8 @@ INSTANTS = st.builds(lambda reading, waited: max(reading - waited, 0.0), READING
 
 class Listener:
     """In place of a robot: keeps the instants of its inputs."""
+
+    state = State.IDLE
 
     def __init__(self) -> None:
         self.instants: list[float] = []

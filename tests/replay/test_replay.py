@@ -12,21 +12,31 @@ import pytest
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.events import CodeInput, HazardsInput, PoseInput, ReadingsInput
+from swarmd.core.events import (
+    CodeInput,
+    HazardsInput,
+    Input,
+    OdometryInput,
+    PoseInput,
+    ReadingsInput,
+)
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.low_battery import LowBatterySettings
-from swarmd.core.messages import State
+from swarmd.core.messages import LimitingObstacle, State
 from swarmd.core.values import Pose, SharedPose, Twist
 from swarmd.mission.mission import mission_class
 from swarmd.pattern_host.loader import PatternLoader
+from swarmd.protection.decision import Decision
 from swarmd.protection.fence.fence_settings import FenceSettings
-from swarmd.recording import frames
+from swarmd.recording import frames, messages
 from swarmd.recording.head import head_of
-from swarmd.recording.inputs import GEOMETRY
+from swarmd.recording.inputs import GEOMETRY, InputReader
 from swarmd.recording.reader import RecordedFile, read_file
-from swarmd.replay.replay import Compared, Parity, recordings_of, total
+from swarmd.replay.replay import Compared, Parity, decision_text, recordings_of, total
+from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
 from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story, repeat, rewritten
 
 
@@ -52,6 +62,31 @@ def test_a_change_of_pattern_parameters_and_an_estop_are_repeated(tmp_path: Path
     story.robot.advance(0.5)
     story.run("drive", speed=0.15)
     assert_equal(story.replayed(), 300)
+
+
+def test_inputs_that_the_robot_got_with_an_earlier_time_are_repeated_in_their_order(
+    tmp_path: Path,
+) -> None:
+    story = Story(tmp_path)
+    taken: list[float] = []
+
+    def take(robot: Robot, input: Input, now: float) -> Actions | None:
+        taken.append(now - 0.06 if type(input) is OdometryInput else now)
+        return story.recorder.step(robot, input, taken[-1])
+
+    story.robot._take = take
+    story.recorder.begin(story.robot)
+    taken.clear()
+    story.robot.advance(1.0)
+    story.run("drive", speed=0.1)
+    assert taken != sorted(taken)
+    file = story.recorder.finish()
+    times = [message.at for message in file.messages]
+    assert times == sorted(times)
+    reader = InputReader()
+    read = [timed.now for one in file.messages if (timed := reader.read(one)) is not None]
+    assert read[-len(taken) :] == taken
+    assert_equal(repeat([file], ORIGINS)[1], 60)
 
 
 def test_a_pattern_that_is_not_here_is_named_with_the_option_for_it(tmp_path: Path) -> None:
@@ -326,6 +361,14 @@ def test_a_recording_in_a_run_without_a_readable_memory_is_refused(tmp_path: Pat
         repeat([replace(found, messages=kept)], ORIGINS)
     with pytest.raises(ConfigError, match="begins in a run"):
         repeat([found], ORIGINS, story.robot.platform)
+    identity = head_of(found.about, "").identity
+    setup = structs.replace(identity.setup, version="0.0.7")
+    other = structs.replace(
+        head_of(found.about, ""), identity=structs.replace(identity, setup=setup)
+    )
+    about = {**found.about, **other.texts()}
+    with pytest.raises(ConfigError, match=r"version 0\.0\.7"):
+        repeat([replace(found, messages=kept, about=about)], ORIGINS)
 
 
 def test_a_recording_that_ends_with_its_memory_is_refused(tmp_path: Path) -> None:
@@ -454,3 +497,19 @@ def test_commands_are_compared_to_the_bit(replayed: Twist, recorded: Twist, is_e
     compared.add(replayed, recorded, 2.5)
     assert compared.is_equal is is_equal
     assert compared.first == (None if is_equal else 2.5)
+
+
+def test_the_line_of_a_decision_names_the_tightest_obstacle() -> None:
+    near = LimitingObstacle(math.radians(-30.0), 0.21, 0.05)
+    far = LimitingObstacle(math.radians(80.0), 0.9, 0.4)
+    decision = Decision(
+        "barrier", Twist(0.2), Twist(0.05, 0.1), None, True, (near, far), 0.21, 0.0, 7
+    )
+    entry = frames.DecisionEntry(1.0, "scan", "running", "protection", decision)
+    text = decision_text(messages.deserialize(*messages.decision_message(entry, 1.0)))
+    assert text.startswith("running protection, barrier active: 0.200 m/s 0.000 rad/s -> 0.050 m/s")
+    assert text.endswith("an obstacle at -30 deg, 0.21 m, cap 0.050 m/s")
+    held = structs.replace(entry, reason="scan_stale", decision=structs.replace(decision, rows=()))
+    text = decision_text(messages.deserialize(*messages.decision_message(held, 1.0)))
+    assert "scan_stale" in text
+    assert "obstacle" not in text

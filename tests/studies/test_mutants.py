@@ -17,7 +17,6 @@ from studies.mutants import (
     Mutant,
     drawn,
     files,
-    interval,
     mutate,
     mutated,
     of_commits,
@@ -109,11 +108,6 @@ def test_the_first_part_of_a_draw_is_the_draw_of_that_size() -> None:
     assert drawn(whole, 20, seed=1) == drawn(whole, 50, seed=1)[:20]
     assert drawn(whole, 20, seed=1) != drawn(whole, 20, seed=2)
     assert {*drawn(whole, 100, seed=1)} == {*whole}
-
-
-def test_the_interval_is_that_of_wilson() -> None:
-    """81 of 263, by Newcombe, Statistics in Medicine 17 (1998), table I."""
-    assert interval(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
 
 
 JUDGE = """

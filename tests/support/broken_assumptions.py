@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.lockstep import Lockstep
-from swarmd.sim.world.geometry import Indices
+from swarmd.sim.world.faults import fault_of
 
 
 def lose_rays(lab: Lockstep, share: float, half: float, seed: int) -> None:
@@ -39,20 +40,6 @@ def freeze_rays(lab: Lockstep, half: float) -> None:
     noise.measured = frozen  # type: ignore[method-assign]
 
 
-def scale_odometry(lab: Lockstep, share: float) -> None:
-    """Odometry shows this share of each way that the bases drive."""
-    odometers = lab.world._odometers
-    read, ways = odometers.read, np.array([share, share, 1.0])
-
-    def scaled(rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
-        poses, twists = read(rows, poses, twists)
-        return poses * ways, twists * ways[[0, 2, 1]]
-
-    odometers.read = scaled  # type: ignore[method-assign]
-
-
-def shift_ranges(lab: Lockstep, metres: float) -> None:
-    """All ranges are so much too long."""
-    noise = lab.world._noise
-    measured = noise.measured
-    noise.measured = lambda row, ranges: measured(row, ranges) + metres  # type: ignore[method-assign]
+def give_all(lab: Lockstep, **fault: Any) -> None:
+    """Give all robots a fault of the table, such as `scan="offset", offset=0.05`."""
+    lab.world.change_fault(fault_of(fault, "test"), range(len(lab.world.ids)), is_on=True)

@@ -120,6 +120,9 @@ class FakeDaemon:
     def on_members(self) -> None:
         """It has no neighbors."""
 
+    def on_lost(self, beacon: Beacon) -> None:
+        """It keeps no incidents."""
+
     def on_interface(self, change: InterfaceChange) -> None:
         """It has no run to end."""
 

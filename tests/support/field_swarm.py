@@ -189,6 +189,12 @@ class FieldSwarm:
         answer = self.ctl(host, "members", "-o", "json").json
         return {} if answer is None else {one["robot"]: one for one in answer["members"]}
 
+    def keepers(self, host: str, words: str) -> set[str]:
+        """The robots whose files of the incident with these words a host lists."""
+        listed = self.ctl(host, "incidents", "-o", "json").json or {"incidents": []}
+        found = [one for one in listed["incidents"] if words in one["text"]]
+        return {kept["robot"] for one in found for kept in one["kept"] if kept["size"]}
+
     def states(self, host: str) -> dict[str, str]:
         """The states of the robots that tell theirs to a host, such as `running`."""
         return {

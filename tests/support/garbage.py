@@ -65,7 +65,7 @@ TEXTS = (
     *("", "\0", "a\0.mcap", "../a.mcap", "/etc/passwd", ".mcap", "..", "a/b.mcap", "\\", "\n"),
     *("%s%n{0}", "\u202e\u2028", "a" * 63, "a" * 64, "x" * 500, "\U0001f41d" * 200, "r1", "r2"),
     *("drive", "flocking", "table", "versions", "start", "done", "nothing > 1e999", "0"),
-    *("speed", "label:red", "[", "[!a-", "lab", "file", "own", "own:Own", "1.0"),
+    *("speed", "label:red", "[", "[!a-", "lab", "file", "own", "own:Own", "1.0", "0123456789ab"),
 )
 WRONG: tuple[object, ...] = (
     *(None, True, -1, 0, 1.5, 2**63, 2**64 - 1, -(2**63), math.nan, math.inf, -math.inf),

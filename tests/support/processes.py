@@ -156,6 +156,8 @@ class DaemonProcess:
             "state_dir": str(folder / "state"),
             **(options or {}),
         }
+        black_box = Path(str(settings["state_dir"])).parent / "blackbox"
+        settings.setdefault("blackbox", {"folder": str(black_box)})  # it goes with the test
         if plugin_dir is not None:
             settings["plugin_dir"] = str(plugin_dir)
         config.write_text(yaml.safe_dump(settings))

@@ -11,7 +11,7 @@ import numpy as np
 from mcap.writer import Writer
 from msgspec import structs
 
-from swarmd.core.events import RangesInput
+from swarmd.core.events import Input, RangesInput
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan, Twist
@@ -29,6 +29,7 @@ from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.recording.writer import Channels
 from swarmd.replay.replay import Parity, prepare
 from swarmd.replay.swarm import repeat_together
+from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.settings.file_limits import FileLimits
@@ -49,14 +50,21 @@ class FileRecorder(Recorder):
         super().__init__(cast("object", None), lambda text: None)  # type: ignore[arg-type]
         self._folder = folder
         self._converter: Converter | None = None
+        self.entries: list[bytes] = []  # encoded, as the black box gets them
 
     @property
     def is_on(self) -> bool:
         return self._converter is not None
 
+    def step(self, robot: Robot, input: Input, now: float) -> Actions | None:
+        actions = super().step(robot, input, now)
+        self.settle(robot)
+        return actions
+
     def add(self, entry: frames.Entry) -> None:
         if self._converter is not None:
-            (copy,) = frames.decode_batch(frames.batch([frames.encode(entry)]))
+            self.entries.append(frames.encode(entry))
+            (copy,) = frames.decode_batch(frames.batch(self.entries[-1:]))
             self._converter.add(copy)
 
     def begin(self, robot: RobotHarness) -> None:
@@ -93,10 +101,11 @@ class Story:
         fence: FenceSettings | None = None,
         on_low_battery: LowBatterySettings | None = None,
         patterns: Mapping[str, type[Pattern[Any]]] = PATTERNS,
+        robot: str = "tb3-01",
     ) -> None:
         self.recorder = FileRecorder(folder)
         record = LatchRecord(held=dict(latches or {}))
-        make = partial(_made, has_ring=has_ring)
+        make = partial(_made, robot, has_ring=has_ring)
         self.provisional: set[int] = set()
         self.robot = RobotHarness(
             patterns=patterns,
@@ -129,8 +138,10 @@ class Story:
         return repeat([self.recorder.finish()], origins)[1]
 
 
-def _made(id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any) -> Robot:
-    return Robot(id, with_ring(platform) if has_ring else platform, *args, **kwargs)
+def _made(
+    name: str, id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any
+) -> Robot:
+    return Robot(name, with_ring(platform) if has_ring else platform, *args, **kwargs)
 
 
 def repeat(

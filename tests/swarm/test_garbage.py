@@ -28,7 +28,6 @@ from swarmd.core.goal import Goal
 from swarmd.core.keys import CONTROL, SHARED, build
 from swarmd.core.messages import Epoch, Presence, State
 from swarmd.core.pattern_manifest import Signed
-from swarmd.core.record import RecordKind
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.core.verbs import VERBS, AnyRequest, FetchQuery, MembersQuery
 from swarmd.daemon.daemon import Daemon
@@ -158,6 +157,7 @@ def request(verb: str) -> AnyRequest:
         "label": {"labels": ("red",)},
         "push": {"content": b"pattern"},
         "roster": {"roster": b"roster"},
+        "mark": {"words": "a chair fell", "incident": "0123456789ab"},
     }
     request: AnyRequest = VERBS[verb].asked(
         id="f00d",
@@ -499,7 +499,7 @@ def test_nothing_that_is_pulled_raises(handlers: Handlers) -> None:
     daemon = handlers.daemon
 
     async def take_table(blob: bytes) -> None:
-        await daemon._pulled[RecordKind.PATTERN]._check("r2", ("127.0.0.1", 9), blob)
+        await daemon._pattern_pull._check("r2", ("127.0.0.1", 9), blob)
 
     @settings(max_examples=examples(200))
     @given(hostile_message(SharedRoster).map(packed), st.lists(hostile_message(Signed)).map(packed))

@@ -18,16 +18,18 @@ from typing import TYPE_CHECKING, Any, cast
 import pytest
 
 import swarmd
+from swarmd.client.incidents import Incidents, gathered
 from swarmd.client.input_watch import MAX_GAP, TOO_LATE
 from swarmd.client.members import Description
 from swarmd.core.clock import boottime
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Code, Reply, State
-from swarmd.core.verbs import RunRequest
+from swarmd.core.verbs import IncidentsReply, KeptIncident, RunRequest
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.sim.cli.mcp import COMMANDS, Rehearsal, SwarmTools, make_server
+from tests.support.incidents import incident_of
 from tests.support.keys import SwarmKeys
 from tests.support.processes import CAP, stop_process, wait_until
 from tests.support.secured_swarm import SecuredSwarm
@@ -39,7 +41,10 @@ if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
 
 BOTH = ("r1", "r2")
-LOOKS = {"members", "describe", "goal", "events", "patterns", "pattern", "scenarios", "simulate"}
+LOOKS = {
+    *("members", "describe", "goal", "events", "incidents"),
+    *("patterns", "pattern", "scenarios", "simulate"),
+}
 
 
 async def called(client: Client, name: str, /, **arguments: Any) -> tuple[bool, Any]:
@@ -452,6 +457,11 @@ class Hostile:
 
     async def goal(self) -> list[Any]:
         return [SimpleNamespace(robot="r1", actual=BAD, reason=BAD, is_as_desired=False)]
+
+    async def incidents(self) -> Incidents:
+        one = KeptIncident(incident=incident_of("r1", BAD), age=1.0, file="a", missing=BAD)
+        reply = IncidentsReply(robot="r1", now=1.0, clock="c", incidents=(one,))
+        return Incidents(gathered({"r1": reply}), {"r1": BAD}, ("r2",), 3)
 
     async def events(self, since: float) -> AsyncIterator[Any]:
         yield SimpleNamespace(robot="r1", text=BAD)

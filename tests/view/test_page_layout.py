@@ -9,6 +9,7 @@ import pytest
 from swarmd.core.messages import FenceSummary, Health, Reason, State
 from tests.support.chromium import FOUND, Page
 from tests.support.fed_swarm import PATTERNS
+from tests.support.incidents import ID
 from tests.support.processes import wait_until
 from tests.view.test_fleet import ESTOP, ready, shown
 
@@ -723,6 +724,32 @@ def test_near_events_have_one_tick_and_words_for_people(
             " plots.tell(tick.marks); return document.getElementById('mark-text').textContent; })()"
         )
         assert told.count("stop to 2 robots by anna: applied") == 3
+
+
+def test_an_incident_is_a_mark_of_its_own_and_has_the_line_to_fetch_it(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"incident {ID} of tb3-001: fault: a pattern failed"
+    with shown(2, capsys) as (_, (address,)):
+        ready(page, address, 2)
+        page.until("swarm.plots.latest() > 0 && swarm.plots.left", "a plot")
+        colours = page.evaluate(
+            "(() => { const { model, plots } = swarm, now = plots.latest(), drawn = [];"
+            f" model.marks = [[now - 9, 'stop', ['a'], 1], [now - 1, '{text}', ['a'], 1]];"
+            " const fill = plots.ctx.fill;"
+            " plots.ctx.fill = function () { drawn.push(this.fillStyle); fill.call(this); };"
+            " const x = (at) => 50 * (at - now + 20);"
+            " plots.drawMarks(x, now - 20, now, 9, 16, '#111111', '#ff0000');"
+            " plots.ctx.fill = fill; return drawn; })()"
+        )
+        assert colours == ["#111111", "#ff0000"]
+        lines = page.evaluate(
+            "(() => { swarm.detail.drawValues({"
+            f" events: [['3 s ago', '{text}'], ['4 s ago', 'stop']] }});"
+            " return [...document.querySelectorAll('#events code')].map((one) => one.textContent);"
+            " })()"
+        )
+        assert lines == [f"swarmctl incidents fetch {ID}"]
 
 
 def test_the_slider_has_the_axis_of_the_plots(

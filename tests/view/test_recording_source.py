@@ -61,11 +61,13 @@ def recorded(
     converter = Converter(
         frames.Begin(begin, str(folder), robot, texts, 1.7e9 + begin, FileLimits())
     )
+    entries: list[frames.Entry] = [*more]
+    entries.append(frames.EventEntry(begin + seconds / 2, "stopped by anna"))
     for k in range(int(10 * seconds) + 1):
         at, is_running = begin + 0.1 * k, 0.1 * k < seconds / 2
         pose = Pose(SPEED * 0.1 * k, 0.0, math.pi - 0.01 + 0.1 * k)
         reading = Odometry(at, pose, Twist(SPEED))
-        converter.add(frames.input_entry(OdometryInput(reading), at))
+        entries.append(frames.input_entry(OdometryInput(reading), at))
         state, reason = ("running", "") if is_running else ("stopped", "operator")
         if is_running and avoided is not None:
             reason = "protection"
@@ -82,13 +84,12 @@ def recorded(
             scan_seq=k,
             avoided=avoided,
         )
-        converter.add(frames.DecisionEntry(at, "tick", state, reason, decision))
+        entries.append(frames.DecisionEntry(at, "tick", state, reason, decision))
         ranges = np.full(len(BURGER.scan.bearings), 1.0 + k)
         scan = Scan(k, at, ranges, BURGER.scan.bearings, 0.1, 3.5)
-        converter.add(frames.input_entry(ScanInput(scan), at))
-    for entry in more:
+        entries.append(frames.input_entry(ScanInput(scan), at))
+    for entry in sorted(entries, key=lambda entry: entry.at):
         converter.add(entry)
-    converter.add(frames.EventEntry(begin + seconds / 2, "stopped by anna"))
     converter.writer.close()
     assert converter.writer.path is not None
     return converter.writer.path

@@ -17,7 +17,7 @@ const robots = data.hello.robots.length, bodies = robots + data.boxes.length;
 const model = new Model();
 const map = new SwarmMap(element('map'), model);
 const legend = new Legend(element('legend'), () => map.legend());
-let at = 0, applied = -1, last = null;
+let at = data.start, applied = -1, last = null;
 
 // x and y in m and yaw in rad of a body at a time, between two samples; null where it is not there.
 function pose(body, time) {
@@ -96,7 +96,7 @@ model.isConnected = true;
 model.hello(data.hello);
 element('speed').value = '5';
 Object.assign(model.playback, { is_playing: false, speed: 5 });
-show(0);
+show(at);
 timeline.state();
 const keys = new Set(['state', 'pattern', 'protection', 'platform']);
 for (const rows of data.rows) {

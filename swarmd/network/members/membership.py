@@ -290,6 +290,13 @@ class Membership:
             age=max(0.0, now - known.since),
         )
 
+    def lost_beacon(self, robot: str) -> Beacon | None:
+        """The last beacon of a robot that is shown as failed; None for any other robot."""
+        known = self._robots.get(robot)
+        if known is None or known.shown is None or known.shown[1] is not Presence.FAILED:
+            return None
+        return known.latest.beacon
+
     def members(self, now: float) -> dict[str, Member]:
         """All members by id, in the order of their names."""
         members = ((robot, self.member(robot, now)) for robot in sorted(self._robots))

@@ -1,6 +1,6 @@
 // The details of a robot: why it stands, requested and safe command, and events.
 
-import { colourOf, plain, reasonOf, signOf, wordOf } from './states.js';
+import { colourOf, incidentOf, plain, reasonOf, signOf, wordOf } from './states.js';
 
 const PERIOD = 200; // ms between two updates
 const LIMIT = '#d55e00';
@@ -70,8 +70,10 @@ export class Detail {
       return fold;
     }));
     document.getElementById('events').replaceChildren(...(detail.events || []).map(([age, text]) => {
-      const item = document.createElement('li');
+      const item = document.createElement('li'), id = incidentOf(text);
       item.textContent = `${age}: ${plain(text)}`;
+      if (id) item.append(document.createElement('code'));
+      if (id) item.lastChild.textContent = `swarmctl incidents fetch ${id}`;
       return item;
     }));
   }

@@ -15,7 +15,7 @@ const element = (id) => document.getElementById(id);
 const model = new Model();
 const map = new SwarmMap(element('map'), model);
 const list = new RobotList(model);
-new Detail(model);
+const detail = new Detail(model);
 const pick = (robots) => model.select(robots.map((one) => one.name));
 const legend = new Legend(element('legend'), () => map.legend(), pick), chips = new Legend(element('chips'), () => map.states(), pick);
 const panels = new Panels(map);
@@ -256,4 +256,4 @@ function isUsable(id) {
   return id !== 'run-open' || document.body.matches('.operator');
 }
 
-window.swarm = { model, map, list, actions, timeline, panels, plots }; // for tests
+window.swarm = { model, map, list, actions, timeline, panels, plots, detail }; // for tests

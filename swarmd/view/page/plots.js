@@ -1,6 +1,6 @@
 // The plots over time: a lane for each value, ticks for events, and the shown time.
 
-import { plain } from './states.js';
+import { incidentOf, plain } from './states.js';
 
 const SPAN = 300; // s of a living swarm
 const LEAST = 60; // s that are shown from the beginning on
@@ -131,7 +131,7 @@ export class Plots {
     }
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     ctx.clearRect(0, 0, w, h);
-    const [text, dim, line, accent] = ['--text', '--dim', '--line', '--accent'].map((key) => style.getPropertyValue(key));
+    const [text, dim, line, accent, danger] = ['--text', '--dim', '--line', '--accent', '--danger'].map((key) => style.getPropertyValue(key));
     [this.left, this.right] = [(isNarrow ? 9 : 14) * rem, 0.8 * rem];
     // The slider has the same axis.
     canvas.parentElement.style.setProperty('--axis-left', `${this.left}px`);
@@ -140,7 +140,7 @@ export class Plots {
     const x = (time) => this.left + (time - from) / (until - from) * width;
     this.drawAxis({ x, from, until, text, dim, line, rem, h, axis, isNarrow });
     lanes.forEach((key, i) => this.drawLane(key, i * LANE, { x, from, until, text, dim, accent, line, rem, isNarrow }));
-    this.drawMarks(x, from, until, h - axis, rem, dim);
+    this.drawMarks(x, from, until, h - axis, rem, dim, danger);
     const shown = this.shown();
     ctx.strokeStyle = ctx.fillStyle = text;
     ctx.lineWidth = 2;
@@ -195,7 +195,8 @@ export class Plots {
     return ticks;
   }
 
-  drawMarks(x, from, until, bottom, rem, dim) {
+  // An incident has the colour of a danger.
+  drawMarks(x, from, until, bottom, rem, dim, danger) {
     const { ctx } = this;
     ctx.fillStyle = dim;
     ctx.strokeStyle = dim;
@@ -212,6 +213,7 @@ export class Plots {
     ctx.font = `${0.72 * rem}px system-ui, sans-serif`;
     for (const { place, marks } of ticks) {
       if (marks.length > 1) this.label(marks.length, place + 5, bottom - 1);
+      ctx.fillStyle = marks.some(([, text]) => incidentOf(text)) ? danger : dim;
       ctx.beginPath();
       ctx.moveTo(place - 4, bottom); ctx.lineTo(place + 4, bottom); ctx.lineTo(place, bottom - 6);
       ctx.fill();

@@ -36,6 +36,9 @@ export function ago(seconds) {
   return `${Math.floor(seconds / size)} ${unit} ago`;
 }
 
+// The id of the incident that a line of a robot's log is of; undefined for another line.
+export function incidentOf(text) { return (text.match(/^incident ([0-9a-f]{12}) of /) || [])[1]; }
+
 // A text of swarmctl or of a robot's log for people: the page has buttons instead of commands, and
 // addresses, hosts of operators, codes in parentheses and measured speeds are in the details.
 export function plain(text) {

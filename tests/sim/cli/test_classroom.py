@@ -15,7 +15,9 @@ from click.testing import CliRunner, Result
 from swarmd.sim.cli.classroom import classroom
 from swarmd.sim.experiments import lessons
 from swarmd.sim.experiments.lessons import Lesson, load_lessons, mark_results
-from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.experiments.manifest import manifest_of
+from swarmd.sim.experiments.simulate import plan_of, simulate
+from swarmd.sim.experiments.store import open_store
 from tests.support.examples import part
 from tests.support.processes import has_landlock
 
@@ -47,7 +49,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Lesson:
         "arena": {"size": [3, 3]},
         "groups": {"r": {"platform": "burger", "count": 1}},
     }
-    targets = {"runs/crowd": ["path_length >= 2", "max(arena_contacts) == 0"]}
+    targets = {"runs/crowd": ["min(path_length) >= 2", "max(arena_contacts) == 0"]}
     lesson = Lesson(title="Short", targets=targets, pattern="bold", scenario=scenario)
     monkeypatch.setattr(lessons, "load_lessons", lambda: {"5": lesson})
     return lesson
@@ -127,14 +129,14 @@ def test_the_table_has_the_targets_the_values_and_a_reason(tmp_path: Path, short
     (tmp_path / "ben.py").write_text(BOLD.replace("] = 0.2", "] = 0.01"))
     result = checked(tmp_path, "5")
     lines = result.stdout.splitlines()
-    assert lines[:2] == ["A  path_length >= 2", "B  max(arena_contacts) == 0"]
+    assert lines[:2] == ["A  min(path_length) >= 2", "B  max(arena_contacts) == 0"]
     assert lines[3].split() == ["PUPIL", "CHECKS", "A", "B", "VERDICT", "WHY"]
     (_, checks, value, _, verdict, why), ben = lines[4].split(), lines[5].split(maxsplit=5)
     assert (checks.split("/")[0], verdict, why) == (checks.split("/")[1], "passed", "-")
     assert float(value) >= 2.0
     assert ben[2].endswith("!")
     assert ben[4] == "failed"
-    assert ben[5].startswith("path_length is ")
+    assert ben[5].startswith("min(path_length) is ")
 
 
 @pytest.mark.integration
@@ -155,6 +157,24 @@ def test_handed_in_results_are_compared_with_the_targets(
         "cem": False,
     }
     assert result.exit_code == 1
+
+
+def test_only_a_target_that_an_interval_excludes_is_missed(
+    tmp_path: Path, duo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five of five runs reach down to 0.566, and none of five up to 0.434 (Wilson)."""
+    targets = {"runs/first": ["one_cluster_at_end >= 0.8"]}
+    monkeypatch.setattr(lessons, "load_lessons", lambda: {"1": Lesson("First", targets)})
+    plan = plan_of(str(duo), range(5))
+    for pupil, value in (("anna", 1.0), ("ben", 0.0)):
+        folder = tmp_path / "class" / pupil / "runs/first"
+        manifest = manifest_of(plan, traces=False, command=[])
+        with open_store(folder, manifest, ("one_cluster_at_end",)) as store:
+            for run in plan.runs:
+                store.add(run, {"one_cluster_at_end": value}, 0.1)
+    anna, ben = checked(tmp_path / "class", "1").stdout.splitlines()[-2:]
+    assert anna.split()[2:4] == ["1?", "passed"]
+    assert ben.split()[2:4] == ["0!", "failed"]
 
 
 @pytest.mark.integration

@@ -70,6 +70,7 @@ def test_help_loads_nothing_heavy() -> None:
     assert not set(done.stderr.split()) & HEAVY
 
 
+ONE = "one_cluster_at_end >= 0.5"
 SWEEP = ("--seeds", "3,1,7", "--sweep", "groups.all.parameters.speed=0.2,0.1")
 
 
@@ -304,6 +305,12 @@ def test_a_sweep_goes_on_where_it_was(x: Path, swept: tuple[Path, str], swarmctl
         (["run", "DUO", "--shard", "0/40", "--out", "x"], "'0/40'"),
         (["run", "DUO", "--shard", "41/40", "--out", "x"], "'41/40'"),
         (["run", "DUO", "--shard", "1/2"], "--out"),
+        (["run", "DUO", "--until", "gather_time <= 5"], "gather_time has no known range"),
+        (["run", "DUO", "--until", "runs >= 5"], "'runs'"),
+        (["run", "DUO", "--until", ONE, "--sweep", "duration=1,2"], "--sweep"),
+        (["run", "DUO", "--until", ONE, "--shard", "1/2", "--out", "x"], "--shard"),
+        (["run", "DUO", "--until", ONE, "--alpha", "0"], "--alpha"),
+        (["run", "DUO", "--most", "9"], "--until"),
         (["merge", "nowhere", "--out", "x"], "nowhere"),
         (["merge", "."], "--out"),
         (["rerun", "."], "manifest.json"),
@@ -319,6 +326,27 @@ def test_a_mistake_is_one_line_and_nothing_is_made(
     duo: Path, refusal: Refusal, args: list[str], subject: str
 ) -> None:
     assert subject in refusal("exp", *(str(duo) if word == "DUO" else word for word in args))
+
+
+@pytest.mark.integration
+@pytest.mark.long
+def test_runs_until_a_requirement_is_decided(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
+    words = ("exp", "run", duo, "--set", "duration=0.5", "--until", ONE, "--out")
+    done = swarmctl(*words, "one", "-j", 1, "-o", "json")
+    assert done.returncode == 1, done.stderr
+    answer = json.loads(done.stdout)["until"]
+    assert (answer["requirement"], answer["verdict"]) == (ONE, "not met")
+    assert f"{ONE}: not met after {answer['runs']} runs" in done.stderr
+    undecided = swarmctl(*words, "two", "-j", 2, "--most", 2)
+    assert undecided.returncode == 0, undecided.stderr
+    assert "undecided after 2 runs" in undecided.stderr
+    assert [row["seed"] for row in rows(tmp_path / "two")] == ["0", "1"]
+    assert swarmctl(*words, "two", "-j", 2).returncode == 1
+    assert rows(tmp_path / "one") == rows(tmp_path / "two")
+    assert len(rows(tmp_path / "one")) == answer["runs"]
+    assert traces(tmp_path / "one") == traces(tmp_path / "two")
+    summary = json.loads((tmp_path / "two" / "summary.json").read_text())
+    assert (summary["until"], summary["runs"]) == (answer, answer["runs"])
 
 
 @pytest.mark.integration

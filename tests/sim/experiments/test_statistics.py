@@ -154,6 +154,15 @@ def test_a_summary_leaves_out_what_the_values_do_not_give(
     assert {name: found[name] for name in expected} == expected
 
 
+@pytest.mark.parametrize("value", [0.5, 2.0, -1.0])
+def test_a_metric_said_to_be_0_or_1_that_is_not_has_no_share(value: float) -> None:
+    """The function of a user may return any number, whatever its unit is."""
+    found = summarize(np.array([1.0] * 9 + [value]), is_share=True)
+    assert (found.share, found.share_interval) == (None, None)
+    assert found.mean_interval is not None
+    assert found.mean_interval.low < found.mean_interval.high
+
+
 def test_a_share_has_the_interval_of_a_share() -> None:
     found = summarize(np.array([1.0] * 19 + [0.0]), is_share=True)
     assert found.share == pytest.approx(0.95)

@@ -44,6 +44,23 @@ def trace() -> Trace:
     )
 
 
+def test_the_fault_of_a_robot_stands_beside_its_name_while_it_is_on(trace: Trace) -> None:
+    events = [
+        {"at": 0.2, "action": "fault scan frozen", "robots": ["b"]},
+        {"at": 0.8, "action": "mend scan frozen", "robots": ["b"]},
+    ]
+    faulty = replace(trace, meta={**trace.meta, "events": events})
+    drawing = Drawing(faulty, colouring_of(faulty, "state"), SIZE, EXTENT, title="title")
+
+    def words(time: float) -> set[str]:
+        drawing.at(time)
+        return {text.get_text() for text in drawing.figure.findobj(Text)}
+
+    assert {"a", "b", "c"} <= words(0.1)
+    assert {"a", "b: scan frozen", "c"} <= words(0.5)
+    assert {"a", "b", "c"} <= words(0.9)
+
+
 def test_colours_by_state_and_by_opinion(trace: Trace) -> None:
     by_state = colouring_of(trace, "state")
     assert by_state.colours[0].tolist() == [STATES[word] for word in WORDS]

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -18,14 +18,18 @@ from swarmd.core.messages import State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_daemon_settings
+from swarmd.sim.cli.sim import signal_daemons
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_options
+from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.starting import await_robots, statuses_of
+from swarmd.sim.world.faults import FrozenProcess, KilledProcess, ProcessFault
 from tests.support.processes import (
     assert_keeps_nothing_of_its_daemon,
     children,
     unique_swarm,
     wait_until,
 )
+from tests.support.swarmctl import Finished, swarmctl
 
 READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})
 ROBOTS = {"tb3-01": "burger", "tb3-02": "waffle_pi"}
@@ -119,6 +123,62 @@ def test_world_and_daemons_come_up_and_go_even_if_one_is_frozen(tmp_path: Path) 
         os.kill(fleet.pids["tb3-01"], signal.SIGSTOP)  # so that it ends only by SIGKILL
         assert not any(is_gone(pid) for pid in pids)
     wait_until(lambda: all_gone(pids), "all processes of the fleet are gone")
+
+
+def is_halted(pid: int) -> bool:
+    """True if the process was stopped by a signal."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+
+
+@pytest.mark.integration
+def test_faults_by_command_reach_the_world_and_the_daemons(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    spec = make_spec(tmp_path / "fleet")
+
+    def fault(*words: str) -> Finished:
+        return swarmctl("sim", "fault", *words, "--swarm", spec.swarm)
+
+    assert (fault("tb3-01", "scan=frozen").code, fault("scan=frozen").code) == (1, 2)
+    with up(spec) as fleet, WorldView(spec.swarm, fleet.endpoint) as world:
+        assert fault("tb3-01", "tb3-02", "scan=noise", "sd=0.3").code == 0
+        faults = dict.fromkeys(ROBOTS, "scan noise")
+        assert world.ask("poses").state.faults == faults
+        assert fault("tb3-02", "scan=noise", "--end").code == 0
+        assert world.ask("poses").state.faults == {"tb3-01": "scan noise"}
+        pid = fleet.pids["tb3-01"]
+        assert fault("tb3-01", "scan=frozen", "--for", "10ms").code == 0
+        assert world.ask("poses").state.faults == {"tb3-01": "scan noise"}
+        assert fault("tb3-01", "process=frozen").code == 0
+        wait_until(lambda: is_halted(pid), "the daemon is halted")
+        assert fault("tb3-01", "process=frozen", "--end").code == 0
+        wait_until(lambda: not is_halted(pid), "the daemon continues")
+        for words, subject in (
+            (("tb3-09", "scan=frozen"), "'tb3-09'"),
+            (("tb3-09", "process=killed"), "'tb3-09'"),
+            (("tb3-01", "scan=frosen"), "'frozen'"),
+        ):
+            refused = fault(*words)
+            assert (refused.code > 0, subject in refused.err) == (True, True), refused
+            assert refused.err.count("\n") == 1
+        assert fault("tb3-02", "process=killed").code == 0
+        wait_until(lambda: "tb3-02" in fleet.ended(), "the daemon is killed")
+    assert fault("tb3-01", "scan=frozen").code == 1
+
+
+@pytest.mark.parametrize("kind", [KilledProcess(), FrozenProcess()])
+@pytest.mark.parametrize("is_on", [True, False])
+def test_a_process_that_has_the_id_of_an_ended_daemon_gets_no_signal(
+    monkeypatch: pytest.MonkeyPatch, kind: ProcessFault, is_on: bool
+) -> None:
+    sent: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "kill", lambda pid, number: sent.append((pid, number)))
+    pids = {"world": os.getpid(), "tb3-01": os.getpid(), "tb3-02": -1}
+    for robot in ("tb3-01", "tb3-02"):
+        with pytest.raises(SwarmError, match=robot) if is_on else nullcontext():
+            signal_daemons(pids, "default", kind, [robot], is_on=is_on)
+    assert sent == []
 
 
 @pytest.mark.integration

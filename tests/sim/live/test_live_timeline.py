@@ -17,6 +17,7 @@ from swarmd.sim.live.demo_run import LiveTimeline
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.scenarios.scenario import ScheduledEvent
+from swarmd.sim.world.faults import FrozenProcess, NoisyScan
 from tests.support.statuses import make_member
 
 ROBOTS = ("a", "b", "c")
@@ -62,6 +63,14 @@ class Stage:
     def take_out(self, robot: str) -> None:
         self.done.append(("out", robot))
 
+    def change_fault(
+        self, fault: Mapping[str, Any], robots: Collection[str], *, is_on: bool
+    ) -> None:
+        self.done.append((fault, tuple(robots), is_on))
+
+    def halt_daemon(self, robot: str, *, is_on: bool) -> None:
+        self.done.append(("halt", robot, is_on))
+
     def _outcome(self, robots: Collection[str]) -> Outcome:
         texts = {robot: Reply(id="1", robot=robot, code=self.code, text="no") for robot in robots}
         return Outcome(texts, missing=())
@@ -103,6 +112,22 @@ def test_a_stop_waits_for_no_daemon_that_was_ended(
     stage = Stage(*present)
     stage.timeline(event(1.0, "estop", *robots)).apply(1.0)
     assert stage.done == [("estop", names)]
+
+
+def test_faults_are_of_the_world_and_those_of_processes_of_the_fleet() -> None:
+    stage = Stage(*ROBOTS)
+    noise, frozen = NoisyScan(sd=0.3), FrozenProcess()
+    stage.timeline(
+        event(1.0, "fault", "a", "b", fault=noise),
+        event(2.0, "mend", "a", "b", fault=noise),
+        event(3.0, "fault", "c", fault=frozen),
+        event(4.0, "mend", "c", fault=frozen),
+    ).apply(4.0)
+    plain = {"scan": "noise", "sd": 0.3}
+    assert stage.done == [
+        *((plain, ("a", "b"), is_on) for is_on in (True, False)),
+        *(("halt", "c", is_on) for is_on in (True, False)),
+    ]
 
 
 def test_a_removed_robot_leaves_the_arena() -> None:

@@ -22,7 +22,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import Command, EmulatorTransport, PendingRequest, WorldLink, WorldView
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder
-from swarmd.sim.live.state import WorldOptions, WorldReply, WorldRequest, WorldState
+from swarmd.sim.live.state import Action, WorldOptions, WorldReply, WorldRequest, WorldState
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.item_kind import ItemKind
@@ -354,6 +354,11 @@ def test_a_request_changes_the_fields_of_a_name() -> None:
         (encode(WorldRequest(action="place", box="crate")), "overlap a", 0),
         (encode(WorldRequest(action="take_out", robot="c")), "'c'", 0),
         (b"rubbish", "", 1),
+        (encode(WorldRequest(action="fault", fault={"scan": "frosen"})), "'frozen'", 0),
+        (encode(WorldRequest(action="fault", fault={"scan": "lost"}, robots=("c",))), "'c'", 0),
+        (encode(WorldRequest(action="fault", fault={"radio": "mute"}, robots=("a",))), "radio", 0),
+        (encode(WorldRequest(action="fault", fault={"process": "killed"})), "daemons", 0),
+        (encode(WorldRequest(action="fault", fault={"battery": "low"}, robots=("a",))), "a has", 0),
     ],
 )
 def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
@@ -366,6 +371,28 @@ def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
     assert not reply.is_done
     assert fault in reply.text
     assert live.server._state().dropped == dropped
+
+
+def test_a_fault_begins_and_ends_by_request() -> None:
+    live, replies = ManualWorld(), list[WorldReply]()
+
+    def ask(action: Action) -> WorldState:
+        request = WorldRequest(action=action, fault={"scan": "lost", "share": 1.0}, robots=("b",))
+        live.link.requests = [PendingRequest(encode(request), replies.append)]
+        live.pass_time(0.01)
+        assert replies[-1].is_done, replies[-1].text
+        return replies[-1].state
+
+    def scanning(seconds: float) -> set[str]:
+        live.link.sent.clear()
+        live.pass_time(seconds)
+        return {robot for robot, tag, _ in live.link.sent if tag == "scan"}
+
+    assert ask("fault").faults == {"b": "scan lost"}
+    live.pass_time(0.5)  # a scan on its way
+    assert scanning(1.0) == {"a"}
+    assert ask("mend").faults == {}
+    assert scanning(1.0) == {"a", "b"}
 
 
 @pytest.fixture

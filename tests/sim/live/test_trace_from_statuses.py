@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
 
-from swarmd.core.messages import LimitingObstacle, Reason, State, Status
+from swarmd.core.messages import LimitingObstacle, LoggedEvent, Reason, State, Status
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.recording import StatusLog
 from swarmd.sim.trace import Trace, TraceBuilder
@@ -86,6 +88,21 @@ def test_the_tightest_constraint_is_in_the_trace(trace: Trace, status: Status) -
     assert np.isnan(told.bound[[4, 10], 0]).all()
     assert np.isnan(told.bound[:, 1]).all()
     assert told.recovering[:, 0].tolist() == [*[False] * 5, *[True] * 5, *[False] * 11]
+
+
+def test_what_robots_logged_is_in_the_trace_of_a_run_with_faults(
+    trace: Trace, status: Status
+) -> None:
+    event = LoggedEvent(at=4.0, text="stopped (frozen_scan)")
+    statements = StatusLog()
+    for time in (0.5, 1.0):  # 0.5 s after the event, then 1 s: one event
+        uptime = 4.0 + time
+        said = msgspec.structs.replace(status, robot="a", uptime=uptime, events=(event,))
+        statements.add(time, {"a": said})
+    assert "said" not in statements.merged_into(trace).meta
+    meta = {"events": [{"at": 0.0, "action": "fault scan frozen", "robots": ["a"]}]}
+    merged = statements.merged_into(replace(trace, meta=meta))
+    assert merged.meta["said"] == [(0.0, "a", "stopped (frozen_scan)")]
 
 
 def test_without_statuses_the_trace_is_unchanged(trace: Trace) -> None:

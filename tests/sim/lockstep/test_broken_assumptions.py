@@ -17,7 +17,7 @@ from swarmd.core.messages import Reason, State
 from swarmd.robot.robot import Robot
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import scenario_of
-from tests.support.broken_assumptions import lose_rays, scale_odometry, shift_ranges
+from tests.support.broken_assumptions import give_all, lose_rays
 
 Break = Callable[[Lockstep], None]
 _WALKER = {"linear": 1.5, "lateral": 1.5, "angular": 2.0}
@@ -81,9 +81,15 @@ def said(robot: Robot, now: float) -> set[str]:
         pytest.param(WEAK, None, {"braked at"}, id="1: brakes 30 % weaker"),
         pytest.param(SLOW, None, {"the base responds"}, id="1: 0.2 s from command to base"),
         pytest.param(PEDESTRIAN, None, {"came at"}, id="2: a pedestrian at 1.5 m/s"),
-        pytest.param({}, partial(shift_ranges, metres=0.05), set(), id="6: ranges 5 cm long"),
-        pytest.param({}, partial(scale_odometry, share=0.9), set(), id="7: 10 % of scale"),
-        pytest.param({}, partial(scale_odometry, share=1.3), set(), id="7: 30 % of slip"),
+        pytest.param(
+            {}, partial(give_all, scan="offset", offset=0.05), set(), id="6: ranges 5 cm long"
+        ),
+        pytest.param(
+            {}, partial(give_all, odometry="scale", factor=0.9), set(), id="7: 10 % of scale"
+        ),
+        pytest.param(
+            {}, partial(give_all, odometry="scale", factor=1.3), set(), id="7: 30 % of slip"
+        ),
         pytest.param({}, blind, {Reason.INVALID_SCAN}, id="8: a blind sensor"),
         pytest.param(
             {"duration": 100.0},

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec import structs
 
 from swarmd.core.events import OdometryInput
 from swarmd.core.messages import Reason
@@ -30,6 +31,7 @@ from swarmd.sim.cli.exp import exp
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.report.recording_report import _clocks, stops_of, trace_of
 from swarmd.view.timeline import read_timeline
+from tests.support.incidents import ID, incident_of
 from tests.support.statuses import status
 
 SPEED = 0.1  # m/s
@@ -128,6 +130,31 @@ def test_the_report_of_a_recording(merged: Path) -> None:
     assert [robot["name"] for robot in json.loads(data[1])["hello"]["robots"]] == ["a", "b"]
     refused = CliRunner().invoke(exp, ["report", str(merged), "--seed", "3"])
     assert "for experiments" in str(refused.exception)
+
+
+def test_the_player_of_an_incident_begins_ten_seconds_before(tmp_path: Path) -> None:
+    later = structs.replace(incident_of("b"), id="ff0123456789", text="a lion")
+    for robot, heard in (("a", 74.0), ("b", 71.0)):
+        about = {"robot": robot, "clock": "one", "platform": "burger", "version": "1"}
+        folder = str(tmp_path / robot)
+        converter = Converter(Begin(50.0, folder, ID, about, 1.7e9, FileLimits()))
+        for at in np.arange(50.0, 80.0, 0.5).tolist():
+            pose = Odometry(at, Pose(0.1 * at, 0.0, 0.0), Twist(0.2))
+            converter.add(input_entry(OdometryInput(pose), at))
+            if at == heard:
+                converter.add(TextEntry(at, "/incident", as_json(incident_of("b"))))
+            if at == 78.0:
+                converter.add(TextEntry(at, "/incident", as_json(later)))
+                converter.add(TextEntry(at, "/incident", b"[1]"))
+        converter.writer.close()
+    done = CliRunner().invoke(exp, ["report", str(tmp_path)], catch_exceptions=False)
+    assert done.exit_code == 0
+    text = (tmp_path / "report.html").read_text()
+    data = re.search(r'id="run-data">(.*?)</script>', text, re.DOTALL)
+    assert data is not None
+    assert json.loads(data[1])["start"] == pytest.approx(11.0)
+    assert f"incident {ID} of b at 21.000 s: mark: a chair fell" in text
+    assert "a lion" not in text
 
 
 def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ arena:
   boxes: [{name: crate, at: [2, 2], size: [0.4, 0.4], mass: 2.0}]
 groups:
   all: {platform: burger, count: 2, prefix: r, pattern: attraction, start: {layout: random}}
+events: [{at: 1, fault: {radio: mute}, robots: r-02}]
 """
 
 
@@ -67,6 +68,11 @@ def test_the_sections_and_the_question(document: Document) -> None:
     assert document.open_elements == []
     assert document.text_of("sentence").startswith("mean distance to centroid late: ")
     assert "detailssummaryThe scenario of the first variant" in document.outline
+
+
+def test_the_events_of_the_run_are_listed(experiment: Path) -> None:
+    html = (experiment / "report.html").read_text()
+    assert "<td>1.0 s</td><td>r-02</td><td>fault radio mute</td>" in html
 
 
 @pytest.mark.parametrize(
@@ -156,9 +162,9 @@ def test_a_folder_without_an_experiment_is_one_line(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     done = CliRunner().invoke(exp, ["report", str(tmp_path / "nothing")])
     assert "no experiment" in str(done.exception)
-    (tmp_path / "tb3-01-00001.mcap").touch()
+    (tmp_path / "tb3-01-00001.mcap").touch()  # a folder of recordings
     done = CliRunner().invoke(exp, ["report", str(tmp_path)])
-    assert "swarmctl record merge" in str(done.exception)
+    assert "no messages in this recording" in str(done.exception)
 
 
 @pytest.mark.integration

@@ -171,7 +171,7 @@ def test_the_scenarios_on_the_page_about_scenarios_are_some(tmp_path: Path) -> N
         scenario = load_scenario(tmp_path / "page.yaml")
         assert scenario.starts(0).shape == (5, 3)
         events.append(len(scenario.events))
-    assert events == [5, 2, 1, 1]
+    assert events == [7, 2, 1, 1]  # the fault and its end are two
 
 
 def test_an_arena_has_all_that_the_file_names(load: Load) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from swarmd.core.errors import ConfigError
+from swarmd.sim.world.faults import NoisyScan
 from swarmd.sim.world.scalar_fields import UniformField
 
 if TYPE_CHECKING:
@@ -102,6 +103,33 @@ def test_an_estopped_robot_runs_again_after_a_reset(load: Load) -> None:
     assert len(load({"events": events}).events) == 7
 
 
+def test_a_fault_with_a_duration_has_an_end(load: Load) -> None:
+    event = {"at": 20, "fault": {"scan": "noise", "sd": 0.3}, "robots": "red", "for": 15}
+    events = load({"events": [event, {"at": 30, "stop": "all"}]}).events[1:]
+    assert [(e.at, e.action) for e in events] == [(20, "fault"), (30, "stop"), (35, "mend")]
+    fault = events[0].fault
+    assert isinstance(fault, NoisyScan)
+    assert (fault.sd, events[0].robots) == (0.3, ("red-01", "red-02"))
+
+
+def test_a_killed_process_is_the_event_kill_and_its_end_a_join(load: Load) -> None:
+    event = {"at": 20, "fault": {"process": "killed"}, "robots": "red-01", "for": 15}
+    made = load({"events": [event]})
+    assert [(e.at, e.action) for e in made.events[1:]] == [(20, "kill"), (35, "join")]
+    assert made.absent == frozenset()
+
+
+def test_a_second_fault_of_a_kind_is_refused_until_the_first_ends(load: Load) -> None:
+    def events(second: float, word: str) -> Events:
+        first = {"at": 20, "fault": {"scan": "frozen"}, "robots": "red", "for": 10}
+        return [first, {"at": second, "fault": {"scan": word}, "robots": "red-02"}]
+
+    assert len(load({"events": events(25, "mirrored")}).events) == 4
+    assert len(load({"events": events(30, "frozen")}).events) == 4
+    with pytest.raises(ConfigError, match=r"^here\.yaml: events\[1\]\.fault: red-02 .*25 s"):
+        load({"events": events(25, "frozen")})
+
+
 @pytest.mark.parametrize(
     ("event", "robots"),
     [
@@ -140,6 +168,24 @@ def test_an_event_changes_the_fields_of_a_name(load: Load) -> None:
     assert made.effective["events"][-1]["fields"] == fields
 
 
+@pytest.mark.parametrize(("at", "seconds", "again"), [(20, 15, 35), (2.1, 0.2, 2.3)])
+@pytest.mark.parametrize("is_first_in_file", [True, False])
+def test_a_fault_that_begins_at_the_end_of_the_same_fault_stays(
+    load: Load, at: float, seconds: float, again: float, is_first_in_file: bool
+) -> None:
+    assert 2.1 + 0.2 > 2.3
+    times: tuple[dict[str, float], ...] = ({"at": again}, {"at": at, "for": seconds})
+    pair = [{"fault": {"scan": "frozen"}, "robots": "red", **one} for one in times]
+    events = load({"events": pair if is_first_in_file else pair[::-1]}).events
+    assert [e.action for e in events if e.fault] == ["fault", "mend", "fault"]
+
+
+def test_a_short_fault_ends(load: Load) -> None:
+    event = {"at": 20, "fault": {"scan": "frozen"}, "robots": "red", "for": 1e-15}
+    events = load({"events": [event]}).events
+    assert [e.action for e in events if e.fault] == ["fault", "mend"]
+
+
 @pytest.mark.parametrize(
     ("event", "fault"),
     [
@@ -165,6 +211,14 @@ def test_an_event_changes_the_fields_of_a_name(load: Load) -> None:
         ({"place": "spar", "pose": [1, 0, 0]}, ".place: .*'spare'"),
         ({"remove": "block"}, ".remove: .*'block'"),
         ({"at": 60, "stop": "all"}, ".at"),
+        ({"fault": {"scan": "frozen"}}, ".robots"),
+        ({"fault": {"scan": "frozen"}, "robots": "rde"}, ".robots: .*'red'"),
+        ({"fault": {"scan": "frozen"}, "targets": "red"}, ".targets.*fault"),
+        ({"stop": "red", "robots": "red"}, ".robots.*stop"),
+        ({"fault": {"scan": "frosen"}, "robots": "red"}, ".fault: .*'frozen'"),
+        ({"fault": {"scan": "noise", "sd": -1}, "robots": "red"}, ".fault: sd"),
+        ({"fault": {"battery": "low"}, "robots": "red"}, ".fault: .*red-01 has no battery"),
+        ({"fault": {"pose": "frozen"}, "robots": "red"}, ".fault: .*red-01 has no pose"),
     ],
 )
 def test_an_invalid_event_is_refused(load: Load, event: dict[str, Any], fault: str) -> None:

@@ -125,6 +125,32 @@ def test_marks_are_contacts_states_and_events_of_the_scenario() -> None:
     ]
 
 
+def test_a_fault_and_what_its_robot_said_are_shown() -> None:
+    events = [
+        {"at": 1.0, "action": "fault scan frozen", "robots": ["a"], "pattern": ""},
+        {"at": 3.0, "action": "mend scan frozen", "robots": ["a"], "pattern": ""},
+    ]
+    # The trace begins at 5 s of its own clock.
+    meta = {**META, "events": events, "said": [[7.0, "a", "stopped (frozen_scan)"]]}
+    source = source_of({"one": RecordedRun(recorded(meta=meta))})
+    assert [mark[:2] for mark in source.marks() if "touches" not in mark[1]] == [
+        (1.0, "fault scan frozen"),
+        (2.0, "stopped (frozen_scan)"),
+        (3.0, "mend scan frozen"),
+    ]
+
+    def shown(robot: str, time: float) -> Mapping[str, Any]:
+        source.playback.seek(time)
+        detail = source.detail(robot)
+        assert detail is not None
+        return detail
+
+    assert ["Fault", "scan frozen"] in shown("a", 2.5)["values"]
+    assert shown("a", 2.5)["events"][0] == ["2.0 s", "stopped (frozen_scan)"]
+    for robot, time in (("b", 2.5), ("a", 0.5), ("a", 3.5)):
+        assert "Fault" not in [name for name, _ in shown(robot, time)["values"]]
+
+
 def test_boxes_leave_and_links_end_beyond_the_radio(source: TraceSource) -> None:
     source.playback.seek(1.0)
     ((_, pose),) = source.boxes()

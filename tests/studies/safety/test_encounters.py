@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from studies.safety import encounters
+from studies.safety import encounters, runs
 from studies.safety.encounters import (
     MODES,
     TASKS,
@@ -56,7 +56,7 @@ def test_an_interrupted_study_repeats_no_run(
     carry_out(cell[:1], cell[1:], [0], 1, file)
     assert carry_out(cell[:1], cell[1:], [0, 1], 1, file) == {cell: [LATE, LATE]}
     assert done == [(*cell, 0), (*cell, 1)]
-    monkeypatch.setattr(encounters, "fingerprint", lambda: "other sources")
+    monkeypatch.setattr(runs, "fingerprint", lambda: "other sources")
     carry_out(cell[:1], cell[1:], [0], 1, file)
     assert done[2:] == [(*cell, 0)]
 

@@ -1,0 +1,709 @@
+"""The black box of a robot: its last minute in memory, and a file of it for each incident.
+
+An incident is found by the robot itself (`core/incident.py`), told by a peer, or marked by an
+operator. TAIL s after it the service writes the ring of the recorder to a file, in a thread. The
+incidents of the last minutes spread like pushed patterns: beacons show a digest of their ids, and a
+robot that lacks some pulls the list of the peer. So each robot keeps its own last minute of each
+incident, under one id.
+
+After a daemon that was killed the next one finds the ring, and writes it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import math
+import os
+import time
+import zlib
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
+from functools import partial, wraps
+from pathlib import Path
+from typing import Annotated, Concatenate, NamedTuple, ParamSpec, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from swarmd.core import verbs
+from swarmd.core.bounds import keep_newest
+from swarmd.core.clock import FIRST_WALL, STALL_TIMEOUT, boottime, clock_id
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.files import read_regular, write_whole
+from swarmd.core.incident import (
+    Found,
+    Incident,
+    IncidentKind,
+    ToldIncident,
+    found,
+    id_of,
+    silent_id,
+)
+from swarmd.core.messages import Code, Refusal, Reply, State, Status
+from swarmd.core.record import DIGEST_BYTES
+from swarmd.core.verbs import KeptIncident, shortened
+from swarmd.daemon.audit import printable
+from swarmd.daemon.recorder import Recorder, piece_of
+from swarmd.daemon.requests import SendReply
+from swarmd.network.carriers.bus import ZenohBus
+from swarmd.network.datagram import STATES, Address, Beacon
+from swarmd.network.spread.asks import Asks
+from swarmd.network.spread.pull import Blob, Puller, serve_shared
+from swarmd.recording import frames
+from swarmd.recording.head import RecordingHead, head_of
+from swarmd.recording.incident_file import SUFFIX, IncidentHead, pack, read_head
+from swarmd.recording.ring import (
+    MAX_FILE,
+    Left,
+    Ring,
+    entries_of,
+    memory_folder,
+    read_left,
+    remove_old,
+)
+from swarmd.security.identity import Identity
+from swarmd.security.roster import Role
+from swarmd.settings.swarmfile import BlackboxSection
+
+log = logging.getLogger(__name__)
+
+TAIL = 10.0
+"""Seconds after an incident that its file has, too."""
+GAP, HOURLY = 10.0, 6
+"""At most one incident in GAP s, and HOURLY an hour, of one origin."""
+MAX_KEPT, MAX_BYTES = 20, 64 * 2**20
+"""Files that a robot keeps, and their bytes; marked ones take at most half."""
+RATE = 40_000
+"""Bytes of the ring for each second that it keeps: 4 MB for 60 s. A robot with 360 rays at 10 Hz
+takes some 22 kB a second."""
+MARGIN = 40.0  # s that the ring keeps beyond `seconds`: a segment, and TAIL
+MAX_TOLD = 32
+LIST_PERIOD = 10.0  # s until the same list is pulled from the same robot again
+LIST = "incidents"  # the name of the list among the pulled blobs
+MAX_LINE = 300  # characters
+
+T = TypeVar("T")
+P = ParamSpec("P")
+_told = msgspec.msgpack.Decoder(Annotated[list[ToldIncident], Meta(max_length=MAX_TOLD)])
+_incident = msgspec.msgpack.Decoder(Incident)
+
+
+class _Told(msgspec.Struct):
+    """An incident of the last minutes: its time `at` on this robot's clock, and its signature."""
+
+    incident: Incident
+    at: float
+    told: ToldIncident | None = None  # None until it is signed
+
+
+class _Written(NamedTuple):
+    """A file that was written, with its size and CRC-32, and the ids of those that gave way."""
+
+    head: IncidentHead
+    size: int
+    crc: int
+    removed: Sequence[str]
+
+
+def _contained(
+    work: Callable[Concatenate[IncidentService, P], None],
+) -> Callable[Concatenate[IncidentService, P], None]:
+    """A method whose error ends the black box, and not the daemon."""
+
+    @wraps(work)
+    def call(self: IncidentService, /, *args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            work(self, *args, **kwargs)
+        except Exception as error:
+            self._end(error)
+
+    return call
+
+
+class IncidentService:
+    """Keeps the black box of one robot, and answers the requests and questions on incidents.
+
+    - `folder`: the robot's state folder. `head`: what a replay needs of the robot.
+    - `identity`: of this robot at present; None in a swarm without keys.
+    - `is_member`: whether a name is known as a robot of the swarm.
+    - `on_event` takes a line for the robot's log.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        folder: Path,
+        section: BlackboxSection,
+        *,
+        recorder: Recorder,
+        puller: Puller,
+        head: Callable[[], RecordingHead],
+        identity: Callable[[], Identity | None],
+        is_member: Callable[[str], bool],
+        on_event: Callable[[str], None],
+    ) -> None:
+        self._robot, self._section, self._seconds = robot, section, section.seconds
+        self._folder = folder / LIST
+        digest = hashlib.blake2b(str(folder.absolute()).encode(), digest_size=6).hexdigest()
+        self._ring_name = f"{robot}-{digest}"
+        self._recorder, self._puller = recorder, puller
+        self._head, self._identity, self._is_member = head, identity, is_member
+        self._on_event = on_event
+        self._status: Status | None = None  # the last one
+        self._status_at = 0.0
+        self._told: dict[str, _Told] = {}  # by id
+        self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
+        self._times: dict[str, float | None] = {}  # by id; None: s on the clock of an earlier boot
+        # By origin (see `_origin_of`): s of its last incidents.
+        self._origins: dict[tuple[str, str], deque[float]] = {}
+        self._due: dict[str, float] = {}  # by id: s at which its file is written
+        self._asks = Asks(LIST_PERIOD)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._is_writing = False  # a thread writes a file
+        self._advanced_at, self._stalled_at = boottime(), -math.inf  # s
+        self.fault = "" if section.seconds else "off: blackbox.seconds is 0"
+        recorder.on_status = self._on_status
+
+    # Start and end
+
+    def open(self) -> None:
+        """Read the kept files, begin the ring, and write what a killed daemon has left."""
+        self._read_kept()
+        if not self._seconds:
+            return
+        try:
+            folder = memory_folder(self._section.folder, os.environ)
+            path = folder / self._ring_name
+            try:  # before the ring begins again: a second kill must not lose it
+                left = read_left(path)
+                if left is not None and left.frames:
+                    self._on_left(left)
+                    if self.fault:  # the minute stays in memory, for a start with room on the disk
+                        return
+            except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
+                log.warning("what the daemon before left is lost: %s", error)
+            head, now = self._head(), boottime()
+            self._recorder.ring = Ring(
+                path,
+                head.texts(),
+                capacity=int(RATE * (self._seconds + MARGIN)),
+                seconds=self._seconds + TAIL,
+                boot=now,
+                wall=time.time(),
+            )
+            remove_old(folder, time.time())  # its own, which may be old as well, has been read
+        except Exception as error:  # it ends the black box, and not the daemon
+            self._end(error)
+
+    def _read_kept(self) -> None:
+        """Read the heads of the files that earlier daemons wrote."""
+        heads = []
+        with suppress(OSError):
+            for path in self._folder.glob(f"*{SUFFIX}"):
+                with suppress(OSError, CodecError):
+                    data = read_regular(path, MAX_FILE)
+                    head = read_head(data)
+                    if path.name == head.incident.id + SUFFIX:
+                        heads.append((head, len(data), zlib.crc32(data)))
+        # Files of an earlier boot come first, by the wall clock, which may have been set since.
+        heads.sort(key=lambda one: _place_of(one[0]))
+        for head, size, crc in heads:
+            self._note_kept(head, size, crc)
+            if head.clock == clock_id():
+                # A daemon that dies again and again begins no more incidents than one that lives.
+                self._may_begin(_origin_of(head.incident), head.at, gap=0.0)
+
+    def _on_left(self, left: Left) -> None:
+        """Write what an earlier daemon has left; it was killed, or has crashed."""
+        if left.about.get("clock") != clock_id():
+            raise CodecError("it is from before a reboot")
+        entries = entries_of(left)
+        if not entries:
+            return
+        end = max(one.at for one in entries)
+        source = lambda: left, entries[0].at, end
+        for one in entries:
+            if isinstance(one, frames.TextEntry) and one.topic == "/incident":
+                incident = msgspec.json.decode(one.json, type=Incident)
+                if incident.id not in self._kept and end - one.at <= MARGIN:
+                    self._may_begin(_origin_of(incident), one.at, gap=0.0)
+                    self._write(incident, one.at, *source, is_waiting=True)
+        instance = ""
+        with suppress(ConfigError):  # another version: peers have another id of it
+            instance = head_of(left.about, "the black box").identity.instance
+        text = "its daemon died (killed, or crashed); see the log"
+        id = self._id_of_silence(silent_id(self._robot, instance, left.revision), end)
+        self._begin(Found(IncidentKind.SILENT, text, id), at=end, left=source)
+
+    def close(self, *, has_crashed: bool) -> None:
+        """Write the incidents whose last seconds are not over as they are, and end the ring.
+
+        `has_crashed`: the next daemon writes what the ring has.
+        """
+        for id in list(self._due):
+            self._write_due(id, is_waiting=True)
+        if self._recorder.ring is not None:
+            self._recorder.ring.close(keeps_file=has_crashed)
+            self._recorder.ring = None
+
+    # What begins an incident
+
+    @_contained
+    def _on_status(self, status: Status) -> None:
+        """Begin an incident if the robot has one since its last status."""
+        before, self._status = self._status, status
+        before_at, self._status_at = self._status_at, boottime()
+        what = found(before, status)
+        if what is not None and what.kind is IncidentKind.STALL:
+            what = Found(what.kind, what.text, self._id_of_silence(what.id, before_at))
+        if what is not None:
+            self._begin(what)
+
+    @_contained
+    def on_lost(self, beacon: Beacon) -> None:
+        """Begin an incident if the robot, which has failed since this last beacon, ran."""
+        now = boottime()
+        # A daemon that stood still has heard none of its peers.
+        is_heard = now - self._advanced_at < STALL_TIMEOUT and now - self._stalled_at > GAP
+        if is_heard and STATES[beacon.state : beacon.state + 1] == (State.RUNNING,):
+            id = silent_id(beacon.robot, beacon.instance.hex(), beacon.revision)
+            text = f"{beacon.robot} is not heard any more; it ran"
+            id = self._id_of_silence(id, now)
+            self._begin(Found(IncidentKind.SILENT, text, id), robot=beacon.robot)
+
+    def _id_of_silence(self, id: str, at: float) -> str:
+        """The id of a silence that began at `at` s or later; `id`: of the first one in this run.
+
+        A file of more than TAIL s before has nothing of it, so it is another incident.
+        """
+        known = self._times | {known: told.at for known, told in self._told.items()}
+        while (before := known.get(id)) is not None and at - before > TAIL:
+            id = id_of(id)
+        return id
+
+    def on_mark(self, request: verbs.MarkRequest, answer: SendReply) -> None:
+        """Begin an incident with the words of an operator."""
+        text = f"{request.operator}: {request.words}"
+        is_begun = self._begin(Found(IncidentKind.MARK, text, request.incident))
+        limit = f"at most one in {GAP:.0f} s and {HOURLY} an hour"
+        fault = self._problem or limit
+        answer(
+            Reply(
+                id=request.id,
+                robot=self._robot,
+                code=Code.APPLIED if is_begun else Code.REFUSED,
+                refusal=None if is_begun else Refusal.BUSY,
+                text=f"keeps its last {self._seconds:.0f} s" if is_begun else fault,
+            )
+        )
+
+    def _begin(
+        self,
+        what: Found,
+        *,
+        robot: str = "",
+        at: float | None = None,
+        left: tuple[Callable[[], Left], float, float] | None = None,
+    ) -> bool:
+        """Begin an incident of this robot's own, unless it is known or too many began."""
+        if what.id in self._told or what.id in self._kept:
+            return True
+        at = boottime() if at is None else at
+        wall = time.time() - (boottime() - at)
+        incident = Incident(
+            id=what.id or os.urandom(6).hex(),
+            robot=robot or self._robot,
+            kind=what.kind,
+            text=shortened(what.text, MAX_LINE),
+            by=self._robot,
+            wall=wall if wall > FIRST_WALL else 0.0,
+        )
+        is_on = left is not None or self._recorder.ring is not None
+        if not is_on or not self._may_begin(_origin_of(incident), at):
+            return False
+        told = _Told(incident, at)
+        self._tell(told)
+        self._in_thread(partial(_signed, incident, self._identity()), partial(_set_told, told))
+        if left is None:
+            self._await_tail(incident, at)
+        else:
+            self._write(incident, at, *left, is_waiting=True)
+        return True
+
+    def _may_begin(self, origin: tuple[str, str], now: float, gap: float = GAP) -> bool:
+        """True unless this origin began an incident within `gap` s, or HOURLY in the last hour."""
+        times = self._origins.get(origin, deque(maxlen=HOURLY))
+        keep_newest(self._origins, origin, times, MAX_TOLD)
+        is_soon = bool(times) and now - times[-1] < gap
+        is_many = len(times) == HOURLY and now - times[0] < 3600.0
+        if not (is_soon or is_many):
+            times.append(now)
+        return not (is_soon or is_many)
+
+    def _tell(self, told: _Told) -> None:
+        """Tell an incident to peers from now on, and to the log."""
+        incident = told.incident
+        keep_newest(self._told, incident.id, told, MAX_TOLD)
+        self._on_event(printable(f"incident {incident.id} of {incident.robot}: {incident.text}"))
+
+    def _await_tail(self, incident: Incident, at: float) -> None:
+        """Note the incident in the ring at once; its file is written TAIL s after it."""
+        self._due[incident.id] = max(at + TAIL, boottime())
+        self._recorder.add(frames.TextEntry(at, "/incident", msgspec.json.encode(incident)))
+        self._recorder.write_ring()
+
+    # Spread
+
+    @property
+    def digest(self) -> bytes:
+        """The digest of the ids that this robot tells, for beacons; empty without any."""
+        content = "\n".join(sorted(self._told)).encode()
+        return hashlib.blake2b(content, digest_size=DIGEST_BYTES).digest() if content else b""
+
+    def serve(self, bus: ZenohBus) -> None:
+        """Hand the incidents of the last minutes to other robots."""
+        serve_shared(bus, LIST, lambda name, asker: self._list())
+
+    def _list(self) -> bytes:
+        now = boottime()
+        told = [
+            msgspec.structs.replace(one.told, age=max(now - one.at, 0.0))
+            for one in tuple(self._told.values())
+            if one.told is not None
+        ]
+        return msgspec.msgpack.encode(told)
+
+    @_contained
+    def on_beacon(self, robot: str, digest: bytes, address: Address, now: float) -> None:
+        """Pull the incidents of `robot` if its beacon shows others than this robot knows."""
+        if not digest or self._recorder.ring is None or digest == self.digest:
+            return
+        if not self._asks.may((robot, digest), now):
+            return
+        if self._puller.pull(robot, address, LIST, on_done=partial(self._on_list, robot)):
+            self._asks.wait((robot, digest), now + LIST_PERIOD)
+
+    def _on_list(self, robot: str, blob: Blob, reason: str) -> None:
+        if blob is None:
+            log.info("the incidents of %s are not known: %s", robot, reason)
+            return
+        received = boottime()
+        check = partial(_checked, blob, self._identity(), frozenset(self._told))
+        self._in_thread(check, partial(self._on_checked, robot, received))
+
+    def _on_checked(self, robot: str, received: float, checked: list[_Told] | str) -> None:
+        """Begin to keep the last minute of each incident that was told by a member."""
+        if isinstance(checked, str):
+            log.warning("incidents of %s: %s", robot, checked)
+            return
+        for told in checked:
+            incident = told.incident
+            told.at += received
+            is_known = incident.id in self._told or incident.id in self._kept
+            # Its own ones are known to this robot: a forged one must not use up its rate.
+            is_ours = self._is_member(incident.robot) and self._is_member(incident.by)
+            is_ours = is_ours and incident.by != self._robot
+            is_late = received - told.at > self._seconds + MARGIN
+            # One more would end the oldest, whose file may be due; the list is pulled again.
+            is_full = len(self._told) >= MAX_TOLD
+            is_wanted = is_ours and not (is_known or is_late or is_full)
+            if is_wanted and self._may_begin(_origin_of(incident), boottime()):
+                self._tell(told)
+                self._await_tail(incident, told.at)
+
+    # Files
+
+    @property
+    def is_pending(self) -> bool:
+        """True while the seconds after an incident are awaited: peers then compare clocks."""
+        return bool(self._due)
+
+    @_contained
+    def advance(self, now: float) -> None:
+        """Write the files that are due, one at a time, and forget what is too old to be told."""
+        if now - self._advanced_at > STALL_TIMEOUT:
+            self._stalled_at = now
+        self._advanced_at = now
+        oldest = now - self._seconds - MARGIN
+        # After a suspend of the machine a file may be due for long.
+        self._told = {
+            id: told for id, told in self._told.items() if told.at >= oldest or id in self._due
+        }
+        due = next((id for id, due in self._due.items() if now >= due), None)
+        if due is not None and not self._is_writing:
+            self._write_due(due)
+
+    def _write_due(self, id: str, *, is_waiting: bool = False) -> None:
+        del self._due[id]
+        ring, told = self._recorder.ring, self._told.get(id)
+        if ring is None or told is None:
+            return
+        if ring.begin is None:
+            self._on_event(f"incident {id}: nothing is kept of it so far")
+            return
+        begin, end = ring.begin, boottime()
+        try:
+            reader = ring.reader()
+        except OSError as error:
+            self._fail(f"incident {id} is not on disk: {error.strerror}")
+            return
+        self._write(told.incident, told.at, reader, begin, end, is_waiting=is_waiting)
+
+    def _write(
+        self,
+        incident: Incident,
+        at: float,
+        source: Callable[[], Left],
+        begin: float,
+        end: float,
+        *,
+        is_waiting: bool = False,
+    ) -> None:
+        """Write a file with the frames of `source`, from `begin` to `end` s; note it as kept."""
+        missing = f"nothing before {begin - at:+.0f} s" if begin > at - self._seconds else ""
+        if end < at + TAIL - 1.0:
+            missing = "; ".join(filter(None, (missing, f"nothing after {end - at:+.0f} s")))
+        kept = tuple(self._kept.values())
+
+        def work() -> _Written | str:
+            """In a thread: the frames are copied, packed and written."""
+            try:
+                left = source()
+                head = IncidentHead(
+                    incident=incident,
+                    at=at,
+                    clock=clock_id(),
+                    begin=begin,
+                    end=end,
+                    missing=missing,
+                    size=len(left.frames),
+                    about=left.about,
+                    boot=left.boot,
+                    wall=left.wall,
+                    revision=left.revision,
+                )
+                return _write_file(self._folder, head, left.frames, kept)
+            except (OSError, CodecError) as error:
+                return getattr(error, "strerror", None) or str(error)
+
+        def on_done(written: _Written | str) -> None:
+            self._is_writing &= is_waiting  # the end may write beside a thread
+            if isinstance(written, str):
+                self._fail(f"incident {incident.id} is not on disk: {written}")
+                return
+            self.fault = ""
+            for id in written.removed:
+                self._kept.pop(id, None)
+                self._times.pop(id, None)
+            self._note_kept(written.head, written.size, written.crc)
+
+        if is_waiting:
+            on_done(work())
+        else:
+            self._is_writing = True
+            self._in_thread(work, on_done)
+
+    def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
+        id, at = head.incident.id, head.at
+        self._times[id] = at if head.clock == clock_id() else None
+        self._kept[id] = KeptIncident(
+            incident=head.incident,
+            age=None,
+            begin=head.begin - at,
+            end=head.end - at,
+            missing=head.missing,
+            file=id + SUFFIX,
+            size=size,
+            crc=crc,
+        )
+
+    @property
+    def _problem(self) -> str:
+        """Why nothing is kept, or why the last file was not written; empty if all is well."""
+        return self.fault or self._recorder.ring_fault
+
+    @property
+    def text(self) -> str:
+        """What is kept, in a line, or why nothing is."""
+        ring = self._recorder.ring
+        begin = boottime() if ring is None or ring.begin is None else ring.begin
+        kept = f"keeps the last {boottime() - begin:.0f} s, {len(self._kept)} incidents"
+        return self._problem or kept
+
+    def _end(self, error: Exception) -> None:
+        """End the black box after an error."""
+        log.info("the black box ends", exc_info=error)
+        self._due.clear()
+        self._recorder.end_ring(getattr(error, "strerror", None) or repr(error))
+
+    def _fail(self, fault: str) -> None:
+        self.fault = fault[:MAX_LINE]
+        self._on_event(f"black box: {self.fault}")
+
+    # Questions
+
+    def on_incidents(self, _: verbs.Nothing) -> verbs.IncidentsReply:
+        """The incidents of which this robot keeps its last minute, and those that are awaited."""
+        now, ring = boottime(), self._recorder.ring
+        awaited = {
+            id: KeptIncident(incident=told.incident, age=None, file=id + SUFFIX)
+            for id in self._due
+            if (told := self._told.get(id)) is not None
+        }
+        times = self._times | {id: self._told[id].at for id in awaited}
+        kept = [
+            msgspec.structs.replace(one, age=_age(times[id], one.incident.wall, now))
+            for id, one in (*self._kept.items(), *awaited.items())
+        ]
+        begin = None if ring is None else ring.begin
+        return verbs.IncidentsReply(
+            robot=self._robot,
+            now=now,
+            clock=clock_id(),
+            incidents=tuple(kept[-verbs.MAX_INCIDENTS :]),
+            kept=None if begin is None else max(now - begin, 0.0),
+            fault=self._problem,
+        )
+
+    def on_incident(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:
+        """Bytes of the file of an incident; the returned function runs in a thread."""
+        return partial(piece_of, self._robot, self._folder, SUFFIX, query)
+
+    def _in_thread(self, work: Callable[[], T], on_done: Callable[[T], object]) -> None:
+        """Call `work` in a thread, then `on_done` with its result on the loop."""
+
+        async def run() -> None:
+            try:
+                on_done(await asyncio.to_thread(work))
+            except Exception as error:
+                self._end(error)
+
+        task = asyncio.get_running_loop().create_task(run())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+def _place_of(head: IncidentHead) -> tuple[bool, float]:
+    """The place of a file among others: by the clock of this boot, and before by the wall clock."""
+    is_here = head.clock == clock_id()
+    return is_here, head.at if is_here else head.wall + head.at - head.boot
+
+
+def _origin_of(incident: Incident) -> tuple[str, str]:
+    """What begins at most so many incidents: a robot by itself, its deaths, lost peers, marks.
+
+    Daemons that die again and again, and words on an incident, which follow it at once, must not
+    hide what befalls the robot itself.
+    """
+    is_own = incident.robot == incident.by
+    if incident.kind not in (IncidentKind.SILENT, IncidentKind.MARK):
+        return incident.by, "" if is_own else "peers"
+    return incident.by, f"{incident.kind} {'itself' if is_own else 'peers'}"
+
+
+def _age(at: float | None, wall: float, now: float) -> float | None:
+    """S since an incident at `at` s, else at `wall` s since 1970; None if a clock was not set."""
+    if at is None and min(wall, time.time()) < FIRST_WALL:
+        return None
+    return max(time.time() - wall if at is None else now - at, 0.0)
+
+
+def to_remove(kept: Sequence[KeptIncident], new: Incident, size: int) -> list[str]:
+    """The ids of the files that give way to a new one of `size` bytes. Pure.
+
+    `kept`: the oldest first. Marked files take at most half. The first file of each kind stays, and
+    the oldest file of the origin with most of them goes first: so an origin that tells too much
+    hides what it told itself.
+    """
+    left = list(kept)
+    removed: list[str] = []
+    while True:
+        marks = [one for one in left if one.incident.kind == IncidentKind.MARK]
+        if new.kind == IncidentKind.MARK and _is_full(marks, size, 2):
+            victim = marks[0]
+        elif _is_full(left, size, 1):
+            firsts = {one.incident.kind: one for one in reversed(left)}
+            kinds = [firsts[kind] for kind in IncidentKind if kind in firsts]
+            others = [one for one in left if one not in kinds] or left
+            counts = Counter(one.incident.by for one in others) + Counter([new.by])
+            victim = max(others, key=lambda one: counts[one.incident.by])
+        else:
+            return removed
+        left.remove(victim)
+        removed.append(victim.incident.id)
+
+
+def _is_full(files: Sequence[KeptIncident], size: int, part: int) -> bool:
+    """True if another file of `size` bytes exceeds one `part`-th of the limits."""
+    total = sum(one.size for one in files) + size
+    return bool(files) and (len(files) >= MAX_KEPT // part or total > MAX_BYTES // part)
+
+
+def _write_file(
+    folder: Path, head: IncidentHead, content: bytes, kept: Sequence[KeptIncident]
+) -> _Written | str:
+    """Write a file, then remove those that give way to it; or the fault of the disk."""
+    data = pack(head, content)
+    removed = to_remove(kept, head.incident, len(data))
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_whole(folder / (head.incident.id + SUFFIX), data, 0o600)
+        for id in removed:
+            (folder / (id + SUFFIX)).unlink(missing_ok=True)
+    except (OSError, CodecError) as error:
+        return getattr(error, "strerror", None) or str(error)
+    return _Written(head, len(data), zlib.crc32(data), removed)
+
+
+def _signed(incident: Incident, identity: Identity | None) -> ToldIncident | None:
+    """In a thread: the incident as it is told, signed in a secured swarm; None without its key."""
+    content = msgspec.msgpack.encode(incident)
+    if identity is None:
+        return ToldIncident(content=content, age=0.0)
+    from swarmd.security.content_signature import Purpose, sign
+    from swarmd.security.private_keys import load_private_key
+
+    try:
+        key, certificate = load_private_key(identity.key), read_regular(identity.certificate)
+    except (OSError, ConfigError) as error:
+        log.warning("incident %s is not told: %s", incident.id, error)
+        return None
+    signature = sign(key, Purpose.INCIDENT, content)
+    return ToldIncident(content=content, age=0.0, signature=signature, certificate=certificate)
+
+
+def _checked(blob: bytes, identity: Identity | None, known: Collection[str]) -> list[_Told] | str:
+    """In a thread: the unknown incidents of a list, each at minus its age; or what is wrong.
+
+    An incident without the signature of its robot hides none of the others.
+    """
+    new = []
+    try:
+        for told in _told.decode(blob):
+            incident = _incident.decode(told.content)
+            if incident.id in known:
+                continue
+            if identity is not None and not _is_signed(told, incident, identity):
+                log.warning("incident %s is not signed by %s", incident.id, incident.by)
+                continue
+            new.append(_Told(incident, -told.age, told))
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        return f"a list that cannot be read: {error}"
+    return new
+
+
+def _is_signed(told: ToldIncident, incident: Incident, identity: Identity) -> bool:
+    """True if a robot of the roster with the name `by` has signed it."""
+    from swarmd.security.content_signature import Purpose, is_signed_by
+    from swarmd.security.private_keys import holder_of
+
+    name, key = holder_of(told.certificate, identity.info.authority)
+    is_robot = name == incident.by and identity.roster.role_of(name) is Role.ROBOT
+    return is_robot and is_signed_by(key, Purpose.INCIDENT, told.content, told.signature)
+
+
+def _set_told(told: _Told, signed: ToldIncident | None) -> None:
+    told.told = signed

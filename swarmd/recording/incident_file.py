@@ -1,0 +1,124 @@
+"""The file of an incident on a robot, and the recording (MCAP) that a fetched one becomes.
+
+A file is its head as MessagePack, preceded by the size of the head, then the frames of the ring,
+compressed. Robots write it without the libraries for MCAP, and without work for the daemon.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, Struct
+
+from swarmd.core.bounds import Count, Line, Seconds, Stamp
+from swarmd.core.errors import CodecError
+from swarmd.core.files import read_regular
+from swarmd.core.incident import Incident, Wall
+from swarmd.recording import frames
+from swarmd.recording.ring import MAX_FILE, Left, begin_of, entries_of
+
+SUFFIX = ".incident"
+_SIZE = struct.Struct("<I")
+
+
+class IncidentHead(Struct, frozen=True, kw_only=True):
+    """The head of a file.
+
+    - `at`: s of the incident on the clock `clock` of the robot that keeps the file; negative if its
+      machine has booted since.
+    - `begin`, `end`: s on that clock between which it has entries. `missing`: why it has no others.
+    - `size`: bytes of the frames before compression.
+    - `about`, `boot`, `wall`, `revision`: as in `Left`.
+    """
+
+    incident: Incident
+    at: Stamp
+    clock: Annotated[str, Meta(max_length=32)]
+    begin: Seconds
+    end: Seconds
+    missing: Line = ""
+    size: Annotated[int, Meta(ge=0, le=MAX_FILE)]
+    about: dict[str, str]
+    boot: Seconds
+    wall: Wall
+    revision: Count = 0
+
+
+_DAMAGED = (ArithmeticError, IndexError, TypeError, ValueError, struct.error)
+"""What values that no robot writes raise when they are converted."""
+_head = msgspec.msgpack.Decoder(IncidentHead)
+
+
+def pack(head: IncidentHead, content: bytes) -> bytes:
+    """The bytes of a file."""
+    packed = msgspec.msgpack.encode(head)
+    return _SIZE.pack(len(packed)) + packed + zlib.compress(content, 1)
+
+
+def read_head(data: bytes) -> IncidentHead:
+    """The head of a file, from its first bytes; CodecError if it is none of this version."""
+    try:
+        (size,) = _SIZE.unpack_from(data)
+        return _head.decode(data[_SIZE.size : _SIZE.size + size])
+    except (struct.error, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise CodecError(f"no incident of this version: {error}") from error
+
+
+def read(path: Path) -> tuple[IncidentHead, Left]:
+    """The head and the frames of a file; CodecError or OSError if it cannot be read."""
+    data = read_regular(path, MAX_FILE)
+    head = read_head(data)
+    (size,) = _SIZE.unpack_from(data)
+    packed = zlib.decompressobj()
+    try:
+        content = packed.decompress(data[_SIZE.size + size :], head.size + 1)
+    except zlib.error as error:
+        raise CodecError(f"damaged: {error}") from error
+    if len(content) != head.size or not packed.eof:
+        raise CodecError(f"it has {len(content)} bytes of frames; expected {head.size}, whole")
+    return head, Left(head.about, content, head.boot, head.wall, head.revision)
+
+
+def to_recording(path: Path) -> Path:
+    """Write the recording of a fetched file beside it, in place of an earlier one; its path.
+
+    CodecError or OSError if the file cannot be read or written. Needs the extra `record`.
+    """
+    from swarmd.recording.process import Converter
+
+    head, left = read(path)
+    entries = entries_of(left)
+    if not entries:
+        raise CodecError("it has no entries")
+    told = frames.TextEntry(head.at, "/incident", msgspec.json.encode(head.incident))
+    if told not in entries:  # the robot was killed, and its next daemon found the incident
+        entries.append(told)
+    name = path.name.removesuffix(SUFFIX)
+    _remove(path.parent, name)
+    writer = None
+    try:
+        converter = Converter(begin_of(left, entries[0].at, path.parent, name))
+        writer = converter.writer
+        for entry in entries:
+            converter.add(entry)
+        writer.close()
+    except BaseException as error:
+        if writer is not None:
+            writer.abandon()
+            _remove(path.parent, name)
+        if isinstance(error, _DAMAGED):
+            raise CodecError(f"damaged: {error!r:.200}") from error
+        raise
+    assert writer.path is not None
+    return writer.path
+
+
+def _remove(folder: Path, name: str) -> None:
+    """Remove a recording, with its index."""
+    for path in folder.glob(f"{name}-*.mcap"):
+        path.unlink()
+        path.with_suffix(".index.json").unlink(missing_ok=True)

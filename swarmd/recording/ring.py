@@ -1,0 +1,255 @@
+"""The ring of the black box: a file in memory with the last frames of one robot.
+
+The ring outlives its process, also one that was killed: the file is on a file system in memory.
+After a power cut nothing is left. A frame is a batch of entries, see `recording/frames.py`.
+
+The file has a header, then `capacity` bytes, which are written in a circle, then the texts on the
+robot. The header has the counts of all bytes written (`head`) and dropped (`tail`) so far. The ring
+writes a frame before the header that counts it, and the header before it writes over dropped bytes.
+So the bytes between `tail` and `head` are whole frames at every instant.
+
+Frames are dropped in segments. A segment begins with the memory of the robot, so that a replay can
+begin there. The calls are `write`, not a mapping: if the memory of the file system is used up, a
+write fails, while a mapping would end the process.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import stat
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from swarmd.core.errors import CodecError
+from swarmd.recording.frames import Begin, Entry, decode_batch
+from swarmd.settings.file_limits import FileLimits
+
+_MAGIC = b"swarmd1\0"
+_HEADER = struct.Struct("<8sQQddQI")  # magic, tail, head, boot, wall, revision, capacity
+_SIZE = struct.Struct("<I")
+_HEADER_SIZE = 64
+OLD = 86400.0
+"""Seconds after which the ring of a process that does not come back is removed."""
+MAX_FILE = 1 << 26
+"""Bytes of a file that are read, at most."""
+
+
+class Left(msgspec.Struct, frozen=True):
+    """What the ring of an earlier process has, which did not end in order.
+
+    `frames`: whole frames, each with its size before it. `boot`, `wall`: one instant on the clock
+    of the robot, and in s since 1970. `revision`: the last one noted.
+    """
+
+    about: dict[str, str]
+    frames: bytes
+    boot: float
+    wall: float
+    revision: int
+
+
+class Ring:
+    """Keeps the last `seconds` s of frames, within `capacity` bytes; one process writes a file.
+
+    `about`: texts on the robot. `boot`, `wall`: the present time on the clock of the robot, and in
+    s since 1970. `begin`: s at which the oldest segment begins. OSError if the file cannot be
+    written, or if another process uses it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        about: Mapping[str, str],
+        *,
+        capacity: int,
+        seconds: float,
+        boot: float,
+        wall: float,
+    ) -> None:
+        self._path, self._file = path, _open(path)
+        try:
+            packed = msgspec.msgpack.encode(dict(about))
+            os.ftruncate(self._file, 0)
+            # The memory is taken now, so that it is not missing in the last minute.
+            os.posix_fallocate(self._file, 0, _HEADER_SIZE + capacity + _SIZE.size + len(packed))
+            os.pwrite(self._file, _SIZE.pack(len(packed)) + packed, _HEADER_SIZE + capacity)
+        except OSError:
+            os.close(self._file)
+            raise
+        self._capacity, self._seconds = capacity, seconds
+        self._tail = self._head = 0
+        self._segments = deque[tuple[int, float]]()  # begin of each: count of bytes, and s
+        self.revision = 0
+        self.set_clock(boot, wall)
+        self._write_header()
+
+    def set_clock(self, boot: float, wall: float) -> None:
+        """Note, with the next frame, what the wall clock shows at `boot` s on the robot's clock."""
+        self._boot, self._wall = boot, wall
+
+    @property
+    def begin(self) -> float | None:
+        """The time in s at which the oldest segment begins; None without a segment."""
+        return self._segments[0][1] if self._segments else None
+
+    @property
+    def is_long(self) -> bool:
+        """True if the present segment takes a third of the ring: begin another one."""
+        return not self._segments or self._head - self._segments[-1][0] > self._capacity // 3
+
+    def begin_segment(self, now: float) -> None:
+        """The next frame begins a segment; drops segments that end before the last `seconds` s."""
+        self._segments.append((self._head, now))
+        while len(self._segments) > 1 and self._segments[1][1] <= now - self._seconds:
+            self._segments.popleft()
+        self._tail = self._segments[0][0]
+
+    def write(self, frame: bytes) -> None:
+        """Add a frame; without room, drop the oldest segments. OSError if the write fails.
+
+        A frame without a segment is ignored.
+        """
+        data = _SIZE.pack(len(frame)) + frame
+        end = self._head + len(data)
+        if end - self._tail > self._capacity:
+            while self._segments and end - self._segments[0][0] > self._capacity:
+                self._segments.popleft()
+            self._tail = self._segments[0][0] if self._segments else self._head
+            self._write_header()
+        if not self._segments:
+            return
+        at = self._head % self._capacity
+        room = self._capacity - at
+        os.pwrite(self._file, data[:room], _HEADER_SIZE + at)
+        if len(data) > room:
+            os.pwrite(self._file, data[room:], _HEADER_SIZE)
+        self._head = end
+        self._write_header()
+
+    def left(self) -> Left:
+        """A copy of all frames; OSError, CodecError."""
+        return self.reader()()
+
+    def reader(self) -> Callable[[], Left]:
+        """`left`, to be called once, in a thread: while the ring is written, or after its end."""
+        return partial(_left_once, os.dup(self._file))
+
+    def close(self, *, keeps_file: bool = True) -> None:
+        """Close the file; without `keeps_file` remove it, so that a later process finds nothing."""
+        if not keeps_file:
+            with suppress(OSError):
+                self._path.unlink()
+        os.close(self._file)
+
+    def _write_header(self) -> None:
+        header = _HEADER.pack(
+            _MAGIC, self._tail, self._head, self._boot, self._wall, self.revision, self._capacity
+        )
+        os.pwrite(self._file, header, 0)
+
+
+def read_left(path: Path) -> Left | None:
+    """What an earlier process has left; None without a file, and while a process uses it.
+
+    CodecError if the file is no ring of this version.
+    """
+    try:
+        file = _open(path, os.O_RDONLY)
+    except OSError:
+        return None
+    return _left_once(file)
+
+
+def entries_of(left: Left) -> list[Entry]:
+    """The entries of all frames, up to the first one that is damaged."""
+    entries: list[Entry] = []
+    data, at = left.frames, 0
+    with suppress(msgspec.MsgspecError, ValueError, RecursionError, struct.error):
+        while at < len(data):
+            (size,) = _SIZE.unpack_from(data, at)
+            at += _SIZE.size + size
+            entries += decode_batch(data[at - size : at])
+    return entries
+
+
+def begin_of(left: Left, at: float, folder: Path, name: str) -> Begin:
+    """The begin of a recording of these frames, whose first entry is at `at` s."""
+    wall = left.wall + at - left.boot
+    return Begin(at, str(folder), name, left.about, wall, FileLimits(file_seconds=86400.0))
+
+
+def memory_folder(given: str | None, environ: Mapping[str, str]) -> Path:
+    """The folder for this user's rings, made if it is absent; OSError if it is not safe.
+
+    `given`, else systemd's `RuntimeDirectory`, else `/dev/shm/swarmd-<uid>`.
+    """
+    service = environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    folder = Path(given or service or f"/dev/shm/swarmd-{os.geteuid()}")  # checked below
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = folder.lstat()
+    is_ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+    if not is_ours or found.st_mode & 0o022:
+        raise OSError(f"{folder} is not a folder of this user alone")
+    return folder
+
+
+def remove_old(folder: Path, wall: float) -> None:
+    """Remove the rings in `folder` that no process has written for OLD s; `wall`: s since 1970.
+
+    Other files stay: an operator may name any folder.
+    """
+    for path in folder.iterdir():
+        with suppress(OSError):
+            found = path.lstat()
+            if not stat.S_ISREG(found.st_mode) or wall - found.st_mtime <= OLD:
+                continue
+            file = _open(path, os.O_RDONLY)  # no process uses it
+            is_ring = os.pread(file, len(_MAGIC), 0) == _MAGIC
+            os.close(file)
+            if is_ring:
+                path.unlink()
+
+
+def _open(path: Path, flags: int = os.O_RDWR | os.O_CREAT) -> int:
+    """A locked file; OSError if another process has locked it."""
+    # A pipe in its place is refused later, and not waited for.
+    file = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(file)
+        raise
+    return file
+
+
+def _left_once(file: int) -> Left:
+    try:
+        return _left(file)
+    finally:
+        os.close(file)
+
+
+def _left(file: int) -> Left:
+    data = os.pread(file, min(os.fstat(file).st_size, MAX_FILE), 0)
+    try:
+        magic, tail, head, boot, wall, revision, capacity = _HEADER.unpack_from(data)
+        (size,) = _SIZE.unpack_from(data, _HEADER_SIZE + capacity)
+        about_at = _HEADER_SIZE + capacity + _SIZE.size
+        about = msgspec.msgpack.decode(data[about_at : about_at + size], type=dict[str, str])
+    except (struct.error, msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise CodecError(f"the black box cannot be read: {error}") from error
+    if magic != _MAGIC or not 0 <= head - tail <= capacity:
+        raise CodecError("the black box is of another version, or damaged")
+    if _HEADER.unpack(os.pread(file, _HEADER.size, 0))[1] != tail:
+        return _left(file)  # frames were written over meanwhile
+    ring = memoryview(data)[_HEADER_SIZE : _HEADER_SIZE + capacity]
+    begin, length = tail % max(capacity, 1), head - tail
+    frames = bytes(ring[begin : begin + length]) + bytes(ring[: max(begin + length - capacity, 0)])
+    return Left(about, frames, boot, wall, revision)

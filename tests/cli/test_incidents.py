@@ -1,0 +1,250 @@
+"""`swarmctl incidents`: incidents of several robots as one list, fetched, and replayed together."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec import structs
+
+from swarmd.cli import incidents, record
+from swarmd.cli.options import CommonOptions
+from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.client.incidents import Incidents, gathered
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.verbs import (
+    FetchQuery,
+    FetchReply,
+    IncidentsReply,
+    KeptIncident,
+    RecordingsReply,
+)
+from tests.support.incidents import ID, incident_of, keep
+from tests.support.recorded_stories import Story
+
+ROBOTS = ("tb3-01", "tb3-02")
+OTHER = "01ff00000000"
+
+
+def kept(by: str = "tb3-02", id: str = ID, age: float | None = 5.0, **more: Any) -> KeptIncident:
+    incident = structs.replace(incident_of("tb3-02"), id=id, by=by)
+    return KeptIncident(incident=incident, age=age, file=f"{id}.incident", **more)
+
+
+def reply(robot: str, *some: KeptIncident, **more: Any) -> IncidentsReply:
+    return IncidentsReply(robot=robot, now=9.0, clock="c", incidents=some, kept=60.0, **more)
+
+
+class Robots:
+    """Robots that keep the minutes of one incident, in place of a swarm."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+        self.files: dict[str, bytes] = {}
+        self.replies: dict[str, IncidentsReply] = {}
+        self.missing: tuple[str, ...] = ()
+        self.code = 0
+        self.left = 10**6  # answers with pieces
+        monkeypatch.setattr(CommonOptions, "operator", lambda options: nullcontext())
+        monkeypatch.setattr(incidents, "session_of", lambda *words: None)
+        monkeypatch.setattr(incidents, "ask_incidents", self._incidents)
+        monkeypatch.setattr(record, "_ask", self._ask)
+
+    def _incidents(self, session: object) -> Incidents:
+        faults = {robot: one.fault for robot, one in self.replies.items() if one.fault}
+        return Incidents(gathered(self.replies), faults, self.missing, self.code)
+
+    def _ask(self, options: object, operator: object, robot: str, name: str, payload: bytes) -> Any:
+        if name == "recordings":
+            return encode(RecordingsReply(robot=robot, now=1e3, clock="c", files=()))
+        assert name == "incident", "which needs the right of an operator"
+        if not self.left:
+            return None
+        self.left -= 1
+        query = Decoder(FetchQuery)(payload)
+        data = self.files[robot][query.offset : query.offset + query.length]
+        return encode(
+            FetchReply(
+                robot=robot, file=query.file, offset=query.offset, size=len(self.files[robot]),
+                data=data, crc=zlib.crc32(data),
+            )
+        )  # fmt: skip
+
+    def swarmctl(self, *words: str) -> tuple[int, str, str]:
+        code = run_cli(cli, list(words), "swarmctl", exit_code_of)
+        out, err = self._capsys.readouterr()
+        return code, out, err
+
+    def json(self, *words: str) -> Any:
+        return json.loads(self.swarmctl(*words, "-o", "json")[1])
+
+
+@pytest.fixture
+def robots(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Robots:
+    return Robots(monkeypatch, capsys)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """What each robot keeps of one incident."""
+    found = {}
+    for robot in ROBOTS:
+        folder = tmp_path_factory.mktemp(robot)
+        story = Story(folder, robot=robot)
+        story.robot.advance(1.0)
+        story.run("drive", speed=0.1)
+        story.recorder.begin(story.robot)
+        story.robot.advance(15.0)
+        story.recorder.finish()
+        found[robot] = keep(story, folder, incident=incident_of("tb3-02")).read_bytes()
+    return found
+
+
+def keep_files(robots: Robots, files: dict[str, bytes]) -> None:
+    robots.files = dict(files)
+    robots.replies = {
+        robot: reply(robot, kept(begin=-14.0, end=1.0, size=len(data), crc=zlib.crc32(data)))
+        for robot, data in files.items()
+    }
+
+
+def test_an_incident_has_a_row_for_each_robot_that_keeps_it(robots: Robots) -> None:
+    early = kept(id=OTHER, age=500.0, begin=-60.0, end=10.0, size=420_000)
+    late = kept(missing="the daemon began 12 s before")
+    robots.replies = {"tb3-01": reply("tb3-01", early, late), "tb3-02": reply("tb3-02", kept())}
+    robots.missing, robots.code = ("tb3-03",), 3
+    code, out, err = robots.swarmctl("incidents")
+    rows = [line.split() for line in out.splitlines()[1:4]]
+    assert [(row[0], row[4], row[6]) for row in rows] == [
+        (OTHER, "tb3-02", "tb3-01"),
+        (ID, "tb3-02", "tb3-01"),
+        (ID, "tb3-02", "tb3-02"),
+    ]
+    assert "-60 to +10" in out
+    assert "0.42 MB" in out
+    assert "2 incidents" in out
+    assert code == 3
+    assert "tb3-03" in err
+    found = robots.json("incident")  # the same verb
+    assert [one["id"] for one in found["incidents"]] == [OTHER, ID]
+    assert [one["robot"] for one in found["incidents"][1]["kept"]] == ["tb3-01", "tb3-02"]
+    assert found["incidents"][1]["kept"][0]["missing"] == "the daemon began 12 s before"
+    assert (found["kind"], found["missing"]) == ("Incidents", ["tb3-03"])
+
+
+def test_an_incident_that_several_robots_had_names_how_many(robots: Robots) -> None:
+    """Each robot of an emergency stop or a mark has it, and notes it as its own."""
+    own = structs.replace(kept(), incident=structs.replace(kept().incident, robot="tb3-01"))
+    robots.replies = {"tb3-01": reply("tb3-01", own), "tb3-02": reply("tb3-02", kept())}
+    out = robots.swarmctl("incidents")[1]
+    assert [line.split()[4:6] for line in out.splitlines()[1:3]] == [["2", "robots"]] * 2
+    assert robots.json("incidents")["incidents"][0]["robots"] == ["tb3-01", "tb3-02"]
+
+
+def test_the_robot_that_told_an_incident_first_describes_it() -> None:
+    lie = structs.replace(kept(age=None), incident=structs.replace(kept().incident, text="a lie"))
+    replies = {"tb3-01": reply("tb3-01", lie), "tb3-02": reply("tb3-02", kept(age=7.0))}
+    (one,) = gathered(replies)
+    assert (one.incident.text, one.age) == ("a chair fell", 7.0)
+
+
+def test_the_robot_that_had_an_incident_describes_it() -> None:
+    silent = structs.replace(kept().incident, text="not heard any more", by="tb3-01")
+    died = structs.replace(kept().incident, text="its daemon died")
+    replies = {
+        "tb3-01": reply("tb3-01", structs.replace(kept(age=9.0), incident=silent)),
+        "tb3-02": reply("tb3-02", structs.replace(kept(age=8.0), incident=died)),
+    }
+    (one,) = gathered(replies)
+    assert (one.incident.text, one.age) == ("its daemon died", 8.0)
+
+
+def test_a_fetched_incident_is_replayed_as_one_swarm(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    keep_files(robots, files)
+    code, out, _ = robots.swarmctl("incidents", "fetch", ID[:4], "-d", str(tmp_path))
+    assert code == 0
+    assert out.count("whole") == 2
+    for robot, data in files.items():
+        assert (tmp_path / robot / f"{ID}.incident").read_bytes() == data
+        assert (tmp_path / robot / f"{ID}-00001.mcap").exists()
+    assert (tmp_path / "clocks.jsonl").read_bytes().count(b"\n") == 2
+    code, out, _ = robots.swarmctl("replay", str(tmp_path), "-o", "json")
+    found = json.loads(out)
+    assert (code, found["is_equal"]) == (0, True)
+    assert [row["robot"] for row in found["robots"]] == list(ROBOTS)
+    assert all(row["safe"]["count"] > 100 for row in found["robots"])
+
+
+def test_why_names_the_incident_first_and_then_the_decisions_with_their_bound(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    keep_files(robots, files)
+    robots.swarmctl("incidents", "fetch", ID, "-d", str(tmp_path))
+    code, out, _ = robots.swarmctl("replay", str(tmp_path), "--why", "tb3-01")
+    lines = out.splitlines()
+    assert code == 0
+    assert lines[0].startswith(f"incident {ID} of tb3-02 at 13.950 s: mark: a chair fell")
+    assert "tb3-01" in lines[1]
+    before = [line for line in lines[2:] if line.startswith("  ")]
+    times = [float(line.split()[0]) for line in before]
+    assert 12.9 < times[0] <= times[-1] <= 13.95, "the last second before it, none after it"
+    assert {"odometry", "tick", "host"} <= {line.split()[2] for line in before}
+    decided = [line for line in before if "m/s" in line]
+    assert all("0.100 m/s" in line and "running" in line for line in decided)
+    found = robots.json("replay", str(tmp_path), "--why", "tb3-01")
+    assert found["why"] == lines[: 2 + len(before)]
+
+
+def test_a_fetch_that_was_cut_continues(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    keep_files(robots, files)
+    robots.left = 2
+    words = ("incidents", "fetch", ID, "-d", str(tmp_path))
+    code, _, err = robots.swarmctl(*words)
+    assert (code, "65536 bytes here" in err) == (3, True)
+    robots.left = 10**6
+    assert robots.swarmctl(*words)[0] == 0
+    assert (tmp_path / "tb3-01" / f"{ID}.incident").read_bytes() == files["tb3-01"]
+
+
+def test_a_file_that_is_none_is_named_and_the_others_are_fetched(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    keep_files(robots, {**files, "tb3-01": b"\x00" * 99})
+    found = robots.json("incidents", "fetch", ID, "-d", str(tmp_path))
+    states = {file["robot"]: file["state"] for file in found["files"]}
+    assert states["tb3-02"] == "whole"
+    assert states["tb3-01"] != "whole"
+    assert found["missing"] == ["tb3-01"]
+
+
+def test_a_robot_that_has_not_written_its_file_is_missing(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    keep_files(robots, files)
+    robots.replies["tb3-01"] = reply("tb3-01", kept())
+    code, _, err = robots.swarmctl("incidents", "fetch", ID, "-d", str(tmp_path))
+    assert (code, "tb3-01" in err) == (3, True)
+
+
+@pytest.mark.parametrize(("prefix", "code"), [("ff", 4), ("01", 2), ("0123", 0)])
+def test_the_beginning_of_an_id_names_one_incident(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path, prefix: str, code: int
+) -> None:
+    keep_files(robots, files)
+    first = robots.replies["tb3-01"]
+    robots.replies["tb3-01"] = structs.replace(first, incidents=(kept(id=OTHER), *first.incidents))
+    assert robots.swarmctl("incidents", "fetch", prefix, "-d", str(tmp_path))[0] == code
+
+
+@pytest.mark.parametrize("words", ["", " ", "x" * 257])
+def test_a_mark_without_words_or_with_too_many_is_refused(robots: Robots, words: str) -> None:
+    code, _, err = robots.swarmctl("incident", "mark", words)
+    assert (code, "WORDS" in err) == (2, True)
