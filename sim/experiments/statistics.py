@@ -83,8 +83,8 @@ def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool =
     """The statistics of a metric over runs: mean, median, their 95 % intervals, least, greatest.
 
     `values` (runs,): NaN if a run has no value. `is_share`: the metric is 0 or 1 by definition, not
-    a count that happens to be 0 or 1; values of a user's metric that are neither have no share. `is_time_to_event`: NaN means that the event never happened
-    in the run.
+    a count that happens to be 0 or 1; values of a user's metric that are neither have no share.
+    `is_time_to_event`: NaN means that the event never happened in the run.
     """
     known = values[~np.isnan(values)]
     never = values.size - known.size if is_time_to_event else None
