@@ -51,6 +51,12 @@ BEGINS: Mapping[Reason, tuple[IncidentKind, When]] = {
     Reason.HAZARD: (IncidentKind.HAZARD, When.ENDS_A_RUN),
     Reason.DRIVER_LOST: (IncidentKind.DRIVER, When.IN_A_RUN),
     Reason.LOOP_STALLED: (IncidentKind.STALL, When.ENDS_A_RUN),
+    # Protection found the range sensor false, or lost it.
+    Reason.FROZEN_SCAN: (IncidentKind.ASSUMPTION, When.ENDS_A_RUN),
+    Reason.INVALID_SCAN: (IncidentKind.ASSUMPTION, When.ENDS_A_RUN),
+    Reason.STALE_SCAN: (IncidentKind.ASSUMPTION, When.ENDS_A_RUN),
+    Reason.LATE_SCAN: (IncidentKind.ASSUMPTION, When.ENDS_A_RUN),
+    Reason.NO_SCAN: (IncidentKind.ASSUMPTION, When.ENDS_A_RUN),
 }
 
 

@@ -33,6 +33,8 @@ def kind_of(what: Found | None) -> IncidentKind | None:
         (RUNNING, stopped(Reason.HAZARD), "hazard"),
         (replace(RUNNING, reason=Reason.HAZARD), stopped(Reason.HAZARD), "hazard"),
         (RUNNING, stopped(Reason.LOOP_STALLED), "loop_stalled"),
+        (RUNNING, stopped(Reason.FROZEN_SCAN), "assumption"),
+        (replace(RUNNING, reason=Reason.NO_SCAN), stopped(Reason.NO_SCAN), "assumption"),
         (RUNNING, replace(RUNNING, reason=Reason.DRIVER_LOST), "driver_lost"),
         (RUNNING, replace(RUNNING, findings=("it brakes later than assumed",)), "assumption"),
         (
