@@ -175,8 +175,11 @@ class SecuredSwarm:
         """No daemon is frozen, and no robot runs or is latched, whatever was before."""
         for daemon in self.daemons.values():
             daemon.thaw()
-        done = self.anna.send_stop("stop", select=lambda names: RUNNING, names=RUNNING)
-        assert done.exit_code == 0, done
+
+        def stop() -> Outcome:
+            return self.anna.send_stop("stop", select=lambda names: RUNNING, names=RUNNING)
+
+        await_applied(stop, "both robots stop")
 
         def is_reset() -> bool:
             view = self.anna.members()
