@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class SwarmIncident(NamedTuple):
     """An incident, and what each robot keeps of it, by robot. `age`: s since then, None: unknown.
 
-    It is told by the robot that had it if this robot keeps it, else by the one that told it first.
+    The robot that had it describes it if it keeps it, else the robot that told it first.
     """
 
     incident: Incident
@@ -72,8 +72,8 @@ def ask_incidents(session: Session) -> Incidents:
     return Incidents(gathered(replies), faults, missing, code_of_answers(names, replies))
 
 
-def _farness(robot: str, incident: Incident) -> tuple[bool, bool]:
-    """How much a robot knows of an incident: the least of the one that had it, then its teller."""
+def _rank(robot: str, incident: Incident) -> tuple[bool, bool]:
+    """The order in which robots describe an incident: the robot that had it, then its teller."""
     return robot != incident.robot, robot != incident.by
 
 
@@ -85,7 +85,7 @@ def gathered(replies: Mapping[str, IncidentsReply]) -> tuple[SwarmIncident, ...]
             by_id.setdefault(one.incident.id, {})[robot] = one
     found = []
     for kept in by_id.values():
-        teller = min(kept, key=lambda robot: _farness(robot, kept[robot].incident))
+        teller = min(kept, key=lambda robot: _rank(robot, kept[robot].incident))
         ages = [one.age for one in (kept[teller], *kept.values()) if one.age is not None]
         found.append(SwarmIncident(kept[teller].incident, ages[0] if ages else None, kept))
     return tuple(sorted(found, key=lambda one: -1e9 if one.age is None else -one.age))

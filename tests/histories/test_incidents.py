@@ -71,7 +71,9 @@ def test_a_robot_whose_daemon_was_killed_keeps_that_as_its_peers_do() -> None:
 
 def test_a_daemon_that_is_killed_as_its_run_begins_gives_the_id_of_its_peers() -> None:
     run, _, start = KILLED
-    replay(3, (run, step(0.4, "kill", robot="r1"), start))
+    files = kept((run, step(0.4, "kill", robot="r1"), start))
+    assert [*files["r1"].values()] == [(IncidentKind.SILENT, "r1")]
+    assert files["r1"] == files["r2"] == files["r3"]
 
 
 def test_a_death_is_kept_also_if_the_robot_was_unheard_before_in_the_same_run() -> None:
@@ -122,8 +124,11 @@ def test_incidents_that_are_heard_at_once_leave_no_more_files_than_may_be(
 
 
 def test_restarts_begin_no_more_incidents_than_the_limits_allow() -> None:
-    replay(2, RESTARTED)
-    replay(2, tuple(step(12.0, "start", robot="r1") for _ in range(9)))
+    # The third mark follows the second one by 1.5 s, with a restart between them.
+    marks = [kind for kind, _ in kept(RESTARTED, 2)["r1"].values() if kind == IncidentKind.MARK]
+    assert len(marks) == 2
+    deaths = kept(tuple(step(12.0, "start", robot="r1") for _ in range(9)), 2)["r1"]
+    assert len(deaths) == 6  # an hour
 
 
 # Faults
