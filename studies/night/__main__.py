@@ -1,0 +1,143 @@
+"""Makes the tables of the pages from one commit: `python -m studies.night [JOB ...]`, `make night`.
+
+A job runs unless its results were made from the same sources; each ends with its file and its parts
+of pages. After a kill the same command goes on. `--plan` shows the jobs with their CPU-minutes, and
+for named jobs their sources and which of them have changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from datetime import date
+
+from benchmarks.table import markdown
+from studies.night.jobs import JOBS, Job, PatternJob, keep, share
+from studies.night.pages import write_parts
+from studies.night.sources import ROOT, changed_since, commit_of
+from studies.outcomes.outcome import software
+from swarmd.core.errors import SwarmError, unknown
+
+LOGS = ROOT / "build" / "night"
+OVERVIEW = "night"
+"""The part of docs/evidence/README.md with all jobs."""
+
+
+def state(job: Job) -> str:
+    """Whether the results are of these sources, and else what has changed since."""
+    made = job.made
+    if made is None:
+        return "never made"
+    if job.is_kept:
+        return "kept"
+    changed = changed_since(made.made_with["commit"], job.sources)
+    return f"{len(changed)} files changed" if changed else "made before its sources were known"
+
+
+def plan(jobs: Sequence[Job], *, is_detailed: bool) -> str:
+    """A table of jobs; in detail also the sources of each."""
+    rows = [["job", "CPU-minutes", "made on", "commit", "state"]]
+    for job in jobs:
+        made = job.made.made_with if job.made else {}
+        cells = made.get("day", "-"), made.get("commit", "-"), state(job)
+        rows.append([job.name, f"{job.estimate:.1f}", *cells])
+    left = [job.estimate for job in jobs if not job.is_kept]
+    lines = [markdown(rows), "", f"{len(left)} jobs to do, {sum(left):.0f} CPU-minutes"]
+    for job in jobs if is_detailed else ():
+        since = job.made.made_with["commit"] if job.made else "HEAD"
+        changed = set(changed_since(since, job.sources))
+        names = [path.relative_to(ROOT).as_posix() for path in job.sources]
+        lines += ["", f"{job.name}: {job.command}, decided by {len(names)} files"]
+        lines += [f"  {name}{', changed' * (name in changed)}" for name in names]
+    return "\n".join(lines)
+
+
+def overview() -> list[str]:
+    """A table of all kept results."""
+    rows = [["job", "results", "made on", "commit", "CPU-minutes"]]
+    for job in JOBS:
+        if job.made is not None:
+            made, name = job.made.made_with, job.file.relative_to(ROOT).as_posix()
+            minutes = made.get("cpu_minutes", "-")
+            rows.append([job.name, f"[{name}](../../{name})", made["day"], made["commit"], minutes])
+    return markdown(rows).splitlines()
+
+
+def carry_out(job: Job) -> bool:
+    """Run a job and keep its results; whether it has ended well."""
+    digest, commit = job.digest, commit_of(job.sources)
+    spent = LOGS / f"{job.name}.seconds"
+    seconds = float(spent.read_text()) if spent.exists() else 0.0
+    before = _seconds_of_children()
+    with (LOGS / f"{job.name}.log").open("a") as log:
+        words = [sys.executable, *job.arguments]
+        try:
+            done = subprocess.run(
+                words, cwd=ROOT, stdout=subprocess.PIPE, stderr=log, text=True, check=False
+            )
+        finally:  # also after Ctrl-C
+            seconds += _seconds_of_children() - before
+            spent.write_text(f"{seconds:.1f}")
+    if job.digest != digest:
+        print(f"{job.name}: its sources changed while it ran; nothing is kept", file=sys.stderr)
+        return False
+    if isinstance(job, PatternJob):
+        return done.returncode == 0
+    if done.returncode:
+        print(f"{job.name} failed: see {LOGS / job.name}.log", file=sys.stderr)
+        return False
+    origin = {"day": date.today().isoformat(), "commit": commit, "digest": digest}
+    spent.unlink()
+    made = keep(job, done.stdout, {**software(), **origin, "cpu_minutes": f"{seconds / 60.0:.1f}"})
+    for name in write_parts({part: made.text(part) for part in made.parts}):
+        print(f"{job.name}: no page has a part `<!-- results: {name} -->`", file=sys.stderr)
+    return True
+
+
+def _seconds_of_children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m studies.night", description=__doc__)
+    parser.add_argument("jobs", nargs="*", metavar="JOB", help="default: all")
+    parser.add_argument("--plan", action="store_true", help="show what would be done")
+    parser.add_argument("--all", action="store_true", help="also what was made from these sources")
+    parser.add_argument(
+        "--shard", default="1/1", metavar="K/N", help="the K-th of N parts of the jobs"
+    )
+    options = parser.parse_args(arguments)
+    names = [job.name for job in JOBS]
+    for name in options.jobs:
+        if name not in names:
+            raise SwarmError(unknown("job", name, names))
+    chosen = [job for job in JOBS if not options.jobs or job.name in options.jobs]
+    number, _, count = options.shard.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise SwarmError(f"--shard {options.shard}: expected K/N, such as 1/4")
+    chosen = share(chosen, int(number), int(count))
+    if options.plan:
+        print(plan(chosen, is_detailed=bool(options.jobs)))
+        return 0
+    LOGS.mkdir(parents=True, exist_ok=True)
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    bad = 0
+    for job in chosen:
+        if job.is_kept and not options.all:
+            continue
+        print(f"{job.name}: some {job.estimate:.1f} CPU-minutes, {job.command}", flush=True)
+        bad += not carry_out(job)
+        write_parts({OVERVIEW: "\n".join(overview())})
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    try:
+        raise SystemExit(main())
+    except SwarmError as error:
+        raise SystemExit(f"error: {error}") from error

@@ -1,0 +1,136 @@
+"""The jobs of a night: programs whose tables and figures pages show."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from studies.night.pages import parts_of
+from studies.night.sources import ROOT, digest_of, sources_of
+
+OUTCOMES = "studies.outcomes.patterns"
+"""The package with a module for each pattern."""
+
+
+class Made(Struct, frozen=True, kw_only=True):
+    """The results of a job in a JSON file.
+
+    `made_with`: the software and the machine, and the keys `day`, `commit`, `digest` of the sources
+    and `cpu_minutes`. `parts`: the lines of each part of a page, by its name; a pattern's file has
+    the values of its runs in their place.
+    """
+
+    command: str = ""
+    made_with: dict[str, str]
+    parts: dict[str, list[str]] = {}
+
+    def text(self, part: str) -> str:
+        """A part of a page: its lines, and how it was made."""
+        origin = f"Made on {{day}} with commit {{commit}} by `{self.command}`."
+        return "\n".join([*self.parts[part], "", origin.format_map(self.made_with)])
+
+
+class Job(Struct, frozen=True):
+    """A program that prints tables in Markdown.
+
+    name: of the file of results, `folder/name.json`, and of the part of a page that the program
+    prints, unless it prints several. arguments: of Python. minutes: the CPU-minutes that it may
+    take, before it has been measured. modules: what decides the results beside the program itself.
+    """
+
+    name: str
+    folder: str
+    arguments: tuple[str, ...]
+    minutes: float
+    modules: tuple[str, ...] = ()
+
+    @property
+    def command(self) -> str:
+        """What repeats the job."""
+        return shlex.join(("python", *self.arguments))
+
+    @property
+    def roots(self) -> tuple[str, ...]:
+        """The modules with whose imports the sources begin."""
+        return self.modules or (self.arguments[1], f"{self.arguments[1]}.__main__")
+
+    @property
+    def file(self) -> Path:
+        """The file of results."""
+        return ROOT / self.folder / f"{self.name}.json"
+
+    @property
+    def sources(self) -> list[Path]:
+        """The files that decide the results."""
+        return sources_of(self.roots)
+
+    @property
+    def digest(self) -> str:
+        """The digest of the sources."""
+        return digest_of(self.roots)
+
+    @property
+    def made(self) -> Made | None:
+        """The kept results; None without a file."""
+        return (
+            msgspec.json.decode(self.file.read_bytes(), type=Made) if self.file.exists() else None
+        )
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the kept results are of these sources."""
+        return self.made is not None and self.made.made_with.get("digest") == self.digest
+
+    @property
+    def estimate(self) -> float:
+        """CPU-minutes: those of the last time."""
+        used = self.made.made_with.get("cpu_minutes") if self.made else None
+        return self.minutes if used is None else float(used)
+
+
+class PatternJob(Job, frozen=True):
+    """The outcomes of a pattern, which the study itself keeps."""
+
+    @property
+    def file(self) -> Path:
+        return ROOT / self.folder / "outcome.json"
+
+
+def _outcomes(path: Path) -> Job:
+    name = path.stem
+    arguments = ("-m", "studies.outcomes", name, "--keep")
+    return PatternJob(name, f"patterns/{name}", arguments, 1.0, (f"{OUTCOMES}.{name}",))
+
+
+JOBS: Sequence[Job] = (
+    *(
+        _outcomes(path)
+        for path in sorted(ROOT.joinpath(*OUTCOMES.split(".")).glob("*.py"))
+        if path.stem != "__init__"
+    ),
+)
+"""What readers would miss most comes first."""
+
+
+def share(jobs: Iterable[Job], number: int, count: int) -> list[Job]:
+    """The jobs of shard `number` of 1 to `count`, all of which take about the same time."""
+    shards: list[list[Job]] = [[] for _ in range(count)]
+    loads = [0.0] * count
+    for job in sorted(jobs, key=lambda job: -job.estimate):
+        least = loads.index(min(loads))
+        shards[least].append(job)
+        loads[least] += job.estimate
+    chosen = shards[number - 1]
+    return [job for job in jobs if job in chosen]
+
+
+def keep(job: Job, output: str, made_with: dict[str, Any]) -> Made:
+    """Write the parts that a job printed into its file."""
+    made = Made(command=job.command, made_with=made_with, parts=parts_of(output, job.name))
+    job.file.write_bytes(msgspec.json.format(msgspec.json.encode(made), indent=1) + b"\n")
+    return made

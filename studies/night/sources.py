@@ -1,0 +1,146 @@
+"""The files that decide what a program computes, and their digest.
+
+These are the modules that its modules import, also within functions, and the plugins, platforms,
+scenarios and missions that studies and such files name: any word that is such a name counts.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import re
+import subprocess
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+_LINKED = ("config", "drivers", "patterns", "sim")
+_OURS = ("swarmd", "studies", "benchmarks", "tests")
+_NAMING = ("studies", "config", "patterns", "sim/metrics")
+"""The folders in which words name plugins and files of values."""
+_LAZY = ("swarmd/__init__.py",)
+"""Imports of these modules happen by an attribute, and most programs use few."""
+_WORD = re.compile(r"\w+")
+_SHORT = 10
+
+
+def sources_of(modules: Iterable[str], files: Iterable[Path] = ()) -> list[Path]:
+    """The files that decide what these modules compute, with `files` and what they name."""
+    waiting = [*files, *(path for module in modules for path in _files_of(module))]
+    found: set[Path] = set()
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            waiting += _next(path)
+    return sorted(found)
+
+
+def digest_of(modules: Iterable[str], files: Iterable[Path] = ()) -> str:
+    """The digest of `sources_of`: of the code without comments and docstrings, and of other files.
+
+    It differs between series of Python, which print a syntax tree in other words.
+    """
+    digest = hashlib.sha256()
+    for path in sources_of(modules, files):
+        digest.update(f"{path.relative_to(ROOT).as_posix()}\0".encode())
+        digest.update(hashlib.sha256(_meaning(path)).digest())
+    return digest.hexdigest()[:16]
+
+
+def commit_of(paths: Sequence[Path]) -> str:
+    """The commit of this checkout, shortened; it says so if these files differ from it."""
+    head = _git("rev-parse", f"--short={_SHORT}", "HEAD").strip()
+    return head + ", with changes" * bool(_git("status", "--porcelain", "--", *map(str, paths)))
+
+
+def changed_since(commit: str, paths: Sequence[Path]) -> list[str]:
+    """The names of these files that differ from a commit; `commit` if git does not know it."""
+    known = commit.partition(",")[0]
+    names = _git("diff", "--name-only", known, "--", *map(str, paths), wrong=known)
+    return names.splitlines()
+
+
+def _git(*words: str, wrong: str | None = None) -> str:
+    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode and wrong is None:
+        raise RuntimeError(f"git {words[0]}: {done.stderr.strip()}")
+    return done.stdout if done.returncode == 0 else str(wrong)
+
+
+@cache
+def _meaning(path: Path) -> bytes:
+    """The bytes by which a file counts."""
+    if path.suffix != ".py":
+        return path.read_bytes()
+    tree = ast.parse(path.read_bytes())
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [one for one in body if not _is_text(one)]  # type: ignore[attr-defined]
+    return ast.dump(tree).encode()
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+@cache
+def _next(path: Path) -> tuple[Path, ...]:
+    """What a file imports and names."""
+    found: list[Path] = []
+    name = path.relative_to(ROOT).as_posix()
+    if path.suffix == ".py":
+        header = path.with_suffix(".pxd")
+        found += [header] * header.is_file()
+        if name not in _LAZY:
+            found += [
+                one
+                for module in _modules(ast.parse(path.read_bytes()))
+                for one in _files_of(module)
+            ]
+    if name.startswith(_NAMING):
+        words = set(_WORD.findall(path.read_text())) - {path.stem}
+        found += [one for word in words & _named().keys() for one in _named()[word]]
+    return tuple(found)
+
+
+def _modules(tree: ast.AST) -> Iterator[str]:
+    """The modules that a module may import: by a statement, or by a text that is such a name."""
+    if isinstance(tree, ast.If) and ast.unparse(tree.test) == "TYPE_CHECKING":
+        return
+    if isinstance(tree, ast.Import):
+        yield from (one.name for one in tree.names)
+    elif isinstance(tree, ast.ImportFrom) and tree.module:
+        yield tree.module
+        yield from (f"{tree.module}.{one.name}" for one in tree.names)
+    elif isinstance(tree, ast.Constant) and isinstance(tree.value, str) and "." in tree.value:
+        yield tree.value
+    for node in ast.iter_child_nodes(tree):
+        yield from _modules(node)
+
+
+def _files_of(module: str) -> Iterator[Path]:
+    """The file of a module of this project, and those of the packages around it."""
+    names = module.split(".")
+    if names[0] not in _OURS or module.startswith(__package__):
+        return
+    for count in range(1, len(names) + 1):
+        some = names[:count]
+        folder = ROOT.joinpath(
+            *some[1:] if some[0] == "swarmd" and some[1:2] and some[1] in _LINKED else some
+        )
+        yield from (p for p in (folder / "__init__.py", folder.with_suffix(".py")) if p.is_file())
+
+
+@cache
+def _named() -> dict[str, list[Path]]:
+    """The files that a word names: patterns, platforms, scenarios, missions."""
+    named: dict[str, list[Path]] = {}
+    for path in sorted(ROOT.glob("config/*/**/*.yaml")):
+        named.setdefault(path.stem, []).append(path)
+    for path in sorted(ROOT.glob("patterns/*/*")):
+        if path.suffix in (".py", ".pxd", ".yaml"):
+            named.setdefault(path.parent.name, []).append(path)
+    return named

@@ -1,0 +1,218 @@
+"""The night: which sources decide a job, what runs again, and what pages get."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from studies.night import pages, sources
+from studies.night.jobs import JOBS, Job, PatternJob, share
+from studies.night.sources import ROOT, digest_of, sources_of
+from tests.support.processes import wait_until
+
+pytestmark = [pytest.mark.long, pytest.mark.integration]
+
+BETA = """
+import sys
+from pathlib import Path
+from studies.gamma import VALUE
+if Path("wait").exists():
+    print("waits", file=sys.stderr, flush=True)
+    sys.stdin.read()
+print("<!-- results: beta_left -->", "| a |", "|---|", f"| {VALUE} |", sep="\\n")
+print("<!-- results: beta_right -->", "right", sep="\\n")
+sys.exit(Path("fail").exists())
+"""
+PAGE = """# Page
+<!-- results: beta_left (of a job) -->
+old
+<!-- end of results -->
+Between.
+<!-- results: beta_right --><!-- end of results -->
+<!-- results: beta_right -->
+<!-- end of results -->
+"""
+
+
+def git(folder: Path, *words: str) -> None:
+    who = ("-c", "user.name=n", "-c", "user.email=e@example.org")
+    subprocess.run(["git", *who, *words], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A checkout with the night, and with the job `beta` alone."""
+    for folder in ("studies/night", "studies/outcomes"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    (tmp_path / "benchmarks").mkdir()
+    for name in ("studies/__init__.py", "benchmarks/table.py", "benchmarks/__init__.py"):
+        if (ROOT / name).exists():
+            shutil.copy(ROOT / name, tmp_path / name)
+    (tmp_path / "studies/beta.py").write_text(BETA)
+    (tmp_path / "studies/gamma.py").write_text("VALUE = 1\n")
+    with (tmp_path / "studies/night/jobs.py").open("a") as file:
+        file.write('\nJOBS = (Job("beta", "docs", ("-m", "studies.beta"), 1.0),)\n')
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs/page.md").write_text(PAGE)
+    git(tmp_path, "init", "-q")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-q", "-m", "one")
+    return tmp_path
+
+
+def night(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "studies.night", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_a_night_runs_what_has_changed_and_writes_files_and_pages(checkout: Path) -> None:
+    assert night(checkout).returncode == 0
+    head = subprocess.check_output(["git", "rev-parse", "HEAD"], cwd=checkout, text=True)[:10]
+    made = msgspec.json.decode((checkout / "docs/beta.json").read_bytes())
+    assert made["parts"] == {"beta_left": ["| a |", "|---|", "| 1 |"], "beta_right": ["right"]}
+    assert made["made_with"]["commit"] == head
+    page = (checkout / "docs/page.md").read_text()
+    assert page.startswith(
+        "# Page\n<!-- results: beta_left (of a job) -->\n\n| a |\n|---|\n| 1 |\n"
+    )
+    assert "\nBetween.\n" in page
+    assert page.count("\nright\n") == 1
+    assert page.count(f"with commit {head} by `python -m studies.beta`.") == 2
+    assert "old" not in page
+
+    (checkout / "docs/page.md").write_text(PAGE)
+    (checkout / "studies/gamma.py").write_text('"""Text."""\nVALUE = 1  # one\n')
+    assert "0 jobs to do" in night(checkout, "--plan").stdout
+    assert night(checkout).stdout == ""
+    assert (checkout / "docs/page.md").read_text() == PAGE
+
+    (checkout / "studies/gamma.py").write_text("VALUE = 2\n")
+    shown = night(checkout, "--plan", "beta").stdout
+    assert "1 jobs to do" in shown
+    assert "studies/gamma.py, changed" in shown
+    assert "studies/beta.py\n" in shown
+    assert night(checkout).returncode == 0
+    made = msgspec.json.decode((checkout / "docs/beta.json").read_bytes())
+    assert made["parts"]["beta_left"][-1] == "| 2 |"
+    assert made["made_with"]["commit"] == f"{head}, with changes"
+
+
+def test_a_job_that_fails_or_is_killed_keeps_nothing_and_runs_again(checkout: Path) -> None:
+    (checkout / "fail").touch()
+    failed = night(checkout)
+    assert failed.returncode == 1
+    assert "beta failed" in failed.stderr
+    (checkout / "fail").unlink()
+    (checkout / "wait").touch()
+    command = [sys.executable, "-m", "studies.night"]
+    log = checkout / "build/night/beta.log"
+    with subprocess.Popen(
+        command, cwd=checkout, stdin=subprocess.PIPE, start_new_session=True
+    ) as running:
+        wait_until(lambda: log.exists() and "waits" in log.read_text(), "the job")
+        os.killpg(running.pid, signal.SIGKILL)
+    assert not (checkout / "docs/beta.json").exists()
+    assert (checkout / "docs/page.md").read_text() == PAGE
+    (checkout / "wait").unlink()
+    assert night(checkout).returncode == 0
+    assert (checkout / "docs/beta.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["atraction"], "attraction"),
+        (["--shard", "0/2"], "K/N"),
+        (["--shard", "3/2"], "K/N"),
+        (["--shard", "half"], "K/N"),
+    ],
+)
+def test_bad_words_start_nothing(words: list[str], wanted: str) -> None:
+    done = night(ROOT, *words, "--plan")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert wanted in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_sources_hold_every_file_that_a_run_imports() -> None:
+    program = """
+import sys
+import studies.outcomes.patterns.drive
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.scenarios.scenariofile import load_scenario
+simulate_run(load_scenario("aggregation", {"duration": 1.0}), 0)
+print(*sys.modules, sep="\\n")
+"""
+    job = next(job for job in JOBS if job.name == "drive")
+    # Interpreted, since a compiled library hides the modules that are in it.
+    interpreted = {**os.environ, "SWARMD_COMPILED": "0"}
+    command = [sys.executable, "-c", program]
+    used = subprocess.check_output(command, cwd=ROOT, text=True, env=interpreted).split()
+    files = {ROOT.joinpath(*name.split(".")).with_suffix(".py").resolve() for name in used}
+    ours = {path.relative_to(ROOT).as_posix() for path in files if path.is_file()}
+    known = {path.relative_to(ROOT).as_posix() for path in job.sources}
+    assert {"swarmd/protection/barrier.py", "patterns/attraction/pattern.py"} <= ours
+    assert sorted(ours - known) == []
+
+
+def test_a_platform_a_scenario_and_a_pattern_that_a_study_names_are_sources() -> None:
+    names = {path.relative_to(ROOT).as_posix() for path in sources_of(["studies.paper"])}
+    assert {
+        "config/scenarios/paper_exp1_burger.yaml",
+        "config/platforms/burger.yaml",
+        "patterns/attraction/pattern.py",
+        "swarmd/protection/barrier.py",
+        "swarmd/sensing/ray_memory.py",
+    } <= names
+    assert "patterns/foraging/pattern.py" not in names
+    assert not [name for name in names if name.startswith(("swarmd/cli", "swarmd/daemon", "tests"))]
+
+
+def test_a_digest_follows_code_and_not_its_comments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sources, "ROOT", tmp_path)
+    (tmp_path / "studies").mkdir()
+    (tmp_path / "studies/one.py").write_text("import studies.two\n")
+    digests = []
+    for text in ("A = 1\n", "# Why.\nA = 1\n", '"""Text."""\nA = 1\n', "A = 2\n", "B = 1\n"):
+        (tmp_path / "studies/two.py").write_text(text)
+        for known in (sources._meaning, sources._next, sources._named):
+            known.cache_clear()
+        digests.append(digest_of(["studies.one"]))
+    assert digests[0] == digests[1] == digests[2]
+    assert len(set(digests)) == 3
+    for known in (sources._meaning, sources._next, sources._named):
+        known.cache_clear()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_shards_have_each_job_once_and_like_loads(count: int) -> None:
+    jobs = [
+        Job(f"j{n}", "nowhere", ("-m", "x"), minutes)
+        for n, minutes in enumerate([9, 1, 4, 4, 2, 2, 8])
+    ]
+    shards = [share(jobs, number, count) for number in range(1, count + 1)]
+    assert sorted(job.name for shard in shards for job in shard) == [job.name for job in jobs]
+    loads = [sum(job.minutes for job in shard) for shard in shards]
+    assert max(loads) <= sum(loads) / count + 9
+
+
+def test_each_kept_part_stands_on_a_page_as_its_file_says() -> None:
+    written = {
+        part[2]: part[0]
+        for path in pages.pages()
+        for part in pages.PART.finditer(path.read_text())
+        if part[2] not in ("outcomes", "still")
+    }
+    for job in JOBS:
+        if job.made is not None and not isinstance(job, PatternJob):
+            for name in job.made.parts:
+                assert job.made.text(name) in written[name], "`python -m studies.night` writes it"
