@@ -108,6 +108,7 @@ def _outcomes(path: Path) -> Job:
 
 
 JOBS: Sequence[Job] = (
+    Job("robot_hours", "docs/evidence", ("-m", "studies.robot_hours"), 110.0),
     *(
         _outcomes(path)
         for path in sorted(ROOT.joinpath(*OUTCOMES.split(".")).glob("*.py"))

@@ -138,8 +138,9 @@ def _files_of(module: str) -> Iterator[Path]:
 def _named() -> dict[str, list[Path]]:
     """The files that a word names: patterns, platforms, scenarios, missions."""
     named: dict[str, list[Path]] = {}
-    for path in sorted(ROOT.glob("config/*/**/*.yaml")):
-        named.setdefault(path.stem, []).append(path)
+    for pattern in ("config/*/**/*.yaml", "studies/*/plugins/*.py"):
+        for path in sorted(ROOT.glob(pattern)):
+            named.setdefault(path.stem, []).append(path)
     for path in sorted(ROOT.glob("patterns/*/*")):
         if path.suffix in (".py", ".pxd", ".yaml"):
             named.setdefault(path.parent.name, []).append(path)

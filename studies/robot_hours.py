@@ -1,0 +1,105 @@
+"""Robot-hours under protection with avoidance, and their control: `python -m studies.robot_hours`.
+
+Whole swarms in lockstep on the platforms with a lidar, alone and with a third of the robots
+attacking the others, in runs of 300 s with seeds that set nothing; a part of the same runs with
+protection `off` is the control. Prints the runs at fault, the worst first, then a table by
+platform and visibility, and one by family. The same command goes on in build/safety.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from benchmarks.table import markdown
+from studies.safety.columns import EVIDENCE, HOUR, Columns, upper_bound
+from studies.safety.hours import again, cells, plan
+from studies.safety.judgement import Judgement
+from studies.safety.runs import Record, Task, carry_out, total
+from studies.safety.scenes import FAMILIES, PLATFORMS, VISIBILITIES
+
+SEEDS = range(120_000, 130_000)
+_CONTROL = 0.04
+"""The share of the hours that the control has, too."""
+_COLUMNS: Columns = {
+    **{name: EVIDENCE[name] for name in ("robot-hours", "touches", "pushed", "at fault")},
+    "a robot-hour, at most (95 %)": lambda found: _bound(found),
+    "hardest": EVIDENCE["hardest"],
+    "smallest gap [m]": lambda found: f"{found.min_gap:.3f}",
+}
+
+
+def tasks(alone: float, attacked: float, mode: str) -> list[Task]:
+    """The runs of so many robot-hours alone and among attackers, in a mode of protection."""
+    found: list[Task] = []
+    for is_attacked, robot_hours in ((False, alone), (True, attacked)):
+        families = [name for name, one in FAMILIES.items() if bool(one.attack) == is_attacked]
+        scenes = cells(families, PLATFORMS, VISIBILITIES, mode, 300.0)
+        found += plan(robot_hours, scenes, SEEDS)
+    return found
+
+
+def kind(record: Record) -> str:
+    """Among whom the robots of a run drive, and whether protection is on."""
+    family, mode = record.task.scene.of, record.task.scene.mode
+    among = "alone" if not family.attack else "among attackers"
+    beyond = "" if family.is_claimed else ", beyond the claim"
+    return f"{among}{beyond}{', **protection off**' if mode == 'off' else ''}"
+
+
+def table(records: Sequence[Record], head: str, of: Callable[[Record], str]) -> str:
+    """Markdown: a row for each kind of runs and each value of `of`, in the order of the records."""
+    groups: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        groups.setdefault((kind(record), of(record)), []).append(record)
+    rows = [["robots", head, *_COLUMNS]]
+    for names, some in sorted(groups.items(), key=lambda group: group[0][0]):
+        whole = total(record.found for record in some)
+        rows.append([*names, *(cell(whole) for cell in _COLUMNS.values())])
+    return markdown(rows)
+
+
+def worst(records: Sequence[Record]) -> str:
+    """Markdown: the runs at fault of protected robots, the hardest first, with their commands."""
+    rows = [["hardest", "at fault", "robots", "command"]]
+    for record in sorted(records, key=lambda one: -max(one.found.worst, one.found.worst_touch)):
+        cell = EVIDENCE["hardest"](record.found), EVIDENCE["at fault"](record.found)
+        if cell[1] != "0" and record.task.scene.mode != "off":
+            rows.append([*cell, kind(record), f"`{again(record.task)}`"])
+    return markdown(rows) if rows[1:] else "No run had a touch at fault."
+
+
+def main() -> None:
+    """Do the runs that are missing, and print the tables."""
+    parser = argparse.ArgumentParser(prog="python -m studies.robot_hours", description=__doc__)
+    parser.add_argument("--alone", type=float, default=300.0, help="robot-hours [300]")
+    parser.add_argument("--attacked", type=float, default=100.0, help="robot-hours [100]")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
+    options = parser.parse_args()
+    alone, attacked = options.alone, options.attacked
+    wanted = tasks(alone, attacked, "orca") + tasks(_CONTROL * alone, _CONTROL * attacked, "off")
+    records = carry_out(wanted, Path("build/safety/hours.jsonl"), options.jobs)
+    pace = sum(one.found.seconds for one in records) / sum(one.cpu for one in records)
+    whole = sum(one.found.seconds for one in records) / HOUR
+    print("<!-- results: robot_hours_worst -->", worst(records), sep="\n")
+    print("<!-- results: robot_hours -->", table(records, "", lambda record: "all"), sep="\n")
+    print(f"\n{whole:.1f} robot-hours, {pace:.0f} robot-seconds in a CPU-second.")
+    print("<!-- results: robot_hours_platforms -->")
+    print(table(records, "platform and visibility", _place))
+    print("<!-- results: robot_hours_families -->")
+    print(table(records, "family", lambda record: f"`{record.task.scene.family}`"))
+
+
+def _bound(found: Judgement) -> str:
+    bound = upper_bound(found.faults + found.touch_faults, found.seconds / HOUR)
+    return f"{bound:.2g}" if bound < 100.0 else f"{bound:.0f}"
+
+
+def _place(record: Record) -> str:
+    return f"{record.task.scene.platform}, {record.task.scene.visibility}"
+
+
+if __name__ == "__main__":
+    main()
