@@ -1,8 +1,8 @@
 """Robot-hours under protection with avoidance, and their control: `python -m studies.robot_hours`.
 
 Whole swarms in lockstep on the platforms with a lidar, alone and with a third of the robots
-attacking the others, in runs of 300 s with seeds that set nothing; a part of the same runs with
-protection `off` is the control. Prints the runs at fault, the worst first, then a table by
+attacking the others, in runs of 300 s with seeds that set nothing. A fifth of them is repeated with
+`walls_stand`, and 4 % with protection `off`, the control. Prints the runs at fault, the worst first, then a table by
 platform and visibility, and one by family. The same command goes on in build/safety.
 """
 
@@ -21,8 +21,12 @@ from studies.safety.runs import Record, Task, carry_out, total
 from studies.safety.scenes import FAMILIES, PLATFORMS, VISIBILITIES
 
 SEEDS = range(120_000, 130_000)
-_CONTROL = 0.04
-"""The share of the hours that the control has, too."""
+MODES = {
+    "orca": (1.0, ""),
+    "walls_stand": (0.2, ", with `walls_stand`"),
+    "off": (0.04, ", **protection off**"),
+}
+"""The modes of protection, each with its share of the robot-hours and its words."""
 _COLUMNS: Columns = {
     **{name: EVIDENCE[name] for name in ("robot-hours", "touches", "pushed", "at fault")},
     "a robot-hour, at most (95 %)": lambda found: _bound(found),
@@ -43,10 +47,10 @@ def tasks(alone: float, attacked: float, mode: str) -> list[Task]:
 
 def kind(record: Record) -> str:
     """Among whom the robots of a run drive, and whether protection is on."""
-    family, mode = record.task.scene.of, record.task.scene.mode
+    family = record.task.scene.of
     among = "alone" if not family.attack else "among attackers"
     beyond = "" if family.is_claimed else ", beyond the claim"
-    return f"{among}{beyond}{', **protection off**' if mode == 'off' else ''}"
+    return f"{among}{beyond}{MODES[record.task.scene.mode][1]}"
 
 
 def table(records: Sequence[Record], head: str, of: Callable[[Record], str]) -> str:
@@ -55,7 +59,7 @@ def table(records: Sequence[Record], head: str, of: Callable[[Record], str]) -> 
     for record in records:
         groups.setdefault((kind(record), of(record)), []).append(record)
     rows = [["robots", head, *_COLUMNS]]
-    for names, some in sorted(groups.items(), key=lambda group: group[0][0]):
+    for names, some in groups.items():
         whole = total(record.found for record in some)
         rows.append([*names, *(cell(whole) for cell in _COLUMNS.values())])
     return markdown(rows)
@@ -78,8 +82,11 @@ def main() -> None:
     parser.add_argument("--attacked", type=float, default=100.0, help="robot-hours [100]")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
     options = parser.parse_args()
-    alone, attacked = options.alone, options.attacked
-    wanted = tasks(alone, attacked, "orca") + tasks(_CONTROL * alone, _CONTROL * attacked, "off")
+    wanted = [
+        task
+        for mode, (part, _) in MODES.items()
+        for task in tasks(part * options.alone, part * options.attacked, mode)
+    ]
     records = carry_out(wanted, Path("build/safety/hours.jsonl"), options.jobs)
     pace = sum(one.found.seconds for one in records) / sum(one.cpu for one in records)
     whole = sum(one.found.seconds for one in records) / HOUR
