@@ -1,9 +1,10 @@
 """Robot-hours under protection with avoidance, and their control: `python -m studies.robot_hours`.
 
 Whole swarms in lockstep on the platforms with a lidar, alone and with a third of the robots
-attacking the others, in runs of 300 s with seeds that set nothing. A fifth of them is repeated with
-`walls_stand`, and 4 % with protection `off`, the control. Prints the runs at fault, the worst first, then a table by
-platform and visibility, and one by family. The same command goes on in build/safety.
+attacking the others, in runs of 300 s with seeds that set nothing. A fifth of them is repeated
+with `walls_stand`, beginning with the scenes that it is about, and 4 % with protection `off`, the
+control. Prints the runs at fault, the worst first, then a table by platform and visibility, and one
+by family. The same command goes on in build/safety.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ def tasks(alone: float, attacked: float, mode: str) -> list[Task]:
     found: list[Task] = []
     for is_attacked, robot_hours in ((False, alone), (True, attacked)):
         families = [name for name, one in FAMILIES.items() if bool(one.attack) == is_attacked]
+        if mode == "walls_stand":
+            families.sort(key=lambda name: FAMILIES[name].movers is None)
         scenes = cells(families, PLATFORMS, VISIBILITIES, mode, 300.0)
         found += plan(robot_hours, scenes, SEEDS)
     return found
