@@ -32,7 +32,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety faults outcomes voting learning films mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
+.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety faults outcomes voting learning films ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
 .DELETE_ON_ERROR:
 
 help:
@@ -66,8 +66,6 @@ help:
 	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make faults      one of seven robots has a fault: who names it, what touches, what is lost; half a CPU-hour"
-	@echo "make mutants   600 small changes of what decides motion, and the tests that notice them; some hours of a core"
-	@echo "make mutants-of  the same for all that commits changed there; ARGS=HEAD [default], or COMMIT.."
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"
 	@echo "make ros-study    faults of three robots on DDS behind that router, for docs/ros_faults.md; six minutes"
@@ -249,15 +247,6 @@ faults: $(VENV)/tools
 ros-study: $(VENV)/tools
 	@command -v zenoh-bridge-ros2dds >/dev/null || $(MAKE) --no-print-directory ros2-router
 	@$(BIN)/python -m studies.ros $(ARGS)
-
-# Small changes of the code that decides motion, a seeded sample, each with the tests that reach it.
-# The same command resumes. ARGS="--draw 60 --seed 2" draws others.
-mutants: $(VENV)/tools
-	@$(BIN)/python -m studies.mutants sample --draw 600 $(ARGS)
-
-# What commits touched there, each function changed a little: make mutants-of ARGS=HEAD, or v0.1..
-mutants-of: $(VENV)/tools
-	@$(BIN)/python -m studies.mutants of $(or $(ARGS),HEAD)
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \

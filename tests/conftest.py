@@ -16,7 +16,7 @@ from pathlib import Path, PurePath
 from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 
 import pytest
-from hypothesis import Phase, settings
+from hypothesis import settings
 from xdist.workermanage import WorkerController
 
 from swarmd.core.kernels import describe_kernels
@@ -40,14 +40,6 @@ settings.register_profile("evidence", deadline=None, max_examples=FULL)
 # The second pass over the same code, with interpreted kernels (tests/core/test_kernel_forms.py).
 settings.register_profile(
     "interpreted", deadline=None, max_examples=FULL // 25, derandomize=True, database=None
-)
-# Whether a mechanism is missing shows soon; which example shows it best does not matter.
-settings.register_profile(
-    "mutants",
-    deadline=None,
-    derandomize=True,
-    max_examples=25,
-    phases=(Phase.explicit, Phase.generate),
 )
 settings.load_profile("test")
 

@@ -16,7 +16,6 @@ import pytest
 import yaml
 
 import swarmd
-from studies import mutants
 from swarmd.core import kernels
 from swarmd.plugins import installed_patterns
 from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
@@ -443,7 +442,8 @@ def test_python_uses_kernels_as_cython_permits() -> None:
 
     The directive `always_allow_keywords` is False; the interpreted form permits both.
     """
-    trees = [tree_of(ROOT / path) for path in mutants.TESTS]
+    files = [kernels.source_of(name) for name in kernels.KERNELS]
+    trees = [tree_of(ROOT / path) for path in files]
     classes = {node.name: node for t in trees for node in t.body if isinstance(node, ast.ClassDef)}
     functions = [node for t in trees for node in ast.walk(t) if isinstance(node, ast.FunctionDef)]
     arguments = [(f.name, [arg.arg for arg in f.args.args if arg.arg != "self"]) for f in functions]
@@ -453,7 +453,7 @@ def test_python_uses_kernels_as_cython_permits() -> None:
         text, names = path.read_text(), classes.keys()
         found += [f"{name_of(path)}: {call}" for call in re.findall(r"\b\w+\(\w+=", text)
                   if call in keywords]  # fmt: skip
-        is_python = name_of(path) not in mutants.TESTS  # a kernel may replace methods of C
+        is_python = name_of(path) not in files  # a kernel may replace methods of C
         for node in ast.walk(tree_of(path)) if any(f"({name})" in text for name in names) else ():
             bases = node.bases if isinstance(node, ast.ClassDef) and is_python else []
             for base in map(ast.unparse, bases):

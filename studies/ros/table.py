@@ -1,4 +1,4 @@
-"""The table of faults, as Markdown, and its place in a page."""
+"""The table of faults, as Markdown."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import json
 import math
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 
 from studies.ros.robots import ARENA, ROBOTS
 from studies.ros.study import Row
 
-BEGIN, END = "<!-- faults: written by make ros-study -->", "<!-- faults end -->"
 HEAD = (
     "| fault | noticed after, s | the daemon says | commands to move until, s (bound) |"
     " base stands after, s | driven, m | order: exit code, s, answer | commands after it |"
@@ -55,16 +53,6 @@ def summary(rows: Sequence[Row], contacts: str, seed: int) -> str:
         f"{'; '.join(held) or 'none of them'}."
     )
     return "\n".join(textwrap.wrap(text, 120))
-
-
-def insert(page: Path, lines: Sequence[str]) -> None:
-    """Put the lines between the markers of a page; AssertionError without markers."""
-    before, begin, rest = page.read_text().partition(BEGIN)
-    _, end, after = rest.partition(END)
-    assert begin, f"{page} lacks {BEGIN}"
-    assert end, f"{page} lacks {END}"
-    body = "\n".join(lines)
-    page.write_text(f"{before}{BEGIN}\n\n{body}\n\n{END}{after}")
 
 
 def _noticed(row: Row) -> str:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from studies.mutants import TESTS
 from swarmd.core.kernels import KERNELS, describe_kernels, source_of
 from tests.support.examples import part
 
@@ -21,7 +20,10 @@ WITHOUT = "not integration and not evidence and not compiled_only"
 
 PASSED = ROOT / "build" / "interpreted.json"
 """By the folder of tests, the digest of what passed interpreted."""
-FOLDERS = sorted({*TESTS.values()})
+FOLDERS = sorted(
+    {f"tests/{Path(source_of(name)).parent}".replace("/swarmd/", "/") for name in KERNELS}
+)
+"""Of the tests of kernels."""
 
 
 def digest(folder: str, root: Path = ROOT) -> str:

@@ -11,7 +11,7 @@ import pytest
 from studies.ros.chain import Chain
 from studies.ros.faults import Fault, faults
 from studies.ros.study import Row, rows
-from studies.ros.table import BEGIN, END, HEAD, insert, line, summary
+from studies.ros.table import HEAD, line, summary
 from tests.support.ros2_bridge import why_no_bridge
 
 SHORT = ("lidar silent", "another node drives: 50 commands per second")
@@ -95,18 +95,3 @@ def test_the_summary_counts_what_was_noticed_and_who_was_held() -> None:
     text = summary([row(first), row(second, noticed=math.inf, others="r2: held")], "[1, 2]", 3)
     assert text.startswith("2 faults, 1 noticed, 0 with")
     assert "r2: held" in text.replace("\n", " ")
-
-
-def test_the_table_replaces_the_one_before(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
-    insert(page, ["new", "table"])
-    assert page.read_text() == f"before\n{BEGIN}\n\nnew\ntable\n\n{END}\nafter\n"
-
-
-def test_a_page_without_markers_is_left_alone(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{BEGIN}\n")
-    with pytest.raises(AssertionError):
-        insert(page, ["new"])
-    assert page.read_text() == f"before\n{BEGIN}\n"
