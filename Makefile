@@ -68,7 +68,7 @@ help:
 	@echo "make faults      one of seven robots has a fault: who names it, what touches, what is lost; half a CPU-hour"
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"
-	@echo "make ros-study    faults of three robots on DDS behind that router, for docs/ros_faults.md; six minutes"
+	@echo "make ros-study    faults of three robots on DDS behind that router: the table of docs/ros_faults.md; ten minutes"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
@@ -243,7 +243,7 @@ safety: $(VENV)/tools
 faults: $(VENV)/tools
 	@$(BIN)/python -m studies.faults $(ARGS)
 
-# Three robots on DDS behind one bridge, and what their daemons make of thirty faults, in docs/ros_faults.md.
+# Three robots on DDS behind one bridge, and what their daemons make of faults: the table of docs/ros_faults.md.
 ros-study: $(VENV)/tools
 	@command -v zenoh-bridge-ros2dds >/dev/null || $(MAKE) --no-print-directory ros2-router
 	@$(BIN)/python -m studies.ros $(ARGS)

@@ -74,6 +74,55 @@ def test_no_link_of_the_readme_on_an_index_of_packages_is_relative() -> None:
     assert [link for link in links if not link.startswith("https://")] == []
 
 
+GOOD = {
+    "is_good": True, "problems": [], "kernels": "compiled", "metrics": {"path_length": 0.9},
+    "robots": ["tb3-01"], "seconds": 8.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "subject"),
+    [
+        ({}, ""),
+        ({"is_good": False, "problems": ["tb3-01 touched a wall"]}, "tb3-01 touched a wall"),
+        ({"kernels": "interpreted"}, "interpreted"),
+        ({"metrics": {"path_length": 0.01}}, "0.01 m"),
+        ({"metrics": {"path_length": None}}, "0.00 m"),
+    ],
+)
+def test_a_demo_that_did_not_drive_ends_the_release(changed: dict[str, Any], subject: str) -> None:
+    why = RELEASE["fault_of"]({**GOOD, **changed})
+    assert subject in why
+    assert bool(why) == bool(subject)
+
+
+@pytest.mark.integration
+def test_a_python_is_found_behind_a_shim_that_does_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder, text in {
+        "shims": "exit 127",
+        "other": "echo Python 3.1.9",
+        "bin": "echo Python 3.12.9",
+    }.items():
+        (tmp_path / folder).mkdir()
+        program = tmp_path / folder / "python3.12"
+        program.write_text(f"#!/bin/sh\n{text}\n")
+        program.chmod(0o755)
+    monkeypatch.setenv("PATH", ":".join(str(tmp_path / one) for one in ("shims", "other", "bin")))
+    assert RELEASE["python_of"]("3.12") == tmp_path / "bin" / "python3.12"
+    assert RELEASE["python_of"]("3.13") is None
+
+
+def test_pages_name_the_archives_of_the_version_of_the_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    named = {
+        one for page in pages for one in re.findall(r"\bswarmd-(\d[\d.]*\d)-", page.read_text())
+    }
+    assert named == {project["version"]}
+
+
 def test_the_citation_has_the_version_of_the_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == project["version"]

@@ -249,7 +249,7 @@ def _answer(output: str, robot: str) -> str:
     """The first words of a robot's answer to an order, such as `commanded zero`."""
     words = rf"^{robot} +(?:applied +)?([^:;\n]+?)(?: *[:;]| +-$|$)"
     match = re.search(words, output, re.MULTILINE)
-    return match[1] if match else ""
+    return " ".join(match[1].split()) if match else ""
 
 
 def _driver(status: Status | None) -> str:
