@@ -9,26 +9,20 @@ link. The origin of a loss is the last state of the robot before it searched.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from itertools import cycle
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import aggregation
-from swarmd.sim.plots.theme import VARIANT_COLOURS, new_figure, tidy
 from swarmd.sim.trace import Trace
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LINK = 1.0
 """m, between axle centres."""
 HOLD = 1.0
 """s; without it, a robot at the distance LINK would lose its link again and again."""
 ORDER = ("search", "gather", "settled", "roll", "lead")
-"""The order of known states in tables and figures. Other states follow by name."""
+"""The order of known states. Other states follow by name."""
 
 SEARCH = ORDER[0]
 KINDS = ("time", "losses", "origins")
@@ -98,25 +92,3 @@ def state_rows(by_row: Mapping[str, Counts], runs: Mapping[str, int]) -> list[li
         some = [shares(counts).get(state, np.zeros(3)) for state in states]
         rows.append([row, f"{lost:.1f}", *(" / ".join(f"{a:.0%}" for a in cell) for cell in some)])
     return rows
-
-
-def state_figure(by_row: Mapping[str, Counts]) -> Figure:
-    """A bar of each of KINDS for each row: its shares by state."""
-    figure = new_figure(8.0, 0.9 + 0.85 * len(by_row))
-    axes = figure.subplots()
-    states = states_of(by_row)
-    heights = [row + side for row in range(len(by_row)) for side in (-0.27, 0.0, 0.27)]
-    names = [f"{row}, {kind}" for row in by_row for kind in KINDS]
-    left: Array = np.zeros(len(heights))
-    for state, colour in zip(states, cycle(VARIANT_COLOURS), strict=False):
-        some = [shares(counts).get(state, np.zeros(3)) for counts in by_row.values()]
-        widths = 100.0 * np.array(some).reshape(-1)
-        axes.barh(heights, widths, 0.24, left=left, color=colour, label=state)
-        left = left + widths
-    axes.set_yticks(heights, names)
-    axes.invert_yaxis()
-    axes.set(xlabel="share of the time, of lost last links, and of their origins [%]")
-    axes.set_xlim(0.0, 100.0)
-    tidy(axes)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(states), frameon=False)
-    return figure
