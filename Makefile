@@ -32,7 +32,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety faults outcomes voting learning films mutants mutants-of ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
+.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety faults outcomes voting learning films mutants mutants-of ros2-router zenohd ros-study lock clean tuning missions bench-suite sequences arm64 processors
 .DELETE_ON_ERROR:
 
 help:
@@ -50,7 +50,7 @@ help:
 	@echo "make names     writes tests/docs/public_names.txt again, the names and signatures on which users build"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their goals (ARGS=latency picks one)"
-	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
+	@echo "make bench-suite  the benchmark tasks: the tables of docs/benchmark_suite.md; some 90 minutes of a core"
 	@echo "make budget    each budget: a ratio to a yardstick of the same run, in three minutes"
 	@echo "make arm64     tests, traces and a daemon on an emulated arm64; as root, half an hour at first"
 	@echo "make processors  which bits depend on the variant of x86-64, and which functions differ; ten minutes of a core"
@@ -62,6 +62,7 @@ help:
 	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; ten minutes of a core"
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
 	@echo "make learning    what protection does to learning: trains a policy with it and without; six minutes of a core"
+	@echo "make missions    what the missions bring about; a quarter of an hour of a core"
 	@echo "make voting      how voting scales with robots and tiles; half an hour"
 	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
@@ -177,10 +178,9 @@ bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
 
 # The patterns of all benchmark tasks over twenty seeds; the same command resumes. ARGS="--seeds 10
-# -j 1" runs less. It writes table and picture of docs/benchmark_suite.md.
+# --jobs 1" runs less. It draws the picture of docs/benchmark_suite.md.
 bench-suite: $(VENV)/tools
-	@$(BIN)/swarmctl exp bench --out build/bench_suite $(ARGS)
-	@$(BIN)/python -m studies.benchmark_suite build/bench_suite
+	@$(BIN)/python -m studies.benchmark_suite $(ARGS)
 
 # Debian 12 by qemu-user, in build/arm64.
 arm64: $(VENV)/tools
@@ -188,7 +188,7 @@ arm64: $(VENV)/tools
 
 # Twelve scenarios in the variants of this processor; ARGS="--only doorway --share 0.2" runs less.
 processors: kernels
-	@$(BIN)/python -m studies.processors variants build/processors $(ARGS)
+	@$(BIN)/python -m studies.processors variants $(ARGS)
 
 # Every row of the budgets in three minutes.
 budget: $(VENV)/tools
@@ -205,9 +205,10 @@ network-scale: $(VENV)/tools
 	@$(COMPILE) tests
 	@$(BIN)/python -m benchmarks.network_scale $(ARGS)
 
-# The tables and figures of docs/paper.md, in build/paper: 1100 runs, half an hour on two cores.
+# The tables and figures of docs/paper.md: 1160 runs, half an hour on two cores.
 paper: $(VENV)/tools
 	@$(BIN)/python -m studies.paper $(ARGS)
+	@$(BIN)/python -m studies.paper_exp2 $(ARGS)
 
 # What each pattern brings about, over twenty seeds; tests/studies/test_outcomes.py tests a few.
 outcomes: $(VENV)/tools
@@ -215,16 +216,16 @@ outcomes: $(VENV)/tools
 
 # A policy with protection and without, in training and in runs of other seeds; some six minutes of a core.
 learning: $(VENV)/tools
-	@$(BIN)/python -m studies.learning --train 23 $(ARGS)
+	@$(BIN)/python -m studies.learning $(ARGS)
 
 # Attraction by the bound that it misses (docs/paper.md, experiment 1), dispersion by the way to its
 # distance; ten minutes of a core. Their pages have the results. The same command resumes.
-TUNE = $(BIN)/swarmctl exp tune --budget 64 --seeds 8 --candidates 5 --held-out 50
 tuning: $(VENV)/tools
-	@$(TUNE) paper_exp1_burger --metric mean_distance_to_centroid_late:min --set duration=60 \
-	  --param slack=0..0.2 --param brake=0.1..1.5 --param range=1..7 --out build/tuning/attraction $(ARGS)
-	@$(TUNE) dispersion --metric path_length:min --set groups.tb3.count=5 --set duration=40 \
-	  --param ramp=0.05..1.5 --param speed=0.05..0.22 --out build/tuning/dispersion $(ARGS)
+	@$(BIN)/python -m studies.tuning $(ARGS)
+
+# What the missions that come with swarmd bring about, for docs/missions.md; a quarter of an hour of a core.
+missions: $(VENV)/tools
+	@$(BIN)/python -m studies.missions $(ARGS)
 
 # How voting scales with robots and the share of black tiles, for their pages; half an hour.
 voting: $(VENV)/tools
@@ -241,7 +242,7 @@ safety: $(VENV)/tools
 	@$(BIN)/python -m studies.safety progress
 
 # Five patterns, ten faults of one of seven robots, twenty seeds, for docs/evidence/faults.md; 1200 runs,
-# half an hour of two idle cores. The same command resumes. ARGS="--seeds 5 --patterns flocking" runs less.
+# half an hour of two idle cores. The same command resumes. ARGS="--seeds 5" runs less.
 faults: $(VENV)/tools
 	@$(BIN)/python -m studies.faults $(ARGS)
 

@@ -84,14 +84,21 @@ def variants() -> dict[str, Variant]:
 
 
 def run_variant(variant: Variant, folder: Path, names: Iterable[str], share: float = 1.0) -> None:
-    """`write_traces` in a process of its own; subprocess.CalledProcessError if it fails."""
-    command = [sys.executable, "-m", "studies.processors", "traces", str(folder)]
+    """`write_traces` in a process of its own, unless `folder` exists.
+
+    subprocess.CalledProcessError if it fails.
+    """
+    if folder.exists():
+        return
+    part = folder.with_suffix(".part")
+    command = [sys.executable, "-m", "studies.processors", "traces", str(part)]
     subprocess.run(
         [*command, "--share", str(share), "--cores", str(variant.cores), "--only", *names],
         env={**os.environ, **variant.environment},
         cwd=ROOT,
         check=True,
     )
+    part.rename(folder)
 
 
 def write_traces(folder: Path, names: Iterable[str], *, share: float = 1.0, cores: int = 1) -> None:
