@@ -8,14 +8,13 @@ and draws the picture of the tasks. The same command resumes. The runs are those
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.table import markdown
 from studies import kept
-from swarmd.sim.experiments.benchmark import HEADER, plan_of_task, row, standings, task_of
+from swarmd.sim.experiments.benchmark import HEADER, row, standings
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.plots import scene
@@ -48,35 +47,33 @@ def main() -> None:
     options, folder = kept.chosen("benchmark_suite", __doc__), kept.kept_folder("benchmark_suite")
     folder /= str(options.seeds)
     save(figure_of(task_names()), kept.FIGURES / "benchmark_suite.png")
-    parts = {}
-    for part, patterns in (("benchmark_suite", ()), ("benchmark_stand", (STAND,))):
-        found = [
-            results_of(task, range(options.seeds), patterns, folder / part, options.jobs)
-            for task in task_names()
-        ]
-        parts[part] = table(found)
-    kept.print_parts(parts)
+    kept.print_parts(
+        {
+            part: table(
+                results_of(task, range(options.seeds), patterns, folder / part, options.jobs)
+                for task in task_names()
+            )
+            for part, patterns in (("benchmark_suite", ()), ("benchmark_stand", (STAND,)))
+        }
+    )
 
 
 def results_of(
     task: str, seeds: Sequence[int], patterns: Sequence[str], folder: Path, jobs: int
 ) -> Results:
     """The runs of a task with these patterns, or those of its file, as `swarmctl exp bench`."""
-    plugins = Path(__file__).parent if STAND in patterns else None
-    planned = plan_of_task(task, seeds, patterns, plugins, on_misfit=print_misfit)
-    assert planned is not None
-    plan, metric = planned
-    out = folder / task_of(plan)
-    print(f"{out}: {len(plan.runs)} runs", file=sys.stderr, flush=True)
+    effective = load_scenario(task).effective
     return simulate(
-        task, seeds, set=plan.sets, sweep=plan.sweep, jobs=jobs, out=out, traces=False,
-        metrics=[metric],
-    )  # fmt: skip
-
-
-def print_misfit(line: str) -> None:
-    """Print why a pattern does not fit a task to the standard error."""
-    print(line, file=sys.stderr)
+        task,
+        seeds,
+        set={"plugin_dir": str(Path(__file__).parent)} if STAND in patterns else None,
+        sweep={"pattern": list(patterns or effective["patterns"])},
+        jobs=jobs,
+        out=folder / Path(task).stem,
+        traces=False,
+        metrics=[effective["metric"]],
+        on_progress=kept.on_progress(task),
+    )
 
 
 def table(found: Iterable[Results]) -> str:

@@ -213,15 +213,16 @@ def _mean(values: Sequence[float | None]) -> str:
 
 def main() -> None:
     """Do the runs, and print the table."""
-    options, folder = kept.chosen("faults", __doc__), kept.kept_folder("faults")
+    options = kept.chosen("faults", __doc__)
     tasks = [
         Task(pattern, fault, seed)
         for seed in range(options.seeds)
         for pattern in BEHAVIOURS
         for fault in (SOUND, REMOVED, *FAULTS)
     ]
-    file = folder / "runs.jsonl"
-    records = carry_out_missing(tasks, perform, Record, file, options.jobs)
+    records = carry_out_missing(
+        tasks, perform, Record, kept.kept_folder("faults") / "runs.jsonl", options.jobs
+    )
     kept.print_parts({"faults": table(records)})
 
 

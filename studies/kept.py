@@ -9,7 +9,7 @@ import argparse
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,6 +20,7 @@ import swarmd
 import swarmd.config
 from swarmd.core.values import Array
 from swarmd.sim.experiments.provenance import digest_of_code
+from swarmd.sim.experiments.simulate import Progress
 from swarmd.sim.experiments.statistics import mean_interval
 
 T = TypeVar("T")
@@ -53,10 +54,15 @@ def print_parts(parts: Mapping[str, str]) -> None:
         print(f"<!-- results: {name} -->\n\n{text.strip()}\n", flush=True)
 
 
-def once(file: Path, kind: type[T], make: Callable[[], Sequence[T]]) -> list[T]:
+def on_progress(what: str) -> Callable[[Progress], None]:
+    """Prints the number of finished runs to the standard error, for `simulate`."""
+    return lambda now: print(f"{what}: {now.done}/{now.total}\r", end="", file=sys.stderr)
+
+
+def once(file: Path, kind: type[T], make: Callable[[], Iterable[T]]) -> list[T]:
     """The records in a file, dataclasses of one `kind`; made and kept if the file is missing."""
     if not file.exists():
-        made = msgspec.msgpack.encode(make())
+        made = msgspec.msgpack.encode([*make()])
         file.parent.mkdir(parents=True, exist_ok=True)
         part = file.with_suffix(".part")
         part.write_bytes(made)
@@ -68,7 +74,6 @@ def once(file: Path, kind: type[T], make: Callable[[], Sequence[T]]) -> list[T]:
 def mean_of(values: Array) -> str:
     """The mean of the known values (n,) as a text, with its 95 % interval."""
     known = values[~np.isnan(values)]
-    if not len(known):
-        return "-"
-    interval, mean = mean_interval(known), f"{known.mean():.2f}"
+    interval = mean_interval(known) if len(known) else None
+    mean = f"{known.mean():.2f}" if len(known) else "-"
     return mean if interval is None else f"{mean} ({interval.low:.2f} to {interval.high:.2f})"

@@ -90,8 +90,9 @@ def trained(mode: str, generations: int, folder: Path) -> PolicyNetwork:
         folder.mkdir(parents=True, exist_ok=True)
         part = file.with_suffix(".part.npz")
         options = ["--protection", mode, "--generations", str(generations), "--seconds", "1e9"]
-        command = [sys.executable, str(EXAMPLE), str(part), *options]
-        subprocess.run(command, check=True, stdout=sys.stderr)
+        subprocess.run(
+            [sys.executable, str(EXAMPLE), str(part), *options], check=True, stdout=sys.stderr
+        )
         part.rename(file)
     return network_from_bytes(file.read_bytes())
 

@@ -5,8 +5,6 @@ Prints the tables of docs/missions.md. The same command resumes.
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 
 from benchmarks.table import markdown
@@ -76,10 +74,14 @@ def main() -> None:
     options, folder = kept.chosen("missions", __doc__), kept.kept_folder("missions")
     rows = [("mission", "measured", "mean (95 %), or runs")]
     for mission in MISSIONS:
-        out = folder / f"{options.seeds}-{mission}"
-        results = simulate(mission, options.seeds, jobs=options.jobs, out=out)
+        results = simulate(
+            mission,
+            options.seeds,
+            jobs=options.jobs,
+            out=folder / f"{options.seeds}-{mission}",
+            on_progress=kept.on_progress(mission),
+        )
         rows += [(f"`{mission}`", *cells) for cells in rows_of(mission, results)]
-        print(f"{mission}: done", file=sys.stderr, flush=True)
     patterns = "gather_on_dark_floor", "random_walk"
     spot = results_of(
         SPOT, range(options.seeds), patterns, folder / str(options.seeds), options.jobs

@@ -11,14 +11,13 @@ docs/paper.md. With all seeds it also draws the figures of that page. The same c
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.table import markdown
-from studies import ideal_search, kept, paper_states
+from studies import ideal_search, kept
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.results import Results
@@ -64,6 +63,8 @@ MDC = "mean_distance_to_centroid"
 MDC_SOON = 0.86
 MDC_LATE = {"burger": 0.65, "waffle_pi": 0.75}
 """Upper bounds in m of the mean distance to the centroid after 30 s and at the end."""
+LINK = 1.0
+"""m, between axle centres of linked robots."""
 ENOUGH = 6
 """Robots of seven: the authors lost one."""
 
@@ -206,9 +207,7 @@ def traces_of(results: Results, variant: str) -> list[Trace]:
 def late_largest_group(results: Results, variant: str) -> Array:
     """(runs,) the mean size of the largest group of linked robots in the last 60 s."""
     lates = [window.late(trace) for trace in traces_of(results, variant)]
-    return np.array(
-        [aggregation.largest_cluster(trace, paper_states.LINK).mean() for trace in lates]
-    )
+    return np.array([aggregation.largest_cluster(trace, LINK).mean() for trace in lates])
 
 
 def label(name: str, variant: str, law: str, is_fresh: bool) -> str:
@@ -244,19 +243,6 @@ def searches() -> str:
     return markdown(rows)
 
 
-def causes(by_run: Runs) -> str:
-    """The table of states of law settling in the hardware arena."""
-    by_row: dict[str, paper_states.Counts] = {}
-    runs: dict[str, int] = {}
-    for name in HARDWARE:
-        results = by_run[name, "settling", False]
-        for variant in results.variants:
-            traces = traces_of(results, variant)
-            row = label(name, variant, "settling", False)
-            by_row[row], runs[row] = paper_states.counts_of(traces), len(traces)
-    return markdown(paper_states.state_rows(by_row, runs))
-
-
 def draw(by_run: Runs) -> None:
     """The figures: the distance to the centroid over time, and a typical run of each law."""
     metric = f"{MDC}_late"
@@ -282,23 +268,22 @@ def draw(by_run: Runs) -> None:
 def main() -> None:
     """Do all runs, the most important first, print the tables and draw the figures."""
     options, folder = kept.chosen("paper", __doc__), kept.kept_folder("paper")
-    by_run: dict[tuple[str, str, bool], Results] = {}
-    for law, seeds, names in PLAN:
-        for name in names:
-            by_run[name, law, seeds is FRESH] = simulate(
-                f"paper_exp1_{name}",
-                seeds[: len(seeds) * options.seeds // kept.SEEDS],
-                set=changes(name, law),
-                sweep={"lidar_visibility": list(VISIBILITIES[: 1 if law == STILL else 2])},
-                jobs=options.jobs,
-                out=folder / f"{options.seeds}-{name}-{law}{'-fresh' * (seeds is FRESH)}",
-            )
-            print(f"{name}, {law}: done", file=sys.stderr, flush=True)
+    by_run = {
+        (name, law, seeds is FRESH): simulate(
+            f"paper_exp1_{name}",
+            seeds[: len(seeds) * options.seeds // kept.SEEDS],
+            set=changes(name, law),
+            sweep={"lidar_visibility": list(VISIBILITIES[: 1 if law == STILL else 2])},
+            jobs=options.jobs,
+            out=folder / f"{options.seeds}-{name}-{law}{'-fresh' * (seeds is FRESH)}",
+            on_progress=kept.on_progress(f"{name}, {law}"),
+        )
+        for law, seeds, names in PLAN
+        for name in names
+    }
     if options.seeds == kept.SEEDS:
         draw(by_run)
-    parts = tables(by_run)
-    parts |= {"paper_ideal_search": searches(), "paper_states": causes(by_run)}
-    kept.print_parts(parts)
+    kept.print_parts({**tables(by_run), "paper_ideal_search": searches()})
 
 
 if __name__ == "__main__":

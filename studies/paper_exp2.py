@@ -8,7 +8,6 @@ same command resumes.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -251,11 +250,17 @@ def draw(results: Mapping[str, Results]) -> None:
 def main() -> None:
     """Do all runs, print the tables and draw the figures."""
     options, folder = kept.chosen("paper_exp2", __doc__), kept.kept_folder("paper_exp2")
-    results = {}
-    for name, scenario, changes in PLAN:
-        out = folder / f"{options.seeds}-{name}"
-        results[name] = simulate(scenario, options.seeds, set=changes, jobs=options.jobs, out=out)
-        print(f"{name}: done", file=sys.stderr, flush=True)
+    results = {
+        name: simulate(
+            scenario,
+            options.seeds,
+            set=changes,
+            jobs=options.jobs,
+            out=folder / f"{options.seeds}-{name}",
+            on_progress=kept.on_progress(name),
+        )
+        for name, scenario, changes in PLAN
+    }
     if options.seeds == kept.SEEDS:
         draw(results)
     kept.print_parts(tables(results))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,92 +19,73 @@ from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.experiments.statistics import interval, number
 from swarmd.sim.experiments.tune import HELD_OUT, PRESENT, TUNED, Tuning, tune
 
-SEEDS, HELD, BUDGET = 8, 50, 64
-"""Seeds of the search, held-out seeds, and runs of the search."""
-
-
-@dataclass(frozen=True, slots=True)
-class Search:
-    """What is tuned: a metric to minimise, the parameters, and the metrics of the table."""
-
-    scenario: str
-    group: str
-    metric: str
-    params: tuple[str, ...]
-    set: Mapping[str, Any]
-    shown: Mapping[str, str]
-
-
-SEARCHES = {
-    "tuned_attraction": Search(
-        "paper_exp1_burger",
+_NEAREST = {"late distance to the nearest [m]": "nearest_neighbor_median_late"}
+SEARCHES: Mapping[str, tuple[str, Mapping[str, str], Mapping[str, Any]]] = {
+    "tuned_attraction": (
         "all",
-        "mean_distance_to_centroid_late",
-        ("slack=0..0.2", "brake=0.1..1.5", "range=1..7"),
-        {"duration": 60},
         {
             "late distance to the centroid [m]": "mean_distance_to_centroid_late",
             "late speed / limit": "mean_speed_late_share",
             "half distance after [s]": "gather_time",
-            "late distance to the nearest [m]": "nearest_neighbor_median_late",
+            **_NEAREST,
+        },
+        {
+            "scenario": "paper_exp1_burger",
+            "metric": "mean_distance_to_centroid_late:min",
+            "param": ("slack=0..0.2", "brake=0.1..1.5", "range=1..7"),
+            "set": {"duration": 60},
         },
     ),
-    "tuned_dispersion": Search(
-        "dispersion",
+    "tuned_dispersion": (
         "tb3",
-        "path_length",
-        ("ramp=0.05..1.5", "speed=0.05..0.22"),
-        {"groups.tb3.count": 5, "duration": 40},
+        {"mean way [m]": "path_length", **_NEAREST},
         {
-            "mean way [m]": "path_length",
-            "late distance to the nearest [m]": "nearest_neighbor_median_late",
+            "scenario": "dispersion",
+            "metric": "path_length:min",
+            "param": ("ramp=0.05..1.5", "speed=0.05..0.22"),
+            "set": {"groups.tb3.count": 5, "duration": 40},
         },
     ),
 }
+"""By the part of a page: the group of robots, the metrics of its table, and what is tuned."""
 
 
 def main() -> None:
     """Do both searches, and print their tables."""
     options, folder = kept.chosen("tuning", __doc__), kept.kept_folder("tuning")
     parts = {}
-    for name, search in SEARCHES.items():
-        out = folder / f"{options.seeds}-{name}"
+    for name, (group, shown, search) in SEARCHES.items():
         found = tune(
-            search.scenario,
-            f"{search.metric}:min",
-            budget=max(4, BUDGET * options.seeds // kept.SEEDS),
-            seeds=max(2, SEEDS * options.seeds // kept.SEEDS),
-            param=search.params,
-            set=search.set,
-            held_out=HELD * options.seeds // kept.SEEDS,
+            **search,
+            # With 20 seeds: 64 runs over 8 seeds, and 50 held-out seeds.
+            budget=max(4, 64 * options.seeds // kept.SEEDS),
+            seeds=max(2, 8 * options.seeds // kept.SEEDS),
+            held_out=50 * options.seeds // kept.SEEDS,
             candidates=5,
             jobs=options.jobs,
-            out=out,
+            out=folder / f"{options.seeds}-{name}",
             on_step=lambda line: print(line, file=sys.stderr, flush=True),
         )
-        still = {
-            "plugin_dir": str(Path(__file__).parent),
-            f"groups.{search.group}.pattern": "stand",
-        }
+        still = {"plugin_dir": str(Path(__file__).parent), f"groups.{group}.pattern": "stand"}
         control = simulate(
-            search.scenario,
+            search["scenario"],
             found.held_out,
-            set={**search.set, **still},
+            set={**search["set"], **still},
             jobs=options.jobs,
-            out=out.with_name(f"{out.name}-still"),
+            out=folder / f"{options.seeds}-{name}-still",
         )
-        parts[name] = part_of(search, found, control)
+        parts[name] = part_of(shown, found, control)
     kept.print_parts(parts)
 
 
-def part_of(search: Search, found: Tuning, control: Results) -> str:
+def part_of(shown: Mapping[str, str], found: Tuning, control: Results) -> str:
     """The table of present, tuned and standing robots on held-out seeds, and the difference."""
     effort = f"{found.runs} runs over seeds {found.seeds[0]} to {found.seeds[-1]}"
     if found.gain is None:
         return f"No values of {effort} are better than the default."
     held_out = load_results(found.folder / HELD_OUT)
     values = ", ".join(f"`{name}: {value:.3g}`" for name, value in found.best.values.items())
-    rows = [["", *search.shown, "touches"]]
+    rows = [["", *shown, "touches"]]
     for text, results, variant in (
         ("default", held_out, PRESENT),
         (values, held_out, TUNED),
@@ -114,7 +94,7 @@ def part_of(search: Search, found: Tuning, control: Results) -> str:
         touches = results.metric("robot_contacts", variant) + results.metric(
             "arena_contacts", variant
         )
-        cells = [kept.mean_of(results.metric(metric, variant)) for metric in search.shown.values()]
+        cells = [kept.mean_of(results.metric(metric, variant)) for metric in shown.values()]
         rows.append([text, *cells, str(int(touches.sum()))])
     gain, held = found.gain, found.held_out
     return (

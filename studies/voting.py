@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from typing import Any
+from itertools import chain
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,65 +33,41 @@ FIRST = 10_000
 """The first seed; the outcomes use others."""
 
 
-Figures = dict[str, Any]
-"""The figure of each pattern."""
+K = TypeVar("K")
 
 
-class Debates:
-    """Debates that are held once: the results of each group are kept in a file."""
+Group = tuple[str, int, Mapping[str, Value], Sequence[int] | None]
+"""Debates: the pattern, the number of robots, the parameters, and the first opinions.
 
-    def __init__(self, options: Namespace) -> None:
-        self._folder = kept.kept_folder("voting") / str(options.seeds)
-        self._jobs = options.jobs
-        self._runs = RUNS * options.seeds // kept.SEEDS
+The first opinions are dealt to the robots in a random order; None: the pattern's own.
+"""
 
-    def hold(
-        self,
-        name: str,
-        count: int,
-        params: Mapping[str, Value],
-        held: Sequence[int] | None = None,
-    ) -> list[Result]:
-        """The results of RUNS debates of `count` robots with different seeds.
 
-        `name`: of the group, with the pattern before the first "-". `held`: the first opinions,
-        dealt to the robots in a random order; None: the pattern's own.
-        """
+def hold(name: str, groups: Mapping[K, Group], options: Namespace) -> dict[K, list[Result]]:
+    """The results of `options.runs` debates of each group, with different seeds.
+
+    They are kept in a file of this name.
+    """
+    motions = []
+    for pattern, count, params, held in groups.values():
         settled = 2.0 * float(str(params.get("window", 5.0)))
-        motions = []
-        for seed in range(FIRST, FIRST + self._runs):
+        for seed in range(FIRST, FIRST + options.runs):
             order = tuple(np.random.default_rng(seed).permutation(held).tolist()) if held else None
-            motions.append(
-                Motion(name.partition("-")[0], count, seed, 600.0, params, order, LOSSY, settled)
-            )
-        file = self._folder / f"{name}-{count}.msgpack"
-        return kept.once(file, Result, lambda: hold_all(motions, self._jobs))
-
-    def agreements(self, seeds: int) -> dict[tuple[str, float], list[perception.Agreement]]:
-        """By rule and share of black, a run of points for each seed."""
-        found = {}
-        for share in perception.SHARES:
-            every = kept.once(
-                self._folder / f"collective_perception-{share}.msgpack",
-                perception.Agreement,
-                lambda share=share: [  # type: ignore[misc]
-                    one
-                    for some in perception.agreements(range(seeds), self._jobs, [share]).values()
-                    for one in some
-                ],
-            )
-            for number, rule in enumerate(perception.RULES):
-                found[rule, share] = every[number * seeds : (number + 1) * seeds]
-        return found
+            motions.append(Motion(pattern, count, seed, 600.0, params, order, LOSSY, settled))
+    file = options.out / f"{name}.msgpack"
+    results = iter(kept.once(file, Result, lambda: hold_all(motions, options.jobs)))
+    return {key: [next(results) for _ in range(options.runs)] for key in groups}
 
 
-def majority_rule(debates: Debates, figures: Figures) -> str:
+def majority_rule(options: Namespace, figures: dict[str, Any]) -> str:
     """Time to agree by the number of robots, and its distribution for seven."""
     figure = figures["majority_rule"] = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
     rows = [["windows", *(f"{n} robots" for n in SIZES)]]
+    groups = {(k, n): ("majority_rule", n, {"windows": k}, None) for k in KINDS for n in SIZES}
+    every = hold("majority_rule", groups, options)
     for kind, colour in zip(KINDS, VARIANT_COLOURS, strict=False):
-        results = {n: debates.hold(f"majority_rule-{kind}", n, {"windows": kind}) for n in SIZES}
+        results = {n: every[kind, n] for n in SIZES}
         # Debates without agreement are the longest.
         times = [[min(result.agreed_at, 600.0) for result in some] for some in results.values()]
         low, middle, high = np.quantile(times, (0.05, 0.5, 0.95), axis=1)
@@ -98,8 +75,15 @@ def majority_rule(debates: Debates, figures: Figures) -> str:
         left.errorbar(SIZES, middle, bars, color=colour, marker="o", ms=4, capsize=2, label=kind)
         seven = np.sort([result.agreed_at for result in results[7]])
         right.step(seven, np.arange(1, len(seven) + 1) / len(seven), color=colour, where="post")
-        cells = zip(low, middle, high, strict=True)
-        rows.append([f"`{kind}`", *(f"{a:.1f} / {b:.1f} / {c:.1f} s" for a, b, c in cells)])
+        rows.append(
+            [
+                f"`{kind}`",
+                *(
+                    f"{a:.1f} / {b:.1f} / {c:.1f} s"
+                    for a, b, c in zip(low, middle, high, strict=True)
+                ),
+            ]
+        )
     left.set(xlabel="robots", ylabel="time until all agree, s", ylim=(0.0, None))
     left.legend(frameon=False, fontsize=9)
     right.axvline(20.0, color=GUIDE_COLOUR, linestyle=":", linewidth=1.0)
@@ -108,14 +92,16 @@ def majority_rule(debates: Debates, figures: Figures) -> str:
     return markdown(rows)
 
 
-def voters(debates: Debates, figures: Figures) -> str:
+def voters(options: Namespace, figures: dict[str, Any]) -> str:
     """The winner by the share at the start, and windows or rounds until all agree."""
     figure = figures["voter_model"] = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
     rows = [["at first of ten robots", "opinion 1 wins", "95 %"]]
-    for first in range(1, 10):
-        held = [1] * first + [0] * (10 - first)
-        results = debates.hold(f"voter_model-{first}", 10, voter_model.SHORT, held)
+    groups = {
+        first: ("voter_model", 10, voter_model.SHORT, [1] * first + [0] * (10 - first))
+        for first in range(1, 10)
+    }
+    for first, results in hold("voter_model", groups, options).items():
         wins = sum(result.winner == 1 for result in results)
         within = wilson(wins, len(results))
         share = wins / len(results)
@@ -123,32 +109,46 @@ def voters(debates: Debates, figures: Figures) -> str:
         left.errorbar(
             first / 10, share, bars, color=VARIANT_COLOURS[0], marker="o", ms=4, capsize=2
         )
-        bounds = f"{within.low:.0%} to {within.high:.0%}"
-        rows.append([str(first), f"{wins} of {len(results)}", bounds])
+        rows.append(
+            [
+                str(first),
+                f"{wins} of {len(results)}",
+                f"{within.low:.0%} to {within.high:.0%}",
+            ]
+        )
     left.plot((0.0, 1.0), (0.0, 1.0), color=GUIDE_COLOUR, linestyle=":")
     left.set(xlabel="share of opinion 1 at first", ylabel="share of debates it wins")
-    return f"{markdown(rows)}\n\n{_voting_times(debates, right)}"
+    return f"{markdown(rows)}\n\n{_voting_times(options, right)}"
 
 
-def _voting_times(debates: Debates, axes: Any) -> str:
+def _voting_times(options: Namespace, axes: Any) -> str:
     """Means over runs that begin with two halves, and the theory."""
     length = float(str(voter_model.SHORT["window"]))
     settings = {"tumbling": voter_model.SHORT, "rounds": {**IN_STEP, "opinions": 2}}
+    groups = {
+        (kind, n): ("voter_model", n, params, [1] * (n // 2) + [0] * (n - n // 2))
+        for kind, params in settings.items()
+        for n in VOTERS
+    }
+    every = hold("voter_model-halves", groups, options)
     theory = [voter_model.expected_rounds(n, n // 2)[0] for n in VOTERS]
     rows = [["windows or rounds until all agree", *(f"{n} robots" for n in VOTERS)]]
-    for (kind, params), colour in zip(settings.items(), VARIANT_COLOURS, strict=False):
+    for kind, colour in zip(settings, VARIANT_COLOURS, strict=False):
         means, errors = [], []
         for n in VOTERS:
-            held = [1] * (n // 2) + [0] * (n - n // 2)
-            results = debates.hold(f"voter_model-{kind}", n, params, held)
+            results = every[kind, n]
             taken = [r.agreed_at / length if kind == "tumbling" else r.rounds for r in results]
             means.append(float(np.mean(taken)))
             errors.append(1.96 * float(np.std(taken, ddof=1)) / len(taken) ** 0.5)
         axes.errorbar(
             VOTERS, means, errors, color=colour, marker="o", ms=4, capsize=2, ls="", label=kind
         )
-        cells = zip(means, errors, strict=True)
-        rows.append([f"`{kind}`", *(f"{mean:.1f} +- {error:.1f}" for mean, error in cells)])
+        rows.append(
+            [
+                f"`{kind}`",
+                *(f"{a:.1f} +- {b:.1f}" for a, b in zip(means, errors, strict=True)),
+            ]
+        )
     rows.append(["theory of rounds", *(f"{rounds:.1f}" for rounds in theory)])
     axes.plot(VOTERS, theory, color=GUIDE_COLOUR, linestyle=":", label="theory of rounds")
     axes.set(xlabel="robots", ylabel="windows or rounds until all agree", ylim=(0.0, None))
@@ -156,13 +156,16 @@ def _voting_times(debates: Debates, axes: Any) -> str:
     return markdown(rows)
 
 
-def floors(
-    agreements: Mapping[tuple[str, float], list[perception.Agreement]], figures: Figures
-) -> str:
+def floors(options: Namespace, figures: dict[str, Any]) -> str:
     """Who wins, and the time to agree, by the share of black tiles."""
     figure = figures["collective_perception"] = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
-    percent = 100.0 * np.array(perception.SHARES)
+    percent, n = 100.0 * np.array(perception.SHARES), options.seeds
+    every = kept.once(
+        options.out / "collective_perception.msgpack",
+        perception.Agreement,
+        lambda: chain.from_iterable(perception.agreements(range(n), options.jobs).values()),
+    )
     rows = [
         [
             "rule",
@@ -175,7 +178,8 @@ def floors(
         ]
     ]
     for index, (rule, colour) in enumerate(zip(perception.RULES, VARIANT_COLOURS, strict=False)):
-        runs = [agreements[rule, share] for share in perception.SHARES]
+        firsts = [n * (k * len(perception.RULES) + index) for k in range(len(percent))]
+        runs = [every[first : first + n] for first in firsts]
         wins = [sum(run.opinion == perception.BLACK for run in some) for some in runs]
         within = [wilson(won, len(some)) for won, some in zip(wins, runs, strict=True)]
         shares = [won / len(some) for won, some in zip(wins, runs, strict=True)]
@@ -188,12 +192,12 @@ def floors(
         at = percent + 0.3 * (index - 1)
         left.errorbar(at, shares, bars, **look)
         right.errorbar(at, middle, (middle - few, most - middle), **look)
-        for n, share in enumerate(perception.SHARES):
-            none = sum(run.opinion is None for run in runs[n])
-            wrong = len(runs[n]) - wins[n] - none
-            mean = f"{kept.mean_of(np.array(perception.taken(runs[n])))} s"
-            text = f"{few[n]:.0f} / {middle[n]:.0f} / {most[n]:.0f} s"
-            won = f"{wins[n]} of {len(runs[n])} ({low[n]:.0%} to {high[n]:.0%})"
+        for k, share in enumerate(perception.SHARES):
+            none = sum(run.opinion is None for run in runs[k])
+            wrong = len(runs[k]) - wins[k] - none
+            mean = f"{kept.mean_of(np.array(perception.taken(runs[k])))} s"
+            text = f"{few[k]:.0f} / {middle[k]:.0f} / {most[k]:.0f} s"
+            won = f"{wins[k]} of {len(runs[k])} ({low[k]:.0%} to {high[k]:.0%})"
             rows.append([rule, f"{share:.0%}", won, str(wrong), str(none), mean, text])
     for axes in (left, right):
         axes.set_xticks(percent)
@@ -205,12 +209,13 @@ def floors(
 
 def main() -> None:
     """Hold all debates, print the tables and draw the figures."""
-    options, figures = kept.chosen("voting", __doc__), Figures()
-    debates = Debates(options)
+    options, figures = kept.chosen("voting", __doc__), dict[str, Any]()
+    options.runs = RUNS * options.seeds // kept.SEEDS
+    options.out = kept.kept_folder("voting") / str(options.seeds)
     parts = {
-        "voting_majority_rule": majority_rule(debates, figures),
-        "voting_voter_model": voters(debates, figures),
-        "voting_collective_perception": floors(debates.agreements(options.seeds), figures),
+        "voting_majority_rule": majority_rule(options, figures),
+        "voting_voter_model": voters(options, figures),
+        "voting_collective_perception": floors(options, figures),
     }
     for pattern, figure in figures.items():
         for axes in figure.axes:

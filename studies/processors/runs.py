@@ -84,30 +84,27 @@ def variants() -> dict[str, Variant]:
 
 
 def run_variant(variant: Variant, folder: Path, names: Iterable[str], share: float = 1.0) -> None:
-    """`write_traces` in a process of its own, unless `folder` exists.
+    """`write_traces` in a process of its own, unless `folder` has all that it writes.
 
     subprocess.CalledProcessError if it fails.
     """
-    if folder.exists():
+    if (folder / FACTS).exists():
         return
-    part = folder.with_suffix(".part")
-    command = [sys.executable, "-m", "studies.processors", "traces", str(part)]
+    command = [sys.executable, "-m", "studies.processors", "traces", str(folder)]
     subprocess.run(
         [*command, "--share", str(share), "--cores", str(variant.cores), "--only", *names],
         env={**os.environ, **variant.environment},
         cwd=ROOT,
         check=True,
     )
-    part.rename(folder)
 
 
 def write_traces(folder: Path, names: Iterable[str], *, share: float = 1.0, cores: int = 1) -> None:
-    """Write the trace of each scenario, and FACTS, to `folder`.
+    """Write the trace of each scenario, and last FACTS, to `folder`.
 
     `share`: of the seconds of each scenario. A line for each scenario goes to the standard error.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / FACTS).write_text(json.dumps({**made_with(), **digests()}, indent=2) + "\n")
     for name in names:
         began = time.monotonic()
         seconds = SCENARIOS[name] * share
@@ -115,6 +112,7 @@ def write_traces(folder: Path, names: Iterable[str], *, share: float = 1.0, core
         trace.save(folder / f"{name}.npz")
         took = time.monotonic() - began
         print(f"{name}: {seconds:g} s simulated in {took:.1f} s", file=sys.stderr, flush=True)
+    (folder / FACTS).write_text(json.dumps({**made_with(), **digests()}, indent=2) + "\n")
 
 
 def differences(a: Path, b: Path) -> dict[str, str]:
