@@ -32,7 +32,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety faults outcomes voting learning films ros2-router zenohd ros-study lock clean tuning bench-suite sequences arm64 processors
+.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
 .DELETE_ON_ERROR:
 
 help:
@@ -50,25 +50,16 @@ help:
 	@echo "make names     writes tests/docs/public_names.txt again, the names and signatures on which users build"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their goals (ARGS=latency picks one)"
-	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
 	@echo "make budget    each budget: a ratio to a yardstick of the same run, in three minutes"
 	@echo "make arm64     tests, traces and a daemon on an emulated arm64; as root, half an hour at first"
-	@echo "make processors  which bits depend on the variant of x86-64, and which functions differ; ten minutes of a core"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; some six hours of a core"
-	@echo "make evidence  long tests, then six of the studies below; hours on two cores"
-	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
-	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; ten minutes of a core"
-	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
-	@echo "make learning    what protection does to learning: trains a policy with it and without; six minutes of a core"
-	@echo "make voting      how voting scales with robots and tiles; half an hour"
+	@echo "make night     the tables and figures of the pages that are older than the code; hours  (ARGS=--plan shows which, ARGS=paper makes one)"
+	@echo "make evidence  long tests, then make night; hours on two cores"
 	@echo "make films       a short film of each pattern; a few minutes"
-	@echo "make safety      robot-hours and progress under protection; hours"
-	@echo "make faults      one of seven robots has a fault: who names it, what touches, what is lost; half a CPU-hour"
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"
-	@echo "make ros-study    faults of three robots on DDS behind that router: the table of docs/ros_faults.md; ten minutes"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
@@ -126,12 +117,16 @@ test-long: $(if $(filter test-all,$(MAKECMDGOALS)),test) kernels
 test-robot: kernels
 	@$(call tested,6,$$($(BIN)/python -m tests.support.wings) $(ARGS))
 
-# The tests marked `evidence` and all examples of the property tests, then every study with its
-# usual seeds.
+# The tests marked `evidence` and all examples of the property tests, then every table that is old.
 evidence: $(VENV)/tools
 	@$(BIN)/python -m pytest -n $(or $(JOBS),6) --dist loadfile -m "evidence or hypothesis" \
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
-	@$(MAKE) --no-print-directory ARGS= outcomes paper voting tuning safety faults
+	@$(MAKE) --no-print-directory ARGS= night
+
+# Every job whose sources have changed since its results were made; the same command resumes.
+# ARGS=--plan shows the jobs, ARGS="paper learning" makes these, ARGS="--shard 1/4" a fourth of all.
+night: kernels
+	@$(BIN)/python -m studies.night $(ARGS)
 
 # Every sequence up to a length, judged by the rules of docs/safety.md; the same command resumes.
 # ARGS="robot events --depth 5" goes further, for some CPU-hours.
@@ -174,19 +169,9 @@ format: $(VENV)/tools
 bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
 
-# The patterns of all benchmark tasks over twenty seeds; the same command resumes. ARGS="--seeds 10
-# -j 1" runs less. It writes table and picture of docs/benchmark_suite.md.
-bench-suite: $(VENV)/tools
-	@$(BIN)/swarmctl exp bench --out build/bench_suite $(ARGS)
-	@$(BIN)/python -m studies.benchmark_suite build/bench_suite
-
 # Debian 12 by qemu-user, in build/arm64.
 arm64: $(VENV)/tools
 	@.ci/try-arm64 $(BIN)/python $(ARGS)
-
-# Twelve scenarios in the variants of this processor; ARGS="--only doorway --share 0.2" runs less.
-processors: kernels
-	@$(BIN)/python -m studies.processors variants build/processors $(ARGS)
 
 # Every row of the budgets in three minutes.
 budget: $(VENV)/tools
@@ -203,50 +188,9 @@ network-scale: $(VENV)/tools
 	@$(COMPILE) tests
 	@$(BIN)/python -m benchmarks.network_scale $(ARGS)
 
-# The tables and figures of docs/paper.md, in build/paper: 1100 runs, half an hour on two cores.
-paper: $(VENV)/tools
-	@$(BIN)/python -m studies.paper $(ARGS)
-
-# What each pattern brings about, over twenty seeds; tests/studies/test_outcomes.py tests a few.
-outcomes: $(VENV)/tools
-	@$(BIN)/python -m studies.outcomes $(ARGS)
-
-# A policy with protection and without, in training and in runs of other seeds; some six minutes of a core.
-learning: $(VENV)/tools
-	@$(BIN)/python -m studies.learning --train 23 $(ARGS)
-
-# Attraction by the bound that it misses (docs/paper.md, experiment 1), dispersion by the way to its
-# distance; ten minutes of a core. Their pages have the results. The same command resumes.
-TUNE = $(BIN)/swarmctl exp tune --budget 64 --seeds 8 --candidates 5 --held-out 50
-tuning: $(VENV)/tools
-	@$(TUNE) paper_exp1_burger --metric mean_distance_to_centroid_late:min --set duration=60 \
-	  --param slack=0..0.2 --param brake=0.1..1.5 --param range=1..7 --out build/tuning/attraction $(ARGS)
-	@$(TUNE) dispersion --metric path_length:min --set groups.tb3.count=5 --set duration=40 \
-	  --param ramp=0.05..1.5 --param speed=0.05..0.22 --out build/tuning/dispersion $(ARGS)
-
-# How voting scales with robots and the share of black tiles, for their pages; half an hour.
-voting: $(VENV)/tools
-	@$(BIN)/python -m studies.voting $(ARGS)
-
 # A short film of each pattern, in build/films; ARGS=patterns replaces those of the pages.
 films: $(VENV)/tools
 	@$(BIN)/python -m studies.films $(ARGS)
-
-# Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
-# ARGS="--robot-hours 30" a tenth of it; --attack-share sets how many of them are among attackers.
-safety: $(VENV)/tools
-	@$(BIN)/python -m studies.safety hours $(ARGS)
-	@$(BIN)/python -m studies.safety progress
-
-# Five patterns, ten faults of one of seven robots, twenty seeds, for docs/evidence/faults.md; 1200 runs,
-# half an hour of two idle cores. The same command resumes. ARGS="--seeds 5 --patterns flocking" runs less.
-faults: $(VENV)/tools
-	@$(BIN)/python -m studies.faults $(ARGS)
-
-# Three robots on DDS behind one bridge, and what their daemons make of faults: the table of docs/ros_faults.md.
-ros-study: $(VENV)/tools
-	@command -v zenoh-bridge-ros2dds >/dev/null || $(MAKE) --no-print-directory ros2-router
-	@$(BIN)/python -m studies.ros $(ARGS)
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \

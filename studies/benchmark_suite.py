@@ -1,21 +1,21 @@
-"""The page of the benchmark suite: `python -m studies.benchmark_suite [FOLDER]`.
+"""The benchmark suite over twenty seeds: `python -m studies.benchmark_suite`.
 
-Writes the table of docs/benchmark_suite.md from the results of `swarmctl exp bench --out FOLDER`,
-and the picture of the tasks. `make bench-suite` runs this program.
+Prints the tables of docs/benchmark_suite.md, of the patterns of each task and of robots that stand,
+and draws the picture of the tasks. The same command resumes. The runs are those of
+`swarmctl exp bench`.
 """
 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.table import markdown
-from studies.outcomes.outcome import with_results
+from studies import kept
 from swarmd.sim.experiments.benchmark import HEADER, row, standings
-from swarmd.sim.experiments.results import load_results
+from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.plots import scene
 from swarmd.sim.plots.theme import new_figure, save
@@ -25,11 +25,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from swarmd.sim.experiments.results import Results
     from swarmd.sim.scenarios.scenario import Scenario
     from swarmd.sim.trace import Trace
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGE, FIGURE = DOCS / "benchmark_suite.md", DOCS / "figures" / "benchmark_suite.png"
+STAND = "stand"
+"""The control: the pattern of studies/stand.py."""
 _DRAWN = ("floor", "light")
 _NEST_COLOUR, _SOURCE_COLOUR, _DARK_FLOOR = "#4C72B0", "#55A868", "0.6"
 _ROBOTS = ("robot that runs the pattern", "other robot")
@@ -41,17 +42,44 @@ BAR = "1 m"
 """The gid of the bar that is 1 m long."""
 
 
-def main(folders: Sequence[str]) -> None:
-    """Write the picture, and the table if there is a folder of results."""
-    save(figure_of(task_names()), FIGURE)
-    for folder in folders:
-        PAGE.write_text(with_results(PAGE.read_text(), table(Path(folder))))
+def main() -> None:
+    """Do all runs, print the tables, and draw the picture."""
+    options, folder = kept.chosen("benchmark_suite", __doc__), kept.kept_folder("benchmark_suite")
+    folder /= str(options.seeds)
+    save(figure_of(task_names()), kept.FIGURES / "benchmark_suite.png")
+    kept.print_parts(
+        {
+            part: table(
+                results_of(task, range(options.seeds), patterns, folder / part, options.jobs)
+                for task in task_names()
+            )
+            for part, patterns in (("benchmark_suite", ()), ("benchmark_stand", (STAND,)))
+        }
+    )
 
 
-def table(folder: Path) -> str:
-    """Markdown: a row for each pattern of each task whose results lie in `folder`, best first."""
+def results_of(
+    task: str, seeds: Sequence[int], patterns: Sequence[str], folder: Path, jobs: int
+) -> Results:
+    """The runs of a task with these patterns, or those of its file, as `swarmctl exp bench`."""
+    effective = load_scenario(task).effective
+    return simulate(
+        task,
+        seeds,
+        set={"plugin_dir": str(Path(__file__).parent)} if STAND in patterns else None,
+        sweep={"pattern": list(patterns or effective["patterns"])},
+        jobs=jobs,
+        out=folder / Path(task).stem,
+        traces=False,
+        metrics=[effective["metric"]],
+        on_progress=kept.on_progress(task),
+    )
+
+
+def table(found: Iterable[Results]) -> str:
+    """Markdown: a row for each pattern of the results of each task, best first."""
     rows = [[head.lower() if head.isupper() else head for head in HEADER]]
-    for results in (load_results(folder / Path(name).name) for name in task_names()):
+    for results in found:
         for task, rank, pattern, *cells in (row(one, "z.2f") for one in standings(results)):
             rows.append([f"`{task}`", rank, f"`{pattern}`", *cells])
     return markdown(rows)
@@ -119,4 +147,4 @@ def _paint_key(figure: Figure) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -1,20 +1,17 @@
 """One of seven robots has a fault: who names it, what touches, what the behaviour loses.
 
-`python -m studies.faults [--seeds 20] [--jobs 2] [--keep]`: five patterns, ten faults, and two
-controls, the run without a fault and the run without that robot. The same command resumes from
-build/faults. `--keep` writes the table of docs/evidence/faults.md.
+`python -m studies.faults [--seeds 20] [--jobs 2]`: five patterns, ten faults, and two controls, the
+run without a fault and the run without that robot. Prints the table of docs/evidence/faults.md. The
+same command resumes.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import re
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -22,7 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from benchmarks.table import markdown
-from studies.outcomes.outcome import with_results
+from studies import kept
 from studies.outcomes.patterns.flocking import parts
 from studies.outcomes.patterns.lloyd_coverage import cost
 from studies.safety.judge import collisions
@@ -34,7 +31,6 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.trace import Trace
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "evidence" / "faults.md"
 ROBOTS, FAULTY, AT = 7, "tb3-04", 2.0
 ORDINARY = ("", Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION)
 """Reasons of a sound robot."""
@@ -171,14 +167,14 @@ def _said(trace: Trace, *, is_control: bool) -> Iterator[tuple[str, float]]:
             yield text, round(min(later), 2)
 
 
-def table(records: Sequence[Record], patterns: Sequence[str]) -> str:
+def table(records: Sequence[Record]) -> str:
     """How often robots name each fault, the most seldom first; then a row for each cell."""
     by_cell: defaultdict[tuple[str, str], list[Record]] = defaultdict(list)
     for record in records:
         by_cell[record.task.pattern, record.task.fault].append(record)
     rows: list[tuple[str, ...]] = [HEAD]
     named = dict.fromkeys(FAULTS, 0)
-    for pattern in patterns:
+    for pattern in BEHAVIOURS:
         sound = by_cell[pattern, SOUND]
         usual = {text for record in sound for text in record.said}
         ends = [_mean([one.outcome for one in by_cell[pattern, key]]) for key in (SOUND, REMOVED)]
@@ -215,26 +211,19 @@ def _mean(values: Sequence[float | None]) -> str:
     return f"{np.mean(known):.3g}" if known else "-"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Do the runs, and print or keep the table."""
-    parser = argparse.ArgumentParser(prog="python -m studies.faults", description=__doc__)
-    parser.add_argument("--patterns", nargs="+", choices=BEHAVIOURS, default=list(BEHAVIOURS))
-    parser.add_argument("--seeds", type=int, default=20, help="runs of each cell [20]")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
-    parser.add_argument("--out", type=Path, default=Path("build/faults"))
-    parser.add_argument("--keep", action="store_true", help=f"write the table of {PAGE.name}")
-    given = parser.parse_args(arguments)
+def main() -> None:
+    """Do the runs, and print the table."""
+    options = kept.chosen("faults", __doc__)
     tasks = [
         Task(pattern, fault, seed)
-        for seed in range(given.seeds)
-        for pattern in given.patterns
+        for seed in range(options.seeds)
+        for pattern in BEHAVIOURS
         for fault in (SOUND, REMOVED, *FAULTS)
     ]
-    records = carry_out_missing(tasks, perform, Record, given.out / "runs.jsonl", given.jobs)
-    made = table(records, given.patterns)
-    if given.keep:
-        PAGE.write_text(with_results(PAGE.read_text(), made))
-    print(made)
+    records = carry_out_missing(
+        tasks, perform, Record, kept.kept_folder("faults") / "runs.jsonl", options.jobs
+    )
+    kept.print_parts({"faults": table(records)})
 
 
 if __name__ == "__main__":

@@ -1,29 +1,29 @@
 """Return of learned policies, and the effect of protection on them: `python -m studies.learning`.
 
 Four Waffle Pis in 4 x 4 m, 20 s, as in examples/learning, with seeds
-that the training did not use. Prints a table: the return (the decrease in m of the mean distance to
-the centroid), the share of decisions in which protection changed the request, and contacts per
-robot-minute, each as the mean over seeds with its 95 % interval.
+that the training did not use; two further policies are trained here, with protection and without.
+Prints the table of docs/learning.md: the return (the decrease in m of the mean distance to the
+centroid), the share of decisions in which protection changed the request, and contacts per
+robot-minute, each as the mean over seeds with its 95 % interval. The same command resumes.
 """
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 import swarmd
+from benchmarks.table import markdown
+from studies import kept
 from swarmd.core.values import Array
 from swarmd.kit.observation import Observation
 from swarmd.kit.policy_network import PolicyNetwork, from_text, network_from_bytes
 from swarmd.patterns.policy.pattern import Policy
-from swarmd.sim.experiments.statistics import mean_interval
 
 ROOM = {
     "arena": {"size": [4, 4], "boxes": [], "poles": []},
@@ -31,6 +31,8 @@ ROOM = {
     "duration": 20,
 }
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/learning/train_aggregation.py"
+GENERATIONS = 23
+"""Of each training."""
 Act = Callable[[Observation], Array]
 
 
@@ -78,39 +80,42 @@ def measure(act: Act, seeds: Sequence[int], mode: str = "barrier") -> Found:
     return Found(*np.array(rows).T)
 
 
-def trained(mode: str, generations: int) -> PolicyNetwork:
-    """The network of the example's program after so many generations in a mode of protection."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "policy.npz"
+def trained(mode: str, generations: int, folder: Path) -> PolicyNetwork:
+    """The network of the example's program after so many generations in a mode of protection.
+
+    It is kept in `folder`.
+    """
+    file = folder / f"{mode}-{generations}.npz"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(".part.npz")
         options = ["--protection", mode, "--generations", str(generations), "--seconds", "1e9"]
-        subprocess.run([sys.executable, str(EXAMPLE), str(file), *options], check=True)
-        return network_from_bytes(file.read_bytes())
+        subprocess.run(
+            [sys.executable, str(EXAMPLE), str(part), *options], check=True, stdout=sys.stderr
+        )
+        part.rename(file)
+    return network_from_bytes(file.read_bytes())
 
 
-def table(kinds: Mapping[str, Act], seeds: Sequence[int]) -> list[str]:
-    """The lines of the table in Markdown, of each kind of actions in both modes."""
-    lines = ["| actions | protection | return, m | changed | contacts a robot-minute |"]
-    lines.append("|---|---|---|---|---|")
+def table(kinds: Mapping[str, Act], seeds: Sequence[int]) -> str:
+    """Markdown: a row for each kind of actions in both modes."""
+    rows = [["actions", "protection", "return [m]", "changed", "contacts a robot-minute"]]
     for name, act in kinds.items():
         for mode in ("barrier", "off"):
-            measured = measure(act, seeds, mode)
-            cells = map(_shown, (measured.returns, measured.limited, measured.contacts))
-            lines.append(f"| {name} | {mode} | {' | '.join(cells)} |")
-    return lines
+            found = measure(act, seeds, mode)
+            cells = map(kept.mean_of, (found.returns, found.limited, found.contacts))
+            rows.append([name, mode, *cells])
+    return markdown(rows)
 
 
-def _shown(values: Array) -> str:
-    interval = mean_interval(values)
-    mean = f"{values.mean():.2f}"
-    return mean if interval is None else f"{mean} ({interval.low:.2f} to {interval.high:.2f})"
+def main() -> None:
+    """Train, run, and print the table; fewer seeds also mean fewer generations."""
+    seeds, folder = kept.chosen("learning", __doc__).seeds, kept.kept_folder("learning")
+    acts = {"pattern `policy`": shipped().act, "random": random_actions()}
+    for mode in ("barrier", "off"):
+        acts[f"trained with {mode}"] = trained(mode, GENERATIONS * seeds // kept.SEEDS, folder).act
+    kept.print_parts({"learning": table(acts, range(seeds))})
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m studies.learning", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=20, help="runs of each row [20]")
-    parser.add_argument("--train", type=int, default=0, help="also train so many generations [0]")
-    chosen = parser.parse_args()
-    acts = {"policy": shipped().act, "random": random_actions()}
-    for protection in ("barrier", "off") if chosen.train else ():
-        acts[f"trained with {protection}"] = trained(protection, chosen.train).act
-    print("\n".join(table(acts, range(chosen.seeds))))
+    main()

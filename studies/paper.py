@@ -1,31 +1,27 @@
-"""Experiment 1 of Kaiser et al., ICRA 2022: `python -m studies.paper [OUT]`, or `make paper`.
+"""Experiment 1 of Kaiser et al., ICRA 2022: `python -m studies.paper`.
 
-Experiment 2 is `python -m studies.paper exp2 [OUT]`.
+Experiment 2 is `python -m studies.paper_exp2`; `make paper` does both.
 
 Runs every scenario with two laws of attraction, the original equations (`paper`) and ours
 (`settling`), under our protection (the barrier) and with both visibilities of robots to lidars.
 Runs the original equations also under the original protection, as published. The control in
-every table is the same run with robots that do not move (`still`). Writes the tables and figures of
-docs/paper.md to OUT. Runs that OUT already holds are not repeated. `--draw` runs nothing and draws
-the runs in OUT.
+every table is the same run with robots that do not move (`still`). Prints the tables of
+docs/paper.md. With all seeds it also draws the figures of that page. The same command resumes.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.table import markdown
-from studies import ideal_search, paper_exp2, paper_states
-from studies.paper_exp2 import out_of, results_of
-from swarmd.core.errors import SwarmError
+from studies import ideal_search, kept
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.experiments.statistics import median_interval, summarize, wilson
 from swarmd.sim.metrics import aggregation, window
 from swarmd.sim.plots.figures import Look, compared_over_time
@@ -67,6 +63,8 @@ MDC = "mean_distance_to_centroid"
 MDC_SOON = 0.86
 MDC_LATE = {"burger": 0.65, "waffle_pi": 0.75}
 """Upper bounds in m of the mean distance to the centroid after 30 s and at the end."""
+LINK = 1.0
+"""m, between axle centres of linked robots."""
 ENOUGH = 6
 """Robots of seven: the authors lost one."""
 
@@ -180,9 +178,9 @@ TOGETHER: tuple[Column, ...] = (
     ("contacts", _contacts),
 )
 TABLES = (
-    ("Gathering", CLUSTER, GATHERING),
-    ("Contacts, rest and time", BEHAVIOUR, (*GATHERING, *HARDWARE)),
-    ("Hardware", TOGETHER, HARDWARE),
+    ("paper_gathering", CLUSTER, GATHERING),
+    ("paper_contacts", BEHAVIOUR, (*GATHERING, *HARDWARE)),
+    ("paper_hardware", TOGETHER, HARDWARE),
 )
 
 
@@ -209,9 +207,7 @@ def traces_of(results: Results, variant: str) -> list[Trace]:
 def late_largest_group(results: Results, variant: str) -> Array:
     """(runs,) the mean size of the largest group of linked robots in the last 60 s."""
     lates = [window.late(trace) for trace in traces_of(results, variant)]
-    return np.array(
-        [aggregation.largest_cluster(trace, paper_states.LINK).mean() for trace in lates]
-    )
+    return np.array([aggregation.largest_cluster(trace, LINK).mean() for trace in lates])
 
 
 def label(name: str, variant: str, law: str, is_fresh: bool) -> str:
@@ -220,10 +216,10 @@ def label(name: str, variant: str, law: str, is_fresh: bool) -> str:
     return f"{name}{visibility}, {law}{', fresh' if is_fresh else ''}"
 
 
-def tables(by_run: Runs) -> str:
-    """All tables, of the runs that exist, and the ideal search."""
-    parts = []
-    for title, columns, names in TABLES:
+def tables(by_run: Runs) -> dict[str, str]:
+    """All tables of runs, by the name of their part of the page."""
+    parts = {}
+    for part, columns, names in TABLES:
         rows = [
             [label(name, variant, law, is_fresh)]
             + [cell(results, variant, name) for _, cell in columns]
@@ -231,92 +227,64 @@ def tables(by_run: Runs) -> str:
             for (scenario, law, is_fresh), results in by_run.items()
             if scenario == name
             for variant in results.variants
-            if results.seeds(variant)
         ]
-        parts += [f"## {title}", markdown([["", *(head for head, _ in columns)], *rows])]
-    searches = []
+        parts[part] = markdown([["", *(head for head, _ in columns)], *rows])
+    return parts
+
+
+def searches() -> str:
+    """The table of the ideal search."""
+    rows = [["", "six together within 120 s", "median time [s]"]]
     for rule, most_moving in ideal_search.RULES.items():
         times = ideal_search.search_times(HARDWARE_SEEDS, most_moving)
         middle = np.median(times)
         text = f"{middle:.1f}" if np.isfinite(middle) else "-"
-        searches.append([rule, share(np.isfinite(times)), text])
-    head = ["", "six together within 120 s", "median time [s]"]
-    return "\n\n".join([*parts, "## Ideal search", markdown([head, *searches])]) + "\n"
+        rows.append([rule, share(np.isfinite(times)), text])
+    return markdown(rows)
 
 
-def causes(by_run: Runs, out: Path) -> str:
-    """The table of states of law settling in the hardware arena; draws their figure."""
-    by_row: dict[str, paper_states.Counts] = {}
-    runs: dict[str, int] = {}
-    for name in HARDWARE:
-        results = by_run.get((name, "settling", False))
-        if results is None:
-            continue
-        for variant in results.variants:
-            traces = traces_of(results, variant)
-            row = label(name, variant, "settling", False)
-            by_row[row], runs[row] = paper_states.counts_of(traces), len(traces)
-    if not by_row:
-        return ""
-    save(paper_states.state_figure(by_row), out / "paper_hardware_states.png")
-    return f"\n## States\n\n{markdown(paper_states.state_rows(by_row, runs))}\n"
-
-
-def draw(by_run: Runs, out: Path) -> None:
+def draw(by_run: Runs) -> None:
     """The figures: the distance to the centroid over time, and a typical run of each law."""
-    out.mkdir(parents=True, exist_ok=True)
     metric = f"{MDC}_late"
     for name in TURTLEBOTS:
         sides = {
             f"{law}, {visibility}": Side(law, by_run[name, law, False], variant_of(visibility))
             for law in DRAWN
-            if (name, law, False) in by_run
             for visibility in VISIBILITIES
         }
-        if sides:
-            look = Look(targets={metric: MDC_LATE[name]})
-            figure = compared_over_time(sides, metric, look, f"paper_exp1_{name}")
-            save(figure, out / f"paper_{name}_mdc.png")
+        look = Look(targets={metric: MDC_LATE[name]})
+        figure = compared_over_time(sides, metric, look, f"paper_exp1_{name}")
+        save(figure, kept.FIGURES / f"paper_{name}_mdc.png")
     for law in DRAWN:
-        results = by_run.get(("waffle_pi", law, False))
-        if results is not None:
-            variant = variant_of("real")
-            values = results.metric(metric, variant)
-            runs = [run for run in results.runs if run.variant.name == variant]
-            run = runs[typical_first(values)[0]]
-            title = f"law {law}, real visibility, seed {run.seed}"
-            figure = trajectories_figure(results.traces[run.id], title)
-            save(figure, out / f"paper_waffle_pi_{law}.png")
+        results, variant = by_run["waffle_pi", law, False], variant_of("real")
+        values = results.metric(metric, variant)
+        runs = [run for run in results.runs if run.variant.name == variant]
+        run = runs[typical_first(values)[0]]
+        title = f"law {law}, real visibility, seed {run.seed}"
+        figure = trajectories_figure(results.traces[run.id], title)
+        save(figure, kept.FIGURES / f"paper_waffle_pi_{law}.png")
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Do all runs, the most important first, then write tables and figures."""
-    out, is_drawing = out_of(arguments, "build/paper")
-    by_run: dict[tuple[str, str, bool], Results] = {}
-    for law, seeds, names in PLAN:
-        for name in names:
-            results = results_of(
-                out / f"{name}-{law}{'-fresh' if seeds is FRESH else ''}",
-                is_drawing,
-                f"paper_exp1_{name}",
-                seeds,
-                set=changes(name, law),
-                sweep={"lidar_visibility": list(VISIBILITIES[: 1 if law == STILL else 2])},
-            )
-            if results:
-                by_run[name, law, seeds is FRESH] = results
-    (out / "tables.md").write_text(tables(by_run) + causes(by_run, out / "figures"))
-    draw(by_run, out / "figures")
+def main() -> None:
+    """Do all runs, the most important first, print the tables and draw the figures."""
+    options, folder = kept.chosen("paper", __doc__), kept.kept_folder("paper")
+    by_run = {
+        (name, law, seeds is FRESH): simulate(
+            f"paper_exp1_{name}",
+            seeds[: len(seeds) * options.seeds // kept.SEEDS],
+            set=changes(name, law),
+            sweep={"lidar_visibility": list(VISIBILITIES[: 1 if law == STILL else 2])},
+            jobs=options.jobs,
+            out=folder / f"{options.seeds}-{name}-{law}{'-fresh' * (seeds is FRESH)}",
+            on_progress=kept.on_progress(f"{name}, {law}"),
+        )
+        for law, seeds, names in PLAN
+        for name in names
+    }
+    if options.seeds == kept.SEEDS:
+        draw(by_run)
+    kept.print_parts({**tables(by_run), "paper_ideal_search": searches()})
 
 
 if __name__ == "__main__":
-    unknown = [word for word in sys.argv[1:] if word.startswith("-") and word != "--draw"]
-    try:
-        if unknown:  # such as --help
-            print(__doc__)
-        elif sys.argv[1:2] == ["exp2"]:
-            paper_exp2.main(sys.argv[2:])
-        else:
-            main(sys.argv[1:])
-    except SwarmError as error:
-        raise SystemExit(f"error: {error}") from error
+    main()

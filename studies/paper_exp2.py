@@ -1,26 +1,24 @@
-"""Experiment 2 of Kaiser et al., ICRA 2022: `python -m studies.paper exp2 [OUT]`.
+"""Experiment 2 of Kaiser et al., ICRA 2022: `python -m studies.paper_exp2`.
 
 Seven Waffle Pis agree on a distance and disperse to this distance: in the paper's arena, in an
-arena 1.4 times as long and wide, and with an eighth robot that joins late. Writes the table and the
-figures of docs/paper.md, section "Experiment 2", to OUT. Runs that OUT already has are not
-repeated; with `--draw`, nothing is run.
+arena 1.4 times as long and wide, and with an eighth robot that joins late. Prints the tables of
+docs/paper.md, section "Experiment 2". With all seeds it also draws the figures of that section. The
+same command resumes.
 """
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.table import markdown
+from studies import kept
 from swarmd.core.values import Array
 from swarmd.settings.settings import load_platform
-from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.plots.bands import Series, series_figure
 from swarmd.sim.plots.theme import save
@@ -29,7 +27,6 @@ from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import apart, transform
 
-SEEDS = range(20)
 DISCUSS = 20.0
 SPREAD_BY = 40.0
 KEPT_FOR = 30.0
@@ -41,7 +38,8 @@ MOVING = 0.05
 """Standing robots move for at most this mean share of the time."""
 STILL = 0.01
 """Slower than this speed in m/s is no motion."""
-JOINED = 50.0
+JOINED, JOINED_KEEPS = 50.0, 1.0
+"""The time in s at which the eighth robot joins, and the distance in m of the others' opinion."""
 LARGER = (9.24, 6.72)
 """1.4 times the paper's arena along both sides."""
 
@@ -168,8 +166,8 @@ def joined(trace: Trace, at: float = JOINED) -> Joining:
 
 
 HEAD = ("", "runs", "all agree from 20 s on", "moved before 20 s [m]",
-        "every range kept from 40 s on", "kept since [s]", "least range 40 to 70 s [m]",
-        "standing 40 to 70 s", "strayed [m]", "contacts")  # fmt: skip
+        "every range kept, 40 to 70 s", "kept since [s]", "least range, 40 to 70 s [m]",
+        "standing", "strayed [m]", "contacts")  # fmt: skip
 
 
 def row(courses: Sequence[Course]) -> list[str]:
@@ -196,24 +194,43 @@ def row(courses: Sequence[Course]) -> list[str]:
     ]
 
 
-def tables(results: Mapping[str, Results]) -> str:
-    """All tables, of the runs that exist."""
-    rows: dict[str, list[str]] = {}
-    for name in [name for name in ("paper", "larger") if name in results]:
+def tables(results: Mapping[str, Results]) -> dict[str, str]:
+    """Both tables, by the name of their part of the page."""
+    rows: list[Sequence[str]] = [HEAD]
+    for name in ("paper", "larger"):
         courses = [judged(trace) for trace in results[name].traces]
         for opinion in sorted({course.opinion for course in courses}):
             some = [course for course in courses if course.opinion == opinion]
-            rows[f"{TITLES[name]}, f({opinion}) = {some[0].wanted:.1f} m"] = row(some)
-    lines = [markdown([HEAD, *([name, *cells] for name, cells in rows.items())])]
-    if "late" in results:
-        lines += [str(joined(trace)) for trace in results["late"].traces]
-    return "\n\n".join(lines) + "\n"
+            what = f"f({opinion}) = {some[0].wanted:.1f} m" if opinion >= 0 else "no agreement"
+            rows.append((f"{TITLES[name]}, {what}", *row(some)))
+    late = [joined(trace) for trace in results["late"].traces]
+    return {"paper_exp2": markdown(rows), "paper_exp2_late": markdown(late_rows(late))}
 
 
-def draw(results: Mapping[str, Results], out: Path) -> None:
+def late_rows(found: Sequence[Joining]) -> list[tuple[str, str]]:
+    """The rows of the table of runs in which a robot joins late."""
+    n = len(found)
+    adopted = sorted(one.adopted for one in found)
+    stirred = [one.stirred for one in found]
+    least = [one.least for one in found]
+    return [
+        ("of the runs with an eighth robot", ""),
+        ("it adopts the opinion of the seven", f"{np.isfinite(adopted).sum()}/{n}"),
+        ("after [s], median (most)", f"{adopted[n // 2]:.1f} ({adopted[-1]:.1f})"),
+        ("one of the seven changes its opinion", f"{sum(one.is_swayed for one in found)}/{n}"),
+        ("farthest way of one of the seven [m]", f"{min(stirred):.2f} to {max(stirred):.2f}"),
+        (
+            "every range kept in the last 20 s",
+            f"{sum(one >= JOINED_KEEPS - TOLERANCE for one in least)}/{n}",
+        ),
+        ("least range then [m]", f"{min(least):.2f} to {max(least):.2f}"),
+        ("contacts", str(sum(one.contacts for one in found))),
+    ]
+
+
+def draw(results: Mapping[str, Results]) -> None:
     """The least range of each run over time, by opinion, and a typical run."""
-    out.mkdir(parents=True, exist_ok=True)
-    for name in [name for name in ("paper", "larger") if name in results]:
+    for name in ("paper", "larger"):
         groups: dict[str, list[Series]] = {}
         is_run_drawn = name != "paper"
         for trace in results[name].traces:
@@ -223,44 +240,31 @@ def draw(results: Mapping[str, Results], out: Path) -> None:
             groups.setdefault(label, []).append(series)
             if course.opinion == 1 and not is_run_drawn:
                 figure = trajectories_figure(trace, "experiment 2, opinion 1: 1.0 m")
-                is_run_drawn = bool(save(figure, out / "paper_exp2_run.png"))
+                is_run_drawn = bool(save(figure, kept.FIGURES / "paper_exp2_run.png"))
         title = f"experiment 2, {TITLES[name]}"
         ordered = {label: groups[label] for label in sorted(groups)}
         figure = series_figure({"": ordered}, label="least range of all", unit="m", title=title)
-        save(figure, out / f"paper_exp2_{name}.png")
+        save(figure, kept.FIGURES / f"paper_exp2_{name}.png")
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Do all runs, then write tables and figures."""
-    out, is_drawing = out_of(arguments, "build/paper_exp2")
-    results_of_runs: dict[str, Results] = {}
-    for name, scenario, changes in PLAN:
-        if results := results_of(out / name, is_drawing, scenario, SEEDS, set=changes):
-            results_of_runs[name] = results
-    (out / "tables.md").write_text(tables(results_of_runs))
-    draw(results_of_runs, out / "figures")
+def main() -> None:
+    """Do all runs, print the tables and draw the figures."""
+    options, folder = kept.chosen("paper_exp2", __doc__), kept.kept_folder("paper_exp2")
+    results = {
+        name: simulate(
+            scenario,
+            options.seeds,
+            set=changes,
+            jobs=options.jobs,
+            out=folder / f"{options.seeds}-{name}",
+            on_progress=kept.on_progress(name),
+        )
+        for name, scenario, changes in PLAN
+    }
+    if options.seeds == kept.SEEDS:
+        draw(results)
+    kept.print_parts(tables(results))
 
 
-def out_of(arguments: Sequence[str], usual: str) -> tuple[Path, bool]:
-    """The output folder of the command line, by default `usual`, and whether `--draw` is given."""
-    places = [word for word in arguments if not word.startswith("-")]
-    return Path(places[0] if places else usual), "--draw" in arguments
-
-
-def results_of(
-    folder: Path, is_drawing: bool, scenario: str, seeds: Sequence[int], **options: Any
-) -> Results | None:
-    """The runs of a scenario in `folder`; missing runs are done unless `is_drawing`.
-
-    None if `is_drawing` and the folder holds no runs.
-    """
-    if is_drawing and not (folder / "runs.csv").exists():
-        return None
-    jobs = os.cpu_count() or 1
-    results = (
-        load_results(folder)
-        if is_drawing
-        else simulate(scenario, seeds, out=folder, jobs=jobs, **options)
-    )
-    print(f"{folder}: {len(results.runs)} runs", file=sys.stderr, flush=True)
-    return results
+if __name__ == "__main__":
+    main()

@@ -1,20 +1,21 @@
-"""Figures of the voting patterns: `python -m studies.voting [OUT]`, about half an hour.
+"""Figures of the voting patterns: `python -m studies.voting`, about half an hour.
 
-Draws the time until agreement and the winning opinion: for majority_rule and voter_model by the
-number of robots, for collective_perception by the share of black tiles. Writes
-`OUT/PATTERN/figure.png`, with OUT by default `patterns`, and prints the numbers.
+Measures the time until agreement and the winning opinion: for majority_rule and voter_model by the
+number of robots, for collective_perception by the share of black tiles. Prints the tables of their
+pages. With all seeds it also draws their figures. The same command resumes.
 """
 
 from __future__ import annotations
 
-import os
-import sys
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
 
+from benchmarks.table import markdown
+from studies import kept
 from studies.debates import IN_STEP, Motion, Result, hold_all
 from studies.outcomes.outcome import PATTERNS
 from studies.outcomes.patterns import collective_perception as perception
@@ -24,8 +25,6 @@ from swarmd.core.values import Value
 from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 
-K = TypeVar("K")
-
 KINDS = ("tumbling", "sliding", "rounds")
 SIZES = (3, 5, 7, 11, 15, 21)
 VOTERS = (3, 5, 7, 10, 15)
@@ -34,38 +33,39 @@ FIRST = 10_000
 """The first seed; the outcomes use others."""
 
 
-def motions(
-    pattern: str, count: int, params: Mapping[str, Value], held: Sequence[int] | None = None
-) -> list[Motion]:
-    """The settings of `RUNS` debates with different seeds.
+K = TypeVar("K")
 
-    `held`: the first opinions, dealt to the robots in a random order; None: the pattern's own.
+
+Group = tuple[str, int, Mapping[str, Value], Sequence[int] | None]
+"""Debates: the pattern, the number of robots, the parameters, and the first opinions.
+
+The first opinions are dealt to the robots in a random order; None: the pattern's own.
+"""
+
+
+def hold(name: str, groups: Mapping[K, Group], options: Namespace) -> dict[K, list[Result]]:
+    """The results of `options.runs` debates of each group, with different seeds.
+
+    They are kept in a file of this name.
     """
-    settled = 2.0 * float(str(params.get("window", 5.0)))
-    made = []
-    for seed in range(FIRST, FIRST + RUNS):
-        order = np.random.default_rng(seed).permutation(held).tolist() if held else ()
-        made.append(
-            Motion(pattern, count, seed, 600.0, params, tuple(order) or None, LOSSY, settled)
-        )
-    return made
+    motions = []
+    for pattern, count, params, held in groups.values():
+        settled = 2.0 * float(str(params.get("window", 5.0)))
+        for seed in range(FIRST, FIRST + options.runs):
+            order = tuple(np.random.default_rng(seed).permutation(held).tolist()) if held else None
+            motions.append(Motion(pattern, count, seed, 600.0, params, order, LOSSY, settled))
+    file = options.out / f"{name}.msgpack"
+    results = iter(kept.once(file, Result, lambda: hold_all(motions, options.jobs)))
+    return {key: [next(results) for _ in range(options.runs)] for key in groups}
 
 
-def hold(groups: Mapping[K, list[Motion]]) -> dict[K, list[Result]]:
-    """The results of the debates of all groups, by group, on all processors."""
-    motions = [motion for group in groups.values() for motion in group]
-    results = iter(hold_all(motions, os.cpu_count() or 1))
-    return {key: [next(results) for _ in group] for key, group in groups.items()}
-
-
-def majority_rule(out: Path) -> None:
+def majority_rule(options: Namespace, figures: dict[str, Any]) -> str:
     """Time to agree by the number of robots, and its distribution for seven."""
-    figure = new_figure(8.0, 3.2)
+    figure = figures["majority_rule"] = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
-    groups = {
-        (kind, n): motions("majority_rule", n, {"windows": kind}) for kind in KINDS for n in SIZES
-    }
-    every = hold(groups)
+    rows = [["windows", *(f"{n} robots" for n in SIZES)]]
+    groups = {(k, n): ("majority_rule", n, {"windows": k}, None) for k in KINDS for n in SIZES}
+    every = hold("majority_rule", groups, options)
     for kind, colour in zip(KINDS, VARIANT_COLOURS, strict=False):
         results = {n: every[kind, n] for n in SIZES}
         # Debates without agreement are the longest.
@@ -75,26 +75,33 @@ def majority_rule(out: Path) -> None:
         left.errorbar(SIZES, middle, bars, color=colour, marker="o", ms=4, capsize=2, label=kind)
         seven = np.sort([result.agreed_at for result in results[7]])
         right.step(seven, np.arange(1, len(seven) + 1) / len(seven), color=colour, where="post")
-        for n, a, b, c in zip(SIZES, low, middle, high, strict=True):
-            print(f"majority_rule {kind} {n} robots: {a:.1f} / {b:.1f} / {c:.1f} s", flush=True)
+        rows.append(
+            [
+                f"`{kind}`",
+                *(
+                    f"{a:.1f} / {b:.1f} / {c:.1f} s"
+                    for a, b, c in zip(low, middle, high, strict=True)
+                ),
+            ]
+        )
     left.set(xlabel="robots", ylabel="time until all agree, s", ylim=(0.0, None))
     left.legend(frameon=False, fontsize=9)
     right.axvline(20.0, color=GUIDE_COLOUR, linestyle=":", linewidth=1.0)
     right.set(xlabel="time, s (dotted: 20 s)", ylabel="share of swarms of 7 that agree")
     right.set(xlim=(0.0, 21.0), ylim=(0.0, 1.02))
-    _keep(figure, (left, right), _file(out, "majority_rule"))
+    return markdown(rows)
 
 
-def voters(out: Path) -> None:
+def voters(options: Namespace, figures: dict[str, Any]) -> str:
     """The winner by the share at the start, and windows or rounds until all agree."""
-    figure = new_figure(8.0, 3.2)
+    figure = figures["voter_model"] = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
-    firsts = range(1, 10)
+    rows = [["at first of ten robots", "opinion 1 wins", "95 %"]]
     groups = {
-        first: motions("voter_model", 10, voter_model.SHORT, [1] * first + [0] * (10 - first))
-        for first in firsts
+        first: ("voter_model", 10, voter_model.SHORT, [1] * first + [0] * (10 - first))
+        for first in range(1, 10)
     }
-    for first, results in hold(groups).items():
+    for first, results in hold("voter_model", groups, options).items():
         wins = sum(result.winner == 1 for result in results)
         within = wilson(wins, len(results))
         share = wins / len(results)
@@ -102,23 +109,30 @@ def voters(out: Path) -> None:
         left.errorbar(
             first / 10, share, bars, color=VARIANT_COLOURS[0], marker="o", ms=4, capsize=2
         )
-        print(f"voter_model {first} of 10: won {wins} of {len(results)}", flush=True)
+        rows.append(
+            [
+                str(first),
+                f"{wins} of {len(results)}",
+                f"{within.low:.0%} to {within.high:.0%}",
+            ]
+        )
     left.plot((0.0, 1.0), (0.0, 1.0), color=GUIDE_COLOUR, linestyle=":")
     left.set(xlabel="share of opinion 1 at first", ylabel="share of debates it wins")
-    _voting_times(right)
-    _keep(figure, (left, right), _file(out, "voter_model"))
+    return f"{markdown(rows)}\n\n{_voting_times(options, right)}"
 
 
-def _voting_times(axes: Any) -> None:
+def _voting_times(options: Namespace, axes: Any) -> str:
     """Means over runs that begin with two halves, and the theory."""
     length = float(str(voter_model.SHORT["window"]))
     settings = {"tumbling": voter_model.SHORT, "rounds": {**IN_STEP, "opinions": 2}}
     groups = {
-        (kind, n): motions("voter_model", n, params, [1] * (n // 2) + [0] * (n - n // 2))
+        (kind, n): ("voter_model", n, params, [1] * (n // 2) + [0] * (n - n // 2))
         for kind, params in settings.items()
         for n in VOTERS
     }
-    every = hold(groups)
+    every = hold("voter_model-halves", groups, options)
+    theory = [voter_model.expected_rounds(n, n // 2)[0] for n in VOTERS]
+    rows = [["windows or rounds until all agree", *(f"{n} robots" for n in VOTERS)]]
     for kind, colour in zip(settings, VARIANT_COLOURS, strict=False):
         means, errors = [], []
         for n in VOTERS:
@@ -126,24 +140,46 @@ def _voting_times(axes: Any) -> None:
             taken = [r.agreed_at / length if kind == "tumbling" else r.rounds for r in results]
             means.append(float(np.mean(taken)))
             errors.append(1.96 * float(np.std(taken, ddof=1)) / len(taken) ** 0.5)
-            print(f"voter_model {kind} {n} robots: {means[-1]:.1f} +- {errors[-1]:.1f}", flush=True)
         axes.errorbar(
             VOTERS, means, errors, color=colour, marker="o", ms=4, capsize=2, ls="", label=kind
         )
-    theory = [voter_model.expected_rounds(n, n // 2)[0] for n in VOTERS]
+        rows.append(
+            [
+                f"`{kind}`",
+                *(f"{a:.1f} +- {b:.1f}" for a, b in zip(means, errors, strict=True)),
+            ]
+        )
+    rows.append(["theory of rounds", *(f"{rounds:.1f}" for rounds in theory)])
     axes.plot(VOTERS, theory, color=GUIDE_COLOUR, linestyle=":", label="theory of rounds")
     axes.set(xlabel="robots", ylabel="windows or rounds until all agree", ylim=(0.0, None))
     axes.legend(frameon=False, fontsize=9)
+    return markdown(rows)
 
 
-def floors(out: Path) -> None:
+def floors(options: Namespace, figures: dict[str, Any]) -> str:
     """Who wins, and the time to agree, by the share of black tiles."""
-    figure = new_figure(8.0, 3.2)
+    figure = figures["collective_perception"] = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
-    agreements = perception.agreements(range(20), os.cpu_count() or 1)
-    percent = 100.0 * np.array(perception.SHARES)
+    percent, n = 100.0 * np.array(perception.SHARES), options.seeds
+    every = kept.once(
+        options.out / "collective_perception.msgpack",
+        perception.Agreement,
+        lambda: chain.from_iterable(perception.agreements(range(n), options.jobs).values()),
+    )
+    rows = [
+        [
+            "rule",
+            "black",
+            "agree on black (95 %)",
+            "on white",
+            "on none",
+            "mean time",
+            "5 % / median / 95 %",
+        ]
+    ]
     for index, (rule, colour) in enumerate(zip(perception.RULES, VARIANT_COLOURS, strict=False)):
-        runs = [agreements[rule, share] for share in perception.SHARES]
+        firsts = [n * (k * len(perception.RULES) + index) for k in range(len(percent))]
+        runs = [every[first : first + n] for first in firsts]
         wins = [sum(run.opinion == perception.BLACK for run in some) for some in runs]
         within = [wilson(won, len(some)) for won, some in zip(wins, runs, strict=True)]
         shares = [won / len(some) for won, some in zip(wins, runs, strict=True)]
@@ -156,34 +192,38 @@ def floors(out: Path) -> None:
         at = percent + 0.3 * (index - 1)
         left.errorbar(at, shares, bars, **look)
         right.errorbar(at, middle, (middle - few, most - middle), **look)
-        for n, share in enumerate(perception.SHARES):
-            none = sum(run.opinion is None for run in runs[n])
-            wrong = len(runs[n]) - wins[n] - none
-            mean = f"{np.mean(perception.taken(runs[n])):.0f} s"
-            text = f"{few[n]:.0f} / {middle[n]:.0f} / {most[n]:.0f} s"
-            won = f"{wins[n]} of {len(runs[n])}"
-            print(f"| {rule} | {share:.0%} | {won} | {wrong} | {none} | {mean} | {text} |")
+        for k, share in enumerate(perception.SHARES):
+            none = sum(run.opinion is None for run in runs[k])
+            wrong = len(runs[k]) - wins[k] - none
+            mean = f"{kept.mean_of(np.array(perception.taken(runs[k])))} s"
+            text = f"{few[k]:.0f} / {middle[k]:.0f} / {most[k]:.0f} s"
+            won = f"{wins[k]} of {len(runs[k])} ({low[k]:.0%} to {high[k]:.0%})"
+            rows.append([rule, f"{share:.0%}", won, str(wrong), str(none), mean, text])
     for axes in (left, right):
         axes.set_xticks(percent)
     left.set(xlabel="black tiles, %", ylabel="share of runs that agree on black", ylim=(0.0, 1.03))
     left.legend(frameon=False, fontsize=9)
     right.set(xlabel="black tiles, %", ylabel="time until all agree, s", ylim=(0.0, None))
-    _keep(figure, (left, right), _file(out, "collective_perception"))
+    return markdown(rows)
 
 
-def _keep(figure: Any, axes: Sequence[Any], path: Path) -> None:
-    for axis in axes:
-        tidy(axis)
-    print(save(figure, path))
-
-
-def _file(folder: Path, pattern: str) -> Path:
-    (folder / pattern).mkdir(parents=True, exist_ok=True)
-    return folder / pattern / "figure.png"
+def main() -> None:
+    """Hold all debates, print the tables and draw the figures."""
+    options, figures = kept.chosen("voting", __doc__), dict[str, Any]()
+    options.runs = RUNS * options.seeds // kept.SEEDS
+    options.out = kept.kept_folder("voting") / str(options.seeds)
+    parts = {
+        "voting_majority_rule": majority_rule(options, figures),
+        "voting_voter_model": voters(options, figures),
+        "voting_collective_perception": floors(options, figures),
+    }
+    for pattern, figure in figures.items():
+        for axes in figure.axes:
+            tidy(axes)
+        if options.seeds == kept.SEEDS:
+            save(figure, PATTERNS / pattern / "figure.png")
+    kept.print_parts(parts)
 
 
 if __name__ == "__main__":
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else PATTERNS
-    majority_rule(folder)
-    voters(folder)
-    floors(folder)
+    main()

@@ -1,11 +1,11 @@
 """Which bits of a run depend on the processor, and which functions give other bits there.
 
-`python -m studies.processors variants FOLDER` runs the scenarios of SCENARIOS for some seconds in
-each variant of this machine (other functions of glibc and numpy on x86-64, interpreted kernels, two
-processes, another hash seed). It prints which traces differ, where, and which functions, sums,
-products and steps give other bits for the same arguments. The exit code is 1 if a variant of the
-program alone differs, or if traces differ and no function does. `traces` and `compare` do the same
-for two machines: `make arm64`.
+`python -m studies.processors variants` runs the scenarios of SCENARIOS for some seconds in each
+variant of this machine (other functions of glibc and numpy on x86-64, interpreted kernels, two
+processes, another hash seed). It prints the table of docs/evidence/simulation.md: which traces
+differ, where, and which functions, sums, products and steps give other bits for the same arguments.
+The same command resumes. The exit code is 1 if a variant of the program alone differs, or if traces
+differ and no function does. `traces` and `compare` do the same for two machines: `make arm64`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.table import markdown
+from studies import kept
 from studies.processors.runs import (
     SCENARIOS,
     Variant,
@@ -34,26 +36,25 @@ def main(words: Sequence[str] | None = None) -> int:
         return 0
     if args.command == "compare":
         return compare(args.a, args.b)
-    return run_all(args.folder, args.only, args.share)
+    folder = args.folder or kept.kept_folder("processors") / f"{args.share}-{len(args.only)}"
+    return run_all(folder, args.only, args.share)
 
 
 def run_all(folder: Path, names: Sequence[str], share: float) -> int:
-    """Run all variants; prints a row for each variant and scenario that differs."""
+    """Run all variants, and print a row for each."""
     run_variant(Variant({}), folder / "here", names, share)
     is_good = True
+    rows = [["compared with this processor", "equal", "what gives other bits", "first difference"]]
     for name, variant in variants().items():
         there = folder / name.replace(" ", "-")
         run_variant(variant, there, names, share)
         found = differences(folder / "here", there)
-        equal = [scenario for scenario, text in found.items() if not text]
-        print(f"\n{name}: {len(equal)} of {len(found)} traces equal")
-        if facts := differing_facts(folder / "here", there):
-            print(f"  differs: {', '.join(facts)}")
-        is_good &= len(equal) == len(found) or (bool(facts) and not variant.is_equal)
-        for scenario, text in found.items():
-            if text:
-                print(f"  {scenario}: {text}")
-        sys.stdout.flush()
+        facts = differing_facts(folder / "here", there)
+        others = [f"`{scenario}`: {text}" for scenario, text in found.items() if text]
+        is_good &= not others or (bool(facts) and not variant.is_equal)
+        equal = f"{len(found) - len(others)} of {len(found)}"
+        rows.append([name, equal, ", ".join(facts) or "nothing", "; ".join(others) or "-"])
+    kept.print_parts({"processors": markdown(rows)})
     return int(not is_good)
 
 
@@ -71,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True)
     for name in ("variants", "traces"):
         command = commands.add_parser(name)
-        command.add_argument("folder", type=Path)
+        command.add_argument("folder", type=Path, nargs="?" if name == "variants" else None)
         command.add_argument("--only", nargs="+", choices=SCENARIOS, default=[*SCENARIOS])
         command.add_argument("--share", type=float, default=1.0, help="of the seconds of each")
         command.add_argument("--cores", type=int, default=1, help="processes of a run")

@@ -84,7 +84,12 @@ def variants() -> dict[str, Variant]:
 
 
 def run_variant(variant: Variant, folder: Path, names: Iterable[str], share: float = 1.0) -> None:
-    """`write_traces` in a process of its own; subprocess.CalledProcessError if it fails."""
+    """`write_traces` in a process of its own, unless `folder` has all that it writes.
+
+    subprocess.CalledProcessError if it fails.
+    """
+    if (folder / FACTS).exists():
+        return
     command = [sys.executable, "-m", "studies.processors", "traces", str(folder)]
     subprocess.run(
         [*command, "--share", str(share), "--cores", str(variant.cores), "--only", *names],
@@ -95,12 +100,11 @@ def run_variant(variant: Variant, folder: Path, names: Iterable[str], share: flo
 
 
 def write_traces(folder: Path, names: Iterable[str], *, share: float = 1.0, cores: int = 1) -> None:
-    """Write the trace of each scenario, and FACTS, to `folder`.
+    """Write the trace of each scenario, and last FACTS, to `folder`.
 
     `share`: of the seconds of each scenario. A line for each scenario goes to the standard error.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / FACTS).write_text(json.dumps({**made_with(), **digests()}, indent=2) + "\n")
     for name in names:
         began = time.monotonic()
         seconds = SCENARIOS[name] * share
@@ -108,6 +112,7 @@ def write_traces(folder: Path, names: Iterable[str], *, share: float = 1.0, core
         trace.save(folder / f"{name}.npz")
         took = time.monotonic() - began
         print(f"{name}: {seconds:g} s simulated in {took:.1f} s", file=sys.stderr, flush=True)
+    (folder / FACTS).write_text(json.dumps({**made_with(), **digests()}, indent=2) + "\n")
 
 
 def differences(a: Path, b: Path) -> dict[str, str]:

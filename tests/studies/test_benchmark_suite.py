@@ -1,4 +1,4 @@
-"""The table of docs/benchmark_suite.md: its place in the page, and its rows."""
+"""The table of docs/benchmark_suite.md: its rows."""
 
 from __future__ import annotations
 
@@ -10,34 +10,29 @@ import yaml
 
 import swarmd.config
 from studies import benchmark_suite
-from studies.outcomes.outcome import RESULTS_PART
-from swarmd.sim.experiments.simulate import simulate
 
 pytestmark = pytest.mark.long
 SUITE = Path(swarmd.config.__path__[0]) / "scenarios" / "benchmark"
 
 
-def test_the_table_has_the_patterns_of_each_task(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def short(tmp_path: Path) -> str:
     task = yaml.safe_load((SUITE / "doorway.yaml").read_text())
     file = tmp_path / "short.yaml"
     file.write_text(yaml.safe_dump({**task, "duration": 0.5}))
-    swept = {"pattern": ["drive", "random_walk"]}
-    simulate(file, 2, sweep=swept, out=tmp_path / "short", metrics=[task["metric"]])
-    monkeypatch.setattr(benchmark_suite, "task_names", lambda: ("benchmark/short",))
-    head, _, *rows = benchmark_suite.table(tmp_path).splitlines()
+    return str(file)
+
+
+@pytest.mark.parametrize("patterns", [("drive", "random_walk"), ("stand",)])
+def test_the_table_has_the_patterns_of_a_task(tmp_path: Path, patterns: tuple[str, ...]) -> None:
+    results = benchmark_suite.results_of(short(tmp_path), range(2), patterns, tmp_path, 1)
+    head, _, *rows = benchmark_suite.table([results]).splitlines()
     assert [cell.strip() for cell in head.strip("|").split("|")] == [
         "task", "rank", "pattern", "median", "95 %", "unit", "runs",
     ]  # fmt: skip
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     assert [(one[0], one[2], one[-1]) for one in cells] == [
-        ("`short`", "`drive`", "2"), ("`short`", "`random_walk`", "2"),
-    ]  # fmt: skip
-
-
-def test_the_page_has_one_place_for_the_table() -> None:
-    assert len(RESULTS_PART.findall(benchmark_suite.PAGE.read_text())) == 1
+        ("`short`", f"`{pattern}`", "2") for pattern in patterns
+    ]
 
 
 def test_all_arenas_have_the_scale_of_the_bar() -> None:

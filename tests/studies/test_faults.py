@@ -39,13 +39,14 @@ def record(fault: str, said: dict[str, float], outcome: float, own: int = 0) -> 
     )  # fmt: skip
 
 
-def test_a_text_of_runs_without_a_fault_names_none() -> None:
+def test_a_text_of_runs_without_a_fault_names_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(faults, "BEHAVIOURS", {"flocking": BEHAVIOURS["flocking"]})
     records = [record(fault, {"usual": 3.0}, 1.0) for fault in (SOUND, REMOVED, *FAULTS)]
     records[2:4] = [
         record("scan frozen", {"usual": 1.0, "new": 4.0}, 2.0, own=3),
         record("scan blind, 90 deg ahead", {"new": 0.5}, 2.0),
     ]
-    first, _, head, _, *rows = faults.table(records, ["flocking"]).splitlines()
+    first, _, head, _, *rows = faults.table(records).splitlines()
     assert first.index("scan mirrored 0 of 1") < first.index("scan frozen 1 of 1")
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     by_fault = {row[2]: row[3:] for row in cells}

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from studies.paper_exp2 import TOLERANCE, joined, judged, ranges
+from studies.paper_exp2 import TOLERANCE, Joining, joined, judged, late_rows, ranges
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
@@ -112,3 +112,16 @@ def test_a_late_robot_adopts_or_changes_the_opinion() -> None:
     assert not found.is_swayed
     opinion[TIMES > 70.0, 0] = 2.0
     assert joined(made(spread(1.5, 25.0), opinion)).is_swayed
+
+
+def test_the_table_of_late_robots_counts_those_that_adopt_and_ranges_that_are_kept() -> None:
+    found = [
+        Joining(adopted=4.0, is_swayed=False, stirred=0.1, least=0.98, contacts=0),
+        Joining(adopted=math.inf, is_swayed=True, stirred=0.3, least=0.9, contacts=2),
+        Joining(adopted=1.0, is_swayed=False, stirred=0.2, least=1.2, contacts=0),
+    ]
+    values = dict(late_rows(found))
+    assert values["it adopts the opinion of the seven"] == "2/3"
+    assert values["one of the seven changes its opinion"] == "1/3"
+    assert values["every range kept in the last 20 s"] == "2/3"  # 1.0 m less 3 cm
+    assert values["contacts"] == "2"

@@ -1,0 +1,79 @@
+"""Where the commands of studies keep runs and pictures, and how they print the parts of pages.
+
+A command prints Markdown, its progress goes to the standard error, and the same command resumes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+
+import swarmd
+import swarmd.config
+from swarmd.core.values import Array
+from swarmd.sim.experiments.provenance import digest_of_code
+from swarmd.sim.experiments.simulate import Progress
+from swarmd.sim.experiments.statistics import mean_interval
+
+T = TypeVar("T")
+
+FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
+SEEDS = 20
+"""The seeds of a page."""
+
+
+def kept_folder(study: str) -> Path:
+    """The folder of the runs of a study: another one for other sources or configuration."""
+    digest = hashlib.sha256()
+    for folder in (Path(swarmd.__file__).parent, Path(__file__).parent):
+        digest.update(digest_of_code(folder).encode())
+    for path in sorted(Path(swarmd.config.__path__[0]).rglob("*.yaml")):
+        digest.update(path.read_bytes())
+    return Path("build") / study / digest.hexdigest()[:8]
+
+
+def chosen(study: str, about: str | None, words: Sequence[str] | None = None) -> argparse.Namespace:
+    """The options `seeds` and `jobs` of a command."""
+    parser = argparse.ArgumentParser(prog=f"python -m studies.{study}", description=about)
+    parser.add_argument("--seeds", type=int, default=SEEDS, help=f"of each kind of run [{SEEDS}]")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
+    return parser.parse_args(words)
+
+
+def print_parts(parts: Mapping[str, str]) -> None:
+    """Print each part of a page below a line with its name."""
+    for name, text in parts.items():
+        print(f"<!-- results: {name} -->\n\n{text.strip()}\n", flush=True)
+
+
+def on_progress(what: str) -> Callable[[Progress], None]:
+    """Prints the number of finished runs to the standard error, for `simulate`."""
+    return lambda now: print(f"{what}: {now.done}/{now.total}\r", end="", file=sys.stderr)
+
+
+def once(file: Path, kind: type[T], make: Callable[[], Iterable[T]]) -> list[T]:
+    """The records in a file, dataclasses of one `kind`; made and kept if the file is missing."""
+    if not file.exists():
+        made = msgspec.msgpack.encode([*make()])
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(".part")
+        part.write_bytes(made)
+        part.rename(file)
+        print(f"{file}: done", file=sys.stderr, flush=True)
+    return msgspec.msgpack.decode(file.read_bytes(), type=list[kind])  # type: ignore[valid-type]
+
+
+def mean_of(values: Array) -> str:
+    """The mean of the known values (n,) as a text, with its 95 % interval."""
+    known = values[~np.isnan(values)]
+    interval = mean_interval(known) if len(known) else None
+    mean = f"{known.mean():.2f}" if len(known) else "-"
+    return mean if interval is None else f"{mean} ({interval.low:.2f} to {interval.high:.2f})"
