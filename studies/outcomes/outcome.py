@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import platform
 import re
@@ -127,13 +128,18 @@ class Outcome:
 
     @property
     def shown(self) -> str:
-        """The value as text, with its interval; several values as least, median and most."""
+        """The value as text, with its interval; several values as least, median and most.
+
+        "none" without a value in a run.
+        """
         if self.joined is not None and self.joined.interval is not None:
             low, high = self.joined.interval
             return f"{self.joined.value:.3g} ({low:.3g} to {high:.3g})"
-        if len(self.values) < 2:
-            return " ".join(f"{value:.3g}" for value in self.values) or "none"
         some = np.array(self.values)
+        if not some.size or np.isnan(some).any():
+            return "none"
+        if some.size < 2:
+            return f"{some[0]:.3g}"
         return f"{some.min():.3g} / {np.median(some):.3g} / {some.max():.3g}"
 
     @property
@@ -146,7 +152,7 @@ class Outcome:
     def cells(self) -> tuple[str, ...]:
         """The cells of a row with the columns HEAD."""
         reached = "yes" if self.is_reached else "**no**"
-        reached = "-" if self.wanted == UNBOUNDED else reached
+        reached = reached if self.wanted != UNBOUNDED else UNBOUNDED
         runs = f"{self.runs}{' (fewer than twenty)' * (self.runs < FEW)}"
         return self.what, self.wanted, self.shown, runs, reached, self.source
 
@@ -280,8 +286,12 @@ def keep(
 
 
 def as_file(kept: Kept) -> bytes:
-    """The contents of the file, with a line for each outcome."""
-    text = msgspec.json.encode(kept)
+    """The contents of the file, with a line for each outcome.
+
+    Values that are not finite are NaN and Infinity, as the module json writes and reads them.
+    """
+    builtins = msgspec.to_builtins(kept)
+    text = json.dumps(builtins, ensure_ascii=False, separators=(",", ":")).encode()
     for start in (b'{"pattern"', b'{"what"', b'"short"'):
         text = text.replace(start, b"\n" + start)
     return text.strip() + b"\n"
@@ -297,7 +307,8 @@ def with_part(page: str, name: str, text: str) -> str:
 
     ValueError if the page does not have exactly one such part.
     """
-    head, begin, rest = page.partition(f"<!-- results: {name} -->\n")
+    begin = f"<!-- results: {name} -->\n"
+    head, _, rest = page.partition(begin)
     _, end, tail = rest.partition("<!-- end of results -->")
     if not end or begin in tail:
         raise ValueError(f"wanted one part `{begin.strip()}` ... `<!-- end of results -->`")
@@ -307,7 +318,9 @@ def with_part(page: str, name: str, text: str) -> str:
 def kept_outcomes() -> dict[str, Kept]:
     """The outcomes that were kept, by pattern."""
     files = sorted(PATTERNS.glob(f"*/{KEPT}"))
-    return {path.parent.name: msgspec.json.decode(path.read_bytes(), type=Kept) for path in files}
+    return {
+        path.parent.name: msgspec.convert(json.loads(path.read_bytes()), Kept) for path in files
+    }
 
 
 def at_most(
