@@ -6,7 +6,6 @@ A command prints Markdown, its progress goes to the standard error, and the same
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,10 +15,8 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 
-import swarmd
-import swarmd.config
+from studies.night.sources import digest_of
 from swarmd.core.values import Array
-from swarmd.sim.experiments.provenance import digest_of_code
 from swarmd.sim.experiments.simulate import Progress
 from swarmd.sim.experiments.statistics import mean_interval
 
@@ -31,13 +28,8 @@ SEEDS = 20
 
 
 def kept_folder(study: str) -> Path:
-    """The folder of the runs of a study: another one for other sources or configuration."""
-    digest = hashlib.sha256()
-    for folder in (Path(swarmd.__file__).parent, Path(__file__).parent):
-        digest.update(digest_of_code(folder).encode())
-    for path in sorted(Path(swarmd.config.__path__[0]).rglob("*.yaml")):
-        digest.update(path.read_bytes())
-    return Path("build") / study / digest.hexdigest()[:8]
+    """The folder of the runs of a study: another one for other sources."""
+    return Path("build") / study / digest_of([f"studies.{study}"])[:8]
 
 
 def chosen(study: str, about: str | None, words: Sequence[str] | None = None) -> argparse.Namespace:

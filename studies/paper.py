@@ -1,6 +1,6 @@
 """Experiment 1 of Kaiser et al., ICRA 2022: `python -m studies.paper`.
 
-Experiment 2 is `python -m studies.paper_exp2`; `make paper` does both.
+Experiment 2 is `python -m studies.paper_exp2`; `make night ARGS="paper paper_exp2"` does both.
 
 Runs every scenario with two laws of attraction, the original equations (`paper`) and ours
 (`settling`), under our protection (the barrier) and with both visibilities of robots to lidars.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -12,9 +13,7 @@ from msgspec import Struct
 
 from studies.night.pages import parts_of
 from studies.night.sources import ROOT, digest_of, sources_of
-
-OUTCOMES = "studies.outcomes.patterns"
-"""The package with a module for each pattern."""
+from studies.outcomes.outcome import STUDIES
 
 
 class Made(Struct, frozen=True, kw_only=True):
@@ -77,9 +76,10 @@ class Job(Struct, frozen=True):
     @property
     def made(self) -> Made | None:
         """The kept results; None without a file."""
-        return (
-            msgspec.json.decode(self.file.read_bytes(), type=Made) if self.file.exists() else None
-        )
+        if not self.file.exists():
+            return None
+        # The module json reads numbers that are not finite, too.
+        return msgspec.convert(json.loads(self.file.read_bytes()), Made)
 
     @property
     def is_kept(self) -> bool:
@@ -104,16 +104,56 @@ class PatternJob(Job, frozen=True):
 def _outcomes(path: Path) -> Job:
     name = path.stem
     arguments = ("-m", "studies.outcomes", name, "--keep")
-    return PatternJob(name, f"patterns/{name}", arguments, 1.0, (f"{OUTCOMES}.{name}",))
+    return PatternJob(name, f"patterns/{name}", arguments, 1.0, (f"{STUDIES}.{name}",))
+
+
+def _study(name: str, folder: str, minutes: float, *words: str, module: str = "") -> Job:
+    return Job(name, folder, ("-m", f"studies.{module or name}", *words), minutes)
 
 
 JOBS: Sequence[Job] = (
-    Job("robot_hours", "docs/evidence", ("-m", "studies.robot_hours"), 110.0),
+    _study("robot_hours", "docs/evidence", 110.0),
     *(
         _outcomes(path)
-        for path in sorted(ROOT.joinpath(*OUTCOMES.split(".")).glob("*.py"))
+        for path in sorted(ROOT.joinpath(*STUDIES.split(".")).glob("*.py"))
         if path.stem != "__init__"
     ),
+    _study("paper", "docs", 43.0),
+    _study("paper_exp2", "docs", 2.0),
+    _study("learning", "docs", 6.0),
+    _study("missions", "docs", 14.0),
+    _study("tuning", "docs", 10.0),
+    _study("benchmark_suite", "docs", 85.0),
+    _study("voting", "docs", 60.0),
+    _study("faults", "docs/evidence", 60.0),
+    _study(
+        "progress",
+        "docs/evidence",
+        10.0,
+        "progress",
+        "--seeds",
+        "20",
+        "--duration",
+        "120",
+        module="safety",
+    ),
+    _study("fence", "docs/evidence", 10.0, module="safety.fence"),
+    _study(
+        "encounters",
+        "docs/evidence",
+        30.0,
+        "encounters",
+        "--modes",
+        "ghost",
+        "orca",
+        "walls_stand",
+        "--first-seed",
+        "3000",
+        module="safety",
+    ),
+    _study("tracks", "docs/evidence", 5.0, "tracks", "--seeds", "20", module="safety"),
+    _study("processors", "docs/evidence", 10.0, "variants", "build/processors"),
+    _study("ros_faults", "docs", 6.0, module="ros"),
 )
 """What readers would miss most comes first."""
 

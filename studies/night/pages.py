@@ -20,7 +20,9 @@ def pages() -> Iterator[Path]:
 
 
 def with_part(page: str, name: str, text: str) -> str:
-    """The text of a page with this text as its part `name`, if the page has this part."""
+    """The text of a page with this text as its part `name`; ValueError if it has no such part."""
+    if name not in {found[2] for found in PART.finditer(page)}:
+        raise ValueError(f"wanted a part `<!-- results: {name} -->` ... `<!-- end of results -->`")
 
     def put(found: re.Match[str]) -> str:
         return f"{found[1]}\n{text}\n\n{found[3]}" if found[2] == name else found[0]

@@ -14,6 +14,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
+from swarmd import _PUBLIC
+
 ROOT = Path(__file__).resolve().parents[2]
 _LINKED = ("config", "drivers", "patterns", "sim")
 _OURS = ("swarmd", "studies", "benchmarks", "tests")
@@ -117,12 +119,16 @@ def _modules(tree: ast.AST) -> Iterator[str]:
         yield from (f"{tree.module}.{one.name}" for one in tree.names)
     elif isinstance(tree, ast.Constant) and isinstance(tree.value, str) and "." in tree.value:
         yield tree.value
+    elif isinstance(tree, ast.Attribute) and ast.unparse(tree.value) == "swarmd":
+        yield f"swarmd.{tree.attr}"
     for node in ast.iter_child_nodes(tree):
         yield from _modules(node)
 
 
 def _files_of(module: str) -> Iterator[Path]:
     """The file of a module of this project, and those of the packages around it."""
+    # A public name, such as `swarmd.env`, is imported when it is used.
+    module = _PUBLIC.get(module.removeprefix("swarmd."), module)
     names = module.split(".")
     if names[0] not in _OURS or module.startswith(__package__):
         return
@@ -138,7 +144,7 @@ def _files_of(module: str) -> Iterator[Path]:
 def _named() -> dict[str, list[Path]]:
     """The files that a word names: patterns, platforms, scenarios, missions."""
     named: dict[str, list[Path]] = {}
-    for pattern in ("config/*/**/*.yaml", "studies/*/plugins/*.py"):
+    for pattern in ("config/*/**/*.yaml", "studies/*/plugins/*.py", "examples/learning/*.py"):
         for path in sorted(ROOT.glob(pattern)):
             named.setdefault(path.stem, []).append(path)
     for path in sorted(ROOT.glob("patterns/*/*")):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import platform
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -17,9 +16,11 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from studies.night.pages import with_part
+from studies.night.sources import commit_of, digest_of, sources_of
 from swarmd.core.values import Array
 from swarmd.sim.experiments.manifest import PROCESSOR
-from swarmd.sim.experiments.provenance import git_state, made_with
+from swarmd.sim.experiments.provenance import made_with
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import (
     Interval,
@@ -30,11 +31,11 @@ from swarmd.sim.experiments.statistics import (
     wilson,
 )
 
+STUDIES = "studies.outcomes.patterns"
+"""The package with a module for each pattern."""
 PATTERNS = Path(__file__).resolve().parents[2] / "patterns"
 KEPT = "outcome.json"
 """The outcomes that were kept, beside the pattern."""
-RESULTS_PART = re.compile(r"(<!-- results: .*? -->\n).*?(<!-- end of results -->)", re.DOTALL)
-"""The part of a page that a study writes."""
 PART = "outcomes"
 """The name of the part of a pattern's page."""
 MACHINE = (*PROCESSOR, "processor", "libc", "numpy", "scipy", "mujoco")
@@ -43,7 +44,6 @@ MACHINE = (*PROCESSOR, "processor", "libc", "numpy", "scipy", "mujoco")
 Lockstep repeats bit by bit where they are equal."""
 SHORT_SEED = 1
 """The seed of the short form."""
-_SHORT_COMMIT = 10
 FEW, UNBOUNDED = 20, "-"
 """So many runs are not few; `Outcome.wanted` of a number without a condition."""
 HEAD = ("what", "wanted", "least / median / most, or of all runs (95 %)", "runs", "reached", "from")
@@ -252,15 +252,6 @@ def _processor() -> str:
     return " ".join(known) or platform.processor()
 
 
-@cache
-def _commit() -> str:
-    """The commit of this checkout, shortened; it says so if files had changed before `keep`."""
-    state = git_state(PATTERNS.parent)
-    if state is None:
-        return "unknown"
-    return state.commit[:_SHORT_COMMIT] + ", with changes" * state.is_dirty
-
-
 def keep(
     pattern: str,
     seeds: int,
@@ -269,15 +260,16 @@ def keep(
     still: Sequence[Outcome] = (),
     *,
     cpu_minutes: float = 0.0,
-    digest: str = "",
 ) -> None:
     """Write the outcomes beside the pattern, and their table into the part PART of its page.
 
     `seeds`: the number of seeds, from 0 on. `short`: the outcomes of the short form. `still`: those
-    of robots that never move. `digest`: of the sources that decide the values. The file is written
-    last, so that it never names values that the page lacks.
+    of robots that never move. The file is written last, so that it never names values that the page
+    lacks.
     """
-    origin = {"day": date.today().isoformat(), "commit": _commit(), "digest": digest}
+    sources = [f"{STUDIES}.{pattern}"]
+    commit, digest = commit_of(sources_of(sources)), digest_of(sources)
+    origin = {"day": date.today().isoformat(), "commit": commit, "digest": digest}
     made = {**software(), **origin, "cpu_minutes": f"{cpu_minutes:.2f}"}
     kept = Kept(pattern, seeds, made, tuple(outcomes), digits_of(short), tuple(still))
     page = PATTERNS / pattern / "page.md"
@@ -295,24 +287,6 @@ def as_file(kept: Kept) -> bytes:
     for start in (b'{"pattern"', b'{"what"', b'"short"'):
         text = text.replace(start, b"\n" + start)
     return text.strip() + b"\n"
-
-
-def with_results(page: str, table: str) -> str:
-    """The text of a page with this table as its results."""
-    return RESULTS_PART.sub(lambda part: f"{part[1]}\n{table}\n\n{part[2]}", page)
-
-
-def with_part(page: str, name: str, text: str) -> str:
-    """The text of a page with this text between the comments of the part `name`.
-
-    ValueError if the page does not have exactly one such part.
-    """
-    begin = f"<!-- results: {name} -->\n"
-    head, _, rest = page.partition(begin)
-    _, end, tail = rest.partition("<!-- end of results -->")
-    if not end or begin in tail:
-        raise ValueError(f"wanted one part `{begin.strip()}` ... `<!-- end of results -->`")
-    return f"{head}{begin}\n{text}\n\n{end}{tail}"
 
 
 def kept_outcomes() -> dict[str, Kept]:

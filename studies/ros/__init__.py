@@ -1,1 +1,1 @@
-"""Three robots on DDS behind one bridge, and the faults that are injected: `make ros-study`."""
+"""Three robots on DDS behind one bridge, and their faults: `make night ARGS=ros_faults`."""
