@@ -19,7 +19,6 @@ from benchmarks import (
     protection,
     recording,
     resources,
-    ros1,
     ros2,
     startup,
     steps,
@@ -40,7 +39,6 @@ ALL: Mapping[str, Callable[[], None]] = {
     "recording": lambda: recording.main([]),
     "startup": startup.main,
     "cli": cli.main,
-    "ros1": lambda: ros1.main([]),
     "ros2": lambda: ros2.main([]),
     "switch": lambda: switch.main([]),
 }

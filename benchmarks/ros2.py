@@ -1,7 +1,7 @@
 """Latency from a scan to its command through the ROS 2 drivers: `benchmarks.ros2`.
 
 A robot in a process of its own, with a Zenoh router of its own, sends a 360-ray LaserScan and waits
-for the command. The driver answers with a potential field over the rays, as in `benchmarks.ros1`.
+for the command. The driver answers with a potential field over the rays (`plain_field.py`).
 If zenoh-bridge-ros2dds is installed, the robot is also a ROS 2 node on DDS. Then two programs
 answer: the driver through the bridge, and a plain node directly.
 
@@ -27,7 +27,7 @@ import zenoh
 
 from benchmarks import ros2_dds
 from benchmarks.cdr import scan
-from benchmarks.ros1 import field
+from benchmarks.plain_field import plain_field
 from benchmarks.table import Row, print_table
 from swarmd.core.events import ScanInput, SensorInput
 from swarmd.drivers.latest_samples import LatestSamples
@@ -69,7 +69,7 @@ class Answering(CollectingSink):
         if not isinstance(input, ScanInput):
             return
         scan, decoded = input.scan, time.perf_counter()
-        twist = field(scan)
+        twist = plain_field(scan)
         decided = time.perf_counter()
         self.driver.send(twist, scan.seq, scan.seq)
         arrived = TimedSamples.arrived, TimedSamples.taken
@@ -190,7 +190,7 @@ def _hub() -> tuple[zenoh.Session, str]:
 def rows(seconds: float = SECONDS) -> Iterator[Row]:
     for name in MAKERS:
         taken, parts = answers(name, seconds)
-        yield Row(f"scan to velocity, {name}", taken, GOAL, f"beside rospy: see ros1; {parts}")
+        yield Row(f"scan to velocity, {name}", taken, GOAL, parts)
     lacks = why_no_bridge()
     if lacks:
         yield Row(f"scan to velocity, {BRIDGE}", [], note=lacks)

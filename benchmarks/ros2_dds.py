@@ -18,9 +18,10 @@ import numpy as np
 from cyclonedds.domain import Domain
 
 from benchmarks.cdr import scan as whole_scan
-from benchmarks.ros1 import PLATFORM, field
+from benchmarks.plain_field import plain_field
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros import from_ros as conversion
+from swarmd.settings.platforms import load_platform
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.ros2_bridge import LOOPBACK, Bridge, free_domain
@@ -56,6 +57,7 @@ def answer(domain: int, until: Callable[[], str], marks: list[tuple[float, ...]]
     For each scan, appends to `marks` the times in s of arrival (twice, since the node has no event
     loop), decoding, decision and publication.
     """
+    spec = load_platform("burger").scan
     texts: list[str] = []
     waiting = threading.Thread(target=lambda: texts.append(until()))
     waiting.start()
@@ -67,9 +69,9 @@ def answer(domain: int, until: Callable[[], str], marks: list[tuple[float, ...]]
             continue
         there = time.perf_counter()
         message.ranges = np.array(message.ranges)
-        scan = conversion.scan_of(message, 1, PLATFORM.scan)
+        scan = conversion.scan_of(message, 1, spec)
         read = time.perf_counter()
-        twist = field(scan)
+        twist = plain_field(scan)
         decided = time.perf_counter()
         linear, angular = dds.Vector3(x=twist.linear), dds.Vector3(z=twist.angular)
         node.publish("/cmd_vel", dds.Twist(linear, angular))

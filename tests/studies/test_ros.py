@@ -10,7 +10,7 @@ import pytest
 
 from studies.ros.chain import Chain
 from studies.ros.faults import Fault, faults
-from studies.ros.study import Row, rows
+from studies.ros.study import Row, _answer, rows
 from studies.ros.table import HEAD, line, summary
 from tests.support.ros2_bridge import why_no_bridge
 
@@ -88,6 +88,18 @@ def test_a_row_shows_what_must_not_be(changes: dict[str, object], cell: int, tex
     seen = row(silent, **changes)
     assert line(seen, "tcp/127.0.0.1:1").split(" | ")[cell] == text
     assert seen.is_late == (cell in (3, 7))
+
+
+@pytest.mark.parametrize(
+    ("printed", "answer"),
+    [
+        ("tb3-01  applied  commanded zero; measured 0.00 m/s", "commanded zero"),
+        ("tb3-01  failed   nothing was sent: driver lost", "failed nothing was sent"),
+        ("tb3-02  applied  commanded zero", ""),
+    ],
+)
+def test_the_answer_of_the_robot_is_one_phrase(printed: str, answer: str) -> None:
+    assert _answer(f"NAME  ANSWER  TEXT\n{printed}\n", "tb3-01") == answer
 
 
 def test_the_summary_counts_what_was_noticed_and_who_was_held() -> None:
