@@ -1,9 +1,10 @@
 """Every pattern's outcomes over many seeds: `python -m studies.outcomes [PATTERN ...]`.
 
 Prints a table. Exit code 1 if an outcome is not reached and is not kept as missed, or if as many
-runs as are kept, on such a machine, give other values. `--keep` writes the values of each run and
-those of the short form beside the pattern, and the table of the pattern's page. `--still` prints
-the rows that robots that never move reach, too (studies/outcomes/still.py); exit code 0.
+runs as are kept, on such a machine, give other values. `--keep` runs the control, too, writes the
+values of each run and those of the short form beside the pattern, and the table of the pattern's
+page; exit code 0. `--still` prints the control alone: the same runs with robots that never move
+(studies/outcomes/still.py); exit code 0.
 `tests/studies/test_outcomes.py` tests a few seeds.
 """
 
@@ -14,7 +15,6 @@ import os
 import sys
 from collections.abc import Sequence
 
-from studies.outcomes import still
 from studies.outcomes.catalog import MODULES, short_outcomes
 from studies.outcomes.outcome import (
     HEAD,
@@ -26,13 +26,16 @@ from studies.outcomes.outcome import (
     other_digits,
     renewal,
 )
+from studies.outcomes.still import control_of
 from swarmd.core.errors import SwarmError, unknown
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m studies.outcomes", description=__doc__)
     parser.add_argument("patterns", nargs="*", metavar="PATTERN", help="default: all")
-    parser.add_argument("--seeds", type=int, default=20, help="runs of each setting [20]")
+    parser.add_argument(
+        "--seeds", type=int, help="runs of each setting [20, or as the pattern has]"
+    )
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--keep", action="store_true", help="write patterns/PATTERN/outcome.json")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
@@ -41,21 +44,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in options.patterns:
         if name not in MODULES:
             raise SwarmError(unknown("pattern with outcomes", name, MODULES))
-    if options.still:
-        print(still.report(options.patterns or list(MODULES), options.seeds, options.jobs))
-        return 0
     print(f"| pattern | {' | '.join(HEAD)} |\n|---{'|---' * len(HEAD)}|")
     kept, problems = kept_outcomes(), 0
     for name in options.patterns or MODULES:
-        outcomes = MODULES[name].outcomes(range(options.seeds), options.jobs)
+        begin = sum(os.times()[:4])
+        seeds = options.seeds or getattr(MODULES[name], "SEEDS", 20)
+        if options.still:
+            outcomes = control_of(name, options.seeds or 3)
+        else:
+            outcomes = MODULES[name].outcomes(range(seeds), options.jobs)
         for outcome in outcomes:
-            print(f"| {outcome.pattern} {outcome.row}", flush=True)
-        known = kept[name].missed if name in kept else []
-        problems += sum(not o.is_reached and o.what not in known for o in outcomes)
+            print(f"| {' | '.join((name, *outcome.cells))} |", flush=True)
         if options.keep:
-            keep(name, options.seeds, outcomes, short_outcomes(name))
-        elif name in kept and kept[name].seeds == options.seeds:
-            problems += report_digits(kept[name], outcomes)
+            more = short_outcomes(name), control_of(name)
+            minutes = (sum(os.times()[:4]) - begin) / 60.0
+            keep(name, seeds, outcomes, *more, cpu_minutes=minutes)
+        elif not options.still:
+            known = kept[name].missed if name in kept else []
+            problems += sum(not o.is_reached and o.what not in known for o in outcomes)
+            if name in kept and kept[name].seeds == seeds:
+                problems += report_digits(kept[name], outcomes)
     return 1 if problems else 0
 
 

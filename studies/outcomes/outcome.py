@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import platform
 import re
+import subprocess
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -34,6 +36,8 @@ KEPT = "outcome.json"
 """The outcomes that were kept, beside the pattern."""
 RESULTS_PART = re.compile(r"(<!-- results: .*? -->\n).*?(<!-- end of results -->)", re.DOTALL)
 """The part of a page that a study writes."""
+PART = "outcomes"
+"""The name of the part of a pattern's page."""
 MACHINE = (*PROCESSOR, "processor", "libc", "numpy", "scipy", "mujoco")
 """The keys of `Kept.made_with` for the machine and its libraries of mathematics.
 
@@ -41,7 +45,12 @@ Lockstep repeats bit by bit where they are equal."""
 SHORT_SEED = 1
 """The seed of the short form."""
 _SHORT_COMMIT = 10
+_CHANGED = ("git", "diff", "--name-only", "HEAD", "--", ".", ":!*.md", ":!*.json")
+FEW, UNBOUNDED = 20, "-"
+"""So many runs are not few; `Outcome.wanted` of a number without a condition."""
 HEAD = ("what", "wanted", "least / median / most, or of all runs (95 %)", "runs", "reached", "from")
+STILL = "[robots that never move](../README.md#robots-that-never-move), fewer than twenty runs"
+"""The head of a further column of a page: `Kept.still`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,29 +126,43 @@ class Outcome:
     is_reached: bool
     source: str  # the origin of the condition
     joined: Joined | None = None  # if the condition is on a statistic of all runs
+    of_runs: int = 0  # if each value is of so many runs together, without an interval
 
     @property
     def shown(self) -> str:
-        """The value as text, with its interval; several values as least, median and most."""
+        """The value as text, with its interval; several values as least, median and most.
+
+        "none" without a value in a run.
+        """
         if self.joined is not None and self.joined.interval is not None:
             low, high = self.joined.interval
             return f"{self.joined.value:.3g} ({low:.3g} to {high:.3g})"
-        if len(self.values) < 2:
-            return " ".join(f"{value:.3g}" for value in self.values) or "none"
         some = np.array(self.values)
+        if not some.size or np.isnan(some).any():
+            return "none"
+        if some.size < 2:
+            return f"{some[0]:.3g}"
         return f"{some.min():.3g} / {np.median(some):.3g} / {some.max():.3g}"
 
     @property
     def runs(self) -> int:
         """The number of runs; of two samples, of the smaller sample."""
-        return len(self.values) if self.joined is None else min(map(len, self.joined.samples))
+        samples = (self.values,) if self.joined is None else self.joined.samples
+        return self.of_runs or min(map(len, samples))
 
     @property
-    def row(self) -> str:
-        """The row of a table with the columns HEAD."""
+    def cells(self) -> tuple[str, ...]:
+        """The cells of a row with the columns HEAD."""
         reached = "yes" if self.is_reached else "**no**"
-        cells = (self.what, self.wanted, self.shown, str(self.runs), reached, self.source)
-        return f"| {' | '.join(cells)} |"
+        reached = reached if self.wanted != UNBOUNDED else UNBOUNDED
+        runs = f"{self.runs}{' (fewer than twenty)' * (self.runs < FEW)}"
+        return self.what, self.wanted, self.shown, runs, reached, self.source
+
+    @property
+    def control(self) -> str:
+        """The cell of robots that never move."""
+        verdict = "reach it: " if self.is_reached else "miss it: "
+        return verdict * (self.wanted != UNBOUNDED) + self.shown
 
 
 class Digits(msgspec.Struct, frozen=True):
@@ -152,9 +175,11 @@ class Digits(msgspec.Struct, frozen=True):
 class Kept(msgspec.Struct, frozen=True):
     """The outcomes of a pattern in a file, with the seeds and the software that gave them.
 
-    `made_with`: `software`, and the keys `day` and `commit`. `short`: the values of the short form
+    `made_with`: `software`, and the keys `day`, `commit`, `digest` (of the sources that decide the
+    values) and `cpu_minutes` (that the values took). `short`: the values of the short form
     (`catalog.short_outcomes`) by the same software, by which a run of the suite shows that the
-    table is old.
+    table is old. `still`: the outcomes of robots that never move (`still.control_of`), in the order
+    of `outcomes`; none if the pattern moves no robot.
     """
 
     pattern: str
@@ -162,15 +187,20 @@ class Kept(msgspec.Struct, frozen=True):
     made_with: dict[str, str]
     outcomes: tuple[Outcome, ...]
     short: tuple[Digits, ...] = ()
+    still: tuple[Outcome, ...] = ()
 
     @property
     def table(self) -> str:
-        """The table of a page."""
-        lines = ["| " + " | ".join(HEAD) + " |", "|---" * len(HEAD) + "|"]
-        rows = [outcome.row for outcome in self.outcomes]
-        if "day" in self.made_with:
-            rows += ["", "Made on {day} with commit {commit}.".format_map(self.made_with)]
-        return "\n".join([*lines, *rows])
+        """The table of a page, with the commit and the command that made it."""
+        rows = [list(cells) for cells in (HEAD, ["---"] * len(HEAD))]
+        rows += [list(outcome.cells) for outcome in self.outcomes]
+        if self.still:
+            controls = [STILL, "---", *(outcome.control for outcome in self.still)]
+            for cells, control in zip(rows, controls, strict=True):
+                cells.insert(-1, control)
+        made = "Made on {day} with commit {commit} by `python -m studies.outcomes {0} --keep`."
+        lines = [f"| {' | '.join(cells)} |" for cells in rows]
+        return "\n".join([*lines, "", made.format(self.pattern, **self.made_with)])
 
     @property
     def missed(self) -> list[str]:
@@ -224,31 +254,49 @@ def _processor() -> str:
     return " ".join(known) or platform.processor()
 
 
-@cache
-def _commit() -> str:
-    """The commit of this checkout, shortened; it says so if files had changed before `keep`."""
+def commit_of_checkout() -> str:
+    """The commit of this checkout, shortened; it says so if other files than tables have changed.
+
+    Other patterns' `keep` changes pages and results.
+    """
     state = git_state(PATTERNS.parent)
     if state is None:
         return "unknown"
-    return state.commit[:_SHORT_COMMIT] + ", with changes" * state.is_dirty
+    changed = subprocess.run(_CHANGED, cwd=PATTERNS.parent, capture_output=True, check=True).stdout
+    return state.commit[:_SHORT_COMMIT] + ", with changes" * bool(changed)
 
 
-def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome], short: Sequence[Outcome]) -> None:
-    """Write the outcomes beside the pattern, and their table into the pattern's page.
+def keep(
+    pattern: str,
+    seeds: int,
+    outcomes: Sequence[Outcome],
+    short: Sequence[Outcome],
+    still: Sequence[Outcome] = (),
+    *,
+    cpu_minutes: float = 0.0,
+    digest: str = "",
+) -> None:
+    """Write the outcomes beside the pattern, and their table into the part PART of its page.
 
-    `seeds`: the number of seeds, from 0 on. `short`: the outcomes of the short form. A page without
-    the two comments of `RESULTS_PART` is not changed.
+    `seeds`: the number of seeds, from 0 on. `short`: the outcomes of the short form. `still`: those
+    of robots that never move. `digest`: of the sources that decide the values. The file is written
+    last, so that it never names values that the page lacks.
     """
-    origin = {"day": date.today().isoformat(), "commit": _commit()}
-    kept = Kept(pattern, seeds, {**software(), **origin}, tuple(outcomes), digits_of(short))
-    (PATTERNS / pattern / KEPT).write_bytes(as_file(kept))
+    origin = {"day": date.today().isoformat(), "commit": commit_of_checkout(), "digest": digest}
+    made = {**software(), **origin, "cpu_minutes": f"{cpu_minutes:.2f}"}
+    kept = Kept(pattern, seeds, made, tuple(outcomes), digits_of(short), tuple(still))
     page = PATTERNS / pattern / "page.md"
-    page.write_text(with_results(page.read_text(), kept.table))
+    page.write_text(with_part(page.read_text(), PART, kept.table))
+    (PATTERNS / pattern / KEPT).write_bytes(as_file(kept))
 
 
 def as_file(kept: Kept) -> bytes:
-    """The contents of the file, with a line for each outcome."""
-    text = msgspec.json.encode(kept)
+    """The contents of the file, with a line for each outcome.
+
+    Values that are not finite are NaN and Infinity, as the module json writes and reads them.
+    """
+    builtins = msgspec.to_builtins(kept)
+    text = json.dumps(builtins, ensure_ascii=False, separators=(",", ":")).encode()
     for start in (b'{"pattern"', b'{"what"', b'"short"'):
         text = text.replace(start, b"\n" + start)
     return text.strip() + b"\n"
@@ -259,31 +307,62 @@ def with_results(page: str, table: str) -> str:
     return RESULTS_PART.sub(lambda part: f"{part[1]}\n{table}\n\n{part[2]}", page)
 
 
+def with_part(page: str, name: str, text: str) -> str:
+    """The text of a page with this text between the comments of the part `name`.
+
+    ValueError if the page does not have exactly one such part.
+    """
+    begin = f"<!-- results: {name} -->\n"
+    head, _, rest = page.partition(begin)
+    _, end, tail = rest.partition("<!-- end of results -->")
+    if not end or begin in tail:
+        raise ValueError(f"wanted one part `{begin.strip()}` ... `<!-- end of results -->`")
+    return f"{head}{begin}\n{text}\n\n{end}{tail}"
+
+
 def kept_outcomes() -> dict[str, Kept]:
     """The outcomes that were kept, by pattern."""
     files = sorted(PATTERNS.glob(f"*/{KEPT}"))
-    return {path.parent.name: msgspec.json.decode(path.read_bytes(), type=Kept) for path in files}
+    return {
+        path.parent.name: msgspec.convert(json.loads(path.read_bytes()), Kept) for path in files
+    }
 
 
 def at_most(
-    pattern: str, what: str, bound: float, values: Sequence[float] | Joined, source: str
+    pattern: str,
+    what: str,
+    bound: float,
+    values: Sequence[float] | Joined,
+    source: str,
+    of_runs: int = 0,
 ) -> Outcome:
     """An outcome that is reached if all values are at most `bound`.
 
-    Without a value, or with NaN, it is not reached.
+    Without a value, or with NaN, it is not reached. `of_runs`: as in `Outcome`.
     """
     wanted = f"<= {bound:g}" if bound else "0"
-    return _judged(pattern, what, wanted, values, source, lambda value: value <= bound)
+    return _judged(pattern, what, wanted, values, source, lambda value: value <= bound, of_runs)
 
 
 def at_least(
-    pattern: str, what: str, bound: float, values: Sequence[float] | Joined, source: str
+    pattern: str,
+    what: str,
+    bound: float,
+    values: Sequence[float] | Joined,
+    source: str,
+    of_runs: int = 0,
 ) -> Outcome:
     """An outcome that is reached if all values are at least `bound`.
 
-    Without a value, or with NaN, it is not reached.
+    Without a value, or with NaN, it is not reached. `of_runs`: as in `Outcome`.
     """
-    return _judged(pattern, what, f">= {bound:g}", values, source, lambda value: value >= bound)
+    wanted = f">= {bound:g}"
+    return _judged(pattern, what, wanted, values, source, lambda value: value >= bound, of_runs)
+
+
+def reported(pattern: str, what: str, values: Sequence[float] | Joined, source: str) -> Outcome:
+    """A measured number without a condition: each value is accepted."""
+    return _judged(pattern, what, UNBOUNDED, values, source, lambda value: True)
 
 
 def within(pattern: str, what: str, low: float, high: float, value: Joined, source: str) -> Outcome:
@@ -299,11 +378,12 @@ def _judged(
     values: Sequence[float] | Joined,
     source: str,
     is_good: Callable[[float], bool],
+    of_runs: int = 0,
 ) -> Outcome:
     joined = values if isinstance(values, Joined) else None
     some = (values.value,) if isinstance(values, Joined) else tuple(values)
     is_reached = len(some) > 0 and all(map(is_good, some))
-    return Outcome(pattern, what, wanted, some, is_reached, source, joined)
+    return Outcome(pattern, what, wanted, some, is_reached, source, joined, of_runs)
 
 
 def metric(results: Results, name: str) -> list[float]:

@@ -6,10 +6,9 @@ senses and sends as ever; the bases take no command.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import date
 from unittest.mock import patch
 from warnings import catch_warnings, simplefilter
 
@@ -22,10 +21,6 @@ from swarmd.sim.scenarios import simulation
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.world import World
 
-HEAD = ("pattern", "row", "wanted", "robots that never move")
-HARM = "contacts"
-"""The row of a bound on harm, which robots that never move pass by its nature."""
-
 
 @dataclass(slots=True)
 class Motion:
@@ -34,55 +29,16 @@ class Motion:
     is_asked: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Control:
-    """The outcomes of a pattern whose robots never move."""
-
-    pattern: str
-    outcomes: tuple[Outcome, ...]
-    has_motion: bool  # False: the pattern asks for no motion, so its rows measure none
-
-    @property
-    def judged(self) -> tuple[Outcome, ...]:
-        """The rows without bounds on harm."""
-        return tuple(outcome for outcome in self.outcomes if outcome.what != HARM)
-
-    @property
-    def passed(self) -> tuple[Outcome, ...]:
-        """The judged rows that are reached."""
-        return tuple(outcome for outcome in self.judged if outcome.is_reached)
-
-    @property
-    def rows(self) -> list[str]:
-        """The rows of a table with the columns HEAD."""
-        return [f"| `{o.pattern}` | {o.what} | {o.wanted} | {o.shown} |" for o in self.passed]
-
-
-def report(patterns: Sequence[str], seeds: int, jobs: int) -> str:
-    """Markdown: the rows that robots that never move pass too; `jobs` patterns at a time."""
-    controls = point_swarm.each(control_of, [(name, seeds) for name in patterns], jobs)
-    moving = [control for control in controls if control.has_motion]
-    judged = sum(len(control.judged) for control in moving)
-    passed = sum(len(control.passed) for control in moving)
-    resting = ", ".join(f"`{c.pattern}`" for c in controls if not c.has_motion)
-    lines = [f"| {' | '.join(HEAD)} |", "|---" * len(HEAD) + "|"]
-    lines += [row for control in moving for row in control.rows]
-    lines += ["", f"{passed} of {judged} rows of {len(moving)} patterns, without rows of contacts."]
-    lines += [f"No robot is asked to move in the runs of {resting}."] * bool(resting)
-    lines += [f"Made on {date.today().isoformat()} with seeds 0 to {seeds - 1}."]
-    return "\n".join(lines)
-
-
-def control_of(given: tuple[str, int]) -> Control:
+def control_of(pattern: str, seeds: int = 3) -> list[Outcome]:
     """The outcomes of a pattern over so many seeds, in this process, if its robots never move.
 
-    A quotient by a path of 0 m is NaN, which no bound accepts.
+    No outcome if the pattern asks no robot to move: then its rows measure no motion. A quotient by
+    a path of 0 m is NaN, which no bound accepts.
     """
-    pattern, seeds = given
     with still_robots(pattern) as motion, catch_warnings():
         simplefilter("ignore", RuntimeWarning)
-        outcomes = MODULES[pattern].outcomes(range(seeds))
-    return Control(pattern, tuple(outcomes), motion.is_asked)
+        outcomes: list[Outcome] = MODULES[pattern].outcomes(range(seeds))
+    return outcomes if motion.is_asked else []
 
 
 @contextmanager

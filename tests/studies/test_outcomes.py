@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from studies.outcomes import outcome
+from studies.outcomes import outcome, still
 from studies.outcomes.__main__ import main
 from studies.outcomes.catalog import MODULES, short_outcomes
-from studies.outcomes.outcome import Outcome, at_least, at_most, digits_of, other_digits, renewal
+from studies.outcomes.outcome import (
+    SHORT_SEED,
+    Outcome,
+    at_least,
+    at_most,
+    commit_of_checkout,
+    digits_of,
+    other_digits,
+    renewal,
+    reported,
+)
 
 pytestmark = pytest.mark.long
 
@@ -66,25 +78,74 @@ def test_a_value_beyond_the_bound_is_not_reached(value: float) -> None:
     assert not at_most("x", "y", 0.1, [], "z").is_reached
 
 
-def test_kept_outcomes_are_in_a_file_and_in_the_table_of_the_page(
+def page_of(folder: Path, pattern: str) -> Path:
+    """A page with the part that `keep` writes, below another part."""
+    page = folder / pattern / "page.md"
+    page.parent.mkdir()
+    other = "<!-- results: voting -->\n\nvotes\n\n<!-- end of results -->\n"
+    page.write_text(
+        f"{other}before\n<!-- results: outcomes -->\nold\n<!-- end of results -->\nafter\n"
+    )
+    return page
+
+
+def test_kept_outcomes_are_in_a_file_and_in_their_part_of_the_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outcome, "PATTERNS", tmp_path)
-    page = tmp_path / "levy_walk" / "page.md"
-    page.parent.mkdir()
-    page.write_text("before\n<!-- results: study -->\n\nold\n\n<!-- end of results -->\nafter\n")
-    one = [at_most("levy_walk", "gap", 1.0, [0.5], "ours")]
-    outcome.keep("levy_walk", 20, one, one)
-    before, marker, *table, _, after = page.read_text().split("\n")[:-1]
-    assert (before, marker, after) == ("before", "<!-- results: study -->", "after")
-    assert "\n".join(table).strip() == outcome.kept_outcomes()["levy_walk"].table
+    page = page_of(tmp_path, "levy_walk")
+    one = [at_most("levy_walk", "gap", 1.0, [0.5, 0.75], "ours")]
+    still = [at_most("levy_walk", "gap", 1.0, [2.0], "ours")]
+    outcome.keep("levy_walk", 20, one, one, still, cpu_minutes=1.5, digest="ab12")
+    before, _, part = page.read_text().partition("before\n<!-- results: outcomes -->\n")
+    table, _, after = part.partition("<!-- end of results -->\n")
+    assert (before.splitlines()[2], after) == ("votes", "after\n")
+    kept = outcome.kept_outcomes()["levy_walk"]
+    assert table.strip() == kept.table
+    row = "| gap | <= 1 | 0.5 / 0.625 / 0.75 | 2 (fewer than twenty) | yes | miss it: 2 | ours |"
+    assert row in table.splitlines()
+    assert {"digest": "ab12", "cpu_minutes": "1.50"}.items() <= kept.made_with.items()
+
+
+def test_values_that_are_not_finite_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Robots that never move have no way, and never arrive."""
+    monkeypatch.setattr(outcome, "PATTERNS", tmp_path)
+    page_of(tmp_path, "drive")
+    one = [at_most("drive", "gap", 1.0, [float("inf"), 0.5], "ours")]
+    still = [at_most("drive", "gap", 1.0, [float("nan"), 0.5], "ours")]
+    outcome.keep("drive", 2, one, one, still)
+    kept = outcome.kept_outcomes()["drive"]
+    assert kept.outcomes[0].values == (float("inf"), 0.5)
+    assert "| **no** | miss it: none | ours |" in kept.table
+
+
+def test_a_page_without_the_part_is_an_error_and_no_file_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outcome, "PATTERNS", tmp_path)
+    page_of(tmp_path, "drive").write_text("no part\n")
+    one = [at_most("drive", "gap", 1.0, [0.5], "ours")]
+    with pytest.raises(ValueError, match="results: outcomes"):
+        outcome.keep("drive", 2, one, one)
+    assert outcome.kept_outcomes() == {}
+
+
+def test_a_statistic_of_all_runs_names_them_and_a_number_without_a_condition_is_not_judged() -> (
+    None
+):
+    bias = at_most("x", "bias", 1.0, [0.5], "z", of_runs=40)
+    rate = reported("x", "rate", [0.25] * 20, "z")
+    assert bias.cells == ("bias", "<= 1", "0.5", "40", "yes", "z")
+    assert rate.cells == ("rate", "-", "0.25 / 0.25 / 0.25", "20", "-", "z")
+    assert rate.control == "0.25 / 0.25 / 0.25"
 
 
 def kept_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *values: float) -> None:
     """Runs of two seeds are kept with these values; the pattern gives 0.5 and 0.25."""
     monkeypatch.setattr(outcome, "PATTERNS", tmp_path)
-    (tmp_path / "drive").mkdir()
-    (tmp_path / "drive/page.md").write_text("")
+    page_of(tmp_path, "drive")
     bound = 0.5
     kept = [at_most("drive", "gap", bound, values, "ours")]
     outcome.keep("drive", 2, kept, kept)
@@ -123,6 +184,50 @@ def test_a_study_fails_on_a_missed_bound_unless_the_page_has_it_as_missed(
     missed_again = [at_most("drive", "gap", 0.5, [0.75], "ours")]
     monkeypatch.setattr(MODULES["drive"], "outcomes", lambda seeds, jobs=1: missed_again)
     assert main(["drive", "--seeds", "3"]) == status
+
+
+def test_pages_and_results_that_a_night_wrote_before_are_no_changes_of_the_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each pattern is a process of its own, beside the files that earlier patterns wrote."""
+    monkeypatch.setattr(outcome, "PATTERNS", tmp_path / "patterns")
+    (tmp_path / "patterns").mkdir()
+    results, code = tmp_path / "patterns/outcome.json", tmp_path / "patterns/pattern.py"
+    page = tmp_path / "patterns/page.md"
+    for file in (results, code, page):
+        file.write_text("")
+    name = ("-c", "user.name=x", "-c", "user.email=x@example.org")
+    for words in (("init", "-q"), ("add", "."), (*name, "commit", "-qm", "first")):
+        subprocess.run(("git", *words), cwd=tmp_path, check=True)
+    results.write_text("{}")
+    page.write_text("table")
+    assert re.fullmatch(r"[0-9a-f]{10}", commit_of_checkout())
+    code.write_text("other = True")
+    assert re.fullmatch(r"[0-9a-f]{10}, with changes", commit_of_checkout())
+
+
+def test_keep_writes_the_control_of_the_pattern_with_its_seeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three runs of the control; a missed bound is kept as missed."""
+    kept_with(tmp_path, monkeypatch, 0.5)
+    asked = []
+
+    def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
+        asked.append(list(seeds))
+        return [at_most("drive", "gap", 0.5, [0.75 for _ in seeds], "ours")]
+
+    @contextmanager
+    def still_robots(pattern: str) -> Iterator[still.Motion]:
+        yield still.Motion(is_asked=True)
+
+    monkeypatch.setattr(still, "still_robots", still_robots)
+    monkeypatch.setitem(MODULES, "drive", SimpleNamespace(outcomes=outcomes, SEEDS=4))
+    assert main(["drive", "--keep"]) == 0
+    assert asked == [[0, 1, 2, 3], [SHORT_SEED], [0, 1, 2]]
+    kept = outcome.kept_outcomes()["drive"]
+    assert (kept.seeds, len(kept.outcomes[0].values), len(kept.still[0].values)) == (4, 4, 3)
+    assert float(kept.made_with["cpu_minutes"]) >= 0.0
 
 
 def test_evidence_fails_where_a_study_of_outcomes_fails() -> None:

@@ -23,15 +23,14 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     """All outcomes: a run of experiment 1 for each seed, half as long as in docs/paper.md."""
     setting = {"duration": duration}
     found = simulate("paper_exp1_burger", seeds, jobs=jobs, set=setting, traces=False)
-    one, share = metric(found, "one_cluster_at_end"), metric(found, "time_in_one_cluster_late")
-    mdc = metric(found, "mean_distance_to_centroid_late")
-    speed = metric(found, "mean_speed_late_share")
-    near = metric(found, "nearest_neighbor_median_late")
     return [
-        at_most(NAME, "late distance to the centroid [m]", MDC, mdc, _PAPER),
-        at_least(NAME, "one cluster at the end", 1.0, one, _PAPER),
-        at_least(NAME, "share of late time in one cluster", SHARE, share, _PAPER),
-        at_most(NAME, "late speed / limit", SPEED, speed, _PAPER),
-        at_least(NAME, "late distance to the nearest [m]", NEAR, near, _PAPER),
+        at_most(NAME, "late distance to the centroid [m]", MDC,
+                metric(found, "mean_distance_to_centroid_late"), _PAPER),
+        at_least(NAME, "one cluster at the end", 1.0, metric(found, "one_cluster_at_end"), _PAPER),
+        at_least(NAME, "share of late time in one cluster", SHARE,
+                 metric(found, "time_in_one_cluster_late"), _PAPER),
+        at_most(NAME, "late speed / limit", SPEED, metric(found, "mean_speed_late_share"), _PAPER),
+        at_least(NAME, "late distance to the nearest [m]", NEAR,
+                 metric(found, "nearest_neighbor_median_late"), _PAPER),
         no_contacts(NAME, found),
-    ]
+    ]  # fmt: skip

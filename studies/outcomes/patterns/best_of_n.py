@@ -26,6 +26,8 @@ _FASTER = "Valentini et al. 2016: 1.89 times (rho_b 0.5)"
 _LIMITS = "Valentini et al. 2016: 2 times (rho_b 0.5) to 20 times (0.99)"
 _GROUPS = "Valentini et al. 2016: consensus after 55-69 min (25), 66-80 min (5)"
 _OURS = "speed against accuracy; the bounds: ours"
+SEEDS = 40
+"""The interval of a ratio of times is wide with twenty."""
 _EASY, _HARD = 0.5, 0.9
 """The quality of the worse option; the better option has the quality 1."""
 _SMALL_GROUP, _LARGE_GROUP = 5, 25

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.outcomes.outcome import Joined, Outcome, at_least, at_most, difference_of, share_of
+from studies.outcomes.outcome import (
+    Joined,
+    Outcome,
+    at_least,
+    at_most,
+    difference_of,
+    reported,
+    share_of,
+)
 from studies.point_swarm import PointSwarm, Track, each
 from swarmd.core.values import Array, Scalar, Scan, Value
 from swarmd.settings.platforms import load_platform
@@ -69,6 +77,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
     label = "the same share, less than with the defaults by"
     return [
         *default_outcomes,
+        reported(NAME, "time until it joins both [s]", [chain.at for chain in joined_runs], "-"),
         at_least(NAME, f"sweep 0: {label}", 0.1, lost_share(ALIGNING), _MOTION),
         at_least(NAME, f"sweep 0, leave 0: {label}", 0.3, lost_share(STATIC), _MOTION),
     ]

@@ -8,7 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts, ratio_of
+from studies.outcomes.outcome import (
+    Outcome,
+    at_least,
+    at_most,
+    mean_of,
+    metric,
+    no_contacts,
+    ratio_of,
+    reported,
+)
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
 
@@ -50,8 +59,12 @@ def outcomes(
         robot_rates = [mean_rates[size] / size for size in sizes]
         steps = [more / less if less else np.nan for less, more in itertools.pairwise(robot_rates)]
         step_label = "a robot: items of a size / of that before"
+        of_groups += [
+            reported(NAME, f"{size} robots: items a minute of the group, mean", mean_of(rates), "-")
+            for size, rates in group_rates.items()
+        ]
         of_groups.append(at_most(NAME, fall_label, FALL, fall, _SOURCE))
-        of_groups.append(at_most(NAME, step_label, 1.0, steps, _SOURCE))
+        of_groups.append(at_most(NAME, step_label, 1.0, steps, _SOURCE, len(seeds)))
     dark_rates = group_rate(run(alone, seeds, jobs, duration, DARK), alone)
     dark_ratio = ratio_of(dark_rates, group_rates[alone])
     return [

@@ -49,35 +49,32 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
     at_start, at_end, moved_m = zip(*runs, strict=True)
     label = "share of bonds within 10 % of the distance"
     near = [lattice.near for lattice in at_end]
-    near_at_start = [lattice.near for lattice in at_start]
-    psi6 = [lattice.psi6 for lattice in at_end]
-    spread = [lattice.spread for lattice in at_end]
-    shared = [lattice.shared for lattice in at_end]
     point_outcomes = [
         at_least(NAME, f"points: {label}, mean", 0.9, mean_of(near), _LATTICE),
         at_least(NAME, f"points: {label}", 0.6, near, _LATTICE),
-        at_least(NAME, "points: order psi6", 0.5, psi6, _LATTICE),
-        at_most(NAME, "points: spread of bonds / distance", 0.2, spread, _LATTICE),
-        at_most(NAME, f"points, at the start: {label}", 0.5, near_at_start, _CHANCE),
-        at_most(NAME, "points: pairs at one place", 0, shared, _SHARED),
+        at_least(NAME, "points: order psi6", 0.5, [found.psi6 for found in at_end], _LATTICE),
+        at_most(NAME, "points: spread of bonds / distance", 0.2,
+                [found.spread for found in at_end], _LATTICE),
+        at_most(NAME, f"points, at the start: {label}", 0.5,
+                [found.near for found in at_start], _CHANCE),
+        at_most(NAME, "points: pairs at one place", 0, [found.shared for found in at_end], _SHARED),
         at_most(NAME, "points: way in the last 20 s [m]", 0.05, moved_m, "ours: at rest"),
-    ]
+    ]  # fmt: skip
     if not has_more:
         return point_outcomes
     weak_runs = each(run, [(seed, WEAK) for seed in seeds], jobs)
     weak_shared = [at_end.shared for _, at_end, _ in weak_runs]
     burgers = simulate(NAME, seeds, jobs=jobs, set={"duration": SECONDS})
     bodies = [lattice(trace.pose[-1, :, :2]) for trace in burgers.traces]
-    body_near, body_psi6 = [body.near for body in bodies], [body.psi6 for body in bodies]
-    speed = metric(burgers, "mean_speed_late_share")
     return [
         *point_outcomes,
         at_least(NAME, "points, strongest 1: pairs at one place", 1, weak_shared, _SHARED),
-        at_least(NAME, f"Burgers: {label}", 0.75, body_near, _LATTICE),
-        at_least(NAME, "Burgers: order psi6", 0.7, body_psi6, _LATTICE),
-        at_most(NAME, "Burgers: late speed / limit", 0.5, speed, "ours"),
+        at_least(NAME, f"Burgers: {label}", 0.75, [body.near for body in bodies], _LATTICE),
+        at_least(NAME, "Burgers: order psi6", 0.7, [body.psi6 for body in bodies], _LATTICE),
+        at_most(NAME, "Burgers: late speed / limit", 0.5,
+                metric(burgers, "mean_speed_late_share"), "ours"),
         no_contacts(NAME, burgers),
-    ]
+    ]  # fmt: skip
 
 
 def run(given: tuple[int, Mapping[str, float]]) -> tuple[Lattice, Lattice, float]:

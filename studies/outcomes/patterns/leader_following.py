@@ -49,19 +49,19 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) ->
     """
     stable = each(run, [(seed, HEADWAY, LAG) for seed in seeds], jobs)
     unstable = each(run, [(seed, SHORT, SHORT) for seed in seeds], jobs)
-    growth, peak = [chain.growth for chain in stable], [chain.peak for chain in stable]
-    gap_errors, named_after = [chain.off for chain in stable], [chain.named for chain in stable]
-    unstable_growth = [chain.growth for chain in unstable]
-    unstable_peak = [chain.peak for chain in unstable]
     growth_label, short = "largest gap error / the first follower's", "headway of one lag:"
     point_outcomes = [
-        at_most(NAME, growth_label, 1.1, growth, _PLOEG),
-        at_most(NAME, "top speed / the leader's", 1.01, peak, _PLOEG),
-        at_most(NAME, "gaps at the end, off from the policy [m]", 0.01, gap_errors, _POLICY),
-        at_least(NAME, f"{short} {growth_label}", 1.2, unstable_growth, _UNSTABLE),
-        at_least(NAME, f"{short} top speed / the leader's", 1.1, unstable_peak, _UNSTABLE),
-        at_most(NAME, "time until all name the lost leader [s]", 6.0, named_after, _LEASE),
-    ]
+        at_most(NAME, growth_label, 1.1, [chain.growth for chain in stable], _PLOEG),
+        at_most(NAME, "top speed / the leader's", 1.01, [chain.peak for chain in stable], _PLOEG),
+        at_most(NAME, "gaps at the end, off from the policy [m]", 0.01,
+                [chain.off for chain in stable], _POLICY),
+        at_least(NAME, f"{short} {growth_label}", 1.2,
+                 [chain.growth for chain in unstable], _UNSTABLE),
+        at_least(NAME, f"{short} top speed / the leader's", 1.1,
+                 [chain.peak for chain in unstable], _UNSTABLE),
+        at_most(NAME, "time until all name the lost leader [s]", 6.0,
+                [chain.named for chain in stable], _LEASE),
+    ]  # fmt: skip
     if not has_bodies:
         return point_outcomes
     burgers = simulate(NAME, seeds, jobs=jobs)

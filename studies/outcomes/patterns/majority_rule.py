@@ -82,8 +82,8 @@ def free(results: Sequence[Result], what: str) -> list[Outcome]:
     alike = "no opinion is better: all win alike"
     return [
         at_least(NAME, f"{what}: share agreed within 20 s", 0.99, share, _PAPER),
-        at_most(NAME, f"{what}: median time, s", 5.3, [median], _WINDOW),
-        at_most(NAME, f"{what}: chi-squared of who wins", CHI2_MAX, [bias], alike),
+        at_most(NAME, f"{what}: median time, s", 5.3, [median], _WINDOW, len(results)),
+        at_most(NAME, f"{what}: chi-squared of who wins", CHI2_MAX, [bias], alike, len(results)),
     ]
 
 
@@ -107,7 +107,7 @@ def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     off = abs(wins[0] - 0.5 * len(results)) / math.sqrt(0.25 * len(results))
     off = off if sum(wins) == len(results) else math.inf
     what = "rounds of three, three and one: who wins, off from half by standard errors"
-    return at_most(NAME, what, Z_MAX, [off], "between equals any is as likely")
+    return at_most(NAME, what, Z_MAX, [off], "between equals any is as likely", len(results))
 
 
 def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -125,7 +125,7 @@ def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     ]
     worst = float(max(off))
     what = "rounds: share agreed after 1 to 4, off by standard errors"
-    return at_most(NAME, what, Z_MAX, [worst], _CHAIN)
+    return at_most(NAME, what, Z_MAX, [worst], _CHAIN, len(results))
 
 
 def like_lockstep(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -139,4 +139,4 @@ def like_lockstep(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     error = math.sqrt(times.var(ddof=1) / len(times) + np.var(here, ddof=1) / len(here))
     off = abs(float(times.mean() - np.mean(here))) / error
     what = "mean time without bodies and in lockstep, apart by standard errors"
-    return at_most(NAME, what, Z_MAX, [off], "the same patterns run")
+    return at_most(NAME, what, Z_MAX, [off], "the same patterns run", _IN_LOCKSTEP)

@@ -71,7 +71,9 @@ def outcomes(
             )
             for number, runs in by_number.items()
         ),
-        at_least(NAME, "mean idleness of fewer / of the next number", 1.6, falls, _FALLS),
+        at_least(
+            NAME, "mean idleness of fewer / of the next number", 1.6, falls, _FALLS, len(seeds)
+        ),
         at_most(NAME, "longest idleness / ideal mean, all N", 6.0, worst_ratios, _WORST),
     ]
     if not has_bodies:

@@ -40,7 +40,9 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
         at_least(NAME, "mean speed / limit", SPEED, speed, "ours"),
         at_least(NAME, "floor covered / by random search", SHARE, search, _KOOPMAN),
         at_least(NAME, "floor covered / by drive", GAIN, gain, "ours"),
-        at_most(NAME, "turned more to one side, as a share", BIAS, bias, "both sides alike"),
+        at_most(
+            NAME, "turned more to one side, as a share", BIAS, bias, "both sides alike", len(walks)
+        ),
         at_most(NAME, "protection duty", DUTY, duty, "ours"),
         no_contacts(NAME, found),
     ]

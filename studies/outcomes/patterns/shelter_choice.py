@@ -79,7 +79,9 @@ def outcomes(
     return [
         *main_outcomes,
         at_least(NAME, "runs with 0.8 of them under one, share", 0.5, _won(choices), _AME),
-        at_most(NAME, "share of runs won by the first, off from half", 0.45, [bias], _EQUAL),
+        at_most(
+            NAME, "share of runs won by the first, off from half", 0.45, [bias], _EQUAL, len(seeds)
+        ),
         at_most(NAME, f"each holds half: {label}, mean", 0.7, small_larger, _SMALL),
         at_most(NAME, f"social 0: {label}, mean", 0.65, alone_larger, _CONTROL),
         at_most(NAME, "social 0: share of the robots at rest", 0.5, alone_resting, _CONTROL),

@@ -59,8 +59,10 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_sizes: bool = True) -> 
     forty = [
         at_least(NAME, "order, noise 0.5", 0.8, by_noise[LOW_NOISE], _VICSEK),
         at_least(NAME, "mean order, noise 0.5", 0.9, mean_of(by_noise[LOW_NOISE]), _VICSEK),
-        at_least(NAME, fall_label, 0.0, falls, _VICSEK),
-        at_most(NAME, "mean order at noise 6.28, off from 0.141", 0.02, [error], _RAYLEIGH),
+        at_least(NAME, fall_label, 0.0, falls, _VICSEK, len(seeds)),
+        at_most(
+            NAME, "mean order at noise 6.28, off from 0.141", 0.02, [error], _RAYLEIGH, len(seeds)
+        ),
     ]
     if not has_sizes:
         return forty
@@ -68,7 +70,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_sizes: bool = True) -> 
     rise = difference_of(orders(SIZE_NOISE, FEW), by_noise[SIZE_NOISE])
     return [
         *forty,
-        at_most(NAME, "ten robots: off from 0.282", 0.04, [error_of_few], _RAYLEIGH),
+        at_most(NAME, "ten robots: off from 0.282", 0.04, [error_of_few], _RAYLEIGH, len(seeds)),
         at_least(NAME, "noise 5: ten robots are more ordered by", 0.05, rise, "size effect"),
     ]
 

@@ -60,7 +60,7 @@ def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
         expected = first / ROBOTS
         off += (won - expected) ** 2 / (expected * (1.0 - expected) / len(winners))
     what = "chi-squared of the share won by opinion 1, at first held by 2, 5 and 8 of 10"
-    return at_most(NAME, what, CHI2_MAX, [off], _LINEAR)
+    return at_most(NAME, what, CHI2_MAX, [off], _LINEAR, len(seeds))
 
 
 def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -72,7 +72,7 @@ def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     mean, spread = expected_rounds(ROBOTS, 5)
     off = abs(float(np.mean([r.rounds for r in results])) - mean) * math.sqrt(len(results)) / spread
     what = "rounds: mean number until 10 robots agree, off by standard errors"
-    return at_most(NAME, what, Z_MAX, [off], _CHAIN)
+    return at_most(NAME, what, Z_MAX, [off], _CHAIN, len(seeds))
 
 
 def in_turn(seeds: Sequence[int], jobs: int = 1) -> Outcome:
