@@ -178,7 +178,11 @@ def row(courses: Sequence[Course]) -> list[str]:
 
     def spread(values: Sequence[float], digits: int) -> str:
         some = sorted(values)
-        return f"{some[n // 2]:.{digits}f} ({some[0]:.{digits}f}-{some[-1]:.{digits}f})"
+        return (
+            f"{some[n // 2]:.{digits}f} ({some[0]:.{digits}f}-{some[-1]:.{digits}f})"
+            if some[0] < np.inf
+            else "-"
+        )
 
     return [
         str(n),
