@@ -45,12 +45,17 @@ BAR = "1 m"
 def main() -> None:
     """Do all runs, print the tables, and draw the picture."""
     options, folder = kept.chosen("benchmark_suite", __doc__), kept.kept_folder("benchmark_suite")
-    folder /= str(options.seeds)
     save(figure_of(task_names()), kept.FIGURES / "benchmark_suite.png")
     kept.print_parts(
         {
             part: table(
-                results_of(task, range(options.seeds), patterns, folder / part, options.jobs)
+                results_of(
+                    task,
+                    range(options.seeds),
+                    patterns,
+                    folder / f"{options.seeds}-{part}",
+                    options.jobs,
+                )
                 for task in task_names()
             )
             for part, patterns in (("benchmark_suite", ()), ("benchmark_stand", (STAND,)))

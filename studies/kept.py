@@ -47,8 +47,13 @@ def print_parts(parts: Mapping[str, str]) -> None:
 
 
 def on_progress(what: str) -> Callable[[Progress], None]:
-    """Prints the number of finished runs to the standard error, for `simulate`."""
-    return lambda now: print(f"{what}: {now.done}/{now.total}\r", end="", file=sys.stderr)
+    """For `simulate`: prints a line to the standard error once all runs are done."""
+
+    def show(now: Progress) -> None:
+        if now.done == now.total:
+            print(f"{what}: {now.total} runs", file=sys.stderr, flush=True)
+
+    return show
 
 
 def once(file: Path, kind: type[T], make: Callable[[], Iterable[T]]) -> list[T]:

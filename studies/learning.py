@@ -103,8 +103,9 @@ def table(kinds: Mapping[str, Act], seeds: Sequence[int]) -> str:
     for name, act in kinds.items():
         for mode in ("barrier", "off"):
             found = measure(act, seeds, mode)
-            cells = map(kept.mean_of, (found.returns, found.limited, found.contacts))
-            rows.append([name, mode, *cells])
+            rows.append(
+                [name, mode, *map(kept.mean_of, (found.returns, found.limited, found.contacts))]
+            )
     return markdown(rows)
 
 

@@ -38,8 +38,7 @@ MOVING = 0.05
 """Standing robots move for at most this mean share of the time."""
 STILL = 0.01
 """Slower than this speed in m/s is no motion."""
-JOINED, JOINED_KEEPS = 50.0, 1.0
-"""The time in s at which the eighth robot joins, and the distance in m of the others' opinion."""
+JOINED = 50.0
 LARGER = (9.24, 6.72)
 """1.4 times the paper's arena along both sides."""
 
@@ -179,7 +178,11 @@ def row(courses: Sequence[Course]) -> list[str]:
 
     def spread(values: Sequence[float], digits: int) -> str:
         some = sorted(values)
-        return f"{some[n // 2]:.{digits}f} ({some[0]:.{digits}f}-{some[-1]:.{digits}f})"
+        return (
+            f"{some[n // 2]:.{digits}f} ({some[0]:.{digits}f}-{some[-1]:.{digits}f})"
+            if some[0] < np.inf
+            else "-"
+        )
 
     return [
         str(n),
@@ -221,7 +224,7 @@ def late_rows(found: Sequence[Joining]) -> list[tuple[str, str]]:
         ("farthest way of one of the seven [m]", f"{min(stirred):.2f} to {max(stirred):.2f}"),
         (
             "every range kept in the last 20 s",
-            f"{sum(one >= JOINED_KEEPS - TOLERANCE for one in least)}/{n}",
+            f"{sum(one >= 1.0 - TOLERANCE for one in least)}/{n}",
         ),
         ("least range then [m]", f"{min(least):.2f} to {max(least):.2f}"),
         ("contacts", str(sum(one.contacts for one in found))),

@@ -87,8 +87,8 @@ def part_of(shown: Mapping[str, str], found: Tuning, control: Results) -> str:
     values = ", ".join(f"`{name}: {value:.3g}`" for name, value in found.best.values.items())
     rows = [["", *shown, "touches"]]
     for text, results, variant in (
-        ("default", held_out, PRESENT),
-        (values, held_out, TUNED),
+        ("default", held_out, f"candidate={PRESENT}"),
+        (values, held_out, f"candidate={TUNED}"),
         ("robots that never move", control, ""),
     ):
         touches = results.metric("robot_contacts", variant) + results.metric(
