@@ -61,13 +61,15 @@ def plan(jobs: Sequence[Job], *, is_detailed: bool, is_all: bool = False) -> str
 
 
 def overview() -> list[str]:
-    """A table of all kept results."""
+    """A table of all jobs and their kept results."""
     rows = [["job", "results", "made on", "commit", "CPU-minutes"]]
     for job in JOBS:
-        if job.made is not None:
-            made, name = job.made.made_with, job.file.relative_to(ROOT).as_posix()
+        made, name = job.made.made_with if job.made else None, job.file.relative_to(ROOT).as_posix()
+        cells = ["not made by a night yet: the table of the page is older", "-", "-", "-"]
+        if made is not None:
             minutes = made.get("cpu_minutes", "-")
-            rows.append([job.name, f"[{name}](../../{name})", made["day"], made["commit"], minutes])
+            cells = [f"[{name}](../../{name})", made["day"], made["commit"], minutes]
+        rows.append([job.name, *cells])
     return markdown(rows).splitlines()
 
 
