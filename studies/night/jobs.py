@@ -137,7 +137,7 @@ def _study(
 
 
 JOBS: Sequence[Job] = (
-    _study("robot_hours", "docs/evidence", 110.0),
+    _study("robot_hours", "docs/evidence", 100.0),
     *(
         _outcomes(path)
         for path in sorted(ROOT.joinpath(*STUDIES.split(".")).glob("*.py"))
@@ -145,6 +145,7 @@ JOBS: Sequence[Job] = (
     ),
     _study("paper", "docs", 43.0),
     _study("paper_exp2", "docs", 2.0),
+    _study("robot_hours_walls_stand", "docs/evidence", 20.0, "--walls-stand", module="robot_hours"),
     _study("learning", "docs", 6.0),
     _study("missions", "docs", 14.0),
     _study("tuning", "docs", 10.0),
