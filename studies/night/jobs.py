@@ -118,10 +118,21 @@ class PatternJob(Job, frozen=True):
         return self.file, self.file.with_name("page.md")
 
 
+_LONG = {
+    "collective_perception": 37.0,
+    "foraging": 18.0,
+    "one_bit_aggregation": 10.0,
+    "vicsek_alignment": 10.0,
+    "cooperative_transport": 7.0,
+}
+"""The CPU-minutes of the patterns that take the longest."""
+
+
 def _outcomes(path: Path) -> Job:
     name = path.stem
     arguments = ("-m", "studies.outcomes", name, "--keep")
-    return PatternJob(name, f"patterns/{name}", arguments, 1.0, (f"{STUDIES}.{name}",))
+    minutes = _LONG.get(name, 3.0)
+    return PatternJob(name, f"patterns/{name}", arguments, minutes, (f"{STUDIES}.{name}",))
 
 
 def _study(
@@ -137,7 +148,7 @@ def _study(
 
 
 JOBS: Sequence[Job] = (
-    _study("robot_hours", "docs/evidence", 100.0),
+    _study("robot_hours", "docs/evidence", 150.0),
     *(
         _outcomes(path)
         for path in sorted(ROOT.joinpath(*STUDIES.split(".")).glob("*.py"))

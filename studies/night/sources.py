@@ -36,9 +36,9 @@ def forget() -> None:
         known.cache_clear()
 
 
-def sources_of(modules: Iterable[str], files: Iterable[Path] = ()) -> list[Path]:
-    """The files that decide what these modules compute, with `files` and what they name."""
-    waiting = [*files, *(path for module in modules for path in _files_of(module))]
+def sources_of(modules: Iterable[str]) -> list[Path]:
+    """The files that decide what these modules compute."""
+    waiting = [path for module in modules for path in _files_of(module)]
     found: set[Path] = set()
     while waiting:
         path = waiting.pop()
@@ -48,13 +48,13 @@ def sources_of(modules: Iterable[str], files: Iterable[Path] = ()) -> list[Path]
     return sorted(found)
 
 
-def digest_of(modules: Iterable[str], files: Iterable[Path] = ()) -> str:
+def digest_of(modules: Iterable[str]) -> str:
     """The digest of `sources_of`: of the code without comments and docstrings, and of other files.
 
     It differs between series of Python, which print a syntax tree in other words.
     """
     digest = hashlib.sha256()
-    for path in sources_of(modules, files):
+    for path in sources_of(modules):
         digest.update(f"{path.relative_to(ROOT).as_posix()}\0".encode())
         digest.update(hashlib.sha256(_meaning(path)).digest())
     return digest.hexdigest()[:16]
@@ -125,6 +125,8 @@ def _next(path: Path) -> tuple[Path, ...]:
 def _modules(tree: ast.AST) -> Iterator[str]:
     """The modules that a module may import: by a statement, or by a text that is such a name."""
     if isinstance(tree, ast.If) and ast.unparse(tree.test) == "TYPE_CHECKING":
+        for node in tree.orelse:
+            yield from _modules(node)
         return
     if isinstance(tree, ast.Import):
         yield from (one.name for one in tree.names)
