@@ -125,8 +125,8 @@ def _next(path: Path) -> tuple[Path, ...]:
 def _modules(tree: ast.AST) -> Iterator[str]:
     """The modules that a module may import: by a statement, or by a text that is such a name."""
     if isinstance(tree, ast.If) and ast.unparse(tree.test) == "TYPE_CHECKING":
-        for node in tree.orelse:
-            yield from _modules(node)
+        for other in tree.orelse:
+            yield from _modules(other)
         return
     if isinstance(tree, ast.Import):
         yield from (one.name for one in tree.names)

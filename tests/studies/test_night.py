@@ -266,6 +266,20 @@ def test_no_job_takes_runs_of_a_folder_that_other_sources_share() -> None:
     assert [job.command for job in JOBS if "build/" in job.command] == []
 
 
+def test_imports_for_types_alone_are_no_sources_and_those_in_their_place_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sources, "ROOT", tmp_path)
+    (tmp_path / "studies").mkdir()
+    text = "if TYPE_CHECKING:\n    import studies.three\nelse:\n    import studies.four\n"
+    for name in ("two", "three", "four"):
+        (tmp_path / f"studies/{name}.py").write_text(text if name == "two" else "")
+    sources.forget()
+    names = {path.name for path in sources_of(["studies.two"])}
+    sources.forget()
+    assert names == {"two.py", "four.py"}
+
+
 def test_a_digest_follows_code_and_not_its_comments(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
