@@ -80,8 +80,7 @@ def frozen_sectors(means: Array, look: Array, pose: Pose, look_pose: Pose) -> ND
     off = np.min([np.abs(np.roll(static, k) - means) for k in (-1, 0, 1)], axis=0)
     is_moved = (change > _CHANGED) & (off <= 0.5 * _CHANGED)
     is_equal = (change <= EQUAL) & (off > _CHANGED) & (off < np.inf)
-    if np.count_nonzero(is_moved) < LEAST_SECTORS:
-        is_equal[:] = False
+    is_equal &= np.count_nonzero(is_moved) >= LEAST_SECTORS
     return _long_runs(np.where(is_equal, means, np.nan), is_equal)
 
 
