@@ -47,7 +47,7 @@ from pathlib import Path
 from typing import Any
 
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
-    "swarmd.kit._points": ("swarmd.core.angles", "swarmd.core.buffers", "swarmd.kit.points"),
+    "swarmd.kit._points": ("swarmd.kit.points",),
     "swarmd.protection._assumption_monitor": (
         "swarmd.core.angles",
         "swarmd.core.buffers",

@@ -201,9 +201,10 @@ def test_robots_in_sight_are_narrow_and_near_and_whole_ones_have_a_place() -> No
 
 
 def test_robots_ahead_and_behind_lie_on_one_line() -> None:
-    assert in_sight((1.0, 0.3), (0.4, 0.3 - math.pi)).arrangement(0.5) == (1, pytest.approx(2.0))
+    line = in_sight((1.0, 0.3), (0.4, 0.3 - math.pi)).arrangement(0.5)
+    assert line == pytest.approx((1, 2.0))
     across = in_sight((1.0, 0.0), (0.4, math.pi / 2)).arrangement(0.4)
-    assert across == (0, pytest.approx(0.0, abs=1e-12))
+    assert across == pytest.approx((0, 0.0), abs=1e-12)
     assert in_sight().arrangement(1.0) == (0, 0.0)
 
 
