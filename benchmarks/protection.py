@@ -179,32 +179,30 @@ def among(
     return scans
 
 
-def in_a_ring(
-    platform: Platform,
-    neighbors: int,
-    twist: Twist,
-    *,
-    away: tuple[float, float] = (0.42, 0.6),
-    circling: float = 0.0,
-) -> list[Scan]:
-    """Raw scans of three turns at a twist, in a ring of that many Waffle Pis.
+def in_a_ring(platform: Platform, neighbors: int, twist: Twist) -> list[Scan]:
+    """Raw scans of three turns at a twist, in a ring of that many Waffle Pis that are near.
 
-    As in a run: the lidar sweeps while robots drive, and noise is that of `realistic`. `away`: the
-    least and the greatest range in m. `circling`: rad/s at which the ring drives around.
+    As in a run: the ring stands, the lidar sweeps while the robot drives, and noise is that of
+    `realistic`.
     """
     rng = np.random.default_rng(neighbors)
     radius = twist.linear / twist.angular if twist.angular else 0.0  # of a circle around the middle
-    ranges = rng.uniform(*away, neighbors) + abs(radius)
+    away = rng.uniform(0.42, 0.6, neighbors) + abs(radius)
     around = 2.0 * math.pi * (np.arange(neighbors) + rng.uniform()) / neighbors
-    robots = {"": platform} | {str(k): load_platform("waffle_pi") for k in range(neighbors)}
-    starts = [
-        (0.0, -radius, 0.0),
-        *zip(ranges * np.cos(around), ranges * np.sin(around), around + 0.5 * math.pi, strict=True),
-    ]
-    world = World(robots, Arena(4.0, 4.0), np.array(starts), realism=REALISTIC)
-    commands = np.array([(circling * r, circling, 0.0) for r in (0.0, *ranges)])
-    commands[0] = twist.linear, twist.angular, twist.lateral
-    world.set_commands(commands)
+    world = World(
+        {"": platform} | {str(k): load_platform("waffle_pi") for k in range(neighbors)},
+        Arena(4.0, 4.0),
+        np.array(
+            [
+                (0.0, -radius, 0.0),
+                *zip(away * np.cos(around), away * np.sin(around), around, strict=True),
+            ]
+        ),
+        realism=REALISTIC,
+    )
+    world.set_commands(
+        np.array([(twist.linear, twist.angular, 0.0), *neighbors * [(0.0, 0.0, 0.0)]])
+    )
     scans = []
     for _ in range(4 * TURN_SCANS):
         world.begin_scans(np.array([0]))
@@ -252,25 +250,30 @@ def moving_rows(platform: Platform) -> Iterator[Row]:
     """Scans of the default configuration with conditioning and de-skew, up to the decision."""
     for neighbors in (1, 8):
         for what, twist in MOTIONS.items():
-            moving = Moving(platform, in_a_ring(platform, neighbors, twist), twist)
             goal = SCAN_GOAL if what == "at rest" else MOVING_GOAL
             row = f"scan with de-skew and decision, {what}, {neighbors} neighbours"
-            yield Row(row, measure_each(moving.prepare), goal)
+            yield Row(
+                row,
+                measure_each(
+                    Moving(platform, in_a_ring(platform, neighbors, twist), twist).prepare
+                ),
+                goal,
+            )
     yield from avoidance_rows(platform)
 
 
 def avoidance_rows(platform: Platform) -> Iterator[Row]:
     """The same in a pattern with recovery beside eight moving robots, in alternation."""
-    scans = in_a_ring(platform, 8, Twist(), away=(1.0, 1.0), circling=_TURN * 5 / 24)
-    permits = {
-        word: Permit(may_recover=True, avoids=word == "with") for word in ("without", "with")
-    }
+    scans = circling(platform, 8)
     yield from in_alternation(
         {
             f"scan with de-skew and decision, driving, 8 neighbours, {word} avoidance": partial(
-                measure_each, Moving(platform, scans, Twist(0.02), permit).prepare
+                measure_each,
+                Moving(
+                    platform, scans, Twist(0.02), Permit(may_recover=True, avoids=avoids)
+                ).prepare,
             )
-            for word, permit in permits.items()
+            for word, avoids in (("without", False), ("with", True))
         }
     )
 
@@ -282,6 +285,21 @@ def in_alternation(measurements: Mapping[str, Callable[[], Sequence[float]]]) ->
         for name, measurement in measurements.items():
             times[name] += measurement()
     yield from map(Row, times, times.values())
+
+
+def circling(platform: Platform, neighbors: int) -> list[Scan]:
+    """Scans of that many Waffle Pis that drive around on a circle of 1 m at 0.2 m/s, for a turn."""
+    step = 0.2 * PERIOD
+    places = 2.0 * math.pi * np.arange(neighbors) / neighbors
+    return [
+        scan_of(
+            platform,
+            [Disc(math.cos(a), math.sin(a), 0.15) for a in seq * step + places],
+            seq=seq,
+            noise=0.01,
+        )
+        for seq in range(round(2.0 * math.pi / step))
+    ]
 
 
 def mode_rows(platform: Platform) -> Iterator[Row]:
