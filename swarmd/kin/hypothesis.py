@@ -10,7 +10,7 @@ of sight, each of which measures a place:
 The score is a log-likelihood ratio against an object that is there by chance: the track score of
 Blackman and Popoli, "Design and Analysis of Modern Tracking Systems", 1999, 6.2. Only sights after
 motion count, since things that stand fit for ever: a sight counts after the peer has moved by
-_NEWS, a mutual sight after the own robot has.
+_NEWS from where it last counted, a mutual sight after the own robot has.
 """
 
 from __future__ import annotations
@@ -38,22 +38,51 @@ _YAW_DRIFT = 0.04**2
 _LEAST = 0.02**2  # m2, rad2: errors that are alike from sight to sight do not average out
 
 
+class Evidence:
+    """How often what a moving robot shows has fitted, and over what a distance."""
+
+    __slots__ = ("_first", "_last", "count", "extent")
+
+    def __init__(self, x: float, y: float) -> None:
+        """`x`, `y`: the place of the robot that moves, in the frame of its own odometry."""
+        self._first = self._last = (x, y)
+        self.count = 0
+        self.extent = 0.0  # m, the greatest distance from the first place at which it counted
+
+    def is_news(self, x: float, y: float) -> bool:
+        """True if the robot has moved far enough since it last counted."""
+        return math.hypot(x - self._last[0], y - self._last[1]) >= _NEWS
+
+    def add(self, x: float, y: float) -> None:
+        """Count a place."""
+        self.count += 1
+        self._last = (x, y)
+        self.extent = max(self.extent, math.hypot(x - self._first[0], y - self._first[1]))
+
+
 class Hypothesis:
     """A pose (x, y, yaw) of the peer's middle, m and rad, with its covariance and score."""
 
     __slots__ = (
-        *("confirmed_at", "mutual", "mutual_news", "score", "seen_at", "sight_news", "sights"),
+        *("confirmed_at", "mutual", "score", "seen_at", "sights"),
         *("tt", "x", "xt", "xx", "xy", "y", "yaw", "yt", "yy"),
     )
 
-    def __init__(self, pose: tuple[float, float, float], sd: float, yaw_sd: float) -> None:
+    def __init__(
+        self,
+        pose: tuple[float, float, float],
+        sd: float,
+        yaw_sd: float,
+        peer: tuple[float, float],
+        own: tuple[float, float],
+    ) -> None:
+        """`peer`, `own`: the places of both robots in the frames of their odometry."""
         self.x, self.y, self.yaw = pose
         self.xx = self.yy = sd * sd
         self.tt = yaw_sd * yaw_sd
         self.xy = self.xt = self.yt = 0.0
         self.score = 0.0
-        self.sights = self.mutual = 0  # that counted
-        self.sight_news = self.mutual_news = 0.0  # m travelled by the peer, and by the own robot
+        self.sights, self.mutual = Evidence(*peer), Evidence(*own)
         self.seen_at = -math.inf  # s, the last sight
         self.confirmed_at = math.inf  # s, when it became the pose of the peer
 
@@ -169,11 +198,6 @@ class Hypothesis:
             self.xy * a + self.yy * b + self.yt * c,
             self.xt * a + self.yt * b + self.tt * c,
         )
-
-
-def news(moved: float, counted: float) -> bool:
-    """True if a robot that has moved `moved` m has moved far enough since it last counted."""
-    return moved - counted >= _NEWS
 
 
 def _distance(dx: float, dy: float, xx: float, xy: float, yy: float) -> float:

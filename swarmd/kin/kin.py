@@ -32,13 +32,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import combinations
 
 from msgspec import Struct
 
 from swarmd.core.odometry_trail import OdometryTrail
 from swarmd.core.values import MAX_SPEED, MAX_STEP, Odometry, Pose
-from swarmd.kin.hypothesis import Hypothesis, news
+from swarmd.kin.hypothesis import Hypothesis
 from swarmd.kin.path_fit import PathFit
 from swarmd.kin.told import Told, in_units, tell, wrapped
 
@@ -69,9 +68,12 @@ _UNSEEN = 1.0  # for a message in which the peer does not tell the own robot
 _DROPPED = -3.0  # score of a pose that is dropped
 _CONFIRMED = 7.0
 _MARGIN = 4.0  # to the next pose of the peer
-_LEAST_MUTUAL = 2  # mutual sights that a confirmed pose counts, or
-_BEND = 1.5  # rad that its peer has turned since the path began
+_UNSURE = 1.0  # margin below which a confirmed pose is none any more
+_LEAST_NEWS = 3  # sights, and mutual sights, that a confirmed pose counts
+_LEAST_EXTENT = 0.4  # m over which both robots have moved meanwhile
+_FADE = 0.2  # 1/s, while nothing shows the peer
 _REACH = 2.2  # m within which an object that is not hidden is surely tracked
+_FREE_REACH = 3.2  # m within which a ray without a return is free
 _SEEN_MOST = 0.25  # m by which a ray must pass a place to have crossed it
 _EARLIER = 2.0  # s
 # Standing tracks.
@@ -291,7 +293,7 @@ class Kin:
                 track.cleared.discard(told.id)
         peer.resets, peer.stamp, peer.heard_at = told.resets, stamp, now
         peer.time, peer.told = time, pose
-        self._compare(told, peer, time)
+        self._compare(told, peer, time, gap)
 
     def sights(self, now: float) -> tuple[Sight, ...]:
         """The tracks with their names."""
@@ -374,18 +376,21 @@ class Kin:
                 for other in [name for name in track.fits if name not in self._peers]:
                     del track.fits[other]
 
-    def _compare(self, told: Told, peer: _Peer, time: float) -> None:
+    def _compare(self, told: Told, peer: _Peer, time: float, gap: float) -> None:
         """Compare the poses of a peer with the tracks, and with what it tells; begin new poses."""
         own = self._pose(time)
-        here = [(id, place) for id, t in self._tracks.items() if (place := t.at(time)) is not None]
+        here = [
+            (id, place)
+            for id, track in self._tracks.items()
+            if not track.is_other(told.id) and (place := track.at(time)) is not None
+        ]
         places = [place for _, place in here]
         objects = [(in_units(d), in_units(b)) for d, b in told.objects]
         offsets = [(d * math.cos(b), d * math.sin(b)) for d, b in objects]
         for one in peer.hypotheses:
-            self._judge(one, peer, own, time, places, offsets)
+            self._judge(one, peer, own, time, gap, places, offsets)
         for track, place in here:
-            if not self._tracks[track].is_other(told.id):
-                self._begin(told.id, peer, own, track, place, objects)
+            self._begin(told.id, peer, own, track, place, objects)
         self._rank(peer, time)
         self._agree(told.id, peer, time, offsets)
 
@@ -395,25 +400,27 @@ class Kin:
         peer: _Peer,
         own: Pose,
         time: float,
+        gap: float,
         places: Sequence[tuple[float, float]],
         offsets: Sequence[tuple[float, float]],
     ) -> None:
         """Raise or lower the score of a pose by what both robots see."""
         distance = math.hypot(one.x - own.x, one.y - own.y)
-        is_news = news(peer.way, one.sight_news)
+        told = peer.told
+        is_news = one.sights.is_news(told.x, told.y)
         is_seen = one.see(places, distance, is_news) >= 0
         if is_seen:
             one.seen_at = time
             if is_news:
-                one.sights += 1
-                one.sight_news = peer.way
-        elif distance < _REACH and self._is_crossed(one, own, distance):
+                one.sights.add(told.x, told.y)
+        elif distance < _FREE_REACH and self._is_crossed(one, own, distance):
             one.score -= _EMPTY
-        is_news = news(self._way, one.mutual_news)
+        else:
+            one.score -= _FADE * gap
+        is_news = one.mutual.is_news(own.x, own.y)
         if one.be_seen(offsets, own.x, own.y, is_news) >= 0:
             if is_news:
-                one.mutual += 1
-                one.mutual_news = self._way
+                one.mutual.add(own.x, own.y)
         elif is_seen and distance < _REACH:
             one.score -= _UNSEEN
 
@@ -441,7 +448,7 @@ class Kin:
         for told, bearing in objects:
             if abs(told - distance) <= _SAME_DISTANCE:
                 pose = (x, y, wrapped(math.atan2(dy, dx) - bearing))
-                self._add(peer, pose, _FIRST_SD / max(distance, 0.3), 0.0)
+                self._add(peer, own, pose, _FIRST_SD / max(distance, 0.3), 0.0)
         fit = self._tracks[track].fits.get(id)
         if (
             fit is not None
@@ -450,10 +457,15 @@ class Kin:
             and fit.residual <= _MOST_RESIDUAL
         ):
             pose = (*fit.place(peer.told.x, peer.told.y), wrapped(peer.told.yaw + fit.turn))
-            self._add(peer, pose, _FIRST_SD / fit.spread, _PATH_SCORE)
+            self._add(peer, own, pose, _FIRST_SD / fit.spread, _PATH_SCORE)
 
     def _add(
-        self, peer: _Peer, pose: tuple[float, float, float], yaw_sd: float, score: float
+        self,
+        peer: _Peer,
+        own: Pose,
+        pose: tuple[float, float, float],
+        yaw_sd: float,
+        score: float,
     ) -> None:
         """Add a pose, unless it is known, or all that are known are better."""
         if any(one.is_like(pose, _NEAR, _TURNED) for one in peer.hypotheses):
@@ -463,8 +475,8 @@ class Kin:
             if worst.score >= score:
                 return
             peer.hypotheses.remove(worst)
-        one = Hypothesis(pose, _FIRST_SD, yaw_sd)
-        one.score, one.sight_news, one.mutual_news = score, peer.way, self._way
+        one = Hypothesis(pose, _FIRST_SD, yaw_sd, (peer.told.x, peer.told.y), (own.x, own.y))
+        one.score = score
         peer.hypotheses.append(one)
 
     def _rank(self, peer: _Peer, time: float) -> None:
@@ -477,13 +489,17 @@ class Kin:
             if one.score > _DROPPED and not is_double:
                 kept.append(one)
         peer.hypotheses = kept
+        margin = kept[0].score - kept[1].score if len(kept) > 1 else math.inf
         for rank, one in enumerate(kept):
-            second = kept[1].score if len(kept) > 1 else 0.0
-            is_sure = rank == 0 and one.score >= _CONFIRMED and one.mutual >= _LEAST_MUTUAL
-            if is_sure and one.score - second >= _MARGIN:
-                one.confirmed_at = min(one.confirmed_at, time)
-            elif rank > 0 or one.score < 0.5 * _CONFIRMED:
+            if rank > 0 or one.score < 0.5 * _CONFIRMED or margin < _UNSURE:
                 one.confirmed_at = math.inf
+            elif (
+                one.score >= _CONFIRMED
+                and margin >= _MARGIN
+                and min(one.sights.count, one.mutual.count) >= _LEAST_NEWS
+                and min(one.sights.extent, one.mutual.extent) >= _LEAST_EXTENT
+            ):
+                one.confirmed_at = min(one.confirmed_at, time)
 
     def _agree(
         self, id: str, peer: _Peer, time: float, offsets: Sequence[tuple[float, float]]
@@ -501,7 +517,7 @@ class Kin:
             for track, path in self._tracks.items():
                 _, tx, ty = path.places[-1]
                 far = best.fits(best.x + tx - x, best.y + ty - y)
-                if far < math.inf and not path.is_other(id):
+                if far < math.inf and id not in path.cleared and not path.is_other(id):
                     claims.append((far, id, track))
         claims.sort()
         matches: dict[str, int] = {}
