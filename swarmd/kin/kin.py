@@ -39,7 +39,7 @@ from swarmd.core.odometry_trail import OdometryTrail
 from swarmd.core.values import MAX_SPEED, MAX_STEP, Odometry, Pose
 from swarmd.kin.hypothesis import Hypothesis
 from swarmd.kin.path_fit import PathFit
-from swarmd.kin.told import Told, in_units, tell, wrapped
+from swarmd.kin.told import MOST_OBJECTS, Told, in_units, tell, wrapped
 
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
@@ -75,11 +75,13 @@ _FADE = 0.2  # 1/s, while nothing shows the peer
 _REACH = 2.2  # m within which an object that is not hidden is surely tracked
 _FREE_REACH = 3.2  # m within which a ray without a return is free
 _SEEN_MOST = 0.25  # m by which a ray must pass a place to have crossed it
-_EARLIER = 2.0  # s
+_AGREED = 1.8  # m within which a peer surely tells a third robot
+_EARLIER = 2.0  # s by which a peer was confirmed earlier that keeps a track
 # Standing tracks.
 _STILL = 0.12  # m
 _STILL_TIME = 2.0  # s
 _OWN_WAY = 0.3  # m
+_CLEARED = 0.35  # m by which a peer has moved that cannot be a track that stands
 _ELSEWHERE = 0.5  # m
 
 
@@ -111,12 +113,13 @@ class Peer(Struct, frozen=True):
 class _Track:
     """The path of one track, and the peers that it cannot be."""
 
-    __slots__ = ("cleared", "fits", "places", "still_at", "still_since", "still_way")
+    __slots__ = ("cleared", "fits", "places", "still_at", "still_since", "still_way", "told_at")
 
     def __init__(self) -> None:
         self.places: list[tuple[float, float, float]] = []  # time, x, y
         self.fits: dict[str, PathFit] = {}
         self.cleared: set[str] = set()  # peers that have moved while the track stood
+        self.told_at: dict[str, tuple[float, float]] = {}  # where peers were when it came to stand
         self.still_at = (math.inf, math.inf)
         self.still_since = self.still_way = 0.0
 
@@ -127,6 +130,13 @@ class _Track:
         if math.hypot(x - self.still_at[0], y - self.still_at[1]) > _STILL:
             self.still_at, self.still_since, self.still_way = (x, y), time, own_way
             self.cleared.clear()
+            self.told_at.clear()
+
+    def forget(self, peer: str) -> None:
+        """Forget what was known of a peer."""
+        self.fits.pop(peer, None)
+        self.told_at.pop(peer, None)
+        self.cleared.discard(peer)
 
     def at(self, time: float) -> tuple[float, float] | None:
         """The place at a time; None if the track was not there, or not yet."""
@@ -289,8 +299,7 @@ class Kin:
             peer.hypotheses.clear()
             peer.twist = (0.0, 0.0, 0.0)
             for track in self._tracks.values():
-                track.fits.pop(told.id, None)
-                track.cleared.discard(told.id)
+                track.forget(told.id)
         peer.resets, peer.stamp, peer.heard_at = told.resets, stamp, now
         peer.time, peer.told = time, pose
         self._compare(told, peer, time, gap)
@@ -343,7 +352,10 @@ class Kin:
         )
 
     def _forget_silent(self, now: float) -> None:
-        self._peers = {id: p for id, p in self._peers.items() if now - p.heard_at <= _SILENCE}
+        for id in [id for id, peer in self._peers.items() if now - peer.heard_at > _SILENCE]:
+            del self._peers[id]
+            for track in self._tracks.values():
+                track.forget(id)
 
     def _move(self, id: str, peer: _Peer, pose: Pose, time: float, gap: float) -> None:
         """Move the poses of a peer by what it tells, and fit its path since the last message."""
@@ -369,12 +381,9 @@ class Kin:
                 if peer.time < at <= time:
                     share = (at - peer.time) / max(time - peer.time, 1e-3)
                     fit.add(at, x, y, peer.told.x + share * dx, peer.told.y + share * dy)
-            if fit.weight >= 3.0 and fit.residual > _OTHER_PATH:
+            x, y = track.told_at.setdefault(id, (pose.x, pose.y))
+            if math.hypot(pose.x - x, pose.y - y) > _CLEARED:
                 track.cleared.add(id)
-        if len(self._tracks) > 0:
-            for track in self._tracks.values():
-                for other in [name for name in track.fits if name not in self._peers]:
-                    del track.fits[other]
 
     def _compare(self, told: Told, peer: _Peer, time: float, gap: float) -> None:
         """Compare the poses of a peer with the tracks, and with what it tells; begin new poses."""
@@ -408,21 +417,18 @@ class Kin:
         distance = math.hypot(one.x - own.x, one.y - own.y)
         told = peer.told
         is_news = one.sights.is_news(told.x, told.y)
-        is_seen = one.see(places, distance, is_news) >= 0
-        if is_seen:
-            one.seen_at = time
-            if is_news:
-                one.sights.add(told.x, told.y)
-        elif distance < _FREE_REACH and self._is_crossed(one, own, distance):
-            one.score -= _EMPTY
-        else:
-            one.score -= _FADE * gap
+        if one.see(places, distance, is_news) < 0:
+            is_empty = distance < _FREE_REACH and self._is_crossed(one, own, distance)
+            one.score -= _EMPTY if is_empty else _FADE * gap
+            return
+        one.seen_at = time
+        if is_news:
+            one.sights.add(told.x, told.y)
         is_news = one.mutual.is_news(own.x, own.y)
-        if one.be_seen(offsets, own.x, own.y, is_news) >= 0:
-            if is_news:
-                one.mutual.add(own.x, own.y)
-        elif is_seen and distance < _REACH:
-            one.score -= _UNSEEN
+        if one.be_seen(offsets, own.x, own.y, is_news) < 0:
+            one.score -= _UNSEEN if distance < _REACH else _FADE * gap
+        elif is_news:
+            one.mutual.add(own.x, own.y)
 
     def _is_crossed(self, one: Hypothesis, own: Pose, distance: float) -> bool:
         """True if the rays of the last scan cross the place of a pose."""
@@ -504,7 +510,30 @@ class Kin:
     def _agree(
         self, id: str, peer: _Peer, time: float, offsets: Sequence[tuple[float, float]]
     ) -> None:
-        """Lower the worse of two poses if a peer does not tell a third robot that it must see."""
+        """Lower the pose of a peer that does not tell a third robot which it must see.
+
+        Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third
+        robot does the same by its messages: so a liar lowers no other.
+        """
+        best = peer.confirmed
+        if best is None or len(offsets) >= MOST_OBJECTS:
+            return
+        for name, other in self._peers.items():
+            third = other.confirmed
+            if name == id or third is None or third.score < best.score:
+                continue
+            x, y, _ = _expected(other, third, time)
+            ahead, left = best.ahead_and_left(x, y)
+            distance = math.hypot(ahead, left)
+            if distance < _AGREED and not any(
+                math.hypot(a - ahead, b - left) < _ELSEWHERE
+                or (
+                    math.hypot(a, b) < distance
+                    and abs(wrapped(math.atan2(b, a) - math.atan2(left, ahead))) < _TURNED
+                )
+                for a, b in offsets
+            ):
+                best.score -= _UNSEEN
 
     def _matches(self, now: float) -> Mapping[str, int]:
         """The track of each peer that is in sight."""
@@ -523,11 +552,21 @@ class Kin:
         matches: dict[str, int] = {}
         taken: dict[int, str] = {}
         for _, id, track in claims:
-            if id in matches:
-                continue
-            if track not in taken:
+            if id not in matches and track not in taken:
                 matches[id], taken[track] = track, id
+        for _, id, track in claims:  # a peer without a track contests that of another
+            other = taken.get(track, id)
+            if id not in matches and other != id:
+                first, second = self._confirmed_at(other), self._confirmed_at(id)
+                if first > second - _EARLIER:
+                    matches.pop(other, None)
+                if second < first - _EARLIER:
+                    matches[id], taken[track] = track, id
         return matches
+
+    def _confirmed_at(self, id: str) -> float:
+        best = self._peers[id].confirmed
+        return best.confirmed_at if best is not None else math.inf
 
     def _stands(self, track: _Track, now: float) -> bool:
         """True if a track stands while the own robot moves, and no peer can be there."""
@@ -535,9 +574,11 @@ class Kin:
             return False
         for id, peer in self._peers.items():
             best = peer.confirmed
-            if id in track.cleared or now - peer.heard_at > _SILENCE:
+            if now - peer.heard_at > _SILENCE:
                 continue
             if best is None:
+                if id in track.cleared:
+                    continue
                 return False
             x, y, _ = _expected(peer, best, now)
             if math.hypot(x - track.still_at[0], y - track.still_at[1]) < _ELSEWHERE:
