@@ -86,6 +86,17 @@ class Hypothesis:
         self.seen_at = -math.inf  # s, the last sight
         self.confirmed_at = math.inf  # s, when it became the pose of the peer
 
+    @property
+    def sd(self) -> float:
+        """m, the standard deviation of the place in one direction, on average."""
+        return math.sqrt(0.5 * (self.xx + self.yy))
+
+    def prove_again(self, peer: tuple[float, float], own: tuple[float, float]) -> None:
+        """Begin the evidence anew, at these places of both robots (see `__init__`)."""
+        self.sights, self.mutual = Evidence(*peer), Evidence(*own)
+        self.score = 0.0
+        self.confirmed_at = math.inf
+
     def move(self, ahead: float, left: float, turn: float) -> None:
         """Move by what the peer tells, in the frame of its body before the motion."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)

@@ -70,6 +70,7 @@ _CONFIRMED = 7.0
 _MARGIN = 4.0  # to the next pose of the peer
 _UNSURE = 1.0  # margin below which a confirmed pose is none any more
 _LEAST_NEWS = 3  # sights, and mutual sights, that a confirmed pose counts
+_LOST = 0.15  # m, standard deviation beyond which a peer that comes back may be another object
 _LEAST_EXTENT = 0.4  # m over which both robots have moved meanwhile
 _FADE = 0.2  # 1/s, while nothing shows the peer
 _REACH = 2.2  # m within which an object that is not hidden is surely tracked
@@ -325,7 +326,7 @@ class Kin:
                 x, y = self._tracks[track].places[-1][1:]
             dx, dy = x - own.x, y - own.y
             distance = math.hypot(dx, dy)
-            error = math.sqrt(0.5 * (best.xx + best.yy))
+            error = best.sd
             age = now - (self._seen_at if track is not None else best.seen_at)
             found.append(
                 Peer(
@@ -417,10 +418,13 @@ class Kin:
         distance = math.hypot(one.x - own.x, one.y - own.y)
         told = peer.told
         is_news = one.sights.is_news(told.x, told.y)
+        sd = one.sd
         if one.see(places, distance, is_news) < 0:
             is_empty = distance < _FREE_REACH and self._is_crossed(one, own, distance)
             one.score -= _EMPTY if is_empty else _FADE * gap
             return
+        if sd > _LOST:
+            one.prove_again((told.x, told.y), (own.x, own.y))
         one.seen_at = time
         if is_news:
             one.sights.add(told.x, told.y)
