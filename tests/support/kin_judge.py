@@ -165,7 +165,7 @@ def play(
                 _count(made, row, truth, kins[row], poll, tracks, counts, counted)
         now = made.polls[0][instant].now
         while air and air[0][0] <= now:
-            at, _, other, told = heapq.heappop(air)
+            _, _, other, told = heapq.heappop(air)
             kins[other].hear(told, now + _HOUR * other)
     return kins
 
