@@ -82,7 +82,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("sensing", "driver_api", "network"),
     ("plugins",),
     ("kit", "protection"),
-    ("steering", "kin", "texts"),
+    ("kin", "steering", "texts"),
     ("api", "settings"),
     ("robot",),
     ("recording",),

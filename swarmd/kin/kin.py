@@ -35,7 +35,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from msgspec import Struct
 
-from swarmd.core.odometry_trail import OdometryTrail
+from swarmd.core.kernels import load_kernel
+from swarmd.core.odometry_trail import ANEW, NEXT
 from swarmd.core.values import MAX_SPEED, MAX_STEP, Odometry, Pose
 from swarmd.kin.hypothesis import Hypothesis
 from swarmd.kin.path_fit import PathFit
@@ -161,10 +162,7 @@ class _Track:
 class _Peer:
     """What is known of one peer."""
 
-    __slots__ = (
-        *("delay", "heard_at", "hypotheses", "resets", "rest", "stamp", "time", "told", "turned"),
-        *("twist", "way"),
-    )
+    __slots__ = (*("delay", "heard_at", "hypotheses", "resets", "stamp", "time", "told", "twist"),)
 
     def __init__(self) -> None:
         self.resets = -1
@@ -173,7 +171,6 @@ class _Peer:
         self.heard_at = self.time = -math.inf  # s, of the last message, and of its pose
         self.told = Pose()
         self.twist = (0.0, 0.0, 0.0)  # ahead, left, turn in a second
-        self.way = self.turned = 0.0  # m and rad that it has moved
         self.hypotheses: list[Hypothesis] = []  # best first
 
     @property
@@ -202,12 +199,11 @@ class Kin:
     def __init__(self, id: str, middle: float = 0.0) -> None:
         """`middle`: m by which the middle of what others see lies ahead of the axle."""
         self._id, self._middle = id, middle
-        self._trail = OdometryTrail()
+        self._trail = load_kernel("swarmd.core.odometry_trail").OdometryTrail()
         self._resets = 0
         self._shift = 0.0  # s, of the odometry's clock less the robot's
         self._last: Pose | None = None
         self._way = 0.0  # m that the own middle has travelled
-        self._turned = 0.0  # rad
         self._tracks: dict[int, _Track] = {}
         self._seen_at = -math.inf  # s, of the last scan
         self._free: Sequence[float] = ()
@@ -215,12 +211,10 @@ class Kin:
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in an own reading. A jump moves the frame: all is forgotten."""
-        newest = self._trail.latest
-        before = self._trail.count
-        self._trail.take(odometry)
-        if self._trail.latest == newest and before:
+        taken = self._trail.take(odometry)
+        if taken not in (NEXT, ANEW):
             return
-        if before and self._trail.count == 1:
+        if taken == ANEW:
             self._resets += 1
             self._tracks.clear()
             self._last = None
@@ -230,7 +224,6 @@ class Kin:
         pose = self._pose(now)
         if self._last is not None:
             self._way += math.hypot(pose.x - self._last.x, pose.y - self._last.y)
-            self._turned += abs(wrapped(pose.yaw - self._last.yaw))
         self._last = pose
 
     def observe(
@@ -241,7 +234,7 @@ class Kin:
         `tracks`: id, x, y in the base frame at `now`. `free`: of each of SECTORS directions from
         the bearing -pi on, the least range of the scan; inf without a return.
         """
-        if not self._trail.count:
+        if self._last is None:
             return
         own = self._pose(now)
         c, s = math.cos(own.yaw), math.sin(own.yaw)
@@ -260,7 +253,7 @@ class Kin:
 
         `stamp`: s on the own clock at which pose and objects are told, at most `now`.
         """
-        if not self._trail.count:
+        if self._last is None:
             return None
         own = self._pose(stamp)
         seen = []
@@ -274,7 +267,7 @@ class Kin:
 
     def hear(self, told: Told, now: float) -> None:
         """Take in the message of a peer."""
-        if told.id == self._id or not told.is_valid or not self._trail.count:
+        if told.id == self._id or not told.is_valid or self._last is None:
             return
         peer = self._peers.get(told.id)
         if peer is None:
@@ -364,9 +357,6 @@ class Kin:
         dx, dy = pose.x - peer.told.x, pose.y - peer.told.y
         ahead, left = c * dx + s * dy, c * dy - s * dx
         turn = wrapped(pose.yaw - peer.told.yaw)
-        way = math.hypot(dx, dy)
-        peer.way += way
-        peer.turned += turn
         peer.twist = (ahead / gap, left / gap, turn / gap)
         before, after = self._pose(peer.time), self._pose(time)
         own_way = math.hypot(after.x - before.x, after.y - before.y)
