@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.table import markdown
-from studies import kept
+from studies import kept, stand
 from swarmd.sim.experiments.benchmark import HEADER, row, standings
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.lockstep.lockstep import simulate_run
@@ -71,7 +71,7 @@ def results_of(
     return simulate(
         task,
         seeds,
-        set={"plugin_dir": str(Path(__file__).parent)} if STAND in patterns else None,
+        set={"plugin_dir": str(Path(stand.__file__).parent)} if STAND in patterns else None,
         sweep={"pattern": list(patterns or effective["patterns"])},
         jobs=jobs,
         out=folder / Path(task).stem,

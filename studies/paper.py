@@ -33,6 +33,14 @@ from swarmd.sim.trace import Trace
 TURTLEBOTS = ("burger", "waffle_pi")
 GATHERING = (*TURTLEBOTS, "jackal")
 HARDWARE = ("hardware", "hardware_free")
+SCENARIOS = {
+    "burger": "paper_exp1_burger",
+    "waffle_pi": "paper_exp1_waffle_pi",
+    "jackal": "paper_exp1_jackal",
+    "hardware": "paper_exp1_hardware",
+    "hardware_free": "paper_exp1_hardware_free",
+}
+"""In full, since the words of this file name the files that decide the results."""
 VISIBILITIES = ("body", "real")
 ORIGINAL = "original"
 """Law `paper` under protection mode `potential_field`."""
@@ -270,7 +278,7 @@ def main() -> None:
     options, folder = kept.chosen("paper", __doc__), kept.kept_folder("paper")
     by_run = {
         (name, law, seeds is FRESH): simulate(
-            f"paper_exp1_{name}",
+            SCENARIOS[name],
             seeds[: len(seeds) * options.seeds // kept.SEEDS],
             set=changes(name, law),
             sweep={"lidar_visibility": list(VISIBILITIES[: 1 if law == STILL else 2])},

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.table import markdown
-from studies import kept
+from studies import kept, stand
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.experiments.statistics import interval, number
@@ -66,7 +66,7 @@ def main() -> None:
             out=folder / f"{options.seeds}-{name}",
             on_step=lambda line: print(line, file=sys.stderr, flush=True),
         )
-        still = {"plugin_dir": str(Path(__file__).parent), f"groups.{group}.pattern": "stand"}
+        still = {"plugin_dir": str(Path(stand.__file__).parent), f"groups.{group}.pattern": "stand"}
         control = simulate(
             search["scenario"],
             found.held_out,

@@ -8,8 +8,10 @@ for named jobs their sources and which of them have changed.
 from __future__ import annotations
 
 import argparse
+import fcntl
 import os
 import resource
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -18,7 +20,7 @@ from datetime import date
 from benchmarks.table import markdown
 from studies.night.jobs import JOBS, Job, PatternJob, keep, share
 from studies.night.pages import write_parts
-from studies.night.sources import ROOT, changed_since, commit_of
+from studies.night.sources import ROOT, changed_since, commit_of, forget
 from studies.outcomes.outcome import software
 from swarmd.core.errors import SwarmError, unknown
 
@@ -35,21 +37,23 @@ def state(job: Job) -> str:
     if job.is_kept:
         return "kept"
     changed = changed_since(made.made_with["commit"], job.sources)
+    if changed is None:
+        return "of a commit that git does not know"
     return f"{len(changed)} files changed" if changed else "made before its sources were known"
 
 
-def plan(jobs: Sequence[Job], *, is_detailed: bool) -> str:
+def plan(jobs: Sequence[Job], *, is_detailed: bool, is_all: bool = False) -> str:
     """A table of jobs; in detail also the sources of each."""
     rows = [["job", "CPU-minutes", "made on", "commit", "state"]]
     for job in jobs:
         made = job.made.made_with if job.made else {}
         cells = made.get("day", "-"), made.get("commit", "-"), state(job)
         rows.append([job.name, f"{job.estimate:.1f}", *cells])
-    left = [job.estimate for job in jobs if not job.is_kept]
+    left = [job.estimate for job in jobs if is_all or not job.is_kept]
     lines = [markdown(rows), "", f"{len(left)} jobs to do, {sum(left):.0f} CPU-minutes"]
     for job in jobs if is_detailed else ():
         since = job.made.made_with["commit"] if job.made else "HEAD"
-        changed = set(changed_since(since, job.sources))
+        changed = set(changed_since(since, job.sources) or ())
         names = [path.relative_to(ROOT).as_posix() for path in job.sources]
         lines += ["", f"{job.name}: {job.command}, decided by {len(names)} files"]
         lines += [f"  {name}{', changed' * (name in changed)}" for name in names]
@@ -57,45 +61,64 @@ def plan(jobs: Sequence[Job], *, is_detailed: bool) -> str:
 
 
 def overview() -> list[str]:
-    """A table of all kept results."""
+    """A table of all jobs and their kept results."""
     rows = [["job", "results", "made on", "commit", "CPU-minutes"]]
     for job in JOBS:
-        if job.made is not None:
-            made, name = job.made.made_with, job.file.relative_to(ROOT).as_posix()
+        made, name = job.made.made_with if job.made else None, job.file.relative_to(ROOT).as_posix()
+        cells = ["not made by a night yet: the table of the page is older", "-", "-", "-"]
+        if made is not None:
             minutes = made.get("cpu_minutes", "-")
-            rows.append([job.name, f"[{name}](../../{name})", made["day"], made["commit"], minutes])
+            cells = [f"[{name}](../../{name})", made["day"], made["commit"], minutes]
+        rows.append([job.name, *cells])
     return markdown(rows).splitlines()
 
 
-def carry_out(job: Job) -> bool:
-    """Run a job and keep its results; whether it has ended well."""
+def carry_out(job: Job, lock: int) -> bool:
+    """Run a job, which inherits the descriptor `lock`, and keep its results.
+
+    Returns whether it has ended well.
+    """
+    forget()
     digest, commit = job.digest, commit_of(job.sources)
+    before = {one: one.read_bytes() for one in job.written if one.exists()}
     spent = LOGS / f"{job.name}.seconds"
     seconds = float(spent.read_text()) if spent.exists() else 0.0
-    before = _seconds_of_children()
+    begin = _seconds_of_children()
     with (LOGS / f"{job.name}.log").open("a") as log:
         words = [sys.executable, *job.arguments]
         try:
             done = subprocess.run(
-                words, cwd=ROOT, stdout=subprocess.PIPE, stderr=log, text=True, check=False
+                words,
+                cwd=ROOT,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                check=False,
+                pass_fds=(lock,),
             )
         finally:  # also after Ctrl-C
-            seconds += _seconds_of_children() - before
+            seconds += _seconds_of_children() - begin
             spent.write_text(f"{seconds:.1f}")
+    forget()
     if job.digest != digest:
+        for path, content in before.items():
+            path.write_bytes(content)
         print(f"{job.name}: its sources changed while it ran; nothing is kept", file=sys.stderr)
         return False
-    if isinstance(job, PatternJob):
-        return done.returncode == 0
-    if done.returncode:
+    if done.returncode > job.has_verdict or done.returncode < 0 or not done.stdout.strip():
         print(f"{job.name} failed: see {LOGS / job.name}.log", file=sys.stderr)
         return False
-    origin = {"day": date.today().isoformat(), "commit": commit, "digest": digest}
     spent.unlink()
-    made = keep(job, done.stdout, {**software(), **origin, "cpu_minutes": f"{seconds / 60.0:.1f}"})
-    for name in write_parts({part: made.text(part) for part in made.parts}):
+    if isinstance(job, PatternJob):
+        return True
+    if done.returncode:
+        print(f"{job.name}: its table has a fault", file=sys.stderr)
+    origin = {"day": date.today().isoformat(), "commit": commit, "digest": digest}
+    origin["cpu_minutes"] = f"{seconds / 60.0:.1f}"
+    missing = keep(job, done.stdout, {**software(), **origin})
+    for name in missing:
         print(f"{job.name}: no page has a part `<!-- results: {name} -->`", file=sys.stderr)
-    return True
+    return not missing and done.returncode == 0
 
 
 def _seconds_of_children() -> float:
@@ -122,21 +145,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise SwarmError(f"--shard {options.shard}: expected K/N, such as 1/4")
     chosen = share(chosen, int(number), int(count))
     if options.plan:
-        print(plan(chosen, is_detailed=bool(options.jobs)))
+        print(plan(chosen, is_detailed=bool(options.jobs), is_all=options.all))
         return 0
     LOGS.mkdir(parents=True, exist_ok=True)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    lock = os.open(LOGS / "lock", os.O_RDWR | os.O_CREAT)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        text = "another night, or a job of an ended one, runs here: wait, or use another checkout"
+        raise SwarmError(f"{ROOT}: {text}") from error
     bad = 0
     for job in chosen:
         if job.is_kept and not options.all:
             continue
         print(f"{job.name}: some {job.estimate:.1f} CPU-minutes, {job.command}", flush=True)
-        bad += not carry_out(job)
+        bad += not carry_out(job, lock)
         write_parts({OVERVIEW: "\n".join(overview())})
     return 1 if bad else 0
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a reader such as head ends it
     try:
         raise SystemExit(main())
     except SwarmError as error:

@@ -11,9 +11,11 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from studies.night.pages import parts_of
+from studies.night.pages import parts_of, write_parts
 from studies.night.sources import ROOT, digest_of, sources_of
 from studies.outcomes.outcome import STUDIES
+from swarmd.core.errors import SwarmError
+from swarmd.core.files import write_whole
 
 
 class Made(Struct, frozen=True, kw_only=True):
@@ -40,6 +42,7 @@ class Job(Struct, frozen=True):
     name: of the file of results, `folder/name.json`, and of the part of a page that the program
     prints, unless it prints several. arguments: of Python. minutes: the CPU-minutes that it may
     take, before it has been measured. modules: what decides the results beside the program itself.
+    has_verdict: the program ends with 1 if its tables are whole and bad.
     """
 
     name: str
@@ -47,6 +50,7 @@ class Job(Struct, frozen=True):
     arguments: tuple[str, ...]
     minutes: float
     modules: tuple[str, ...] = ()
+    has_verdict: bool = False
 
     @property
     def command(self) -> str:
@@ -64,6 +68,11 @@ class Job(Struct, frozen=True):
         return ROOT / self.folder / f"{self.name}.json"
 
     @property
+    def written(self) -> tuple[Path, ...]:
+        """The files of results that the program itself writes."""
+        return ()
+
+    @property
     def sources(self) -> list[Path]:
         """The files that decide the results."""
         return sources_of(self.roots)
@@ -75,11 +84,15 @@ class Job(Struct, frozen=True):
 
     @property
     def made(self) -> Made | None:
-        """The kept results; None without a file."""
+        """The kept results; None without a file. SwarmError if it is no such file."""
         if not self.file.exists():
             return None
         # The module json reads numbers that are not finite, too.
-        return msgspec.convert(json.loads(self.file.read_bytes()), Made)
+        try:
+            return msgspec.convert(json.loads(self.file.read_bytes()), Made)
+        except ValueError as error:
+            text = f"{self.file}: {error}; take it from git, or remove it"
+            raise SwarmError(text) from error
 
     @property
     def is_kept(self) -> bool:
@@ -100,19 +113,42 @@ class PatternJob(Job, frozen=True):
     def file(self) -> Path:
         return ROOT / self.folder / "outcome.json"
 
+    @property
+    def written(self) -> tuple[Path, ...]:
+        return self.file, self.file.with_name("page.md")
+
+
+_LONG = {
+    "collective_perception": 37.0,
+    "foraging": 18.0,
+    "one_bit_aggregation": 10.0,
+    "vicsek_alignment": 10.0,
+    "cooperative_transport": 7.0,
+}
+"""The CPU-minutes of the patterns that take the longest."""
+
 
 def _outcomes(path: Path) -> Job:
     name = path.stem
     arguments = ("-m", "studies.outcomes", name, "--keep")
-    return PatternJob(name, f"patterns/{name}", arguments, 1.0, (f"{STUDIES}.{name}",))
+    minutes = _LONG.get(name, 3.0)
+    return PatternJob(name, f"patterns/{name}", arguments, minutes, (f"{STUDIES}.{name}",))
 
 
-def _study(name: str, folder: str, minutes: float, *words: str, module: str = "") -> Job:
-    return Job(name, folder, ("-m", f"studies.{module or name}", *words), minutes)
+def _study(
+    name: str,
+    folder: str,
+    minutes: float,
+    *words: str,
+    module: str = "",
+    has_verdict: bool = False,
+) -> Job:
+    arguments = ("-m", f"studies.{module or name}", *words)
+    return Job(name, folder, arguments, minutes, has_verdict=has_verdict)
 
 
 JOBS: Sequence[Job] = (
-    _study("robot_hours", "docs/evidence", 110.0),
+    _study("robot_hours", "docs/evidence", 150.0),
     *(
         _outcomes(path)
         for path in sorted(ROOT.joinpath(*STUDIES.split(".")).glob("*.py"))
@@ -120,6 +156,7 @@ JOBS: Sequence[Job] = (
     ),
     _study("paper", "docs", 43.0),
     _study("paper_exp2", "docs", 2.0),
+    _study("robot_hours_walls_stand", "docs/evidence", 20.0, "--walls-stand", module="robot_hours"),
     _study("learning", "docs", 6.0),
     _study("missions", "docs", 14.0),
     _study("tuning", "docs", 10.0),
@@ -137,7 +174,7 @@ JOBS: Sequence[Job] = (
         "120",
         module="safety",
     ),
-    _study("fence", "docs/evidence", 10.0, module="safety.fence"),
+    _study("fence", "docs/evidence", 10.0, module="safety.fence", has_verdict=True),
     _study(
         "encounters",
         "docs/evidence",
@@ -152,26 +189,35 @@ JOBS: Sequence[Job] = (
         module="safety",
     ),
     _study("tracks", "docs/evidence", 5.0, "tracks", "--seeds", "20", module="safety"),
-    _study("processors", "docs/evidence", 10.0, "variants", "build/processors"),
+    _study("processors", "docs/evidence", 10.0, "variants", has_verdict=True),
     _study("ros_faults", "docs", 6.0, module="ros"),
 )
 """What readers would miss most comes first."""
 
 
 def share(jobs: Iterable[Job], number: int, count: int) -> list[Job]:
-    """The jobs of shard `number` of 1 to `count`, all of which take about the same time."""
-    shards: list[list[Job]] = [[] for _ in range(count)]
-    loads = [0.0] * count
-    for job in sorted(jobs, key=lambda job: -job.estimate):
+    """The jobs of shard `number` of 1 to `count`, all of which take about the same time.
+
+    Measured times count for nothing: after a kill, and on machines of other shards, the shards must
+    be the same.
+    """
+    some = list(jobs)
+    loads = [0.0] * min(count, len(some))
+    chosen: list[Job] = []
+    for job in sorted(some, key=lambda job: -job.minutes):
         least = loads.index(min(loads))
-        shards[least].append(job)
-        loads[least] += job.estimate
-    chosen = shards[number - 1]
-    return [job for job in jobs if job in chosen]
+        chosen += [job] * (least == number - 1)
+        loads[least] += job.minutes
+    return [job for job in some if job in chosen]
 
 
-def keep(job: Job, output: str, made_with: dict[str, Any]) -> Made:
-    """Write the parts that a job printed into its file."""
+def keep(job: Job, output: str, made_with: dict[str, Any]) -> list[str]:
+    """Write the parts that a job printed into pages, then into its file.
+
+    The file is the last, so that after a kill it never has parts that the pages lack. Returns the
+    names of the parts that no page has.
+    """
     made = Made(command=job.command, made_with=made_with, parts=parts_of(output, job.name))
-    job.file.write_bytes(msgspec.json.format(msgspec.json.encode(made), indent=1) + b"\n")
-    return made
+    missing = write_parts({part: made.text(part) for part in made.parts})
+    write_whole(job.file, msgspec.json.format(msgspec.json.encode(made), indent=1) + b"\n")
+    return missing

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from studies.night.sources import ROOT
+from swarmd.core.files import write_whole
 
 PART = re.compile(r"(<!-- results: (\w+)[^>]*-->\n).*?(<!-- end of results -->)", re.DOTALL)
 """A part of a page: its first line with its name, what a job writes, and its last line."""
@@ -47,5 +48,5 @@ def write_parts(texts: dict[str, str]) -> list[str]:
             after = with_part(after, name, texts[name])
             missing.discard(name)
         if after != before:
-            path.write_text(after)
+            write_whole(path, after.encode())
     return sorted(missing)

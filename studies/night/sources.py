@@ -15,21 +15,30 @@ from functools import cache
 from pathlib import Path
 
 from swarmd import _PUBLIC
+from swarmd.core.errors import SwarmError
 
 ROOT = Path(__file__).resolve().parents[2]
 _LINKED = ("config", "drivers", "patterns", "sim")
 _OURS = ("swarmd", "studies", "benchmarks", "tests")
 _NAMING = ("studies", "config", "patterns", "sim/metrics")
 """The folders in which words name plugins and files of values."""
+_LISTING = {"swarmd.sim.scenarios.scenariofile.task_names": "config/scenarios/benchmark/*.yaml"}
+"""Functions that list files, and so name all of them to the modules that import the function."""
 _LAZY = ("swarmd/__init__.py",)
 """Imports of these modules happen by an attribute, and most programs use few."""
 _WORD = re.compile(r"\w+")
 _SHORT = 10
 
 
-def sources_of(modules: Iterable[str], files: Iterable[Path] = ()) -> list[Path]:
-    """The files that decide what these modules compute, with `files` and what they name."""
-    waiting = [*files, *(path for module in modules for path in _files_of(module))]
+def forget() -> None:
+    """Read the files again, which may have changed since."""
+    for known in (_meaning, _next, _named):
+        known.cache_clear()
+
+
+def sources_of(modules: Iterable[str]) -> list[Path]:
+    """The files that decide what these modules compute."""
+    waiting = [path for module in modules for path in _files_of(module)]
     found: set[Path] = set()
     while waiting:
         path = waiting.pop()
@@ -39,13 +48,13 @@ def sources_of(modules: Iterable[str], files: Iterable[Path] = ()) -> list[Path]
     return sorted(found)
 
 
-def digest_of(modules: Iterable[str], files: Iterable[Path] = ()) -> str:
+def digest_of(modules: Iterable[str]) -> str:
     """The digest of `sources_of`: of the code without comments and docstrings, and of other files.
 
     It differs between series of Python, which print a syntax tree in other words.
     """
     digest = hashlib.sha256()
-    for path in sources_of(modules, files):
+    for path in sources_of(modules):
         digest.update(f"{path.relative_to(ROOT).as_posix()}\0".encode())
         digest.update(hashlib.sha256(_meaning(path)).digest())
     return digest.hexdigest()[:16]
@@ -57,18 +66,23 @@ def commit_of(paths: Sequence[Path]) -> str:
     return head + ", with changes" * bool(_git("status", "--porcelain", "--", *map(str, paths)))
 
 
-def changed_since(commit: str, paths: Sequence[Path]) -> list[str]:
-    """The names of these files that differ from a commit; `commit` if git does not know it."""
+def changed_since(commit: str, paths: Sequence[Path]) -> list[str] | None:
+    """The names of these files that differ from a commit; None if git does not know it."""
     known = commit.partition(",")[0]
-    names = _git("diff", "--name-only", known, "--", *map(str, paths), wrong=known)
-    return names.splitlines()
+    try:
+        return _git("diff", "--name-only", known, "--", *map(str, paths)).splitlines()
+    except SwarmError:
+        return None
 
 
-def _git(*words: str, wrong: str | None = None) -> str:
-    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
-    if done.returncode and wrong is None:
-        raise RuntimeError(f"git {words[0]}: {done.stderr.strip()}")
-    return done.stdout if done.returncode == 0 else str(wrong)
+def _git(*words: str) -> str:
+    try:
+        return subprocess.check_output(["git", *words], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    except (subprocess.CalledProcessError, OSError) as error:
+        about = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[0]
+        raise SwarmError(
+            f"git {words[0]} in {ROOT}: {about}; results name a commit: use a clone of the project"
+        ) from error
 
 
 @cache
@@ -111,6 +125,8 @@ def _next(path: Path) -> tuple[Path, ...]:
 def _modules(tree: ast.AST) -> Iterator[str]:
     """The modules that a module may import: by a statement, or by a text that is such a name."""
     if isinstance(tree, ast.If) and ast.unparse(tree.test) == "TYPE_CHECKING":
+        for other in tree.orelse:
+            yield from _modules(other)
         return
     if isinstance(tree, ast.Import):
         yield from (one.name for one in tree.names)
@@ -132,6 +148,8 @@ def _files_of(module: str) -> Iterator[Path]:
     names = module.split(".")
     if names[0] not in _OURS or module.startswith(__package__):
         return
+    if module in _LISTING:
+        yield from ROOT.glob(_LISTING[module])
     for count in range(1, len(names) + 1):
         some = names[:count]
         folder = ROOT.joinpath(

@@ -48,7 +48,8 @@ def test_runs_of_other_sources_are_kept_elsewhere(monkeypatch: pytest.MonkeyPatc
     one = kept.kept_folder("paper")
     assert one == kept.kept_folder("paper")
     assert one.parent == Path("build/paper")
-    monkeypatch.setattr(kept, "digest_of_code", lambda folder: f"other {folder}")
+    assert kept.kept_folder("learning").name != one.name
+    monkeypatch.setattr(kept, "digest_of", lambda modules: f"other of {modules}")
     assert kept.kept_folder("paper") != one
 
 

@@ -102,6 +102,62 @@ def test_a_night_runs_what_has_changed_and_writes_files_and_pages(checkout: Path
     made = msgspec.json.decode((checkout / "docs/beta.json").read_bytes())
     assert made["parts"]["beta_left"][-1] == "| 2 |"
     assert made["made_with"]["commit"] == f"{head}, with changes"
+    assert "1 jobs to do" in night(checkout, "--plan", "--all").stdout
+
+
+def test_a_plan_needs_no_git_and_no_history_and_results_do(checkout: Path) -> None:
+    assert night(checkout).returncode == 0
+    file = checkout / "docs/beta.json"
+    made = msgspec.json.decode(file.read_bytes())
+    made["made_with"] |= {"commit": "0123456789", "digest": "of others"}
+    file.write_bytes(msgspec.json.encode(made))
+    assert "git does not know" in night(checkout, "--plan", "beta").stdout
+    shutil.rmtree(checkout / ".git")
+    assert "git does not know" in night(checkout, "--plan", "beta").stdout
+    refused = night(checkout)
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("error: git")
+    assert len(refused.stderr.splitlines()) == 1
+    file.write_bytes(file.read_bytes()[:40])
+    refused = night(checkout, "--plan")
+    assert refused.returncode == 1
+    assert "docs/beta.json" in refused.stderr
+    assert len(refused.stderr.splitlines()) == 1
+
+
+def test_a_bad_verdict_is_kept_and_what_is_not_whole_is_not(checkout: Path) -> None:
+    (checkout / "fail").touch()
+    with (checkout / "studies/night/jobs.py").open("a") as file:
+        file.write('JOBS = (Job("beta", "docs", ("-m", "studies.beta"), 1.0, (), True),)\n')
+    done = night(checkout)
+    assert done.returncode == 1
+    assert "beta: its table has a fault" in done.stderr
+    assert (checkout / "docs/page.md").read_text().count("\nright\n") == 1
+    (checkout / "docs/beta.json").unlink()
+    (checkout / "studies/beta.py").write_text("")
+    assert "beta failed" in night(checkout).stderr
+    assert not (checkout / "docs/beta.json").exists()
+    (checkout / "studies/beta.py").write_text('print("no page has it")')
+    assert night(checkout).returncode == 1
+
+
+def test_pages_have_the_parts_before_the_file_exists(checkout: Path) -> None:
+    # Without its folder the file cannot be written.
+    with (checkout / "studies/night/jobs.py").open("a") as file:
+        file.write('JOBS = (Job("beta", "none", ("-m", "studies.beta"), 1.0),)\n')
+    assert f"{checkout}/none" in night(checkout).stderr
+    assert "\nright\n" in (checkout / "docs/page.md").read_text()
+
+
+def test_a_plan_without_a_reader_ends_quietly(checkout: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "studies.night", "--plan"]
+    done = subprocess.run(
+        command, cwd=checkout, stdout=writer, stderr=subprocess.PIPE, text=True, check=False
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (-signal.SIGPIPE, "")
 
 
 def test_a_job_that_fails_or_is_killed_keeps_nothing_and_runs_again(checkout: Path) -> None:
@@ -117,12 +173,33 @@ def test_a_job_that_fails_or_is_killed_keeps_nothing_and_runs_again(checkout: Pa
         command, cwd=checkout, stdin=subprocess.PIPE, start_new_session=True
     ) as running:
         wait_until(lambda: log.exists() and "waits" in log.read_text(), "the job")
+        second = night(checkout)
+        assert second.returncode == 1
+        assert "another night" in second.stderr
         os.killpg(running.pid, signal.SIGKILL)
     assert not (checkout / "docs/beta.json").exists()
     assert (checkout / "docs/page.md").read_text() == PAGE
     (checkout / "wait").unlink()
     assert night(checkout).returncode == 0
     assert (checkout / "docs/beta.json").exists()
+
+
+def test_a_job_whose_sources_change_meanwhile_keeps_nothing(checkout: Path) -> None:
+    (checkout / "wait").touch()
+    log = checkout / "build/night/beta.log"
+    with subprocess.Popen(
+        [sys.executable, "-m", "studies.night"],
+        cwd=checkout,
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
+        wait_until(lambda: log.exists() and "waits" in log.read_text(), "the job")
+        (checkout / "studies/gamma.py").write_text("VALUE = 2\n")
+        _, told = running.communicate()
+    assert running.returncode == 1
+    assert "changed while it ran" in told
+    assert not (checkout / "docs/beta.json").exists()
 
 
 @pytest.mark.parametrize(
@@ -172,8 +249,35 @@ def test_a_platform_a_scenario_and_a_pattern_that_a_study_names_are_sources() ->
         "swarmd/protection/barrier.py",
         "swarmd/sensing/ray_memory.py",
     } <= names
+    assert "config/scenarios/paper_exp1_jackal.yaml" in names
     assert "patterns/foraging/pattern.py" not in names
     assert not [name for name in names if name.startswith(("swarmd/cli", "swarmd/daemon", "tests"))]
+
+
+def test_tasks_that_a_study_lists_and_its_control_are_sources() -> None:
+    names = {path.relative_to(ROOT) for path in sources_of(["studies.benchmark_suite"])}
+    tasks = ROOT.glob("config/scenarios/benchmark/*.yaml")
+    assert {path.relative_to(ROOT) for path in tasks} <= names
+    assert {Path("patterns/foraging/pattern.py"), Path("studies/stand.py")} <= names
+    assert ROOT / "studies/stand.py" in sources_of(["studies.tuning"])
+
+
+def test_no_job_takes_runs_of_a_folder_that_other_sources_share() -> None:
+    assert [job.command for job in JOBS if "build/" in job.command] == []
+
+
+def test_imports_for_types_alone_are_no_sources_and_those_in_their_place_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sources, "ROOT", tmp_path)
+    (tmp_path / "studies").mkdir()
+    text = "if TYPE_CHECKING:\n    import studies.three\nelse:\n    import studies.four\n"
+    for name in ("two", "three", "four"):
+        (tmp_path / f"studies/{name}.py").write_text(text if name == "two" else "")
+    sources.forget()
+    names = {path.name for path in sources_of(["studies.two"])}
+    sources.forget()
+    assert names == {"two.py", "four.py"}
 
 
 def test_a_digest_follows_code_and_not_its_comments(
@@ -204,6 +308,23 @@ def test_shards_have_each_job_once_and_like_loads(count: int) -> None:
     assert sorted(job.name for shard in shards for job in shard) == [job.name for job in jobs]
     loads = [sum(job.minutes for job in shard) for shard in shards]
     assert max(loads) <= sum(loads) / count + 9
+
+
+class Measured(Job, frozen=True):
+    """A job that took another time than was thought."""
+
+    @property
+    def estimate(self) -> float:
+        return 20.0 - self.minutes
+
+
+def test_shards_stay_the_same_once_jobs_are_measured() -> None:
+    shards = [
+        [job.name for job in share([kind(f"j{n}", "", (), float(n)) for n in range(7)], 1, 2)]
+        for kind in (Job, Measured)
+    ]
+    assert shards[0] == shards[1]
+    assert share(JOBS, 10**12, 10**12) == []
 
 
 def test_each_kept_part_stands_on_a_page_as_its_file_says() -> None:
