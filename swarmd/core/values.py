@@ -470,6 +470,9 @@ PLACES_BY_SIGHT = frozenset({"neighbors.distance", "neighbors.bearing"})
 PLACES_BY_POSE = PLACES_BY_SIGHT | {"neighbors.heading"}
 """What patterns get of each peer whose pose, as the own one, is known in one shared frame."""
 
+KIN = "kin"
+"""What a platform provides that learns the places of its peers by their motion (`swarmd/kin/`)."""
+
 POSE_OPTIONS = ("shared_pose", "pose_frame")
 """Options by which drivers give the pose in a shared frame; each driver has one of them or none."""
 
@@ -489,6 +492,7 @@ _INPUTS = (
     "neighbors.distance",
     "neighbors.bearing",
     "neighbors.heading",
+    KIN,
     "gripper",
 )
 _READING = "reading:"
@@ -499,6 +503,12 @@ def input_fault(word: str) -> str:
     is_reading = word.startswith(_READING) and word.removeprefix(_READING).isidentifier()
     known = word in _INPUTS or is_reading
     return "" if known else unknown("input", word, (*_INPUTS, f"{_READING}<name>"))
+
+
+def has_places(platform: Platform) -> bool:
+    """True if the robot has distance and bearing of all peers; by kin it has those of some."""
+    by_kin_alone = KIN in platform.provides and not {"pose", "detections"} & platform.provides
+    return platform.provides >= PLACES_BY_SIGHT and not by_kin_alone
 
 
 def lacks_text(needs: frozenset[str], platform: Platform) -> str:

@@ -18,8 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from swarmd.kin.told import wrapped
-
 MOST_SCORE = 16.0
 """A hypothesis that is wrong after all, or whose odometry has slipped, must fall within seconds."""
 _NEWS = 0.15  # m of motion after which a sight says something new
@@ -217,3 +215,8 @@ def _distance(dx: float, dy: float, xx: float, xy: float, yy: float) -> float:
         return math.inf
     far = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
     return far if far <= _GATE else math.inf
+
+
+def wrapped(angle: float) -> float:
+    """The angle in rad within -pi to pi."""
+    return math.remainder(angle, math.tau)

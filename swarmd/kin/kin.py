@@ -1,7 +1,7 @@
 """Kin: which tracked object is which peer, from the scans and the odometry of robots alone. Pure.
 
-Robots tell each other their odometry and the narrow objects that they see (`told.py`). For each
-peer there are up to _MOST_HYPOTHESES poses in the frame of the own odometry (`hypothesis.py`):
+Robots tell each other their odometry and the narrow objects that they see (`core/told.py`). For
+each peer there are up to _MOST_HYPOTHESES poses in the frame of the own odometry (`hypothesis.py`):
 
 1. *Mutual sight* begins one: the peer tells an object at the distance at which the own robot tracks
    one. Both bearings give the yaw between the frames. (Mutual localisation by range and bearing
@@ -33,19 +33,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from msgspec import Struct
+import numpy as np
+from msgspec.structs import replace
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.odometry_trail import ANEW, NEXT
-from swarmd.core.values import MAX_SPEED, MAX_STEP, Odometry, Pose
-from swarmd.kin.hypothesis import Hypothesis
+from swarmd.core.told import MOST_OBJECTS, UNIT, Told, tell
+from swarmd.core.values import MAX_SPEED, MAX_STEP, Neighbor, Odometry, Pose, Scan
+from swarmd.kin.hypothesis import Hypothesis, wrapped
 from swarmd.kin.path_fit import PathFit
-from swarmd.kin.told import MOST_OBJECTS, Told, in_units, tell, wrapped
 
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
-SECTORS = 72
-"""Directions in each of which `observe` is handed how far the rays of a scan are free."""
+_SECTORS = 72  # directions, of each of which it is known how far the rays of a scan are free
 MOST_PEERS = 24
 MOST_TRACKS = 24
 _MOST_HYPOTHESES = 8  # of one peer
@@ -53,6 +53,9 @@ _MEMORY = 16  # places of a track that are kept: 3 s at 5 Hz
 _MOST_GAP = 1.5  # s between two messages, or two scans, between which a place is interpolated
 _MOST_AHEAD = 0.4  # s for which a place is extrapolated
 _SILENCE = 10.0  # s after which a silent peer is forgotten
+MOVING_PERIOD, RESTING_PERIOD = 0.2, 1.0  # s between two messages
+_EARLY = 0.05  # s by which a scan may come early
+_MOVED = 0.01  # m and rad that are a motion
 _AHEAD_MEMORY = 0.01  # s/s by which the least delay of messages is forgotten
 # Beginning of a pose.
 _SAME_DISTANCE = 0.10  # m between both measured distances of a mutual sight
@@ -85,31 +88,6 @@ _STILL_TIME = 2.0  # s
 _OWN_WAY = 0.3  # m
 _CLEARED = 0.35  # m by which a peer has moved that cannot be a track that stands
 _ELSEWHERE = 0.5  # m
-
-
-class Sight(Struct, frozen=True):
-    """A track with its name: a peer's id, NO_ROBOT, or None for unknown."""
-
-    track: int
-    name: str | None
-
-
-class Peer(Struct, frozen=True):
-    """Where a peer is, in the base frame: of its visible middle from the own visible middle.
-
-    `track`: the track that is the peer; None while it is not in sight. `age`: s since a scan last
-    showed it. `error` (m), `bearing_error`, `heading_error`: standard deviations.
-    """
-
-    id: str
-    distance: float
-    bearing: float
-    heading: float
-    age: float
-    track: int | None
-    error: float
-    bearing_error: float
-    heading_error: float
 
 
 class _Track:
@@ -184,8 +162,8 @@ class _Peer:
 
         The delay of messages varies: of all clock differences the least counts.
         """
-        stamp = in_units(told.stamp)
-        delay = now - in_units(told.age) - stamp
+        stamp = told.stamp * UNIT
+        delay = now - stamp
         if not -_MOST_GAP < delay - self.delay < _MOST_GAP:  # the first, or a clock was set
             self.delay = delay
         waited = max(now - self.heard_at, 0.0) if self.heard_at > -math.inf else 0.0
@@ -196,11 +174,13 @@ class _Peer:
 class Kin:
     """Names the tracks of one robot."""
 
-    def __init__(self, id: str, middle: float = 0.0) -> None:
-        """`middle`: m by which the middle of what others see lies ahead of the axle."""
-        self._id, self._middle = id, middle
+    def __init__(self, middle: float = 0.0, resets: int = 0) -> None:
+        """`middle`: m by which the middle of what others see lies ahead of the axle.
+
+        `resets`: the first number that marks the frame of the odometry; another one in each life.
+        """
+        self._middle, self._resets = middle, resets
         self._trail = load_kernel("swarmd.core.odometry_trail").OdometryTrail()
-        self._resets = 0
         self._shift = 0.0  # s, of the odometry's clock less the robot's
         self._last: Pose | None = None
         self._way = 0.0  # m that the own middle has travelled
@@ -208,6 +188,8 @@ class Kin:
         self._seen_at = -math.inf  # s, of the last scan
         self._free: Sequence[float] = ()
         self._peers: dict[str, _Peer] = {}
+        self._told_at = -math.inf  # s, of the last message, and the pose in it
+        self._told_pose = Pose()
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in an own reading. A jump moves the frame: all is forgotten."""
@@ -226,19 +208,13 @@ class Kin:
             self._way += math.hypot(pose.x - self._last.x, pose.y - self._last.y)
         self._last = pose
 
-    def observe(
-        self, tracks: Iterable[tuple[int, float, float]], free: Sequence[float], now: float
-    ) -> None:
-        """Take in the tracks after a scan.
-
-        `tracks`: id, x, y in the base frame at `now`. `free`: of each of SECTORS directions from
-        the bearing -pi on, the least range of the scan; inf without a return.
-        """
+    def observe(self, tracks: Iterable[tuple[int, float, float]], scan: Scan, now: float) -> None:
+        """Take in a scan and the tracks after it: id, x, y in the base frame at `now`."""
         if self._last is None:
             return
         own = self._pose(now)
         c, s = math.cos(own.yaw), math.sin(own.yaw)
-        places = {}
+        places: dict[int, tuple[float, float]] = {}
         for id, x, y in tracks:
             if len(places) < MOST_TRACKS:
                 x -= self._middle
@@ -246,37 +222,39 @@ class Kin:
         self._tracks = {id: self._tracks.get(id) or _Track() for id in places}
         for id, (x, y) in places.items():
             self._tracks[id].add(now, x, y, self._way)
-        self._free, self._seen_at = free, now
+        self._free, self._seen_at = _free_of(scan), now
 
-    def tell(self, stamp: float, now: float) -> Told | None:
-        """The message of this robot; None before the first reading and scan.
+    def tell(self, now: float, *, asks: bool) -> Told | None:
+        """The message of this robot, after `observe`; None if it is not due yet.
 
-        `stamp`: s on the own clock at which pose and objects are told, at most `now`.
+        `asks`: this robot runs a pattern that needs the places of its peers.
         """
         if self._last is None:
             return None
-        own = self._pose(stamp)
+        own, before = self._pose(now), self._told_pose
+        moved = math.hypot(own.x - before.x, own.y - before.y) + abs(own.yaw - before.yaw)
+        if now - self._told_at < (MOVING_PERIOD if moved > _MOVED else RESTING_PERIOD) - _EARLY:
+            return None
+        self._told_at, self._told_pose = now, own
         seen = []
         for track in self._tracks.values():
-            place = track.at(stamp)
-            if place is not None:
-                dx, dy = place[0] - own.x, place[1] - own.y
-                seen.append((math.hypot(dx, dy), wrapped(math.atan2(dy, dx) - own.yaw)))
-        pose = (own.x, own.y, wrapped(own.yaw))
-        return tell(self._id, self._resets, stamp, now - stamp, pose, seen)
+            _, x, y = track.places[-1]
+            dx, dy = x - own.x, y - own.y
+            seen.append((math.hypot(dx, dy), wrapped(math.atan2(dy, dx) - own.yaw)))
+        return tell(self._resets, now, (own.x, own.y, wrapped(own.yaw)), seen, asks=asks)
 
-    def hear(self, told: Told, now: float) -> None:
-        """Take in the message of a peer."""
-        if told.id == self._id or not told.is_valid or self._last is None:
+    def hear(self, id: str, told: Told, now: float) -> None:
+        """Take in the message of the peer `id`."""
+        if self._last is None:
             return
-        peer = self._peers.get(told.id)
+        peer = self._peers.get(id)
         if peer is None:
             self._forget_silent(now)
             if len(self._peers) >= MOST_PEERS:
                 return
-            peer = self._peers[told.id] = _Peer()
-        stamp = in_units(told.stamp)
-        pose = Pose(in_units(told.x), in_units(told.y), in_units(told.yaw))
+            peer = self._peers[id] = _Peer()
+        stamp = told.stamp * UNIT
+        pose = Pose(told.x * UNIT, told.y * UNIT, told.yaw * UNIT)
         gap = stamp - peer.stamp
         way = math.hypot(pose.x - peer.told.x, pose.y - peer.told.y)
         if -_MOST_GAP < gap <= 0.0:  # late, or twice
@@ -288,53 +266,60 @@ class Kin:
             and way <= MAX_STEP + MAX_SPEED * gap
         )
         if is_next:
-            self._move(told.id, peer, pose, time, gap)
+            self._move(id, peer, pose, time, gap)
         else:
             peer.hypotheses.clear()
             peer.twist = (0.0, 0.0, 0.0)
             for track in self._tracks.values():
-                track.forget(told.id)
+                track.forget(id)
         peer.resets, peer.stamp, peer.heard_at = told.resets, stamp, now
         peer.time, peer.told = time, pose
-        self._compare(told, peer, time, gap)
+        self._compare(id, told, peer, time, gap)
 
-    def sights(self, now: float) -> tuple[Sight, ...]:
-        """The tracks with their names."""
+    def names(self, now: float) -> dict[int, str | None]:
+        """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""
         named = {track: id for id, track in self._matches(now).items()}
-        return tuple(
-            Sight(id, named.get(id) or (NO_ROBOT if self._stands(track, now) else None))
+        return {
+            id: named.get(id) or (NO_ROBOT if self._stands(track, now) else None)
             for id, track in self._tracks.items()
-        )
+        }
 
-    def peers(self, now: float) -> tuple[Peer, ...]:
-        """The peers whose pose is confirmed."""
-        own, found, matches = self._pose(now), [], self._matches(now)
-        for id, peer in self._peers.items():
-            best = peer.confirmed
-            if best is None or now - peer.heard_at > _SILENCE:
-                continue
-            x, y, yaw = _expected(peer, best, now)
-            track = matches.get(id)
-            if track is not None:
-                x, y = self._tracks[track].places[-1][1:]
-            dx, dy = x - own.x, y - own.y
-            distance = math.hypot(dx, dy)
-            error = best.sd
-            age = now - (self._seen_at if track is not None else best.seen_at)
-            found.append(
-                Peer(
-                    id,
-                    distance,
-                    wrapped(math.atan2(dy, dx) - own.yaw),
-                    wrapped(yaw - own.yaw),
-                    age,
-                    track,
-                    error,
-                    math.atan2(error, distance),
-                    math.sqrt(best.tt),
-                )
-            )
-        return tuple(found)
+    def complete(self, neighbors: Iterable[Neighbor], now: float) -> tuple[Neighbor, ...]:
+        """The neighbors; those whose pose is confirmed with what is not known of them otherwise.
+
+        Distance and bearing are from the own axle to the visible middle of the peer. `age`: s since
+        a scan last showed it. `error`: two standard deviations of the place.
+        """
+        own, matches = self._trail.pose_at(now + self._shift), self._matches(now)
+        return tuple([self._completed(one, own, matches, now) for one in neighbors])
+
+    def _completed(
+        self, known: Neighbor, own: Pose, matches: Mapping[str, int], now: float
+    ) -> Neighbor:
+        peer = self._peers.get(known.id)
+        best = None if peer is None else peer.confirmed
+        if peer is None or best is None or now - peer.heard_at > _SILENCE:
+            return known
+        x, y, yaw = _expected(peer, best, now)
+        seen_at, track = best.seen_at, matches.get(known.id)
+        if track is not None:
+            seen_at = self._seen_at
+            _, x, y = self._tracks[track].places[-1]
+        dx, dy = x - own.x, y - own.y
+        bearing, heading = wrapped(math.atan2(dy, dx) - own.yaw), wrapped(yaw - own.yaw)
+        bearing = bearing if known.bearing is None else known.bearing
+        heading = heading if known.heading is None else known.heading
+        if known.distance is not None:
+            return replace(known, bearing=bearing, heading=heading)
+        return Neighbor(
+            known.id,
+            max(now - seen_at, 0.0),
+            math.hypot(dx, dy),
+            bearing,
+            heading,
+            known.in_reach,
+            2.0 * best.sd,
+        )
 
     def _pose(self, time: float) -> Pose:
         """The pose of the own visible middle."""
@@ -376,23 +361,23 @@ class Kin:
             if math.hypot(pose.x - x, pose.y - y) > _CLEARED:
                 track.cleared.add(id)
 
-    def _compare(self, told: Told, peer: _Peer, time: float, gap: float) -> None:
+    def _compare(self, id: str, told: Told, peer: _Peer, time: float, gap: float) -> None:
         """Compare the poses of a peer with the tracks, and with what it tells; begin new poses."""
         own = self._pose(time)
         here = [
-            (id, place)
-            for id, track in self._tracks.items()
-            if not track.is_other(told.id) and (place := track.at(time)) is not None
+            (number, place)
+            for number, track in self._tracks.items()
+            if not track.is_other(id) and (place := track.at(time)) is not None
         ]
         places = [place for _, place in here]
-        objects = [(in_units(d), in_units(b)) for d, b in told.objects]
+        objects = [(d * UNIT, b * UNIT) for d, b in told.objects]
         offsets = [(d * math.cos(b), d * math.sin(b)) for d, b in objects]
         for one in peer.hypotheses:
             self._judge(one, peer, own, time, gap, places, offsets)
         for track, place in here:
-            self._begin(told.id, peer, own, track, place, objects)
+            self._begin(id, peer, own, track, place, objects)
         self._rank(peer, time)
-        self._agree(told.id, peer, time, offsets)
+        self._agree(id, peer, time, offsets)
 
     def _judge(
         self,
@@ -429,7 +414,7 @@ class Kin:
         if not self._free:
             return False
         bearing = wrapped(math.atan2(one.y - own.y, one.x - own.x) - own.yaw)
-        sector = int((bearing + math.pi) / math.tau * SECTORS) % SECTORS
+        sector = int((bearing + math.pi) / math.tau * _SECTORS) % _SECTORS
         return self._free[sector] > distance + _SEEN_MOST
 
     def _begin(
@@ -578,6 +563,15 @@ class Kin:
             if math.hypot(x - track.still_at[0], y - track.still_at[1]) < _ELSEWHERE:
                 return False
         return True
+
+
+def _free_of(scan: Scan) -> list[float]:
+    """Of each of _SECTORS directions from the bearing -pi on, the least range; inf without one."""
+    free = np.full(_SECTORS, math.inf)
+    use = np.isfinite(scan.ranges)
+    sectors = ((scan.bearings[use] + math.pi) / math.tau * _SECTORS).astype(int) % _SECTORS
+    np.minimum.at(free, sectors, scan.ranges[use])
+    return list(free.tolist())
 
 
 def _expected(peer: _Peer, pose: Hypothesis, now: float) -> tuple[float, float, float]:

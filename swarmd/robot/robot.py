@@ -32,9 +32,10 @@ from swarmd.core.messages import (
     Status,
     Tracks,
 )
+from swarmd.core.told import Told
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
 from swarmd.protection.compatibility import Accepts
-from swarmd.protection.decision import Decision
+from swarmd.protection.decision import Decision, DecisionContext
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.message_limits import EventLimit
@@ -374,6 +375,23 @@ class Robot(Ticker):
         """The latest conditioned scan."""
         return self._sensors.scan
 
+    def _share(self, context: DecisionContext, asks: bool) -> Told | None:
+        """Name the tracks after a new scan; the message to peers that is due, or None.
+
+        `asks`: the running pattern needs the places of peers.
+        """
+        sensors, steering, now = self._sensors, self._steering, context.now
+        if asks:
+            sensors.ask_kin(now)
+        sensors.end_kin(now)
+        kin, scan = sensors.kin, sensors.scan
+        steering.follows = kin is not None
+        if kin is None or scan is None:
+            return None
+        tracks = steering.tracks(context) or ()
+        kin.observe([(track.id, track.x, track.y) for track in tracks], scan, now)
+        return kin.tell(now, asks=asks)
+
     def _log_protection(self, now: float) -> None:
         events = self._protection.events
         while events:
@@ -452,6 +470,7 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.DriverInput: Robot._on_driver,
     events.MessageInput: Robot._on_message,
     events.PeersInput: Robot._on_peers,
+    events.KinInput: lambda robot, one, now: robot._sensors.on_kin(one.robot, one.told, now),
     events.PlaceInput: lambda robot, one, now: robot._sensors.on_place(one.place, now),
     # Pattern host, operators and peers
     events.LatchesInput: _settled(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 class MovingObject(Protocol):
     """A tracked object: place (m), velocity (m/s) and radius (m) in the frame of the robot."""
 
+    id: int
     x: float
     y: float
     vx: float
@@ -28,6 +29,9 @@ class Steers(Protocol):
 
     It cannot weaken protection, which judges what is asked like any request.
     """
+
+    follows: bool
+    """objects are tracked also without avoidance"""
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
@@ -46,7 +50,7 @@ class Steers(Protocol):
         """The decision of protection on the request, or on what is asked in its place."""
 
     def tracks(self, context: DecisionContext) -> Iterable[MovingObject] | None:
-        """The moving objects that are avoided; None while nothing is."""
+        """The tracked objects; None while nothing is tracked."""
 
 
 MakeSteering: TypeAlias = "Callable[[Platform, Protection, str], Steers]"

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Odometry, Pose, Scan
-from swarmd.kin.kin import NO_ROBOT, SECTORS, Kin
-from swarmd.kin.told import Told
+from swarmd.core.told import Told
+from swarmd.core.values import Array, Neighbor, Odometry, Scan
+from swarmd.kin.kin import NO_ROBOT, Kin
 from swarmd.protection.decision import DecisionContext
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -58,7 +58,7 @@ class Record:
 def record(scenario: Scenario, seed: int) -> Record:
     """Simulate a run, and record the inputs of its robots."""
     run = Lockstep(scenario, seed)
-    pillars = tuple((*pole.at, pole.radius) for pole in scenario.arena.poles)
+    pillars = tuple((pole.x, pole.y, pole.radius) for pole in scenario.arena.poles)
     made = Record(tuple(run.world.ids), [[] for _ in run.world.ids], [], pillars)
     newest: list[Scan | None] = [None] * len(made.ids)
     while run.world.time < scenario.duration - 1e-9:
@@ -113,7 +113,7 @@ def play(
     made: Record,
     counts: Counts,
     seed: int,
-    make: Callable[[str, float], Kin] = Kin,
+    make: Callable[[float], Kin] = Kin,
     change: Callable[[Told], Told] = lambda told: told,
     counted: Callable[[int, int], bool] = lambda viewer, seen: True,
 ) -> list[Kin]:
@@ -125,9 +125,8 @@ def play(
     n = len(made.ids)
     rng = np.random.default_rng(seed)
     trackers = [load_kernel("swarmd.steering.tracks").Tracker(platform) for _ in range(n)]
-    kins = [make(id, MIDDLE) for id in made.ids]
-    told_at, told_pose = [-9.0] * n, [Pose(9e9)] * n
-    air: list[tuple[float, int, Told]] = []
+    kins = [make(MIDDLE) for _ in made.ids]
+    air: list[tuple[float, int, int, int, Told]] = []
     for instant, truth in enumerate(made.truth):
         for row in range(n):
             poll = made.polls[row][instant]
@@ -151,32 +150,18 @@ def play(
                 DecisionContext(poll.now, odometry_age=poll.odometry_age)
             )
             tracks = [(track.id, track.x, track.y) for track in around.tracks]
-            kins[row].observe(tracks, free_of(poll.scan), poll.now + clock)
-            pose = poll.odometry.pose
-            before = told_pose[row]
-            moved = math.hypot(pose.x - before.x, pose.y - before.y) + abs(pose.yaw - before.yaw)
-            if moved > 0.01 or poll.now - told_at[row] >= 0.99:
-                told = kins[row].tell(poll.now + clock, poll.now + clock)
-                told_at[row], told_pose[row] = poll.now, pose
-                for other in range(n):
-                    if other != row and told is not None and rng.random() >= _LOSS:
-                        heapq.heappush(air, (poll.now + _DELAY, len(air), other, change(told)))
+            kins[row].observe(tracks, poll.scan, poll.now + clock)
+            told = kins[row].tell(poll.now + clock, asks=True)
+            for other in range(n):
+                if other != row and told is not None and rng.random() >= _LOSS:
+                    heapq.heappush(air, (poll.now + _DELAY, len(air), row, other, change(told)))
             if poll.now > START:
                 _count(made, row, truth, kins[row], poll, tracks, counts, counted)
         now = made.polls[0][instant].now
         while air and air[0][0] <= now:
-            _, _, other, told = heapq.heappop(air)
-            kins[other].hear(told, now + _HOUR * other)
+            _, _, row, other, told = heapq.heappop(air)
+            kins[other].hear(made.ids[row], told, now + _HOUR * other)
     return kins
-
-
-def free_of(scan: Scan) -> list[float]:
-    """Of each of SECTORS directions the least range of a scan."""
-    free = np.full(SECTORS, math.inf)
-    use = np.isfinite(scan.ranges)
-    sectors = ((scan.bearings[use] + math.pi) / math.tau * SECTORS).astype(int) % SECTORS
-    np.minimum.at(free, sectors, scan.ranges[use])
-    return list(free)
 
 
 def _count(
@@ -189,8 +174,9 @@ def _count(
     counts: Counts,
     counted: Callable[[int, int], bool],
 ) -> None:
-    names = {sight.track: sight.name for sight in kin.sights(poll.now + _HOUR * row)}
-    peers = {peer.id: peer for peer in kin.peers(poll.now + _HOUR * row)}
+    names = kin.names(poll.now + _HOUR * row)
+    plain = [Neighbor(id, 0.0) for id in made.ids]
+    peers = {peer.id: peer for peer in kin.complete(plain, poll.now + _HOUR * row)}
     middles = truth[:, :2] + MIDDLE * np.stack([np.cos(truth[:, 2]), np.sin(truth[:, 2])], 1)
     bodies = [(*middles[k], _RADIUS) for k in range(len(middles)) if k != row] + [*made.pillars]
     which = [k for k in range(len(middles)) if k != row]
@@ -223,7 +209,10 @@ def _count(
         counts.named += 1
         counts.right += name == made.ids[which[index]]
         if name == made.ids[which[index]]:
-            peer, dx, dy = peers[name], body[0] - own[0], body[1] - own[1]
+            peer, dx, dy = peers[name], body[0] - x, body[1] - y
+            assert peer.distance is not None
+            assert peer.bearing is not None
+            assert peer.heading is not None
             counts.distance.append(abs(peer.distance - math.hypot(dx, dy)))
             turn = math.atan2(dy, dx) - yaw - peer.bearing
             counts.bearing.append(abs(math.remainder(turn, math.tau)))
