@@ -6,277 +6,371 @@ each peer there are up to _MOST_HYPOTHESES poses in the frame of the own odometr
 1. *Mutual sight* begins one: the peer tells an object at the distance at which the own robot tracks
    one. Both bearings give the yaw between the frames. (Mutual localisation by range and bearing
    without identities: Franchi, Oriolo, Stegagno, IJRR 32(11), 2013.)
-2. *Paths* begin one: the told path, moved rigidly, lies on the path of a track (`path_fit.py`).
-3. Each message moves all poses of its sender by the told motion, and compares them with the tracks,
+2. Each message moves all poses of its sender by the told motion, and compares them with the tracks,
    and with what the peer tells. What fits after motion raises the score, a place that rays cross
    lowers it, and so does a peer that should see the own robot and does not.
-4. The best pose of a peer is *confirmed* once its score is high enough, it has been fitted in both
-   ways or by a path with bends, and no other pose of the peer is nearly as good.
-5. A track where a confirmed pose expects the peer is that peer. A track has one peer, a peer one
+3. The best pose of a peer is *confirmed* once its score is high enough, both robots have moved, and
+   no other pose of the peer is nearly as good.
+4. A track where a confirmed pose expects the peer is that peer. A track has one peer, a peer one
    track. If two peers fit a track, the peer that was confirmed first keeps it; peers confirmed at
    much the same time make it unknown.
-6. A track that stands while the own robot moves is no robot if no peer that was heard can be there:
+5. A track that stands while the own robot moves is no robot if no peer that was heard can be there:
    the peer has moved meanwhile, or its confirmed pose is elsewhere.
 
 What a peer tells moves the poses of this peer alone, so a liar names at most itself.
 
 The source of the objects is `Tracker` (`swarmd/steering/tracks.py`) and not the clusters of a scan:
-its tracks have an identity over time, which the fit of paths needs, they reach further than
-clusters that no nearer object hides, and steering computes them anyway.
+its tracks have an identity over time, by which a track that stands is known, they reach further
+than clusters that no nearer object hides, and steering computes them anyway.
 
 Frames: the frame of the own odometry, unless a name says another. Times: s on the robot's clock.
 Units: m, rad.
+
+A kernel (see `core/kernels.py`), compiled into one library with hypothesis.py.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
-import numpy as np
 from msgspec.structs import replace
 
-from swarmd.core.kernels import load_kernel
-from swarmd.core.odometry_trail import ANEW, NEXT
+from swarmd.core.angles import TURN, angle_between, wrap
+from swarmd.core.buffers import doubles, view
+from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
 from swarmd.core.told import MOST_OBJECTS, UNIT, Told, tell
-from swarmd.core.values import MAX_SPEED, MAX_STEP, Neighbor, Odometry, Pose, Scan
-from swarmd.kin.hypothesis import Hypothesis, wrapped
-from swarmd.kin.path_fit import PathFit
+from swarmd.core.values import Neighbor
+from swarmd.kin.hypothesis import POINT, Hypothesis
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Iterable
+
+    import cython
+
+    from swarmd.core.values import Odometry, Scan
+    from swarmd.steering.tracks import Track
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, atan2, cos, fabs, hypot, isnan, sin
+else:
+    from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, hypot, isnan, sin
 
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
-_SECTORS = 72  # directions, of each of which it is known how far the rays of a scan are free
 MOST_PEERS = 24
 MOST_TRACKS = 24
+# directions, of each of which it is known how far the rays of a scan are free
+_SECTORS = cython.declare(cython.Py_ssize_t, 72)
 _MOST_HYPOTHESES = 8  # of one peer
 _MEMORY = 16  # places of a track that are kept: 3 s at 5 Hz
-_MOST_GAP = 1.5  # s between two messages, or two scans, between which a place is interpolated
-_MOST_AHEAD = 0.4  # s for which a place is extrapolated
-_SILENCE = 10.0  # s after which a silent peer is forgotten
-MOVING_PERIOD, RESTING_PERIOD = 0.2, 1.0  # s between two messages
-_EARLY = 0.05  # s by which a scan may come early
-_MOVED = 0.01  # m and rad that are a motion
-_AHEAD_MEMORY = 0.01  # s/s by which the least delay of messages is forgotten
+# s between two messages, or two scans, between which a place is interpolated
+_MOST_GAP = cython.declare(cython.double, 1.5)
+_MOST_AHEAD = cython.declare(cython.double, 0.4)  # s for which a place is extrapolated
+_SILENCE = cython.declare(cython.double, 10.0)  # s after which a silent peer is forgotten
+_MOVING_PERIOD = cython.declare(cython.double, 0.2)  # s between two messages
+_RESTING_PERIOD = cython.declare(cython.double, 1.0)  # s, at rest
+_EARLY = cython.declare(cython.double, 0.05)  # s by which a scan may come early
+_MOVED = cython.declare(cython.double, 0.01)  # m and rad that are a motion
+# s/s by which the least delay of messages is forgotten
+_AHEAD_MEMORY = cython.declare(cython.double, 0.01)
 # Beginning of a pose.
-_SAME_DISTANCE = 0.10  # m between both measured distances of a mutual sight
-_FIRST_SD = 0.07  # m
-_LEAST_PAIRS = 8.0
-_LEAST_SPREAD = 0.25  # m, of a path that is fitted
-_MOST_RESIDUAL = 0.05  # m
-_OTHER_PATH = 0.12  # m, a residual above which a track is not the peer
-_NEAR, _TURNED = 0.3, 0.4  # m, rad: poses that differ less are one
+# m between both measured distances of a mutual sight
+_SAME_DISTANCE = cython.declare(cython.double, 0.10)
+_FIRST_SD = cython.declare(cython.double, 0.07)  # m
+_TURNED = cython.declare(cython.double, 0.4)  # rad: directions that differ less are one
 # Scores.
-_PATH_SCORE = 2.0  # with which a pose by path begins
-_EMPTY = 1.0  # for a message at which rays cross the place of the peer
-_UNSEEN = 1.0  # for a message in which the peer does not tell the own robot
-_DROPPED = -3.0  # score of a pose that is dropped
-_CONFIRMED = 7.0
-_MARGIN = 4.0  # to the next pose of the peer
-_UNSURE = 1.0  # margin below which a confirmed pose is none any more
-_LEAST_NEWS = 3  # sights, and mutual sights, that a confirmed pose counts
-_LOST = 0.15  # m, standard deviation beyond which a peer that comes back may be another object
-_LEAST_EXTENT = 0.4  # m over which both robots have moved meanwhile
-_FADE = 0.2  # 1/s, while nothing shows the peer
-_REACH = 2.2  # m within which an object that is not hidden is surely tracked
-_FREE_REACH = 3.2  # m within which a ray without a return is free
-_SEEN_MOST = 0.25  # m by which a ray must pass a place to have crossed it
-_AGREED = 1.8  # m within which a peer surely tells a third robot
-_EARLIER = 2.0  # s by which a peer was confirmed earlier that keeps a track
+_EMPTY = cython.declare(cython.double, 1.0)  # a message at which rays cross the place of the peer
+# a message in which the peer does not tell the own robot, or a third
+_UNSEEN = cython.declare(cython.double, 1.0)
+_DROPPED = cython.declare(cython.double, -3.0)  # score of a pose that is dropped
+_CONFIRMED = cython.declare(cython.double, 7.0)
+_MARGIN = cython.declare(cython.double, 4.0)  # to the next pose of the peer
+_UNSURE = cython.declare(cython.double, 1.0)  # margin below which no pose is confirmed any more
+# sights, and mutual sights, that a confirmed pose counts
+_LEAST_NEWS = cython.declare(cython.Py_ssize_t, 3)
+# m, standard deviation beyond which a peer that comes back may be another object
+_LOST = cython.declare(cython.double, 0.15)
+_LEAST_EXTENT = cython.declare(cython.double, 0.4)  # m over which both robots have moved meanwhile
+_FADE = cython.declare(cython.double, 0.2)  # 1/s, while nothing shows the peer
+_REACH = cython.declare(cython.double, 2.2)  # m: what is not hidden is surely tracked
+_FREE_REACH = cython.declare(cython.double, 3.2)  # m within which a ray without a return is free
+_SEEN_MOST = cython.declare(cython.double, 0.25)  # m by which a ray passes a place it has crossed
+_AGREED = cython.declare(cython.double, 1.8)  # m within which a peer surely tells a third robot
+_EARLIER = cython.declare(cython.double, 2.0)  # s: a peer confirmed so much earlier keeps a track
 # Standing tracks.
-_STILL = 0.12  # m
-_STILL_TIME = 2.0  # s
-_OWN_WAY = 0.3  # m
-_CLEARED = 0.35  # m by which a peer has moved that cannot be a track that stands
-_ELSEWHERE = 0.5  # m
+_STILL = cython.declare(cython.double, 0.12)  # m
+_STILL_TIME = cython.declare(cython.double, 2.0)  # s
+_OWN_WAY = cython.declare(cython.double, 0.3)  # m
+_CLEARED = cython.declare(cython.double, 0.35)  # m: a peer that moved so far is no standing track
+_ELSEWHERE = cython.declare(cython.double, 0.5)  # m
 
 
+@cython.final
+@cython.cclass
 class _Track:
-    """The path of one track, and the peers that it cannot be."""
+    """The path of one track, and the peers that it cannot be. `x`, `y`: what `find` has found."""
 
-    __slots__ = ("cleared", "fits", "places", "still_at", "still_since", "still_way", "told_at")
+    x: cython.double
+    y: cython.double
+    places: list[tuple[float, float, float]]  # time, x, y; the last is the newest
+    # Where peers were when the track came to stand; None: the peer has moved since then.
+    told_at: dict[str, tuple[float, float] | None]
+    still_x: cython.double
+    still_y: cython.double
+    still_since: cython.double
+    still_way: cython.double
 
     def __init__(self) -> None:
-        self.places: list[tuple[float, float, float]] = []  # time, x, y
-        self.fits: dict[str, PathFit] = {}
-        self.cleared: set[str] = set()  # peers that have moved while the track stood
-        self.told_at: dict[str, tuple[float, float]] = {}  # where peers were when it came to stand
-        self.still_at = (math.inf, math.inf)
-        self.still_since = self.still_way = 0.0
+        self.places, self.told_at, self.still_x = [], {}, INFINITY
 
-    def add(self, time: float, x: float, y: float, own_way: float) -> None:
+    @cython.cfunc
+    def add(
+        self, time: cython.double, x: cython.double, y: cython.double, own_way: cython.double
+    ) -> cython.int:
         """Add a place. `own_way`: m that the own robot has travelled."""
         self.places.append((time, x, y))
         del self.places[:-_MEMORY]
-        if math.hypot(x - self.still_at[0], y - self.still_at[1]) > _STILL:
-            self.still_at, self.still_since, self.still_way = (x, y), time, own_way
-            self.cleared.clear()
+        if not hypot(x - self.still_x, y - self.still_y) <= _STILL:
+            self.still_x, self.still_y = x, y
+            self.still_since, self.still_way = time, own_way
             self.told_at.clear()
 
-    def forget(self, peer: str) -> None:
-        """Forget what was known of a peer."""
-        self.fits.pop(peer, None)
-        self.told_at.pop(peer, None)
-        self.cleared.discard(peer)
+    @cython.cfunc
+    def note(self, peer: str, x: cython.double, y: cython.double) -> cython.int:
+        """Note where a peer is by its odometry, while the track stands."""
+        at = self.told_at.setdefault(peer, (x, y))
+        if at is not None and hypot(x - at[0], y - at[1]) > _CLEARED:
+            self.told_at[peer] = None
 
-    def at(self, time: float) -> tuple[float, float] | None:
-        """The place at a time; None if the track was not there, or not yet."""
-        later = self.places[-1]
-        if time >= later[0]:
-            return later[1:] if time - later[0] <= _MOST_AHEAD else None
-        for earlier in reversed(self.places[:-1]):
-            if earlier[0] <= time:
-                share = (time - earlier[0]) / (later[0] - earlier[0])
-                x, y = later[1] - earlier[1], later[2] - earlier[2]
-                return earlier[1] + share * x, earlier[2] + share * y
-            later = earlier
-        return None
+    @cython.cfunc
+    def is_other(self, peer: str) -> cython.bint:
+        """True if the peer has moved while the track stood."""
+        return peer in self.told_at and self.told_at[peer] is None
 
-    def is_other(self, peer: str) -> bool:
-        """True if the path of the peer cannot be laid on that of the track."""
-        fit = self.fits.get(peer)
-        return fit is not None and fit.weight >= 3.0 and fit.residual > _OTHER_PATH
+    @cython.cfunc
+    def find(self, time: cython.double) -> cython.bint:
+        """Set `x`, `y` to the place at a time; False if the track was not there, or not yet."""
+        before: cython.double
+        later, x, y = self.places[len(self.places) - 1]
+        self.x, self.y = x, y
+        if time >= later:
+            return time - later <= _MOST_AHEAD
+        for before, x, y in self.places[len(self.places) - 2 :: -1]:
+            if before <= time:
+                share: cython.double = (time - before) / (later - before)
+                self.x, self.y = x + share * (self.x - x), y + share * (self.y - y)
+                return True
+            later, self.x, self.y = before, x, y
+        return False
 
 
+@cython.final
+@cython.cclass
 class _Peer:
-    """What is known of one peer."""
+    """What is known of one peer. `x`, `y`, `yaw`: what `expect` has found."""
 
-    __slots__ = (*("delay", "heard_at", "hypotheses", "resets", "stamp", "time", "told", "twist"),)
+    x: cython.double
+    y: cython.double
+    yaw: cython.double
+    resets: int
+    stamp: cython.double  # s on the clock of the peer
+    delay: cython.double  # s, the least of arrival less stamp: between both clocks
+    heard_at: cython.double  # s, of the last message
+    time: cython.double  # s, of the pose in it
+    told_x: cython.double
+    told_y: cython.double
+    told_yaw: cython.double
+    ahead: cython.double  # m/s, between the last two messages
+    left: cython.double
+    turn: cython.double  # rad/s
+    hypotheses: list[Hypothesis]  # best first
 
     def __init__(self) -> None:
-        self.resets = -1
-        self.stamp = -math.inf  # s on the clock of the peer
-        self.delay = math.inf  # s, the least of arrival less stamp: between both clocks
-        self.heard_at = self.time = -math.inf  # s, of the last message, and of its pose
-        self.told = Pose()
-        self.twist = (0.0, 0.0, 0.0)  # ahead, left, turn in a second
-        self.hypotheses: list[Hypothesis] = []  # best first
+        self.resets, self.hypotheses = -1, []
+        self.stamp = self.heard_at = self.time = -INFINITY
+        self.delay = INFINITY
 
-    @property
-    def confirmed(self) -> Hypothesis | None:
-        """The pose that is confirmed."""
-        best = self.hypotheses[0] if self.hypotheses else None
-        return best if best is not None and best.confirmed_at < math.inf else None
+    @cython.cfunc
+    def confirmed(self, now: cython.double) -> Hypothesis | None:
+        """The pose that is confirmed of a peer that is not silent."""
+        if now - self.heard_at > _SILENCE or not self.hypotheses:
+            return None
+        best: Hypothesis = self.hypotheses[0]
+        return best if best.confirmed_at < INFINITY else None
 
-    def time_of(self, told: Told, now: float) -> float:
+    @cython.cfunc
+    def time_of(self, stamp: cython.double, now: cython.double) -> cython.double:
         """When the pose of a message was measured.
 
         The delay of messages varies: of all clock differences the least counts.
         """
-        stamp = told.stamp * UNIT
-        delay = now - stamp
-        if not -_MOST_GAP < delay - self.delay < _MOST_GAP:  # the first, or a clock was set
+        delay: cython.double = now - stamp
+        if not fabs(delay - self.delay) < _MOST_GAP:  # the first, or a clock was set
             self.delay = delay
-        waited = max(now - self.heard_at, 0.0) if self.heard_at > -math.inf else 0.0
-        self.delay = min(self.delay + _AHEAD_MEMORY * waited, delay)
+        else:
+            self.delay += _AHEAD_MEMORY * max(now - self.heard_at, 0.0)
+        self.delay = min(self.delay, delay)
         return stamp + self.delay
 
+    @cython.cfunc
+    def expect(self, pose: Hypothesis, now: cython.double) -> cython.int:
+        """Set the pose to that of a hypothesis, moved on at the told speed."""
+        seconds: cython.double = min(max(now - self.time, 0.0), _MOST_AHEAD)
+        c: cython.double = cos(pose.yaw + 0.5 * self.turn * seconds)
+        s: cython.double = sin(pose.yaw + 0.5 * self.turn * seconds)
+        self.x = pose.x + (c * self.ahead - s * self.left) * seconds
+        self.y = pose.y + (s * self.ahead + c * self.left) * seconds
+        self.yaw = pose.yaw + self.turn * seconds
 
+
+@cython.final
+@cython.cclass
 class Kin:
-    """Names the tracks of one robot."""
+    """Names the tracks of one robot. `_x`, `_y`, `_yaw`: the pose that `_set_own` has set."""
 
-    def __init__(self, middle: float = 0.0, resets: int = 0) -> None:
+    _middle: cython.double
+    _resets: cython.longlong
+    _trail: OdometryTrail
+    _shift: cython.double  # s, of the odometry's clock less the robot's
+    _x: cython.double
+    _y: cython.double
+    _yaw: cython.double
+    _last_x: cython.double  # the own middle at the last reading
+    _last_y: cython.double
+    _way: cython.double  # m that it has travelled
+    _tracks: dict[int, _Track]
+    _seen_at: cython.double  # s, of the last scan
+    _free: cython.double[::1]  # of each direction from -pi on, m to the nearest return
+    _peers: dict[str, _Peer]
+    _told_at: cython.double  # s, of the last message, and the pose in it
+    _told_x: cython.double
+    _told_y: cython.double
+    _told_yaw: cython.double
+    # Points: of tracks at the time of a message, and of the objects in it, seen from the peer.
+    _places: cython.double[::1]
+    _objects: cython.double[::1]
+
+    def __init__(self, middle: cython.double = 0.0, resets: cython.longlong = 0) -> None:
         """`middle`: m by which the middle of what others see lies ahead of the axle.
 
         `resets`: the first number that marks the frame of the odometry; another one in each life.
         """
         self._middle, self._resets = middle, resets
-        self._trail = load_kernel("swarmd.core.odometry_trail").OdometryTrail()
-        self._shift = 0.0  # s, of the odometry's clock less the robot's
-        self._last: Pose | None = None
-        self._way = 0.0  # m that the own middle has travelled
-        self._tracks: dict[int, _Track] = {}
-        self._seen_at = -math.inf  # s, of the last scan
-        self._free: Sequence[float] = ()
-        self._peers: dict[str, _Peer] = {}
-        self._told_at = -math.inf  # s, of the last message, and the pose in it
-        self._told_pose = Pose()
+        self._trail, self._tracks, self._peers = OdometryTrail(), {}, {}
+        self._seen_at = self._told_at = -INFINITY
+        self._free = doubles(_SECTORS)
+        self._places, self._objects = doubles(POINT * MOST_TRACKS), doubles(POINT * MOST_OBJECTS)
 
-    def on_odometry(self, odometry: Odometry, now: float) -> None:
+    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
         """Take in an own reading. A jump moves the frame: all is forgotten."""
-        taken = self._trail.take(odometry)
-        if taken not in (NEXT, ANEW):
+        is_first: cython.bint = self._trail.count == 0
+        taken: cython.int = self._trail.take(odometry)
+        if taken != NEXT and taken != ANEW:
             return
+        peer: _Peer
         if taken == ANEW:
             self._resets += 1
-            self._tracks.clear()
-            self._last = None
+            self._tracks = {}
             for peer in self._peers.values():
-                peer.hypotheses.clear()
+                peer.hypotheses = []
         self._shift = odometry.stamp - now
-        pose = self._pose(now)
-        if self._last is not None:
-            self._way += math.hypot(pose.x - self._last.x, pose.y - self._last.y)
-        self._last = pose
+        self._set_own(now)
+        if not is_first:
+            self._way += hypot(self._x - self._last_x, self._y - self._last_y)
+        self._last_x, self._last_y = self._x, self._y
 
-    def observe(self, tracks: Iterable[tuple[int, float, float]], scan: Scan, now: float) -> None:
-        """Take in a scan and the tracks after it: id, x, y in the base frame at `now`."""
-        if self._last is None:
+    def observe(self, tracks: Iterable[Track], scan: Scan, now: cython.double) -> None:
+        """Take in a scan, and the tracks after it in the base frame at `now`."""
+        if self._trail.count == 0:
             return
-        own = self._pose(now)
-        c, s = math.cos(own.yaw), math.sin(own.yaw)
-        places: dict[int, tuple[float, float]] = {}
-        for id, x, y in tracks:
-            if len(places) < MOST_TRACKS:
-                x -= self._middle
-                places[id] = (own.x + c * x - s * y, own.y + s * x + c * y)
-        self._tracks = {id: self._tracks.get(id) or _Track() for id in places}
-        for id, (x, y) in places.items():
-            self._tracks[id].add(now, x, y, self._way)
-        self._free, self._seen_at = _free_of(scan), now
+        self._set_own(now)
+        c: cython.double = cos(self._yaw)
+        s: cython.double = sin(self._yaw)
+        known, self._tracks = self._tracks, {}
+        for seen in tracks:
+            if len(self._tracks) == MOST_TRACKS:
+                break
+            x: cython.double = seen.x - self._middle
+            y: cython.double = seen.y
+            track: _Track = known.get(seen.id) or _Track()
+            track.add(now, self._x + c * x - s * y, self._y + s * x + c * y, self._way)
+            self._tracks[seen.id] = track
+        self._seen_at = now
+        ranges: cython.double[::1] = view(scan.ranges)
+        bearings: cython.double[::1] = view(scan.bearings)
+        i: cython.Py_ssize_t
+        for i in range(_SECTORS):
+            self._free[i] = INFINITY
+        for i in range(len(ranges)):
+            sector: cython.Py_ssize_t = _sector_of(bearings[i])
+            # Nothing is known of the direction of a ray without a number.
+            nearest: cython.double = 0.0 if isnan(ranges[i]) else ranges[i]
+            self._free[sector] = min(self._free[sector], nearest)
 
-    def tell(self, now: float, *, asks: bool) -> Told | None:
+    def tell(self, now: cython.double, asks: cython.bint) -> Told | None:
         """The message of this robot, after `observe`; None if it is not due yet.
 
         `asks`: this robot runs a pattern that needs the places of its peers.
         """
-        if self._last is None:
+        if self._trail.count == 0:
             return None
-        own, before = self._pose(now), self._told_pose
-        moved = math.hypot(own.x - before.x, own.y - before.y) + abs(own.yaw - before.yaw)
-        if now - self._told_at < (MOVING_PERIOD if moved > _MOVED else RESTING_PERIOD) - _EARLY:
+        self._set_own(now)
+        moved: cython.double = hypot(self._x - self._told_x, self._y - self._told_y)
+        moved += angle_between(self._yaw, self._told_yaw)
+        period: cython.double = _MOVING_PERIOD if moved > _MOVED else _RESTING_PERIOD
+        if now - self._told_at < period - _EARLY:
             return None
-        self._told_at, self._told_pose = now, own
+        self._told_at = now
+        self._told_x, self._told_y, self._told_yaw = self._x, self._y, self._yaw
         seen = []
+        track: _Track
         for track in self._tracks.values():
-            _, x, y = track.places[-1]
-            dx, dy = x - own.x, y - own.y
-            seen.append((math.hypot(dx, dy), wrapped(math.atan2(dy, dx) - own.yaw)))
-        return tell(self._resets, now, (own.x, own.y, wrapped(own.yaw)), seen, asks=asks)
+            track.find(now)
+            dx: cython.double = track.x - self._x
+            dy: cython.double = track.y - self._y
+            seen.append((hypot(dx, dy), wrap(atan2(dy, dx) - self._yaw)))
+        return tell(self._resets, now, (self._x, self._y, wrap(self._yaw)), seen, asks=asks != 0)
 
-    def hear(self, id: str, told: Told, now: float) -> None:
+    def hear(self, id: str, told: Told, now: cython.double) -> None:
         """Take in the message of the peer `id`."""
-        if self._last is None:
+        if self._trail.count == 0:
             return
-        peer = self._peers.get(id)
-        if peer is None:
+        if id not in self._peers:
             self._forget_silent(now)
             if len(self._peers) >= MOST_PEERS:
                 return
-            peer = self._peers[id] = _Peer()
-        stamp = told.stamp * UNIT
-        pose = Pose(told.x * UNIT, told.y * UNIT, told.yaw * UNIT)
-        gap = stamp - peer.stamp
-        way = math.hypot(pose.x - peer.told.x, pose.y - peer.told.y)
+            self._peers[id] = _Peer()
+        peer: _Peer = self._peers[id]
+        stamp: cython.double = told.stamp * UNIT
+        x: cython.double = told.x * UNIT
+        y: cython.double = told.y * UNIT
+        yaw: cython.double = told.yaw * UNIT
+        gap: cython.double = stamp - peer.stamp
         if -_MOST_GAP < gap <= 0.0:  # late, or twice
             return
-        time = peer.time_of(told, now)
-        is_next = (
-            told.resets == peer.resets
-            and 0.0 < gap < _SILENCE
-            and way <= MAX_STEP + MAX_SPEED * gap
-        )
-        if is_next:
-            self._move(id, peer, pose, time, gap)
-        else:
-            peer.hypotheses.clear()
-            peer.twist = (0.0, 0.0, 0.0)
+        time: cython.double = peer.time_of(stamp, now)
+        dx: cython.double = x - peer.told_x
+        dy: cython.double = y - peer.told_y
+        turn: cython.double = wrap(yaw - peer.told_yaw)
+        track: _Track
+        if told.resets == peer.resets and 0.0 < gap < _SILENCE and not is_jump(dx, dy, turn, gap):
+            c: cython.double = cos(peer.told_yaw)
+            s: cython.double = sin(peer.told_yaw)
+            self._move(peer, time, c * dx + s * dy, c * dy - s * dx, turn)
+            peer.ahead, peer.left = (c * dx + s * dy) / gap, (c * dy - s * dx) / gap
+            peer.turn = turn / gap
             for track in self._tracks.values():
-                track.forget(id)
-        peer.resets, peer.stamp, peer.heard_at = told.resets, stamp, now
-        peer.time, peer.told = time, pose
-        self._compare(id, told, peer, time, gap)
+                track.note(id, x, y)
+        else:
+            peer.hypotheses = []
+            peer.ahead = peer.left = peer.turn = 0.0
+            self._forget(id)
+        peer.resets, peer.stamp, peer.heard_at, peer.time = told.resets, stamp, now, time
+        peer.told_x, peer.told_y, peer.told_yaw = x, y, yaw
+        self._compare(id, told, peer, gap)
 
-    def names(self, now: float) -> dict[int, str | None]:
+    def names(self, now: cython.double) -> dict[int, str | None]:
         """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""
         named = {track: id for id, track in self._matches(now).items()}
         return {
@@ -284,300 +378,312 @@ class Kin:
             for id, track in self._tracks.items()
         }
 
-    def complete(self, neighbors: Iterable[Neighbor], now: float) -> tuple[Neighbor, ...]:
+    def complete(self, neighbors: Iterable[Neighbor], now: cython.double) -> tuple[Neighbor, ...]:
         """The neighbors; those whose pose is confirmed with what is not known of them otherwise.
 
         Distance and bearing are from the own axle to the visible middle of the peer. `age`: s since
         a scan last showed it. `error`: two standard deviations of the place.
         """
-        own, matches = self._trail.pose_at(now + self._shift), self._matches(now)
-        return tuple([self._completed(one, own, matches, now) for one in neighbors])
+        matches = self._matches(now)
+        self._trail.set_pose(now + self._shift)
+        return tuple([self._completed(one, matches, now) for one in neighbors])
 
-    def _completed(
-        self, known: Neighbor, own: Pose, matches: Mapping[str, int], now: float
-    ) -> Neighbor:
-        peer = self._peers.get(known.id)
-        best = None if peer is None else peer.confirmed
-        if peer is None or best is None or now - peer.heard_at > _SILENCE:
+    @cython.cfunc
+    def _completed(self, known: Neighbor, matches: dict[str, int], now: cython.double) -> Neighbor:
+        peer: _Peer = self._peers.get(known.id)
+        best: Hypothesis | None = None if peer is None else peer.confirmed(now)
+        if peer is None or best is None:
             return known
-        x, y, yaw = _expected(peer, best, now)
-        seen_at, track = best.seen_at, matches.get(known.id)
-        if track is not None:
-            seen_at = self._seen_at
-            _, x, y = self._tracks[track].places[-1]
-        dx, dy = x - own.x, y - own.y
-        bearing, heading = wrapped(math.atan2(dy, dx) - own.yaw), wrapped(yaw - own.yaw)
-        bearing = bearing if known.bearing is None else known.bearing
-        heading = heading if known.heading is None else known.heading
+        peer.expect(best, now)
+        seen_at: cython.double = best.seen_at
+        if known.id in matches:
+            track: _Track = self._tracks[matches[known.id]]
+            track.find(self._seen_at)
+            seen_at, peer.x, peer.y = self._seen_at, track.x, track.y
+        dx: cython.double = peer.x - self._trail.x
+        dy: cython.double = peer.y - self._trail.y
+        bearing: float | None = known.bearing
+        heading: float | None = known.heading
+        if bearing is None:
+            bearing = wrap(atan2(dy, dx) - self._trail.yaw)
+        if heading is None:
+            heading = wrap(peer.yaw - self._trail.yaw)
         if known.distance is not None:
             return replace(known, bearing=bearing, heading=heading)
-        return Neighbor(
-            known.id,
-            max(now - seen_at, 0.0),
-            math.hypot(dx, dy),
-            bearing,
-            heading,
-            known.in_reach,
-            2.0 * best.sd,
-        )
+        age: cython.double = max(now - seen_at, 0.0)
+        error: cython.double = 2.0 * best.sd()
+        return Neighbor(known.id, age, hypot(dx, dy), bearing, heading, known.in_reach, error)
 
-    def _pose(self, time: float) -> Pose:
-        """The pose of the own visible middle."""
-        pose = self._trail.pose_at(time + self._shift)
-        return Pose(
-            pose.x + self._middle * math.cos(pose.yaw),
-            pose.y + self._middle * math.sin(pose.yaw),
-            pose.yaw,
-        )
+    @cython.cfunc
+    def _set_own(self, time: cython.double) -> cython.int:
+        """Set the pose of the own visible middle at a time."""
+        trail: OdometryTrail = self._trail
+        trail.set_pose(time + self._shift)
+        self._x = trail.x + self._middle * cos(trail.yaw)
+        self._y = trail.y + self._middle * sin(trail.yaw)
+        self._yaw = trail.yaw
 
-    def _forget_silent(self, now: float) -> None:
-        for id in [id for id, peer in self._peers.items() if now - peer.heard_at > _SILENCE]:
-            del self._peers[id]
-            for track in self._tracks.values():
-                track.forget(id)
+    @cython.cfunc
+    def _forget(self, id: str) -> cython.int:
+        """Forget what tracks know of a peer."""
+        track: _Track
+        for track in self._tracks.values():
+            track.told_at.pop(id, None)
 
-    def _move(self, id: str, peer: _Peer, pose: Pose, time: float, gap: float) -> None:
-        """Move the poses of a peer by what it tells, and fit its path since the last message."""
-        c, s = math.cos(peer.told.yaw), math.sin(peer.told.yaw)
-        dx, dy = pose.x - peer.told.x, pose.y - peer.told.y
-        ahead, left = c * dx + s * dy, c * dy - s * dx
-        turn = wrapped(pose.yaw - peer.told.yaw)
-        peer.twist = (ahead / gap, left / gap, turn / gap)
-        before, after = self._pose(peer.time), self._pose(time)
-        own_way = math.hypot(after.x - before.x, after.y - before.y)
-        own_turn = abs(wrapped(after.yaw - before.yaw))
+    @cython.cfunc
+    def _forget_silent(self, now: cython.double) -> cython.int:
+        peer: _Peer
+        for id, peer in list(self._peers.items()):
+            if now - peer.heard_at > _SILENCE:
+                del self._peers[id]
+                self._forget(id)
+
+    @cython.cfunc
+    def _move(
+        self,
+        peer: _Peer,
+        time: cython.double,
+        ahead: cython.double,
+        left: cython.double,
+        turn: cython.double,
+    ) -> cython.int:
+        """Move the poses of a peer by what it tells, and widen them by the own motion."""
+        self._set_own(peer.time)
+        x: cython.double = self._x
+        y: cython.double = self._y
+        yaw: cython.double = self._yaw
+        self._set_own(time)
+        own_way: cython.double = hypot(self._x - x, self._y - y)
+        own_turn: cython.double = angle_between(self._yaw, yaw)
+        one: Hypothesis
         for one in peer.hypotheses:
             one.move(ahead, left, turn)
-            one.drift(own_way, own_turn, math.hypot(one.x - after.x, one.y - after.y))
-        if gap > _MOST_GAP:
-            return
-        for track in self._tracks.values():
-            fit = track.fits.setdefault(id, PathFit())
-            for at, x, y in track.places:
-                if peer.time < at <= time:
-                    share = (at - peer.time) / max(time - peer.time, 1e-3)
-                    fit.add(at, x, y, peer.told.x + share * dx, peer.told.y + share * dy)
-            x, y = track.told_at.setdefault(id, (pose.x, pose.y))
-            if math.hypot(pose.x - x, pose.y - y) > _CLEARED:
-                track.cleared.add(id)
+            one.drift(own_way, own_turn, hypot(one.x - self._x, one.y - self._y))
 
-    def _compare(self, id: str, told: Told, peer: _Peer, time: float, gap: float) -> None:
+    @cython.cfunc
+    def _compare(self, id: str, told: Told, peer: _Peer, gap: cython.double) -> cython.int:
         """Compare the poses of a peer with the tracks, and with what it tells; begin new poses."""
-        own = self._pose(time)
-        here = [
-            (number, place)
-            for number, track in self._tracks.items()
-            if not track.is_other(id) and (place := track.at(time)) is not None
-        ]
-        places = [place for _, place in here]
-        objects = [(d * UNIT, b * UNIT) for d, b in told.objects]
-        offsets = [(d * math.cos(b), d * math.sin(b)) for d, b in objects]
+        self._set_own(peer.time)
+        places: cython.double[::1] = self._places
+        objects: cython.double[::1] = self._objects
+        track: _Track
+        one: Hypothesis
+        i: cython.Py_ssize_t = 0
+        k: cython.Py_ssize_t = 0
+        for track in self._tracks.values():
+            if not track.is_other(id) and track.find(peer.time):
+                places[i], places[i + 1] = track.x, track.y
+                places[i + 2] = hypot(track.x - self._x, track.y - self._y)
+                i += POINT
+        for distance, bearing in told.objects:
+            objects[k], objects[k + 1] = (
+                distance * UNIT * cos(bearing * UNIT),
+                distance * UNIT * sin(bearing * UNIT),
+            )
+            objects[k + 2] = distance * UNIT
+            k += POINT
+        count: cython.Py_ssize_t = i // POINT
+        told_count: cython.Py_ssize_t = k // POINT
         for one in peer.hypotheses:
-            self._judge(one, peer, own, time, gap, places, offsets)
-        for track, place in here:
-            self._begin(id, peer, own, track, place, objects)
-        self._rank(peer, time)
-        self._agree(id, peer, time, offsets)
+            self._judge(one, peer, gap, count, told_count)
+        for i in range(0, POINT * count, POINT):
+            for k in range(0, POINT * told_count, POINT):
+                if fabs(objects[k + 2] - places[i + 2]) <= _SAME_DISTANCE:
+                    to_own: cython.double = atan2(self._y - places[i + 1], self._x - places[i])
+                    yaw: cython.double = to_own - atan2(objects[k + 1], objects[k])
+                    self._begin(peer, places[i], places[i + 1], yaw, max(places[i + 2], 0.3))
+        self._rank(peer)
+        self._agree(id, peer, told_count)
 
+    @cython.cfunc
     def _judge(
         self,
         one: Hypothesis,
         peer: _Peer,
-        own: Pose,
-        time: float,
-        gap: float,
-        places: Sequence[tuple[float, float]],
-        offsets: Sequence[tuple[float, float]],
-    ) -> None:
+        gap: cython.double,
+        count: cython.Py_ssize_t,
+        told_count: cython.Py_ssize_t,
+    ) -> cython.int:
         """Raise or lower the score of a pose by what both robots see."""
-        distance = math.hypot(one.x - own.x, one.y - own.y)
-        told = peer.told
-        is_news = one.sights.is_news(told.x, told.y)
-        sd = one.sd
-        if one.see(places, distance, is_news) < 0:
-            is_empty = distance < _FREE_REACH and self._is_crossed(one, own, distance)
-            one.score -= _EMPTY if is_empty else _FADE * gap
-            return
-        if sd > _LOST:
-            one.prove_again((told.x, told.y), (own.x, own.y))
-        one.seen_at = time
+        dx: cython.double = one.x - self._x
+        dy: cython.double = one.y - self._y
+        distance: cython.double = hypot(dx, dy)
+        is_news: cython.bint = one.sights.is_news(peer.told_x, peer.told_y)
+        is_lost: cython.bint = one.sd() > _LOST
+        if not one.see(self._places, count, distance, is_news):
+            # The rays of the last scan cross the place of the pose.
+            sector: cython.Py_ssize_t = _sector_of(atan2(dy, dx) - self._yaw)
+            is_empty: cython.bint = self._free[sector] > distance + _SEEN_MOST
+            one.score -= _EMPTY if is_empty and distance < _FREE_REACH else _FADE * gap
+            return 0
+        if is_lost:
+            one.prove(peer.told_x, peer.told_y, self._x, self._y)
+        one.seen_at = peer.time
         if is_news:
-            one.sights.add(told.x, told.y)
-        is_news = one.mutual.is_news(own.x, own.y)
-        if one.be_seen(offsets, own.x, own.y, is_news) < 0:
+            one.sights.add(peer.told_x, peer.told_y)
+        is_news = one.mutual.is_news(self._x, self._y)
+        if not one.be_seen(self._objects, told_count, self._x, self._y, is_news):
             one.score -= _UNSEEN if distance < _REACH else _FADE * gap
         elif is_news:
-            one.mutual.add(own.x, own.y)
+            one.mutual.add(self._x, self._y)
+        return 0
 
-    def _is_crossed(self, one: Hypothesis, own: Pose, distance: float) -> bool:
-        """True if the rays of the last scan cross the place of a pose."""
-        if not self._free:
-            return False
-        bearing = wrapped(math.atan2(one.y - own.y, one.x - own.x) - own.yaw)
-        sector = int((bearing + math.pi) / math.tau * _SECTORS) % _SECTORS
-        return self._free[sector] > distance + _SEEN_MOST
-
+    @cython.cfunc
     def _begin(
         self,
-        id: str,
         peer: _Peer,
-        own: Pose,
-        track: int,
-        place: tuple[float, float],
-        objects: Sequence[tuple[float, float]],
-    ) -> None:
-        """Begin poses of a peer at a track: by mutual sight, and by path."""
-        x, y = place
-        dx, dy = own.x - x, own.y - y
-        distance = math.hypot(dx, dy)
-        for told, bearing in objects:
-            if abs(told - distance) <= _SAME_DISTANCE:
-                pose = (x, y, wrapped(math.atan2(dy, dx) - bearing))
-                self._add(peer, own, pose, _FIRST_SD / max(distance, 0.3), 0.0)
-        fit = self._tracks[track].fits.get(id)
-        if (
-            fit is not None
-            and fit.weight >= _LEAST_PAIRS
-            and fit.spread >= _LEAST_SPREAD
-            and fit.residual <= _MOST_RESIDUAL
-        ):
-            pose = (*fit.place(peer.told.x, peer.told.y), wrapped(peer.told.yaw + fit.turn))
-            self._add(peer, own, pose, _FIRST_SD / fit.spread, _PATH_SCORE)
-
-    def _add(
-        self,
-        peer: _Peer,
-        own: Pose,
-        pose: tuple[float, float, float],
-        yaw_sd: float,
-        score: float,
-    ) -> None:
-        """Add a pose, unless it is known, or all that are known are better."""
-        if any(one.is_like(pose, _NEAR, _TURNED) for one in peer.hypotheses):
-            return
+        x: cython.double,
+        y: cython.double,
+        yaw: cython.double,
+        distance: cython.double,
+    ) -> cython.int:
+        """Begin a pose by mutual sight, unless it is known, or all that are known are better."""
+        one: Hypothesis
+        for one in peer.hypotheses:
+            if one.is_like(x, y, yaw, 1.0):
+                return 0
         if len(peer.hypotheses) >= _MOST_HYPOTHESES:
-            worst = min(peer.hypotheses, key=lambda one: one.score)
-            if worst.score >= score:
-                return
+            worst: Hypothesis = max(peer.hypotheses, key=_falling)
+            if worst.score >= 0.0:
+                return 0
             peer.hypotheses.remove(worst)
-        one = Hypothesis(pose, _FIRST_SD, yaw_sd, (peer.told.x, peer.told.y), (own.x, own.y))
-        one.score = score
+        one = Hypothesis(x, y, yaw, _FIRST_SD, _FIRST_SD / distance)
+        one.prove(peer.told_x, peer.told_y, self._x, self._y)
         peer.hypotheses.append(one)
+        return 0
 
-    def _rank(self, peer: _Peer, time: float) -> None:
+    @cython.cfunc
+    def _rank(self, peer: _Peer) -> cython.int:
         """Order the poses, drop bad and double ones, and confirm the best if it is sure."""
         kept: list[Hypothesis] = []
-        for one in sorted(peer.hypotheses, key=lambda one: -one.score):
-            is_double = any(
-                one.is_like((k.x, k.y, k.yaw), 0.5 * _NEAR, 0.5 * _TURNED) for k in kept
-            )
-            if one.score > _DROPPED and not is_double:
+        one: Hypothesis
+        other: Hypothesis
+        for one in sorted(peer.hypotheses, key=_falling):
+            is_kept: cython.bint = one.score > _DROPPED
+            for other in kept:
+                if other.is_like(one.x, one.y, one.yaw, 0.5):
+                    is_kept = False
+            if is_kept:
                 kept.append(one)
         peer.hypotheses = kept
-        margin = kept[0].score - kept[1].score if len(kept) > 1 else math.inf
-        for rank, one in enumerate(kept):
-            if rank > 0 or one.score < 0.5 * _CONFIRMED or margin < _UNSURE:
-                one.confirmed_at = math.inf
+        margin: cython.double = INFINITY
+        for other in kept[1:2]:
+            one = kept[0]
+            margin = one.score - other.score
+        for one in kept:
+            if one is not kept[0] or one.score < 0.5 * _CONFIRMED or margin < _UNSURE:
+                one.confirmed_at = INFINITY
             elif (
                 one.score >= _CONFIRMED
                 and margin >= _MARGIN
                 and min(one.sights.count, one.mutual.count) >= _LEAST_NEWS
                 and min(one.sights.extent, one.mutual.extent) >= _LEAST_EXTENT
             ):
-                one.confirmed_at = min(one.confirmed_at, time)
+                one.confirmed_at = min(one.confirmed_at, peer.time)
 
-    def _agree(
-        self, id: str, peer: _Peer, time: float, offsets: Sequence[tuple[float, float]]
-    ) -> None:
+    @cython.cfunc
+    def _agree(self, id: str, peer: _Peer, told_count: cython.Py_ssize_t) -> cython.int:
         """Lower the pose of a peer that does not tell a third robot which it must see.
 
         Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third
         robot does the same by its messages: so a liar lowers no other.
         """
-        best = peer.confirmed
-        if best is None or len(offsets) >= MOST_OBJECTS:
-            return
+        best: Hypothesis = peer.confirmed(peer.heard_at)
+        if best is None or told_count == MOST_OBJECTS:
+            return 0
+        c: cython.double = cos(best.yaw)
+        s: cython.double = sin(best.yaw)
+        other: _Peer
         for name, other in self._peers.items():
-            third = other.confirmed
+            third: Hypothesis = other.confirmed(peer.heard_at)
             if name == id or third is None or third.score < best.score:
                 continue
-            x, y, _ = _expected(other, third, time)
-            ahead, left = best.ahead_and_left(x, y)
-            distance = math.hypot(ahead, left)
-            if distance < _AGREED and not any(
-                math.hypot(a - ahead, b - left) < _ELSEWHERE
-                or (
-                    math.hypot(a, b) < distance
-                    and abs(wrapped(math.atan2(b, a) - math.atan2(left, ahead))) < _TURNED
-                )
-                for a, b in offsets
-            ):
+            other.expect(third, peer.time)
+            dx: cython.double = other.x - best.x
+            dy: cython.double = other.y - best.y
+            ahead: cython.double = c * dx + s * dy
+            left: cython.double = c * dy - s * dx
+            # Two that are nearer claim one object: their messages need not tell each other.
+            is_due: cython.bint = _ELSEWHERE <= hypot(dx, dy) < _AGREED
+            if is_due and not self._is_told(ahead, left, told_count):
                 best.score -= _UNSEEN
+        return 0
 
-    def _matches(self, now: float) -> Mapping[str, int]:
+    @cython.cfunc
+    def _is_told(
+        self, ahead: cython.double, left: cython.double, told_count: cython.Py_ssize_t
+    ) -> cython.bint:
+        """True if the last message has an object at a place, or one that hides it."""
+        objects: cython.double[::1] = self._objects
+        i: cython.Py_ssize_t
+        for i in range(0, POINT * told_count, POINT):
+            if hypot(objects[i] - ahead, objects[i + 1] - left) < _ELSEWHERE:
+                return True
+            turn: cython.double = angle_between(
+                atan2(objects[i + 1], objects[i]), atan2(left, ahead)
+            )
+            if objects[i + 2] < hypot(ahead, left) and turn < _TURNED:
+                return True
+        return False
+
+    @cython.cfunc
+    def _matches(self, now: cython.double) -> dict[str, int]:
         """The track of each peer that is in sight."""
         claims: list[tuple[float, str, int]] = []
+        confirmed_at: dict[str, float] = {}
+        peer: _Peer
+        track: _Track
         for id, peer in self._peers.items():
-            best = peer.confirmed
-            if best is None or now - peer.heard_at > _SILENCE:
+            best: Hypothesis = peer.confirmed(now)
+            if best is None:
                 continue
-            x, y, _ = _expected(peer, best, now)
-            for track, path in self._tracks.items():
-                _, tx, ty = path.places[-1]
-                far = best.fits(best.x + tx - x, best.y + ty - y)
-                if far < math.inf and id not in path.cleared and not path.is_other(id):
-                    claims.append((far, id, track))
+            confirmed_at[id] = best.confirmed_at
+            peer.expect(best, now)
+            for number, track in self._tracks.items():
+                track.find(self._seen_at)
+                far: cython.double = best.fits(track.x - peer.x, track.y - peer.y)
+                if far < INFINITY and not track.is_other(id):
+                    claims.append((far, id, number))
         claims.sort()
         matches: dict[str, int] = {}
         taken: dict[int, str] = {}
-        for _, id, track in claims:
-            if id not in matches and track not in taken:
-                matches[id], taken[track] = track, id
-        for _, id, track in claims:  # a peer without a track contests that of another
-            other = taken.get(track, id)
+        for _, id, number in claims:
+            if id not in matches and number not in taken:
+                matches[id], taken[number] = number, id
+        for _, id, number in claims:  # a peer without a track contests that of another
+            other = taken.get(number, id)
             if id not in matches and other != id:
-                first, second = self._confirmed_at(other), self._confirmed_at(id)
-                if first > second - _EARLIER:
+                if confirmed_at[other] > confirmed_at[id] - _EARLIER:
                     matches.pop(other, None)
-                if second < first - _EARLIER:
-                    matches[id], taken[track] = track, id
+                if confirmed_at[id] < confirmed_at[other] - _EARLIER:
+                    matches[id], taken[number] = number, id
         return matches
 
-    def _confirmed_at(self, id: str) -> float:
-        best = self._peers[id].confirmed
-        return best.confirmed_at if best is not None else math.inf
-
-    def _stands(self, track: _Track, now: float) -> bool:
+    @cython.cfunc
+    def _stands(self, track: _Track, now: cython.double) -> cython.bint:
         """True if a track stands while the own robot moves, and no peer can be there."""
         if now - track.still_since < _STILL_TIME or self._way - track.still_way < _OWN_WAY:
             return False
+        peer: _Peer
         for id, peer in self._peers.items():
-            best = peer.confirmed
-            if now - peer.heard_at > _SILENCE:
-                continue
-            if best is None:
-                if id in track.cleared:
-                    continue
-                return False
-            x, y, _ = _expected(peer, best, now)
-            if math.hypot(x - track.still_at[0], y - track.still_at[1]) < _ELSEWHERE:
+            best: Hypothesis = peer.confirmed(now)
+            if best is not None:
+                peer.expect(best, now)
+                if hypot(peer.x - track.still_x, peer.y - track.still_y) < _ELSEWHERE:
+                    return False
+            elif now - peer.heard_at <= _SILENCE and not track.is_other(id):
                 return False
         return True
 
 
-def _free_of(scan: Scan) -> list[float]:
-    """Of each of _SECTORS directions from the bearing -pi on, the least range; inf without one."""
-    free = np.full(_SECTORS, math.inf)
-    use = np.isfinite(scan.ranges)
-    sectors = ((scan.bearings[use] + math.pi) / math.tau * _SECTORS).astype(int) % _SECTORS
-    np.minimum.at(free, sectors, scan.ranges[use])
-    return list(free.tolist())
+def _falling(one: Hypothesis) -> float:
+    """A key that orders the best pose first."""
+    return -one.score
 
 
-def _expected(peer: _Peer, pose: Hypothesis, now: float) -> tuple[float, float, float]:
-    """The pose of a peer now, moved on at its told speed."""
-    seconds = min(max(now - peer.time, 0.0), _MOST_AHEAD)
-    ahead, left, turn = (number * seconds for number in peer.twist)
-    yaw = pose.yaw + 0.5 * turn
-    c, s = math.cos(yaw), math.sin(yaw)
-    return pose.x + c * ahead - s * left, pose.y + s * ahead + c * left, pose.yaw + turn
+@cython.cfunc
+@cython.inline
+def _sector_of(bearing: cython.double) -> cython.Py_ssize_t:
+    """The number of a direction."""
+    sector: cython.double = (wrap(bearing) / TURN + 0.5) * _SECTORS
+    return cython.cast(cython.Py_ssize_t, min(sector, _SECTORS - 0.5))

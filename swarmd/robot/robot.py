@@ -389,8 +389,8 @@ class Robot(Ticker):
         if kin is None or scan is None:
             return None
         tracks = steering.tracks(context) or ()
-        kin.observe([(track.id, track.x, track.y) for track in tracks], scan, now)
-        return kin.tell(now, asks=asks)
+        kin.observe(tracks, scan, now)
+        return kin.tell(now, asks)
 
     def _log_protection(self, now: float) -> None:
         events = self._protection.events

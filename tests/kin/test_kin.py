@@ -6,15 +6,21 @@ import math
 import random
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.told import Told
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
-from swarmd.kin.kin import NO_ROBOT, Kin
+
+if TYPE_CHECKING:
+    from swarmd.kin.kin import NO_ROBOT, Kin
+else:
+    _kernel = load_kernel("swarmd.kin.kin")
+    NO_ROBOT, Kin = _kernel.NO_ROBOT, _kernel.Kin
 
 PERIOD = 0.2
 FREE = Scan(0, 0.0, np.empty(0), np.empty(0), 0.1, 3.5)
@@ -54,6 +60,14 @@ def seen_from(
     c, s = math.cos(frame[2]), math.sin(frame[2])
     dx, dy = pose[0] - frame[0], pose[1] - frame[1]
     return c * dx + s * dy, c * dy - s * dx, math.remainder(pose[2] - frame[2], math.tau)
+
+
+class Seen(NamedTuple):
+    """A track in the base frame."""
+
+    id: int
+    x: float
+    y: float
 
 
 class Place(NamedTuple):
@@ -100,14 +114,14 @@ class World:
                     self.time, Pose(*seen_from(self.frames[id], own)), Twist(0.0, 0.0)
                 )
                 kin.on_odometry(odometry, self.now(id))
-                tracks = []
+                tracks: list[Any] = []
                 for index, body in enumerate(self.bodies):
                     x, y, _ = seen_from(own, (*self.place(index), 0.0))
                     if body != id and math.hypot(x, y) < 3.5:
-                        tracks.append((index, x, y))
+                        tracks.append(Seen(index, x, y))
                 kin.observe(tracks, FREE, self.now(id))
             for id, kin in self.kins.items():
-                told = kin.tell(self.now(id), asks=True)
+                told = kin.tell(self.now(id), True)
                 if told is None:
                     continue
                 for other, listener in self.kins.items():
@@ -311,8 +325,9 @@ def test_random_histories_keep_one_peer_a_track_and_one_track_a_peer(seed: int) 
 def test_a_message_has_the_eight_nearest_objects() -> None:
     kin = Kin(middle=-0.1, resets=7)
     kin.on_odometry(Odometry(1.0, Pose(2.0, 1.0, math.pi / 2), Twist(0.0, 0.0)), 1.0)
-    kin.observe([(k, 0.9 + 0.1 * k, 0.0) for k in range(12, 0, -1)], FREE, 1.0)
-    told = kin.tell(1.0, asks=True)
+    objects: list[Any] = [Seen(k, 0.9 + 0.1 * k, 0.0) for k in range(12, 0, -1)]
+    kin.observe(objects, FREE, 1.0)
+    told = kin.tell(1.0, True)
     assert told is not None
     assert (told.x, told.y, told.yaw) == (2000, 900, 1571)  # the middle lies behind the axle
     assert (told.stamp, told.resets, told.asks) == (1000, 7, True)
@@ -327,7 +342,7 @@ def test_a_robot_tells_five_times_a_second_while_it_moves_and_once_at_rest() -> 
         way = min(0.2 * now, 1.0)
         kin.on_odometry(Odometry(now, Pose(way, 0.0, 0.0), Twist(0.0, 0.0)), now)
         kin.observe([], FREE, now)
-        if kin.tell(now, asks=False) is not None:
+        if kin.tell(now, False) is not None:
             told.append(now)
     assert [round(now, 1) for now in told[:26]] == [round(0.2 * k, 1) for k in range(26)]
     assert [round(now, 1) for now in told[26:]] == [6.0, 7.0, 8.0, 9.0]

@@ -33,6 +33,9 @@ _RADIUS = 0.15  # m, of what hides others
 _SAME = 0.3  # m between a track and what it shows at most
 
 
+_make_kin = load_kernel("swarmd.kin.kin").Kin
+
+
 @dataclass
 class Poll:
     """What one robot knew at one instant: its newest reading, its age, and a new scan."""
@@ -113,7 +116,7 @@ def play(
     made: Record,
     counts: Counts,
     seed: int,
-    make: Callable[[float], Kin] = Kin,
+    make: Callable[[float], Kin] = _make_kin,
     change: Callable[[Told], Told] = lambda told: told,
     counted: Callable[[int, int], bool] = lambda viewer, seen: True,
 ) -> list[Kin]:
@@ -150,8 +153,8 @@ def play(
                 DecisionContext(poll.now, odometry_age=poll.odometry_age)
             )
             tracks = [(track.id, track.x, track.y) for track in around.tracks]
-            kins[row].observe(tracks, poll.scan, poll.now + clock)
-            told = kins[row].tell(poll.now + clock, asks=True)
+            kins[row].observe(around.tracks, poll.scan, poll.now + clock)
+            told = kins[row].tell(poll.now + clock, True)
             for other in range(n):
                 if other != row and told is not None and rng.random() >= _LOSS:
                     heapq.heappush(air, (poll.now + _DELAY, len(air), row, other, change(told)))
