@@ -245,7 +245,9 @@ class Hypothesis:
         dx: cython.double = 0.0
         dy: cython.double = 0.0
         i: cython.Py_ssize_t
-        for i in range(0, POINT * count, POINT):
+        k: cython.Py_ssize_t
+        for k in range(count):
+            i = POINT * k
             far: cython.double = _deviation(points[i] - x, points[i + 1] - y, s11, s12, s22)
             if far < nearest:
                 nearest, dx, dy = far, points[i] - x, points[i + 1] - y

@@ -56,6 +56,7 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, hypot, isnan, sin
 
+_unit = cython.declare(cython.double, UNIT)  # a C name
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
 MOST_PEERS = 24
@@ -102,7 +103,7 @@ _EARLIER = cython.declare(cython.double, 2.0)  # s: a peer confirmed so much ear
 _STILL = cython.declare(cython.double, 0.12)  # m
 _STILL_TIME = cython.declare(cython.double, 2.0)  # s
 _OWN_WAY = cython.declare(cython.double, 0.3)  # m
-_CLEARED = cython.declare(cython.double, 0.35)  # m: a peer that moved so far is no standing track
+_CLEARED = cython.declare(cython.double, 0.25)  # m: a peer that moved so far is no standing track
 _ELSEWHERE = cython.declare(cython.double, 0.5)  # m
 
 
@@ -114,15 +115,13 @@ class _Track:
     x: cython.double
     y: cython.double
     places: list[tuple[float, float, float]]  # time, x, y; the last is the newest
-    # Where peers were when the track came to stand; None: the peer has moved since then.
-    told_at: dict[str, tuple[float, float] | None]
     still_x: cython.double
     still_y: cython.double
     still_since: cython.double
     still_way: cython.double
 
     def __init__(self) -> None:
-        self.places, self.told_at, self.still_x = [], {}, INFINITY
+        self.places, self.still_x = [], INFINITY
 
     @cython.cfunc
     def add(
@@ -134,34 +133,29 @@ class _Track:
         if not hypot(x - self.still_x, y - self.still_y) <= _STILL:
             self.still_x, self.still_y = x, y
             self.still_since, self.still_way = time, own_way
-            self.told_at.clear()
 
     @cython.cfunc
-    def note(self, peer: str, x: cython.double, y: cython.double) -> cython.int:
-        """Note where a peer is by its odometry, while the track stands."""
-        at = self.told_at.setdefault(peer, (x, y))
-        if at is not None and hypot(x - at[0], y - at[1]) > _CLEARED:
-            self.told_at[peer] = None
-
-    @cython.cfunc
-    def is_other(self, peer: str) -> cython.bint:
+    def is_other(self, peer: _Peer) -> cython.bint:
         """True if the peer has moved while the track stood."""
-        return peer in self.told_at and self.told_at[peer] is None
+        return peer.moved_since >= self.still_since
 
     @cython.cfunc
     def find(self, time: cython.double) -> cython.bint:
         """Set `x`, `y` to the place at a time; False if the track was not there, or not yet."""
-        before: cython.double
-        later, x, y = self.places[len(self.places) - 1]
-        self.x, self.y = x, y
-        if time >= later:
-            return time - later <= _MOST_AHEAD
-        for before, x, y in self.places[len(self.places) - 2 :: -1]:
-            if before <= time:
-                share: cython.double = (time - before) / (later - before)
-                self.x, self.y = x + share * (self.x - x), y + share * (self.y - y)
-                return True
-            later, self.x, self.y = before, x, y
+        newer: cython.double = INFINITY
+        at: cython.double
+        x: cython.double
+        y: cython.double
+        k: cython.Py_ssize_t
+        for k in range(len(self.places)):
+            at, x, y = self.places[len(self.places) - 1 - k]
+            if at <= time:
+                if newer < INFINITY:
+                    share: cython.double = (time - at) / (newer - at)
+                    x, y = x + share * (self.x - x), y + share * (self.y - y)
+                self.x, self.y = x, y
+                return newer < INFINITY or time - at <= _MOST_AHEAD
+            newer, self.x, self.y = at, x, y
         return False
 
 
@@ -184,11 +178,17 @@ class _Peer:
     ahead: cython.double  # m/s, between the last two messages
     left: cython.double
     turn: cython.double  # rad/s
+    # Where the peer was when it began the way that it now goes, and when; it has gone such a way in
+    # the time from `moved_since` to the newest message.
+    began_x: cython.double
+    began_y: cython.double
+    began_at: cython.double
+    moved_since: cython.double
     hypotheses: list[Hypothesis]  # best first
 
     def __init__(self) -> None:
         self.resets, self.hypotheses = -1, []
-        self.stamp = self.heard_at = self.time = -INFINITY
+        self.stamp = self.heard_at = self.time = self.began_at = -INFINITY
         self.delay = INFINITY
 
     @cython.cfunc
@@ -212,6 +212,14 @@ class _Peer:
             self.delay += _AHEAD_MEMORY * max(now - self.heard_at, 0.0)
         self.delay = min(self.delay, delay)
         return stamp + self.delay
+
+    @cython.cfunc
+    def follow(self) -> cython.int:
+        """Note that the peer has moved, once it has gone a way of _CLEARED; then begin another."""
+        way: cython.double = hypot(self.told_x - self.began_x, self.told_y - self.began_y)
+        if self.began_at == -INFINITY or way > _CLEARED:
+            self.moved_since, self.began_at = self.began_at, self.time
+            self.began_x, self.began_y = self.told_x, self.told_y
 
     @cython.cfunc
     def expect(self, pose: Hypothesis, now: cython.double) -> cython.int:
@@ -297,8 +305,8 @@ class Kin:
             track.add(now, self._x + c * x - s * y, self._y + s * x + c * y, self._way)
             self._tracks[seen.id] = track
         self._seen_at = now
-        ranges: cython.double[::1] = view(scan.ranges)
-        bearings: cython.double[::1] = view(scan.bearings)
+        ranges: cython.const_double[::1] = view(scan.ranges)
+        bearings: cython.const_double[::1] = view(scan.bearings)
         i: cython.Py_ssize_t
         for i in range(_SECTORS):
             self._free[i] = INFINITY
@@ -342,10 +350,11 @@ class Kin:
                 return
             self._peers[id] = _Peer()
         peer: _Peer = self._peers[id]
-        stamp: cython.double = told.stamp * UNIT
-        x: cython.double = told.x * UNIT
-        y: cython.double = told.y * UNIT
-        yaw: cython.double = told.yaw * UNIT
+        stamp: cython.double = told.stamp
+        x: cython.double = told.x
+        y: cython.double = told.y
+        yaw: cython.double = told.yaw
+        stamp, x, y, yaw = stamp * _unit, x * _unit, y * _unit, yaw * _unit
         gap: cython.double = stamp - peer.stamp
         if -_MOST_GAP < gap <= 0.0:  # late, or twice
             return
@@ -353,21 +362,19 @@ class Kin:
         dx: cython.double = x - peer.told_x
         dy: cython.double = y - peer.told_y
         turn: cython.double = wrap(yaw - peer.told_yaw)
-        track: _Track
         if told.resets == peer.resets and 0.0 < gap < _SILENCE and not is_jump(dx, dy, turn, gap):
             c: cython.double = cos(peer.told_yaw)
             s: cython.double = sin(peer.told_yaw)
             self._move(peer, time, c * dx + s * dy, c * dy - s * dx, turn)
             peer.ahead, peer.left = (c * dx + s * dy) / gap, (c * dy - s * dx) / gap
             peer.turn = turn / gap
-            for track in self._tracks.values():
-                track.note(id, x, y)
         else:
             peer.hypotheses = []
             peer.ahead = peer.left = peer.turn = 0.0
-            self._forget(id)
+            peer.began_at = -INFINITY
         peer.resets, peer.stamp, peer.heard_at, peer.time = told.resets, stamp, now, time
         peer.told_x, peer.told_y, peer.told_yaw = x, y, yaw
+        peer.follow()
         self._compare(id, told, peer, gap)
 
     def names(self, now: cython.double) -> dict[int, str | None]:
@@ -424,19 +431,11 @@ class Kin:
         self._yaw = trail.yaw
 
     @cython.cfunc
-    def _forget(self, id: str) -> cython.int:
-        """Forget what tracks know of a peer."""
-        track: _Track
-        for track in self._tracks.values():
-            track.told_at.pop(id, None)
-
-    @cython.cfunc
     def _forget_silent(self, now: cython.double) -> cython.int:
         peer: _Peer
         for id, peer in list(self._peers.items()):
             if now - peer.heard_at > _SILENCE:
                 del self._peers[id]
-                self._forget(id)
 
     @cython.cfunc
     def _move(
@@ -471,23 +470,27 @@ class Kin:
         i: cython.Py_ssize_t = 0
         k: cython.Py_ssize_t = 0
         for track in self._tracks.values():
-            if not track.is_other(id) and track.find(peer.time):
+            if not track.is_other(peer) and track.find(peer.time):
                 places[i], places[i + 1] = track.x, track.y
                 places[i + 2] = hypot(track.x - self._x, track.y - self._y)
                 i += POINT
+        distance: cython.double
+        bearing: cython.double
         for distance, bearing in told.objects:
-            objects[k], objects[k + 1] = (
-                distance * UNIT * cos(bearing * UNIT),
-                distance * UNIT * sin(bearing * UNIT),
-            )
-            objects[k + 2] = distance * UNIT
+            objects[k] = distance * _unit * cos(bearing * _unit)
+            objects[k + 1] = distance * _unit * sin(bearing * _unit)
+            objects[k + 2] = distance * _unit
             k += POINT
         count: cython.Py_ssize_t = i // POINT
         told_count: cython.Py_ssize_t = k // POINT
         for one in peer.hypotheses:
             self._judge(one, peer, gap, count, told_count)
-        for i in range(0, POINT * count, POINT):
-            for k in range(0, POINT * told_count, POINT):
+        n: cython.Py_ssize_t
+        m: cython.Py_ssize_t
+        for n in range(count):
+            i = POINT * n
+            for m in range(told_count):
+                k = POINT * m
                 if fabs(objects[k + 2] - places[i + 2]) <= _SAME_DISTANCE:
                     to_own: cython.double = atan2(self._y - places[i + 1], self._x - places[i])
                     yaw: cython.double = to_own - atan2(objects[k + 1], objects[k])
@@ -543,7 +546,10 @@ class Kin:
             if one.is_like(x, y, yaw, 1.0):
                 return 0
         if len(peer.hypotheses) >= _MOST_HYPOTHESES:
-            worst: Hypothesis = max(peer.hypotheses, key=_falling)
+            worst: Hypothesis = peer.hypotheses[0]
+            for one in peer.hypotheses:
+                if one.score < worst.score:
+                    worst = one
             if worst.score >= 0.0:
                 return 0
             peer.hypotheses.remove(worst)
@@ -554,32 +560,33 @@ class Kin:
 
     @cython.cfunc
     def _rank(self, peer: _Peer) -> cython.int:
-        """Order the poses, drop bad and double ones, and confirm the best if it is sure."""
-        kept: list[Hypothesis] = []
+        """Put the best pose first, drop bad and double ones, and confirm the best if it is sure."""
+        if not peer.hypotheses:
+            return 0
         one: Hypothesis
-        other: Hypothesis
-        for one in sorted(peer.hypotheses, key=_falling):
-            is_kept: cython.bint = one.score > _DROPPED
-            for other in kept:
-                if other.is_like(one.x, one.y, one.yaw, 0.5):
-                    is_kept = False
-            if is_kept:
-                kept.append(one)
-        peer.hypotheses = kept
-        margin: cython.double = INFINITY
-        for other in kept[1:2]:
-            one = kept[0]
-            margin = one.score - other.score
-        for one in kept:
-            if one is not kept[0] or one.score < 0.5 * _CONFIRMED or margin < _UNSURE:
-                one.confirmed_at = INFINITY
-            elif (
-                one.score >= _CONFIRMED
-                and margin >= _MARGIN
-                and min(one.sights.count, one.mutual.count) >= _LEAST_NEWS
-                and min(one.sights.extent, one.mutual.extent) >= _LEAST_EXTENT
-            ):
-                one.confirmed_at = min(one.confirmed_at, peer.time)
+        best: Hypothesis = peer.hypotheses[0]
+        for one in peer.hypotheses:
+            if one.score > best.score:
+                best = one
+        second: cython.double = -INFINITY
+        kept: list[Hypothesis] = [best]
+        for one in peer.hypotheses:
+            if one is best or one.score <= _DROPPED or one.is_like(best.x, best.y, best.yaw, 0.5):
+                continue
+            one.confirmed_at = INFINITY
+            second = max(second, one.score)
+            kept.append(one)
+        peer.hypotheses = kept if best.score > _DROPPED else []
+        if best.score < 0.5 * _CONFIRMED or best.score - second < _UNSURE:
+            best.confirmed_at = INFINITY
+        elif (
+            best.score >= _CONFIRMED
+            and best.score - second >= _MARGIN
+            and min(best.sights.count, best.mutual.count) >= _LEAST_NEWS
+            and min(best.sights.extent, best.mutual.extent) >= _LEAST_EXTENT
+        ):
+            best.confirmed_at = min(best.confirmed_at, peer.time)
+        return 0
 
     @cython.cfunc
     def _agree(self, id: str, peer: _Peer, told_count: cython.Py_ssize_t) -> cython.int:
@@ -616,7 +623,9 @@ class Kin:
         """True if the last message has an object at a place, or one that hides it."""
         objects: cython.double[::1] = self._objects
         i: cython.Py_ssize_t
-        for i in range(0, POINT * told_count, POINT):
+        k: cython.Py_ssize_t
+        for k in range(told_count):
+            i = POINT * k
             if hypot(objects[i] - ahead, objects[i + 1] - left) < _ELSEWHERE:
                 return True
             turn: cython.double = angle_between(
@@ -642,7 +651,7 @@ class Kin:
             for number, track in self._tracks.items():
                 track.find(self._seen_at)
                 far: cython.double = best.fits(track.x - peer.x, track.y - peer.y)
-                if far < INFINITY and not track.is_other(id):
+                if far < INFINITY and not track.is_other(peer):
                     claims.append((far, id, number))
         claims.sort()
         matches: dict[str, int] = {}
@@ -665,20 +674,15 @@ class Kin:
         if now - track.still_since < _STILL_TIME or self._way - track.still_way < _OWN_WAY:
             return False
         peer: _Peer
-        for id, peer in self._peers.items():
+        for peer in self._peers.values():
             best: Hypothesis = peer.confirmed(now)
             if best is not None:
                 peer.expect(best, now)
                 if hypot(peer.x - track.still_x, peer.y - track.still_y) < _ELSEWHERE:
                     return False
-            elif now - peer.heard_at <= _SILENCE and not track.is_other(id):
+            elif now - peer.heard_at <= _SILENCE and not track.is_other(peer):
                 return False
         return True
-
-
-def _falling(one: Hypothesis) -> float:
-    """A key that orders the best pose first."""
-    return -one.score
 
 
 @cython.cfunc
