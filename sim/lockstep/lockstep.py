@@ -35,6 +35,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.values import Array, Value
+from swarmd.kin.make import KinMaker
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -262,6 +263,7 @@ class Lockstep:
             self._platforms[row],
             setup,
             make_steering=load_kernel("swarmd.steering.steering").Steering,
+            make_kin=KinMaker(),
             seed=self.seed,
             instance=f"lockstep-{self._boots[row]}",
             now=now,

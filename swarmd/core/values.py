@@ -506,9 +506,9 @@ def input_fault(word: str) -> str:
 
 
 def has_places(platform: Platform) -> bool:
-    """True if the robot has distance and bearing of all peers; by kin it has those of some."""
-    by_kin_alone = KIN in platform.provides and not {"pose", "detections"} & platform.provides
-    return platform.provides >= PLACES_BY_SIGHT and not by_kin_alone
+    """True if the robot has distance and bearing of its peers; not if by kin, which names some."""
+    provides = platform.provides
+    return provides >= PLACES_BY_SIGHT and (KIN not in provides or "pose" in provides)
 
 
 def lacks_text(needs: frozenset[str], platform: Platform) -> str:

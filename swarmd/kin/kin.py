@@ -44,11 +44,11 @@ from swarmd.kin.hypothesis import POINT, Hypothesis
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Iterable
+    from typing import Any
 
     import cython
 
     from swarmd.core.values import Odometry, Scan
-    from swarmd.steering.tracks import Track
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -288,8 +288,8 @@ class Kin:
             self._way += hypot(self._x - self._last_x, self._y - self._last_y)
         self._last_x, self._last_y = self._x, self._y
 
-    def observe(self, tracks: Iterable[Track], scan: Scan, now: cython.double) -> None:
-        """Take in a scan, and the tracks after it in the base frame at `now`."""
+    def observe(self, tracks: Iterable[Any], scan: Scan, now: cython.double) -> None:
+        """Take in a scan, and the tracks after it: `id`, `x` and `y` in the base frame at `now`."""
         if self._trail.count == 0:
             return
         self._set_own(now)

@@ -23,10 +23,10 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 
     from swarmd.core.neighbor_places import NeighborPlaces
     from swarmd.core.values import Detection, Odometry, Pose, Scan
-    from swarmd.kin.kin import Kin
     from swarmd.protection.decision import PoseAnchors
     from swarmd.robot.peers import Peers
     from swarmd.robot.sensors import RangeRing
+    from swarmd.robot.steers import NamesPeers
     from swarmd.sensing.odometry_history import OdometryHistory
     from swarmd.sensing.scan_delay import ScanDelay
 else:
@@ -73,7 +73,7 @@ class InputAges:
     - `_teller`: the `Peers` object while the place of any peer is known; such places are obstacles.
     - `_ring`: the `RangeRing` of a robot with such sensors.
     - `_places`: the `NeighborPlaces` of a robot that computes where its neighbours are.
-    - `kin`: the `Kin` of a robot that is needed, or needs, to know which object is which peer.
+    - `kin`: names the peers of a robot while it or a peer needs their places.
     - `_anchors`: the `PoseAnchors` of a robot whose layers need its pose in a shared frame.
 
     An object that the robot does not have is None.
@@ -107,7 +107,7 @@ class InputAges:
     _ring: RangeRing | None = cython.declare(object, visibility="public")
     _places: NeighborPlaces | None = cython.declare(object, visibility="public")
     _anchors: PoseAnchors | None = cython.declare(object, visibility="public")
-    kin: Kin | None = cython.declare(object, visibility="public")
+    kin: NamesPeers | None = cython.declare(object, visibility="public")
     _teller: Peers | None = cython.declare(object, visibility="public")
     _is_new_scan = cython.declare(cython.bint, visibility="public")
     _history: OdometryHistory = cython.declare(object, visibility="public")

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from swarmd.protection.protection import Protection
     from swarmd.robot.effects import Effects
     from swarmd.robot.pattern_run import PatternRun
-    from swarmd.robot.steers import MakeSteering
+    from swarmd.robot.steers import MakeKin, MakeSteering
     from swarmd.robot.ticker import DutyCycle, Ticker
 else:
     Protection = load_kernel("swarmd.protection.protection").Protection
@@ -76,7 +76,8 @@ def _settled(
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
-    `make_steering` makes what may ask for another command than the pattern. `seed` makes the random
+    `make_steering` makes what may ask for another command than the pattern, `make_kin` what names
+    peers (None: nothing). `seed` makes the random
     choices of patterns and steering repeatable. `instance`: the id of
     this daemon process. `now`: s on a monotonic clock. `earlier`: the records on disk of earlier
     daemon processes. `decision`: the last decision of protection, made at `decided_at` (s).
@@ -97,6 +98,7 @@ class Robot(Ticker):
         setup: RobotSetup,
         *,
         make_steering: MakeSteering,
+        make_kin: MakeKin | None = None,
         seed: int,
         instance: str,
         now: float,
@@ -111,7 +113,11 @@ class Robot(Ticker):
         self._handlers = HANDLERS
         accepts = Accepts.of(settings.accepts_unseen, settings.accepts_faster)
         self._sensors = Sensors(
-            platform, accepts, tells_pose=setup.tells_pose, anchors=settings.anchors(POSE_TIMEOUT)
+            platform,
+            accepts,
+            tells_pose=setup.tells_pose,
+            anchors=settings.anchors(POSE_TIMEOUT),
+            make_kin=make_kin,
         )
         self._protection = Protection(platform, settings.layers.values())
         self._steering = make_steering(platform, self._protection, f"{seed}/{id}")

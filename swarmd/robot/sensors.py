@@ -43,6 +43,7 @@ from swarmd.protection.decision import PoseAnchors, ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
+from swarmd.robot.steers import MakeKin
 from swarmd.robot.timeouts import KIN_TIMEOUT, NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from swarmd.robot.input_ages import Hold, InputAges
 else:
     InputAges = load_kernel("swarmd.robot.input_ages").InputAges
-_make_kin = load_kernel("swarmd.kin.kin").Kin
 
 MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
 SCAN_TIMES = 12  # scans over which the scan rate is measured
@@ -88,10 +88,12 @@ class Sensors(InputAges):
         *,
         tells_pose: bool = False,
         anchors: PoseAnchors | None = None,
+        make_kin: MakeKin | None = None,
     ) -> None:
         """Begin without any input; the parts follow from the sensors of `platform`.
 
         `accepts`, `anchors`: of the `RobotSettings`. `tells_pose`: see `RobotSetup`.
+        `make_kin`: None names no peers.
         """
         super().__init__()
         self._begin_lidar(platform)
@@ -102,7 +104,7 @@ class Sensors(InputAges):
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self._known_places = NeighborPlaces()
         self._places = self._known_places if PLACES_BY_POSE & platform.provides else None
-        self._names_kin = KIN in platform.provides
+        self._make_kin = make_kin if KIN in platform.provides else None
         # m from the axle ahead to the middle of what other lidars see.
         self._middle = 0.5 * float(platform.footprint[:, 0].min() + platform.footprint[:, 0].max())
         self._kin_until = -math.inf  # s, until which this robot or a peer needs places
@@ -230,8 +232,8 @@ class Sensors(InputAges):
     def ask_kin(self, now: float) -> None:
         """Name peers for some seconds from now on, if the platform can."""
         self._kin_until = now + KIN_TIMEOUT
-        if self._names_kin and self.kin is None:
-            self.kin = _make_kin(self._middle, round(1000.0 * now) % 2**16)
+        if self._make_kin is not None and self.kin is None:
+            self.kin = self._make_kin(self._middle, round(1000.0 * now) % 2**16)
 
     def end_kin(self, now: float) -> None:
         """Name peers no more if no robot has asked for it."""

@@ -425,7 +425,7 @@ def test_the_list_of_patterns_says_on_which_platforms_each_runs(pattern: str, wh
     ("platform", "option", "has_places"),
     [
         ("burger", "shared_pose", True),
-        ("burger", "pose_frame", False),
+        ("thymio", "pose_frame", False),
         ("crazyflie", "pose_frame", True),
         ("crazyflie", "shared_pose", False),
     ],

@@ -6,21 +6,15 @@ import math
 import random
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.told import Told
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
-
-if TYPE_CHECKING:
-    from swarmd.kin.kin import NO_ROBOT, Kin
-else:
-    _kernel = load_kernel("swarmd.kin.kin")
-    NO_ROBOT, Kin = _kernel.NO_ROBOT, _kernel.Kin
+from swarmd.kin.naming import NO_ROBOT, Kin
 
 PERIOD = 0.2
 FREE = Scan(0, 0.0, np.empty(0), np.empty(0), 0.1, 3.5)

@@ -17,7 +17,7 @@ import numpy as np
 from swarmd.core.kernels import load_kernel
 from swarmd.core.told import Told
 from swarmd.core.values import Array, Neighbor, Odometry, Scan
-from swarmd.kin.kin import NO_ROBOT, Kin
+from swarmd.kin.naming import NO_ROBOT, Kin
 from swarmd.protection.decision import DecisionContext
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -31,9 +31,6 @@ _LOSS, _DELAY = 0.1, 0.1
 _PERIOD = 0.05  # s, in which a run is polled
 _RADIUS = 0.15  # m, of what hides others
 _SAME = 0.3  # m between a track and what it shows at most
-
-
-_make_kin = load_kernel("swarmd.kin.kin").Kin
 
 
 @dataclass
@@ -116,7 +113,7 @@ def play(
     made: Record,
     counts: Counts,
     seed: int,
-    make: Callable[[float], Kin] = _make_kin,
+    make: Callable[[float], Kin] = Kin,
     change: Callable[[Told], Told] = lambda told: told,
     counted: Callable[[int, int], bool] = lambda viewer, seen: True,
 ) -> list[Kin]:
