@@ -368,12 +368,14 @@ class Robot(Ticker):
         )
 
     def tracks(self, now: float) -> Tracks | None:
-        """The nearest tracks of moving objects, for viewers; None without avoidance."""
+        """The nearest tracked objects, for viewers; None while nothing is tracked."""
         tracks = self._steering.tracks(self._sensors.context(now))
         if tracks is None:
             return None
         near = sorted(tracks, key=lambda track: math.hypot(track.x, track.y))[:MAX_TRACKS]
-        shown = (ShownTrack(t.x, t.y, t.vx, t.vy, t.radius) for t in near)
+        kin = self._sensors.kin
+        names = {} if kin is None else kin.names(now)
+        shown = (ShownTrack(t.x, t.y, t.vx, t.vy, t.radius, names.get(t.id)) for t in near)
         return Tracks(self.id, tuple(shown))
 
     @property

@@ -134,6 +134,11 @@ def test_a_pattern_that_needs_places_gets_them_of_the_peer_that_is_named() -> No
     assert 0.0 < peer.error < 0.2
     assert peer.age < 0.4
     assert found["c"].distance is None
+    status, tracks = story.harness.status, story.harness.robot.tracks(story.harness.now)
+    assert [line.partition(" ")[0] for line in status.places] == ["b"]
+    assert tracks is not None
+    near = {name for name in (track.name for track in tracks.tracks) if name is not None}
+    assert near == {"b", ""}  # the pillar is no robot
 
 
 def test_a_robot_tells_while_a_peer_asks_and_for_five_seconds_after() -> None:
