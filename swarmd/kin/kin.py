@@ -73,6 +73,7 @@ _MOVING_PERIOD = cython.declare(cython.double, 0.2)  # s between two messages
 _RESTING_PERIOD = cython.declare(cython.double, 1.0)  # s, at rest
 _EARLY = cython.declare(cython.double, 0.05)  # s by which a scan may come early
 _MOVED = cython.declare(cython.double, 0.01)  # m and rad that are a motion
+_COMPARED = cython.declare(cython.double, 0.35)  # s between two comparisons of a peer, at least
 # s/s by which the least delay of messages is forgotten
 _AHEAD_MEMORY = cython.declare(cython.double, 0.01)
 # Beginning of a pose.
@@ -81,11 +82,13 @@ _SAME_DISTANCE = cython.declare(cython.double, 0.10)
 _FIRST_SD = cython.declare(cython.double, 0.07)  # m
 _TURNED = cython.declare(cython.double, 0.4)  # rad: directions that differ less are one
 # Scores.
-_EMPTY = cython.declare(cython.double, 1.0)  # a message at which rays cross the place of the peer
-# a message in which the peer does not tell the own robot, or a third
-_UNSEEN = cython.declare(cython.double, 1.0)
+_EMPTY = cython.declare(cython.double, 5.0)  # 1/s, while rays cross the place of the peer
+# 1/s, while the peer does not tell the own robot, or a third
+_UNSEEN = cython.declare(cython.double, 5.0)
 _DROPPED = cython.declare(cython.double, -3.0)  # score of a pose that is dropped
 _CONFIRMED = cython.declare(cython.double, 7.0)
+# with which a pose is sure: others begin no more, and poor ones are dropped
+_SURE = cython.declare(cython.double, 12.0)
 _MARGIN = cython.declare(cython.double, 4.0)  # to the next pose of the peer
 _UNSURE = cython.declare(cython.double, 1.0)  # margin below which no pose is confirmed any more
 # sights, and mutual sights, that a confirmed pose counts
@@ -172,6 +175,7 @@ class _Peer:
     delay: cython.double  # s, the least of arrival less stamp: between both clocks
     heard_at: cython.double  # s, of the last message
     time: cython.double  # s, of the pose in it
+    compared_at: cython.double  # s, of the last pose that was compared
     told_x: cython.double
     told_y: cython.double
     told_yaw: cython.double
@@ -188,7 +192,7 @@ class _Peer:
 
     def __init__(self) -> None:
         self.resets, self.hypotheses = -1, []
-        self.stamp = self.heard_at = self.time = self.began_at = -INFINITY
+        self.stamp = self.heard_at = self.time = self.began_at = self.compared_at = -INFINITY
         self.delay = INFINITY
 
     @cython.cfunc
@@ -375,7 +379,10 @@ class Kin:
         peer.resets, peer.stamp, peer.heard_at, peer.time = told.resets, stamp, now, time
         peer.told_x, peer.told_y, peer.told_yaw = x, y, yaw
         peer.follow()
-        self._compare(id, told, peer, gap)
+        gap = min(time - peer.compared_at, _MOST_GAP)
+        if gap >= _COMPARED:
+            self._compare(id, told, peer, gap)
+            peer.compared_at = time
 
     def names(self, now: cython.double) -> dict[int, str | None]:
         """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""
@@ -487,7 +494,9 @@ class Kin:
             self._judge(one, peer, gap, count, told_count)
         n: cython.Py_ssize_t
         m: cython.Py_ssize_t
-        for n in range(count):
+        best: Hypothesis = peer.confirmed(peer.heard_at)
+        is_sure: cython.bint = best is not None and best.score > _SURE
+        for n in range(0 if is_sure else count):
             i = POINT * n
             for m in range(told_count):
                 k = POINT * m
@@ -496,7 +505,7 @@ class Kin:
                     yaw: cython.double = to_own - atan2(objects[k + 1], objects[k])
                     self._begin(peer, places[i], places[i + 1], yaw, max(places[i + 2], 0.3))
         self._rank(peer)
-        self._agree(id, peer, told_count)
+        self._agree(id, peer, gap, told_count)
 
     @cython.cfunc
     def _judge(
@@ -517,7 +526,7 @@ class Kin:
             # The rays of the last scan cross the place of the pose.
             sector: cython.Py_ssize_t = _sector_of(atan2(dy, dx) - self._yaw)
             is_empty: cython.bint = self._free[sector] > distance + _SEEN_MOST
-            one.score -= _EMPTY if is_empty and distance < _FREE_REACH else _FADE * gap
+            one.score -= gap * (_EMPTY if is_empty and distance < _FREE_REACH else _FADE)
             return 0
         if is_lost:
             one.prove(peer.told_x, peer.told_y, self._x, self._y)
@@ -526,7 +535,7 @@ class Kin:
             one.sights.add(peer.told_x, peer.told_y)
         is_news = one.mutual.is_news(self._x, self._y)
         if not one.be_seen(self._objects, told_count, self._x, self._y, is_news):
-            one.score -= _UNSEEN if distance < _REACH else _FADE * gap
+            one.score -= gap * (_UNSEEN if distance < _REACH else _FADE)
         elif is_news:
             one.mutual.add(self._x, self._y)
         return 0
@@ -569,9 +578,11 @@ class Kin:
             if one.score > best.score:
                 best = one
         second: cython.double = -INFINITY
+        is_sure: cython.bint = best.confirmed_at < INFINITY and best.score > _SURE
+        least: cython.double = best.score - _SURE if is_sure else _DROPPED
         kept: list[Hypothesis] = [best]
         for one in peer.hypotheses:
-            if one is best or one.score <= _DROPPED or one.is_like(best.x, best.y, best.yaw, 0.5):
+            if one is best or one.score <= least or one.is_like(best.x, best.y, best.yaw, 0.5):
                 continue
             one.confirmed_at = INFINITY
             second = max(second, one.score)
@@ -589,7 +600,9 @@ class Kin:
         return 0
 
     @cython.cfunc
-    def _agree(self, id: str, peer: _Peer, told_count: cython.Py_ssize_t) -> cython.int:
+    def _agree(
+        self, id: str, peer: _Peer, gap: cython.double, told_count: cython.Py_ssize_t
+    ) -> cython.int:
         """Lower the pose of a peer that does not tell a third robot which it must see.
 
         Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third
@@ -613,7 +626,7 @@ class Kin:
             # Two that are nearer claim one object: their messages need not tell each other.
             is_due: cython.bint = _ELSEWHERE <= hypot(dx, dy) < _AGREED
             if is_due and not self._is_told(ahead, left, told_count):
-                best.score -= _UNSEEN
+                best.score -= gap * _UNSEEN
         return 0
 
     @cython.cfunc
