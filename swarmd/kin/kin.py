@@ -255,6 +255,7 @@ class Kin:
     _seen_at: cython.double  # s, of the last scan
     _free: cython.double[::1]  # of each direction from -pi on, m to the nearest return
     _peers: dict[str, _Peer]
+    _forgot_at: cython.double  # s, when silent peers were forgotten last
     _told_at: cython.double  # s, of the last message, and the pose in it
     _told_x: cython.double
     _told_y: cython.double
@@ -349,7 +350,8 @@ class Kin:
         if self._trail.count == 0:
             return
         if id not in self._peers:
-            self._forget_silent(now)
+            if len(self._peers) >= MOST_PEERS and now - self._forgot_at > 1.0:
+                self._forget_silent(now)
             if len(self._peers) >= MOST_PEERS:
                 return
             self._peers[id] = _Peer()
@@ -439,6 +441,7 @@ class Kin:
 
     @cython.cfunc
     def _forget_silent(self, now: cython.double) -> cython.int:
+        self._forgot_at = now
         peer: _Peer
         for id, peer in list(self._peers.items()):
             if now - peer.heard_at > _SILENCE:
