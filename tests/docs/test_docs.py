@@ -408,7 +408,7 @@ def test_names_of_the_library_are_there() -> None:
     ("pattern", "where"),
     [
         ("dispersion", "all 11"),
-        ("vicsek_alignment", "with a shared frame: all 11"),
+        ("vicsek_alignment", "waffle_pi_lds02; with a shared frame: crazyflie, epuck2, thymio"),
         ("phototaxis", "epuck2"),
         ("shelter_choice", "in simulation alone: no platform has `reading:ground`"),
         ("foraging", "gripper"),
