@@ -117,7 +117,7 @@ class _Track:
 
     x: cython.double
     y: cython.double
-    places: list[tuple[float, float, float]]  # time, x, y; the last is the newest
+    places: list[Any]  # (time, x, y); the last is the newest
     still_x: cython.double
     still_y: cython.double
     still_since: cython.double
@@ -406,7 +406,7 @@ class Kin:
 
     @cython.cfunc
     def _completed(self, known: Neighbor, matches: dict[str, int], now: cython.double) -> Neighbor:
-        peer: _Peer = self._peers.get(known.id)
+        peer: _Peer | None = self._peers.get(known.id)
         best: Hypothesis | None = None if peer is None else peer.confirmed(now)
         if peer is None or best is None:
             return known
@@ -497,7 +497,7 @@ class Kin:
             self._judge(one, peer, gap, count, told_count)
         n: cython.Py_ssize_t
         m: cython.Py_ssize_t
-        best: Hypothesis = peer.confirmed(peer.heard_at)
+        best: Hypothesis | None = peer.confirmed(peer.heard_at)
         is_sure: cython.bint = best is not None and best.score > _SURE
         for n in range(0 if is_sure else count):
             i = POINT * n
@@ -611,14 +611,14 @@ class Kin:
         Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third
         robot does the same by its messages: so a liar lowers no other.
         """
-        best: Hypothesis = peer.confirmed(peer.heard_at)
+        best: Hypothesis | None = peer.confirmed(peer.heard_at)
         if best is None or told_count == MOST_OBJECTS:
             return 0
         c: cython.double = cos(best.yaw)
         s: cython.double = sin(best.yaw)
         other: _Peer
         for name, other in self._peers.items():
-            third: Hypothesis = other.confirmed(peer.heard_at)
+            third: Hypothesis | None = other.confirmed(peer.heard_at)
             if name == id or third is None or third.score < best.score:
                 continue
             other.expect(third, peer.time)
@@ -659,7 +659,7 @@ class Kin:
         peer: _Peer
         track: _Track
         for id, peer in self._peers.items():
-            best: Hypothesis = peer.confirmed(now)
+            best: Hypothesis | None = peer.confirmed(now)
             if best is None:
                 continue
             confirmed_at[id] = best.confirmed_at
@@ -691,7 +691,7 @@ class Kin:
             return False
         peer: _Peer
         for peer in self._peers.values():
-            best: Hypothesis = peer.confirmed(now)
+            best: Hypothesis | None = peer.confirmed(now)
             if best is not None:
                 peer.expect(best, now)
                 if hypot(peer.x - track.still_x, peer.y - track.still_y) < _ELSEWHERE:
