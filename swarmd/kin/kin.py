@@ -413,8 +413,7 @@ class Kin:
         peer.expect(best, now)
         seen_at: cython.double = best.seen_at
         if known.id in matches:
-            track: _Track = self._tracks[matches[known.id]]
-            track.find(self._seen_at)
+            track: _Track = self._tracks[matches[known.id]]  # where `_matches` found it
             seen_at, peer.x, peer.y = self._seen_at, track.x, track.y
         dx: cython.double = peer.x - self._trail.x
         dy: cython.double = peer.y - self._trail.y
@@ -658,6 +657,8 @@ class Kin:
         confirmed_at: dict[str, float] = {}
         peer: _Peer
         track: _Track
+        for track in self._tracks.values():
+            track.find(self._seen_at)
         for id, peer in self._peers.items():
             best: Hypothesis | None = peer.confirmed(now)
             if best is None:
@@ -665,7 +666,6 @@ class Kin:
             confirmed_at[id] = best.confirmed_at
             peer.expect(best, now)
             for number, track in self._tracks.items():
-                track.find(self._seen_at)
                 far: cython.double = best.fits(track.x - peer.x, track.y - peer.y)
                 if far < INFINITY and not track.is_other(peer):
                     claims.append((far, id, number))
@@ -703,6 +703,7 @@ class Kin:
 
 @cython.cfunc
 @cython.inline
+@cython.exceptval(check=False)
 def _sector_of(bearing: cython.double) -> cython.Py_ssize_t:
     """The number of a direction."""
     sector: cython.double = (wrap(bearing) / TURN + 0.5) * _SECTORS
