@@ -202,13 +202,14 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     """A robot nearby that is heard or sensed.
 
     - `age`: s since the robot was last heard or sensed, to within 0.5 s; of a place in a shared
-      frame, the age of the older of both poses.
-    - `distance` in m, `bearing`, `heading` in rad: relative to the own robot, measured or computed
-      from poses in a shared frame; None: not known.
+      frame, the age of the older of both poses; of a place by kin, s since a scan showed it.
+    - `distance` in m, `bearing`, `heading` in rad: relative to the own robot, measured, computed
+      from poses in a shared frame, or by kin (`swarmd/kin/`); None: not known.
     - `in_reach`: the robot is within the range or link quality of the settings
       (`NeighborSettings`). Patterns get only neighbors in reach. Protection uses every sensed
       robot.
-    - `error`: m, a bound of the error of a place in a shared frame; None: measured, or not known.
+    - `error`: m, a bound of the error of a place in a shared frame; by kin two standard deviations;
+      None: measured, or not known.
     """
 
     id: str
