@@ -287,5 +287,8 @@ def _deviation(
     """Squared standard deviations of a difference in m; inf beyond the gate."""
     if dx * dx + dy * dy > _MOST_GATE * _MOST_GATE:
         return INFINITY
-    far: cython.double = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
+    det: cython.double = xx * yy - xy * xy
+    if not det > 0.0:  # rounding has made it no covariance
+        return INFINITY
+    far: cython.double = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / det
     return far if far <= _GATE else INFINITY

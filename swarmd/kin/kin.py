@@ -707,4 +707,4 @@ class Kin:
 def _sector_of(bearing: cython.double) -> cython.Py_ssize_t:
     """The number of a direction."""
     sector: cython.double = (wrap(bearing) / TURN + 0.5) * _SECTORS
-    return cython.cast(cython.Py_ssize_t, min(sector, _SECTORS - 0.5))
+    return cython.cast(cython.Py_ssize_t, min(_SECTORS - 0.5, sector))  # also of NaN
