@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.events import Input, KinInput, NeighborsInput, PlaceInput, PoseInput
+from swarmd.core.events import (
+    Input,
+    KinInput,
+    NeighborsInput,
+    PlaceInput,
+    PoseInput,
+    decode_input,
+    encode_input,
+)
 from swarmd.core.told import Told
 from swarmd.core.values import Inputs, Neighbor, Outputs, PeerPlace, Pose, SharedPose, Twist
 from swarmd.kit.behavior import Pattern
@@ -44,11 +52,12 @@ class Seeks(Turns):
 class Story:
     """A Waffle Pi among a peer that drives a circle, too, and one pillar.
 
-    `told`: the messages of the robot with their times.
+    `told`, `inputs`: the messages of the robot, and the bytes of its inputs, with their times.
     """
 
     platform: str = "waffle_pi"
     told: list[tuple[float, Told]] = field(default_factory=list)
+    inputs: list[tuple[float, bytes]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.harness = RobotHarness(
@@ -61,6 +70,7 @@ class Story:
         )
 
     def _take(self, robot: Robot, input: Input, now: float) -> Actions | None:
+        self.inputs.append((now, encode_input(input)))
         actions = robot.step(input, now)
         if actions is not None and actions.told is not None:
             self.told.append((now, actions.told))
@@ -199,3 +209,16 @@ def test_a_recalled_robot_goes_on_with_its_names() -> None:
     for one in (robot, other):
         one.step(told, now + 0.2)
     assert other._sensors.neighbors(now + 0.3) == robot._sensors.neighbors(now + 0.3)
+
+
+def test_a_robot_that_gets_a_recording_names_the_same_peers() -> None:
+    story = Story()
+    story.harness.advance(1.0)
+    story.harness.applied("run", pattern="seeks")
+    story.run(15.0)
+    other = RobotHarness("waffle_pi").robot
+    for now, data in story.inputs:
+        other.step(decode_input(data), now)
+    known = story.neighbors()
+    assert known["b"].distance is not None
+    assert {one.id: one for one in other._sensors.neighbors(story.harness.now)} == known
