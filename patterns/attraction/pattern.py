@@ -82,6 +82,8 @@ _MAX_REST_TIME = 40.0
 # While searching the heading drifts by up to so many rad, for so many s.
 _MAX_DRIFT = 0.4
 _DRIFT_TIMES = (2.0, 5.0)
+# s up to which an object at the known place of a neighbor is this neighbor.
+_MAX_AGE = 2.0
 # Beyond this share of its range the lidar sees only parts of an object, such as a wall.
 _MAX_RANGE_SHARE = 0.95
 
@@ -194,6 +196,7 @@ class Attraction(FieldPattern[AttractionParams]):
     def __init__(self, params: AttractionParams, context: Context) -> None:
         super().__init__(params, context)
         self.update(params)
+        self.uses_places = params.law == "settling"
         self.state = "search"
         self._since = 0.0  # s, the time at which `state` began
         self._rest_time = _FIRST_REST_TIME  # s in a state before the next try to roll or lead
@@ -214,7 +217,7 @@ class Attraction(FieldPattern[AttractionParams]):
         """Change the state (search, gather, settled, roll or lead); the command of the state."""
         now, received = inputs.now, len(inputs.neighbors)
         if self._view is None or self._view.scan is not scan:
-            self._view = self._look(scan, received)
+            self._view = self._look(scan, inputs)
         view = self._view
         is_in_line = received > len(view.robots.objects) and view.is_line
         state = self._next_state(view, now, received, is_in_line)
@@ -226,12 +229,9 @@ class Attraction(FieldPattern[AttractionParams]):
             return self._follow(view, self._in_sight(view.robots, self._explore(view, now)))
         return self._follow(view, self._around(view) if state == "roll" else view.pull)
 
-    def _look(self, scan: Scan, received: int) -> _Surroundings:
-        """The robots and near surfaces in a scan, and the pull of the robots.
-
-        `received`: the number of robots that are heard.
-        """
-        params = self.params
+    def _look(self, scan: Scan, inputs: Inputs) -> _Surroundings:
+        """The robots and near surfaces in a scan, and the pull of the robots."""
+        params, received = self.params, len(inputs.neighbors)
         brake, offset = params.brake, self.context.platform.scan.offset
         points = near_points(
             scan, within=params.spacing + brake + math.hypot(*offset), offset=offset
@@ -239,9 +239,14 @@ class Attraction(FieldPattern[AttractionParams]):
         # Cut at `range`, a wall would be as narrow as a robot.
         objects = clusters(scan, within=scan.range_max).objects
         furthest = min(params.range, _MAX_RANGE_SHARE * scan.range_max)
-        robots = RobotsInSight(objects, params.object_width, furthest, offset)
+        named = [
+            (one.distance, one.bearing)
+            for one in inputs.neighbors
+            if one.distance is not None and one.bearing is not None and one.age < _MAX_AGE
+        ]
+        robots = RobotsInSight(objects, params.object_width, furthest, offset, named)
         seen = len(robots.objects)
-        middle = to_middle(scan, robots.objects) if seen <= _FEW_ROBOTS else (0.0, 0.0)
+        middle = to_middle(scan, robots.narrow) if seen <= _FEW_ROBOTS else (0.0, 0.0)
         pull = _limited(*robots.pull(self._spacing, brake, params.range))
         if robots.polar and _may_be_lost(seen, received):
             x, y = _limited(_MIDDLE_GAIN * middle[0], _MIDDLE_GAIN * middle[1])

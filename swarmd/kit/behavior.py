@@ -75,6 +75,8 @@ class Pattern(ABC, Generic[P]):
     - `group`: the heading under which lists of patterns have it, such as gather or search.
     - `needs`: what the robot must have: fields of `Inputs`, such as scan, odometry and neighbors;
       neighbors.distance, neighbors.bearing, neighbors.heading, gripper and reading:<name>.
+    - `uses_places`: it needs no places of neighbors, but uses them where the robot learns them by
+      the motion of its peers.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
     - `report_units`: the units of reported numbers, by their keys; views and metrics show them.
@@ -90,6 +92,7 @@ class Pattern(ABC, Generic[P]):
     params_type: ClassVar[type[Params]] = Params
     group: ClassVar[str] = ""
     needs: frozenset[str] = frozenset({"scan"})
+    uses_places: bool = False
     channels: Mapping[str, type] = {}
     rate: ClassVar[float] = 10.0
     report_units: ClassVar[Mapping[str, str]] = {}

@@ -27,6 +27,7 @@ class CombinedPattern(Pattern[P]):
         super().__init__(params, context)
         self.parts = self.make_parts()
         self.needs = frozenset[str]().union(self.needs, *(p.needs for p in self.parts.values()))
+        self.uses_places |= any(part.uses_places for part in self.parts.values())
         self.channels = dict(self.channels) | {
             outer_name(part, channel): kind
             for part in self.parts.values()

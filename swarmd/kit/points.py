@@ -67,6 +67,8 @@ _MAX_OCCLUSION_ANGLE = cython.declare(cython.double, math.radians(3.0))
 _MERGE_SHARE = cython.declare(cython.double, 0.45)
 # A robot farther than this share of the range at which it is lost pulls as one at this share.
 _MAX_LOSS_SHARE = cython.declare(cython.double, 0.95)
+# m from the nearest ray of an object to the middle of a robot: half a body, and the error of both.
+_SAME_PLACE = cython.declare(cython.double, 0.35)
 # rad on each side of a robot whose rays say nothing of the free space.
 _MARGIN = cython.declare(cython.double, 0.05)
 # m: a nearer object counts as one at this range where its range divides.
@@ -181,21 +183,36 @@ class NearPoints:
 class RobotsInSight:
     """The objects of a scan that may be robots, in the order of their bearings from the lidar.
 
-    `objects`: all of them, as in `RayClusters`, from the lidar. `polar`: range in m and bearing in
-    rad, from the base, of each that no nearer object hides in part.
+    `objects`: all of them, as in `RayClusters`, from the lidar. `narrow`: all objects no wider than
+    a robot; those beyond reach only beside named robots. `polar`: range in m and bearing in rad,
+    from the base, of each of `objects` that no nearer object hides in part.
     """
 
     objects: list[Any] = cython.declare(object, visibility="readonly")
+    narrow: list[Any] = cython.declare(object, visibility="readonly")
     polar: list[Pair] = cython.declare(object, visibility="readonly")
     _directed: list[Any]  # range, cosine and sine of the bearing
 
     def __init__(
-        self, objects: Iterable[Any], width: cython.double, reach: cython.double, offset: Pair
+        self,
+        objects: Iterable[Any],
+        width: cython.double,
+        reach: cython.double,
+        offset: Pair,
+        named: Iterable[Pair] = (),
     ) -> None:
         """`objects` as in `RayClusters`, from the lidar at `offset` (m); a robot is at most `width`
         m wide and `reach` m away.
+
+        `named`: m and rad from the base to the middles of robots. If there are any, an object is a
+        robot if it is at one of them, however wide it is.
         """
-        self.objects = [one for one in objects if one[2] <= width and one[0] <= reach]
+        places = [(d * cos(b), d * sin(b)) for d, b in named]
+        self.narrow = [one for one in objects if one[2] <= width and (places or one[0] <= reach)]
+        near = [one for one in objects if one[0] <= reach]
+        self.objects = [
+            one for one in near if (_is_at(one, offset, places) if places else one[2] <= width)
+        ]
         self.polar = polar_from_base([one[:2] for one in self.objects if one[4]], offset)
         self._directed = [(away, cos(bearing), sin(bearing)) for away, bearing in self.polar]
 
@@ -256,6 +273,14 @@ class RobotsInSight:
             if excess > 0.0:
                 x, y = x + excess * ahead, y + excess * left
         return x, y
+
+
+@cython.cfunc
+def _is_at(one: Any, offset: Pair, places: list[Pair]) -> cython.bint:
+    """True if an object is at one of the places, m from the base."""
+    x: cython.double = offset[0] + one[0] * math.cos(one[1])
+    y: cython.double = offset[1] + one[0] * math.sin(one[1])
+    return any([math.hypot(ahead - x, left - y) < _SAME_PLACE for ahead, left in places])
 
 
 def to_middle(scan: Scan, robots: Iterable[Sequence[Any]]) -> Pair:

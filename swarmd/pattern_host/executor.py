@@ -101,7 +101,8 @@ class PatternExecutor:
             pattern.touches,
             note=note,
             scan_delay=float(pattern.scan_delay),
-            needs_places=not PLACES_BY_POSE.isdisjoint(pattern.needs | ended_by),
+            needs_places=pattern.uses_places
+            or not PLACES_BY_POSE.isdisjoint(pattern.needs | ended_by),
         )
 
     def _on_step(self, step: host_messages.Step) -> host_messages.SentEvent:

@@ -81,6 +81,7 @@ class Subject:
     platform: Platform
     params: Mapping[str, Value]
     plugin_dir: Path | None = None
+    side: float = 1.0  # of neighbours: -1 to the right
 
     def make(self, seed: int = 0) -> Pattern[Any]:
         """A new pattern object whose random generator has this seed."""
@@ -118,7 +119,10 @@ class Subject:
                 scan=scan,
                 is_new_scan=index % 2 == 0 and scan is not None,
                 odometry=Odometry(0.1 * index, Pose(), Twist()),
-                neighbors=(Neighbor("robot-2", 0.1, 1.0, 0.5, 0.2), Neighbor("robot-3", 0.2)),
+                neighbors=(
+                    Neighbor("robot-2", 0.1, 1.0, 0.5 * self.side, 0.2 * self.side),
+                    Neighbor("robot-3", 0.2),
+                ),
                 messages=_messages(pattern, index),
                 readings=readings,
                 ranges=scan if "ranges" in pattern.needs else None,
@@ -286,7 +290,7 @@ class PatternContract:
         # Without a return the random generator may decide, equally on both sides.
         for scan in (scan for scan in scans if np.isfinite(scan.ranges).any()):
             here = subject.run([scan] * 3)[-1].twist
-            there = subject.run([mirrored(scan)] * 3)[-1].twist
+            there = replace(subject, side=-1.0).run([mirrored(scan)] * 3)[-1].twist
             assert (here is None) == (there is None), "a command on one side only"
             if here is not None and there is not None:
                 swapped = Twist(there.linear, -there.angular, -there.lateral)

@@ -200,6 +200,19 @@ def test_robots_in_sight_are_narrow_and_near_and_whole_ones_have_a_place() -> No
     assert found.polar == [pytest.approx((math.hypot(1.5, 1.0), math.atan2(1.0, 1.5)))]
 
 
+def test_beside_named_robots_an_object_is_a_robot_by_its_place_and_not_by_its_width() -> None:
+    pillar, robot = (1.0, 0.0, 0.2, 9, True), (1.0, math.pi / 2, 0.2, 9, True)
+    at_wall, far = (1.0, math.pi, 2.0, 90, True), (3.5, 0.5, 0.2, 3, True)
+    objects = [pillar, robot, at_wall, far]
+    # From the base, 0.5 m ahead of which the lidar is: 1.1 m behind the lidar, and 1.1 m to the left.
+    named = [(0.6, math.pi), (math.hypot(0.5, 1.1), math.atan2(1.1, 0.5))]
+    found = RobotsInSight(objects, 0.3, 3.0, (0.5, 0.0), named)
+    assert found.objects == [robot, at_wall]
+    assert found.narrow == [pillar, robot, far]
+    unknown = RobotsInSight(objects, 0.3, 3.0, (0.5, 0.0))
+    assert unknown.objects == unknown.narrow == [pillar, robot]
+
+
 def test_robots_ahead_and_behind_lie_on_one_line() -> None:
     line = in_sight((1.0, 0.3), (0.4, 0.3 - math.pi)).arrangement(0.5)
     assert line == pytest.approx((1, 2.0))

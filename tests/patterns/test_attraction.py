@@ -216,6 +216,28 @@ def test_it_leaves_no_robot_that_it_sees(distance: float) -> None:
     assert y == 0.5
 
 
+@pytest.mark.parametrize(("age", "side"), [(0.5, 1.0), (2.5, 0.0)])
+def test_a_pillar_beside_a_robot_that_is_known_by_its_motion_attracts_no_robot(
+    age: float, side: float
+) -> None:
+    """The robot stands to the left, the pillar to the right; a place older than 2 s says nothing."""
+    scan = scan_of(WAFFLE, [Disc(0.0, 1.5), Disc(0.0, -1.5)])
+    pattern = cast("Attraction", Subject(Attraction, WAFFLE, {}).make())
+    robot = Neighbor("robot-2", age, 1.5, math.pi / 2, 0.0)
+    pattern.step(Inputs(0.0, 0.0, scan, neighbors=(robot,)))
+    view = pattern._view
+    assert view is not None
+    assert len(view.robots.objects) == (1 if side else 2)
+    assert math.copysign(1.0, view.pull[1]) * (abs(view.pull[1]) > 0.1) == side
+
+
+def test_the_law_of_the_paper_uses_no_places() -> None:
+    uses = [
+        Subject(Attraction, WAFFLE, {"law": law}).make().uses_places for law in ("paper", "settling")
+    ]
+    assert uses == [False, True]
+
+
 def test_a_short_range_is_wider_than_the_spacing() -> None:
     """A robot at 0.55 m, nearer than `spacing`, still pulls where the range is only 0.8 m."""
     scan = scan_of(WAFFLE, [Disc(0.75, 0.0)])
