@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from swarmd.core import host_messages
 from swarmd.core.errors import ParameterError, PluginError, SwarmError, named
-from swarmd.core.messages import Refusal
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Inputs, Message, Outputs, Platform, Scalar, Scan, Twist, Value
 from swarmd.kit.condition_state import UntilConditions, until_conditions
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers

@@ -69,6 +69,7 @@ _VALUES = frozenset(
             "odometry_trail",
             "pattern_manifest",
             "record",
+            "refusal",
             "token_bucket",
             "values",
             "verbs",
