@@ -269,7 +269,7 @@ def test_signs_of_a_second_publisher_end_soon_after_its_last_message(
 
     def reason(now: float) -> Reason | None:
         conflict = Graph(middleware=middleware, endpoints=[], now=now).conflict(topics, SPEC)
-        return conflict and conflict.reason
+        return None if conflict is None else conflict.reason
 
     last = pairs[-1][0]
     assert reason(last + 1.0) is Reason.SCAN_CONFLICT
