@@ -219,7 +219,7 @@ class Moving:
     ) -> None:
         self._sensors, self._protection = Sensors(platform), Commander(platform)
         self._permit = permit
-        self._sensors.on_driver(True, "")
+        self._sensors.on_driver(True, "", 0.0)
         # No ages: those of the platform's sweep count.
         self._scans = cycle([replace(scan, ages=None) for scan in scans])
         self._twist, self._pose, self._seq = twist, Pose(), 0

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from studies.night.sources import digest_of
+from swarmd.core.files import write_whole
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import Progress
 from swarmd.sim.experiments.statistics import mean_interval
@@ -61,9 +62,7 @@ def once(file: Path, kind: type[T], make: Callable[[], Iterable[T]]) -> list[T]:
     if not file.exists():
         made = msgspec.msgpack.encode([*make()])
         file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part")
-        part.write_bytes(made)
-        part.rename(file)
+        write_whole(file, made)
         print(f"{file}: done", file=sys.stderr, flush=True)
     return msgspec.msgpack.decode(file.read_bytes(), type=list[kind])  # type: ignore[valid-type]
 

@@ -1,8 +1,8 @@
 """Attraction and dispersion tuned, with held-out seeds: `python -m studies.tuning`.
 
-Attraction is tuned by the bound that it misses (docs/paper.md, experiment 1), dispersion by the way
-to its distance, as by `swarmctl exp tune`. Prints the tables of both pages. The same command
-resumes.
+Attraction is tuned for the least late distance to the centroid (the metric of docs/paper.md,
+experiment 1), dispersion for the shortest way to its distance, as by `swarmctl exp tune`. Prints
+the tables of both pages. The same command resumes.
 """
 
 from __future__ import annotations

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import runpy
 import tomllib
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 RELEASE = runpy.run_path(str(ROOT / ".ci" / "release"))
@@ -123,9 +123,12 @@ def test_pages_name_the_archives_of_the_version_of_the_package() -> None:
     assert named == {project["version"]}
 
 
-def test_the_citation_has_the_version_of_the_package() -> None:
+def test_the_ros_package_has_the_version_of_the_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == project["version"]
+    package = ROOT / "drivers/swarmd_bringup"
+    assert ElementTree.parse(package / "package.xml").findtext("version") == project["version"]
+    named = re.findall(r'version="(.*?)"', (package / "setup.py").read_text())
+    assert named == [project["version"]]
 
 
 def test_the_changelog_begins_with_the_version_of_the_package() -> None:

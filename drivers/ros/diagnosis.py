@@ -24,7 +24,7 @@ from swarmd.drivers.ros.foreign_commands import ForeignCommands
 from swarmd.drivers.ros.namespaces import Candidates, Namespaces
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
-from swarmd.drivers.ros.topic_stats import TopicStats
+from swarmd.drivers.ros.topic_stats import FAULT_TIMEOUT, TopicStats
 from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
 from swarmd.sensing.scan_content import ScanContent
 from swarmd.sensing.scan_delay_finding import scan_delay_finding
@@ -83,7 +83,7 @@ class Graph:
     nodeless: Collection[Endpoint] = ()  # DDS ends of ROS processes whose nodes no bridge can read
     options: TopicOptions = field(default_factory=TopicOptions)  # name this robot's topics
     heard: Collection[str] = ()  # this robot's topics that carried messages
-    now: float = math.inf  # s on the clock of `Endpoint.since`
+    now: float = math.inf  # s on the clock of `Endpoint.since` and of arrivals; inf: unknown
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers of a topic in the driver's domain."""
@@ -267,9 +267,10 @@ class Graph:
                 f"{len(bridges)} bridges hand on what {publishers[0].owner} publishes on {topic}:"
                 " they are in one domain; end all but one, or give each robot a domain"
             )
-        if self._only_node(topic):
-            # Stamps and rate show no second node then: the clock of this node was set, or the
-            # platform's rate is wrong.
+        is_silent = FAULT_TIMEOUT < self.now - stats.last_arrival() < math.inf
+        if is_silent or self._only_node(topic):
+            # Stamps and rate show no second node then: they are those of the time before the
+            # silence, the clock of this node was set, or the platform's rate is wrong.
             return ""
         if stats.stamps_go_back():
             return (

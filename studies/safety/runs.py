@@ -138,6 +138,7 @@ def carry_out_missing(
     missing = [task for task in tasks if task not in known]
     file.parent.mkdir(parents=True, exist_ok=True)
     with file.open("ab") as out:
+        out.truncate(file.read_bytes().rfind(b"\n") + 1)  # the line that `read` leaves out
         for record in _done(missing, perform, code, jobs):
             known[record.task] = record
             out.write(msgspec.json.encode(record) + b"\n")
@@ -148,11 +149,13 @@ def carry_out_missing(
 
 
 def read(file: Path, kind: type[Line]) -> list[Line]:
-    """What a file holds; ConfigError for a line that is no record."""
-    if not file.exists():
-        return []
+    """What a file holds; ConfigError for a line that is no record.
+
+    A last line without its end is left out: power was cut while it was written.
+    """
+    lines = file.read_bytes().split(b"\n")[:-1] if file.exists() else ()
     try:
-        return [msgspec.json.decode(line, type=kind) for line in file.read_bytes().splitlines()]
+        return [msgspec.json.decode(line, type=kind) for line in lines]
     except msgspec.DecodeError as error:
         raise ConfigError(f"{file}: {error}; take the line out, or remove the file") from error
 

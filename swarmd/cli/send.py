@@ -12,7 +12,8 @@ import click
 
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.client.session import Session, TargetedView
-from swarmd.core.messages import Code, Refusal
+from swarmd.core.messages import Code
+from swarmd.core.refusal import Refusal
 from swarmd.network.operator.exit_codes import code_of_answers
 from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.values import NOTHING

@@ -17,7 +17,7 @@ from swarmd.core.errors import (
     ParameterError,
     UnknownPatternError,
 )
-from swarmd.core.messages import Refusal
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Value
 
 MAX_SCAN_DELAY = 0.5

@@ -22,7 +22,8 @@ from msgspec.structs import replace
 
 from swarmd.core import verbs
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, Epoch, Latch, Refusal, Reply, State
+from swarmd.core.messages import Code, Epoch, Latch, Reply, State
+from swarmd.core.refusal import Refusal
 from swarmd.daemon.requests import RequestServer
 from swarmd.driver_api.command_source import Answer, DriverCommand
 from swarmd.security.identity import Identity

@@ -10,7 +10,8 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import Goal, GoalRecord, digest_of
-from swarmd.core.messages import Code, Refusal, Reply
+from swarmd.core.messages import Code, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import Request
 from swarmd.daemon.store import RecordWriter, StateFile
 from swarmd.network.spread.goal_sync import GoalCheck, is_signed_goal

@@ -42,8 +42,9 @@ from swarmd.core.incident import (
     id_of,
     silent_id,
 )
-from swarmd.core.messages import Code, Refusal, Reply, State, Status
+from swarmd.core.messages import Code, Reply, State, Status
 from swarmd.core.record import DIGEST_BYTES
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import KeptIncident, shortened
 from swarmd.daemon.audit import printable
 from swarmd.daemon.recorder import Recorder, piece_of

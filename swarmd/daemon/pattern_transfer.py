@@ -28,7 +28,7 @@ from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
-from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Reply
 from swarmd.core.pattern_manifest import (
     Entry,
     Signed,
@@ -38,6 +38,7 @@ from swarmd.core.pattern_manifest import (
     read_entry,
 )
 from swarmd.core.record import may_replace
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import (
     Nothing,
     PushedPatternsReply,

@@ -49,8 +49,9 @@ from swarmd.core.events import (
     tag_of,
 )
 from swarmd.core.files import open_regular, read_regular, write_fault
-from swarmd.core.messages import Code, RecordingSummary, Refusal, Reply, Status
+from swarmd.core.messages import Code, RecordingSummary, Reply, Status
 from swarmd.core.processes import how_it_ended
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Scan
 from swarmd.daemon.requests import SendReply
 from swarmd.plugins import need

@@ -22,8 +22,9 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import CONTROL
-from swarmd.core.messages import Code, Refusal, Reply
+from swarmd.core.messages import Code, Reply
 from swarmd.core.names import owner_of
+from swarmd.core.refusal import Refusal
 from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter

@@ -11,7 +11,8 @@ import logging
 from collections.abc import Callable, Coroutine
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.messages import Code, KeySummary, Refusal, Reply
+from swarmd.core.messages import Code, KeySummary, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import RosterRequest
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.inbound_queue import DropCounter

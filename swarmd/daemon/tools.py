@@ -23,7 +23,8 @@ from swarmd.core.codec import encode
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.log_ring import LogRing
 from swarmd.core.machine import measure_machine
-from swarmd.core.messages import Code, KeySummary, Refusal, Reply, Sandbox
+from swarmd.core.messages import Code, KeySummary, Reply, Sandbox
+from swarmd.core.refusal import Refusal
 from swarmd.core.threads import hand_over
 from swarmd.daemon.audit import AuditLog
 from swarmd.daemon.network import Network

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from swarmd.core import host_messages
 from swarmd.core.errors import ParameterError, PluginError, SwarmError, named
-from swarmd.core.messages import Refusal
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import (
     PLACES_BY_POSE,
     Inputs,

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import Goal, GoalState, HeldGoal
-from swarmd.core.messages import Epoch, Reason, Refusal, State
+from swarmd.core.messages import Epoch, Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.goals import Found
 from swarmd.robot.issue_time import IssueTime

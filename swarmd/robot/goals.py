@@ -38,7 +38,7 @@ from swarmd.core.goal import (
     HeldGoal,
     KnownGoal,
 )
-from swarmd.core.messages import Refusal
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import RunRequest
 
 MAX_STOPS = 64  # ids of stops that are remembered

@@ -71,6 +71,7 @@ _VALUES = frozenset(
             "odometry_trail",
             "pattern_manifest",
             "record",
+            "refusal",
             "told",
             "token_bucket",
             "values",

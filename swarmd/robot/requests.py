@@ -45,7 +45,8 @@ from swarmd.core import verbs
 from swarmd.core.goal import GoalState
 from swarmd.core.host_messages import CancelTrial, KillHost, SetParams, StartTrial, TrialDone
 from swarmd.core.keys import is_id
-from swarmd.core.messages import Latch, Reason, Refusal, State
+from swarmd.core.messages import Latch, Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.robot.goal_handler import GoalHandler, fault_of
 from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import PendingParams, Trial, Wish, load_command

@@ -283,7 +283,7 @@ class Robot(Ticker):
         sensors, now = self._sensors, effects.now
         if (one.is_up, one.hold) != (sensors.is_driver_up, sensors.base_hold.reason):
             self._lifecycle.log(f"driver: {one.text}", now)
-        sensors.on_driver(one.is_up, one.text, hold=one.hold, gets_zero=one.gets_zero)
+        sensors.on_driver(one.is_up, one.text, now, hold=one.hold, gets_zero=one.gets_zero)
         hold = one.hold if one.is_up else Reason.DRIVER_LOST
         self._lifecycle.base_fault = "" if hold is None else f"held: {hold}: {one.text}"
         settings = self._lifecycle.identity.setup.settings.on_low_battery

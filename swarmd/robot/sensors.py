@@ -315,7 +315,13 @@ class Sensors(InputAges):
             setattr(self, name, None)
 
     def on_driver(
-        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+        self,
+        is_up: bool,
+        text: str,
+        now: float,
+        *,
+        hold: Reason | None = None,
+        gets_zero: bool = False,
     ) -> None:
         """Take in the connection state of the driver: `is_up`, or in `text` why the base is lost.
 
@@ -323,8 +329,10 @@ class Sensors(InputAges):
         command of a stopped robot reaches the base even while the base counts as lost.
 
         Without a connection all readings become stale, and detections and other optional inputs
-        None.
+        None. While the driver forbids motion, scans or odometry come from two sources.
         """
+        if (hold is None) != (self.base_hold.reason is None):
+            self._conditioner.on_conflict(hold is not None, now)
         if not is_up:
             self._forget_option_inputs()
             self.on_readings(dict.fromkeys((*self.readings, *self.stale_readings), math.nan))

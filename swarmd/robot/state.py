@@ -48,17 +48,8 @@ from swarmd.core import host_messages
 from swarmd.core.goal import Goal, GoalRecord, GoalState
 from swarmd.core.kernels import load_kernel
 from swarmd.core.low_battery import LowBatterySettings
-from swarmd.core.messages import (
-    MAX_EVENTS,
-    Code,
-    Epoch,
-    Latch,
-    LoggedEvent,
-    Reason,
-    Refusal,
-    Reply,
-    State,
-)
+from swarmd.core.messages import MAX_EVENTS, Code, Epoch, Latch, LoggedEvent, Reason, Reply, State
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Scalar, TouchZone
 from swarmd.core.verbs import (
     MAX_LATE,

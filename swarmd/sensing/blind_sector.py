@@ -95,15 +95,16 @@ _BESIDE_NEAR = 0.05
 class BlindSectors:
     """Finds the blind sectors of one sensor. Times in s, poses in the odometry frame.
 
-    `text` names the blind sectors; empty without one.
+    `text` names the blind sectors; empty without one. `kinds`: (90,) by sector, why it is blind; 0:
+    it is not.
     """
 
     text: str = cython.declare(object, visibility="readonly")
+    kinds: NDArray[np.uint8] = cython.declare(object, visibility="readonly")
     _is_used: cython.bint
     _compared_at: cython.double
     _compared_yaw: cython.double
     _spec: ScanSpec
-    _kinds: NDArray[np.uint8]  # the array of `_kind`
     _range_min: cython.double
     _range_max: cython.double
     _is_zero_near: cython.bint
@@ -112,7 +113,7 @@ class BlindSectors:
     _sector: cython.longlong[::1]  # of each ray
     _direction: cython.longlong[::1]
     _is_return: cython.uchar[::1]
-    _kind: cython.uchar[::1]  # by sector: why it is blind; 0: it is not
+    _kind: cython.uchar[::1]  # of `kinds`
     _returned_array: Array  # the array of `_returned_at`
     _returned_at: cython.double[::1]  # by sector
     _return_streak: cython.longlong[90]  # scans in a row with a return
@@ -151,8 +152,8 @@ class BlindSectors:
         self._compared_at, self._compared_yaw = -INFINITY, NAN
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._is_zero_near = spec.zero == "too_close"
-        self._kinds = np.zeros(_SECTORS, np.uint8)
-        self._kind = self._kinds.data
+        self.kinds = np.zeros(_SECTORS, np.uint8)
+        self._kind = self.kinds.data
         self._means = np.full(_SECTORS, NAN)
         self._mean = self._means.data
         self._look_means = np.full(_SECTORS, NAN)
@@ -203,7 +204,7 @@ class BlindSectors:
             if self._look_from(given, odometry.pose, now):
                 has_changed = True
         if has_changed:
-            self.text = blind_text(self._kinds, self._returned_array, now)
+            self.text = blind_text(self.kinds, self._returned_array, now)
         if not self.text:
             return
         i: cython.Py_ssize_t
@@ -277,8 +278,8 @@ class BlindSectors:
     @cython.cfunc
     def _mark(self, is_blind: NDArray[np.bool_], kind: cython.uchar) -> cython.bint:
         """Mark sectors (90,) as blind, except those that are so already; true if any is new."""
-        is_new = is_blind & (self._kinds == 0)
-        self._kinds[is_new] = kind
+        is_new = is_blind & (self.kinds == 0)
+        self.kinds[is_new] = kind
         self._frozen[is_new] = self._means[is_new]
         return bool(is_new.any())
 
@@ -306,12 +307,19 @@ class BlindSectors:
         doubted = np.zeros(SECTORS, np.bool_)
         doubted[sectors] = is_empty & is_empty[np.abs(beside) <= _BLOCKED_WIDTH].all()
         if self._mark(doubted, _BLOCKED):
-            self.text = blind_text(self._kinds, self._returned_array, now)
+            self.text = blind_text(self.kinds, self._returned_array, now)
 
     def on_new_run(self, now: float) -> None:
         """End what `on_blocked` doubts: whoever starts a run has freed the base."""
-        self._kinds[self._kinds == _BLOCKED] = 0
-        self.text = blind_text(self._kinds, self._returned_array, now)
+        self.kinds[self.kinds == _BLOCKED] = 0
+        self.text = blind_text(self.kinds, self._returned_array, now)
+
+    def restore(self, kinds: NDArray[np.uint8], now: float) -> None:
+        """Take over earlier `kinds`, and forget the scan before and the last look."""
+        self.kinds[:] = kinds
+        self._look_means[:] = NAN
+        self._scan_pose = None
+        self.text = blind_text(self.kinds, self._returned_array, now)
 
     @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:

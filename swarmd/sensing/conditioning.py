@@ -36,6 +36,8 @@ _RESTART_SCANS = cython.declare(cython.int, 3)
 _MAX_RAY_AGE = cython.declare(cython.double, 10.0)  # s: more is garbage
 _MOVES_LINEAR = cython.declare(cython.double, 0.02)  # m/s above which the robot counts as moving
 _MOVES_ANGULAR = cython.declare(cython.double, 0.05)  # rad/s
+# s after which a driver knows of a second source of scans: 0.6 to 1.7 s behind a bridge of ROS.
+_NOTICE = cython.declare(cython.double, 4.0)
 
 
 @cython.cclass
@@ -79,6 +81,11 @@ class ScanConditioner:
     _rising_scans: cython.int  # scans that follow each other, below the greatest
     _recent_bytes: list[bytes]  # the bytes of the last different ranges
     _repeat_count: cython.int  # repeats in a row
+    _has_conflict: cython.bint  # scans or odometry come from two sources
+    # Blind sectors and far returns at `_kept_at`, and at least _NOTICE s before.
+    _kept: tuple[Any, int]
+    _kept_before: tuple[Any, int]
+    _kept_at: cython.double
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
         """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
@@ -89,6 +96,8 @@ class ScanConditioner:
         self._bearings, self._recent_bytes = np.empty(0), []
         self._blind, self._rays = BlindSectors(spec), RayMemory(spec, guesses_near=guesses_near)
         self._last_seq = self._newest_seq = self._last_stamp = self._newest_stamp = -INFINITY
+        self._kept = self._kept_before = (self._blind.kinds.copy(), 0)
+        self._kept_at = -INFINITY
 
     @property
     def known_at(self) -> float:
@@ -111,6 +120,19 @@ class ScanConditioner:
     def on_new_run(self, now: float) -> None:
         """End the doubts of `on_blocked`."""
         self._blind.on_new_run(now)
+
+    def on_conflict(self, has_conflict: bool, now: float) -> None:
+        """Scans or odometry come from two sources from now on, or no longer.
+
+        Meanwhile no sector becomes blind, and none returns. As the driver learns late of a second
+        source, the blind sectors and the far returns are again those of 4 to 8 s before.
+        """
+        self._has_conflict = has_conflict
+        kinds, self._rays.far_returns = self._kept_before
+        if has_conflict:
+            self._blind.restore(kinds, now)
+        self._kept = self._kept_before
+        self._kept_at = now
 
     def take(self, scan: Scan, odometry: Odometry | None, now: cython.double) -> Scan | Reason:
         """Condition a scan; return the conditioned scan, or the reason to reject the scan.
@@ -142,7 +164,12 @@ class ScanConditioner:
             yaw = odometry.pose.yaw
         # Both steps write into `values`, and so into `ranges`: `mark` makes rays of blind sectors
         # unknown (NaN), and `interpret` replaces the raw ranges by conditioned ranges.
-        self._blind.mark(values, self._bearings, odometry, measured_at)
+        if not self._has_conflict:
+            self._blind.mark(values, self._bearings, odometry, measured_at)
+            if now - self._kept_at >= _NOTICE:
+                self._kept_before = self._kept
+                self._kept = (self._blind.kinds.copy(), self._rays.far_returns)
+                self._kept_at = now
         if self._spec.mask:
             ranges[self._spec.masked(self._bearings)] = NAN
         if not self._rays.interpret(values, self._bearings, yaw, measured_at):

@@ -100,10 +100,11 @@ _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": 
 class RayMemory:
     """Interprets the ranges of a scan by the memory of each ray. Times in s, angles rad, ranges m.
 
-    `known_at`: see `ScanConditioner`.
+    `known_at`: see `ScanConditioner`. `far_returns`: of the last scan with returns.
     """
 
     known_at = cython.declare(cython.double, visibility="readonly")
+    far_returns = cython.declare(cython.Py_ssize_t, visibility="public")
     _range_min: cython.double
     _range_max: cython.double
     _max_gap: cython.double
@@ -114,7 +115,6 @@ class RayMemory:
     _near_below: cython.double  # the range of a ray that may turn into a zero
     _step: cython.double  # from one ray to the next
     _yaw: cython.double  # of the robot, to which the memory is turned
-    _far_returns: cython.Py_ssize_t  # of the last scan with returns
     _given: Array | None  # the array of the bearings
     _ray_count: cython.Py_ssize_t
     _bearings: cython.double[::1]
@@ -269,10 +269,10 @@ class RayMemory:
                 if near_below < distance < far_below:
                     far_count += 1
         if has_return:
-            self._far_returns = far_count
+            self.far_returns = far_count
             return False
         min_far_count: cython.double = max(_BLIND_SHARE * len(raw), _BLIND_RETURNS)
-        return self._far_returns >= min_far_count
+        return self.far_returns >= min_far_count
 
     @cython.cfunc
     def _turn_of(self, yaw: cython.double) -> cython.double:

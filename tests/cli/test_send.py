@@ -13,7 +13,8 @@ from swarmd.cli.options import CommonOptions
 from swarmd.cli.send import show
 from swarmd.cli.swarmctl import exit_code_of
 from swarmd.client.session import unreachable
-from swarmd.core.messages import Code, Refusal, Reply
+from swarmd.core.messages import Code, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.network.operator.exit_codes import UNREACHABLE
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.goal import Goal
-from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import (
     AnyRequest,
     AuditEntry,

@@ -10,7 +10,8 @@ import pytest
 
 from swarmd.core.clock import TICK
 from swarmd.core.events import DriverInput
-from swarmd.core.messages import Code, Refusal, Reply, State
+from swarmd.core.messages import Code, Reply, State
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import AuditEntry, Request, StopRequest
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver_commands import MAX_COMMAND_AGE, DriverCommands

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.errors import ChangedCodeError
 from swarmd.core.host_messages import Load, Loaded, LoadRefused, TrialDone
-from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Reply
 from swarmd.core.pattern_manifest import (
     PatternManifest,
     Signed,
@@ -27,6 +27,7 @@ from swarmd.core.pattern_manifest import (
     read_entry,
     read_table,
 )
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import PushRequest, ReloadRequest
 from swarmd.daemon import pattern_versions
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull

@@ -23,7 +23,8 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.events import MessageInput, OdometryInput, ScanInput
-from swarmd.core.messages import Code, LimitingObstacle, Refusal, Reply
+from swarmd.core.messages import Code, LimitingObstacle, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import Nothing, RecordingsReply, RecordRequest
 from swarmd.daemon.recorder import Recorder, RecordingService

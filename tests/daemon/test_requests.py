@@ -13,7 +13,8 @@ from swarmd.core import codec
 from swarmd.core.bounds import Seconds
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import (
     VERBS,
     AuditQuery,

@@ -7,7 +7,8 @@ import asyncio
 import pytest
 
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import RosterRequest
 from swarmd.daemon import roster_service
 from swarmd.daemon.roster_service import RosterService

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Refusal, State
+from swarmd.core.messages import State
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings

@@ -66,8 +66,9 @@ from swarmd.core.host_messages import (
 from swarmd.core.incident import Incident
 from swarmd.core.kernels import load_kernel
 from swarmd.core.keys import MESSAGE, build
-from swarmd.core.messages import Code, PeerView, Refusal, Reply
+from swarmd.core.messages import Code, PeerView, Reply
 from swarmd.core.record import RecordKind
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import (
     ZERO,
     Array,

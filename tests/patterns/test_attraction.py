@@ -233,7 +233,8 @@ def test_a_pillar_beside_a_robot_that_is_known_by_its_motion_attracts_no_robot(
 
 def test_the_law_of_the_paper_uses_no_places() -> None:
     uses = [
-        Subject(Attraction, WAFFLE, {"law": law}).make().uses_places for law in ("paper", "settling")
+        Subject(Attraction, WAFFLE, {"law": law}).make().uses_places
+        for law in ("paper", "settling")
     ]
     assert uses == [False, True]
 

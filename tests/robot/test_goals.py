@@ -12,7 +12,8 @@ from swarmd.core.bounds import MAX_SECONDS
 from swarmd.core.events import ForgetInput, LeaseInput, LeaveInput, RequestInput
 from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
 from swarmd.core.host_messages import Load, Loaded
-from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State, Status
+from swarmd.core.messages import Code, Latch, Reason, Reply, State, Status
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import EstopRequest, StopRequest
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import LatchRecord

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from swarmd.core.clock import TICK
 from swarmd.core.events import HazardsInput
 from swarmd.core.hazard import Hazard, HazardKind
-from swarmd.core.messages import Reason, Refusal, State
+from swarmd.core.messages import Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.robot.hazard_holds import MAX_HAZARDS, HazardHolds
 from tests.support.examples import examples
 from tests.support.goals import make_goal

@@ -7,7 +7,8 @@ import pytest
 from swarmd.api import Inputs, Outputs, Twist
 from swarmd.core.events import TICK_INPUT
 from swarmd.core.host_messages import KillHost, Load, Loaded, Stepped
-from swarmd.core.messages import Code, Reason, Refusal, State
+from swarmd.core.messages import Code, Reason, State
+from swarmd.core.refusal import Refusal
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, standing_state, started
 

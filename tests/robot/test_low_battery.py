@@ -14,7 +14,8 @@ from swarmd.core.clock import TICK
 from swarmd.core.events import DriverInput, LatchesInput, LeaseInput, ReadingsInput
 from swarmd.core.goal import GoalState
 from swarmd.core.low_battery import LowBatterySettings
-from swarmd.core.messages import BatterySummary, Latch, Reason, Refusal, State
+from swarmd.core.messages import BatterySummary, Latch, Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.robot.low_battery import CONFIRM_TIME, LowBattery
 from tests.support.examples import examples
 from tests.support.goals import make_goal

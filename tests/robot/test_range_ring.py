@@ -43,7 +43,7 @@ class Rig:
     def __init__(self, platform: Platform) -> None:
         self.platform, self.seq = platform, 0
         self.sensors, self.protection = Sensors(platform), Protection(platform)
-        self.sensors.on_driver(True, "up")
+        self.sensors.on_driver(True, "up", 0.0)
 
     def lidar(self, now: float, scan: Scan | None = None) -> None:
         self.seq += 1

@@ -12,7 +12,8 @@ from swarmd.core.events import DriverInput, DuplicateInput, LatchesInput, Networ
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
 from swarmd.core.keys import is_id
-from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, State
+from swarmd.core.messages import Code, Epoch, Latch, Reason, Reply, State
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import StopRequest
 from swarmd.patterns.drive.pattern import Drive
 from swarmd.robot.latches import MAX_HELD

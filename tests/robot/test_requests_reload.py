@@ -18,7 +18,8 @@ from swarmd.core.host_messages import (
     Step,
     TrialDone,
 )
-from swarmd.core.messages import Code, Reason, Refusal, State
+from swarmd.core.messages import Code, Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import Request
 from swarmd.robot.requests import TRIAL_TIMEOUT
 from tests.support.robot_harness import RobotHarness, acted

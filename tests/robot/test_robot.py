@@ -17,7 +17,8 @@ from swarmd.core.events import (
     NeighborsInput,
 )
 from swarmd.core.host_messages import HostDied, KillHost, Load, Loaded, Step, Stepped
-from swarmd.core.messages import Code, Reason, Refusal, State, Status
+from swarmd.core.messages import Code, Reason, State, Status
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import ZERO, Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
 from tests.support.robot_harness import RobotHarness, acted

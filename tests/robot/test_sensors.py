@@ -13,7 +13,7 @@ from msgspec import structs
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, OdometryInput
 from swarmd.core.messages import Health, Reason, State
-from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
+from swarmd.core.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import body_of
 from swarmd.protection.settings import Mode
 from swarmd.robot.message_limits import EVENT_BURST
@@ -83,7 +83,7 @@ def test_messages_arrive_once_and_the_oldest_are_dropped(senses: Sensors) -> Non
 
 
 def test_odometry_with_an_old_stamp_becomes_stale(senses: Sensors) -> None:
-    senses.on_driver(True, "up")
+    senses.on_driver(True, "up", 0.0)
     platform = load_platform("waffle_pi")
     for tick in range(13):
         now = tick * 0.05
@@ -256,6 +256,57 @@ def test_invalid_scans_stop_the_robot(fault: str) -> None:
     assert harness.twist.is_zero
     harness.advance(1.6)
     assert standing_state(harness) == (State.STOPPED, reason)
+
+
+OPEN, WALL = (math.inf, 2.0), (2.0, 2.0)  # m, what a lidar returns ahead and behind
+NOTHING = (math.inf, math.inf)
+
+
+@pytest.mark.parametrize(
+    ("hold", "lasts"), [(Reason.SCAN_CONFLICT, 5.0), (Reason.BASE_CONFLICT, 0.4)]
+)
+@pytest.mark.parametrize(
+    ("before", "after", "reason"),
+    [
+        pytest.param([OPEN], OPEN, None, id="no wall ahead"),
+        pytest.param([NOTHING], NOTHING, None, id="an open field"),
+        pytest.param([WALL, OPEN], OPEN, Reason.INVALID_SCAN, id="blind ahead before"),
+        pytest.param([WALL], NOTHING, Reason.INVALID_SCAN, id="blind meanwhile"),
+    ],
+)
+def test_a_second_lidar_that_has_gone_leaves_what_the_own_has_shown(
+    before: list[tuple[float, float]],
+    after: tuple[float, float],
+    reason: Reason | None,
+    hold: Reason,
+    lasts: float,
+) -> None:
+    """The second lidar returns walls all around, 3.8 s before the driver knows of it."""
+    harness = started()
+    spec, shown = harness.platform.scan, list[tuple[float, float]]()
+
+    def scans(seq: int, now: float) -> Scan:
+        ranges = np.where(np.cos(spec.bearings) > 0.0, *shown[seq % len(shown)])
+        return structs.replace(empty_scan(harness.platform, seq, now), ranges=ranges + 1e-6 * seq)
+
+    harness.scans = scans
+    for shown[:] in [[one] for one in before]:
+        harness.odometry = Twist(0.1) if shown == before[:1] else ZERO
+        harness.advance(9.0)
+    harness.odometry = ZERO
+    shown[:] = [before[-1], WALL, WALL, WALL]
+    harness.advance(3.8)
+    harness.step(DriverInput(True, "two lidars", hold=hold))
+    harness.advance(lasts)
+    assert harness.twist.is_zero
+    shown[:] = [after]
+    harness.step(DriverInput(True, "there"))
+    harness.advance(1.0)
+    harness.applied("run", pattern="forward")
+    harness.odometry = Twist(0.1)
+    harness.advance(1.5)
+    assert harness.status.reason is reason
+    assert harness.twist.is_zero == (reason is not None)
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,7 @@ def test_recovery_ends_under_a_hold() -> None:
     sim = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.6))])
     while not sim.run(AHEAD, 0.1, MAY).decisions[-1][1].is_recovering:
         assert sim.time < 8.0
-    sim.sensors.on_driver(False, "gone")
+    sim.sensors.on_driver(False, "gone", sim.time)
     run = sim.run(AHEAD, 4.0, MAY)
     assert all(
         decision.safe == ZERO and not decision.is_recovering for _, decision in run.decisions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +37,18 @@ def test_records_that_could_not_be_made_are_made_by_the_next_call(tmp_path: Path
     with pytest.raises(ZeroDivisionError):
         kept.once(tmp_path / "runs", Run, lambda: [Run(1.0 / 0.0, 1)])
     assert kept.once(tmp_path / "runs", Run, lambda: [Run(0.0, 1)]) == [Run(0.0, 1)]
+
+
+def test_records_that_cannot_be_written_to_disk_are_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(handle: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="Input"):
+        kept.once(tmp_path / "runs", Run, lambda: [Run(0.0, 1)])
+    assert not [*tmp_path.iterdir()]
 
 
 def test_each_part_has_a_line_with_its_name(capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,7 +20,8 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.events import Input
 from swarmd.core.goal import Goal
-from swarmd.core.messages import Code, Epoch, Reason, Refusal, Reply, State, Status
+from swarmd.core.messages import Code, Epoch, Reason, Reply, State, Status
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import AnyRequest
 from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.network.carriers.bus import Query, ZenohBus

@@ -27,11 +27,11 @@ from swarmd.core.messages import (
     Motion,
     Presence,
     Reason,
-    Refusal,
     Reply,
     State,
     Status,
 )
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Scan
 from swarmd.core.verbs import AnyRequest, RunRequest
 from swarmd.driver_api.hw_codec import encode_scan

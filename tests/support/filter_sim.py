@@ -202,7 +202,7 @@ class FilterSim:
         self.pushed = 0.0, 0.0
         self.commander, self.sensors = Commander(platform), Sensors(platform)
         self.protection = self.commander.protection
-        self.sensors.on_driver(True, "a simulation")
+        self.sensors.on_driver(True, "a simulation", self.time)
         settings = platform.protection["barrier"] or {"braking_linear": 1.0, "braking_angular": 3.0}
         self._braking = braking or (settings["braking_linear"], settings["braking_angular"])
         accelerating = platform.body["linear_acceleration"], platform.body["angular_acceleration"]

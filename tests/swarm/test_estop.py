@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, Presence, Reason, Refusal, State, Status
+from swarmd.core.messages import Code, Presence, Reason, State, Status
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Twist
 from swarmd.core.verbs import ResetRequest, StopRequest
 from tests.support.processes import wait_until

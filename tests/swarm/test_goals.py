@@ -8,7 +8,8 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, GoalState, GoalStatus
-from swarmd.core.messages import Code, Refusal, State, Status
+from swarmd.core.messages import Code, State, Status
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import ResumeRequest, RunRequest
 from swarmd.network.stops.stop_relay import LAST_INTERVAL
 from tests.support.processes import wait_until

@@ -19,7 +19,8 @@ import swarmd
 from swarmd.client.hand_over import HAND_OVER
 from swarmd.client.states import MAX_WAITING
 from swarmd.core.errors import ConfigError, NetworkError, RequestError, SwarmError
-from swarmd.core.messages import Presence, Reason, Refusal, State
+from swarmd.core.messages import Presence, Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.network.operator.exit_codes import NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 from tests.support.secured_swarm import SecuredSwarm

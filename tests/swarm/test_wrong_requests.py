@@ -19,7 +19,8 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.keys import CONTROL, build
-from swarmd.core.messages import Code, Latch, Refusal, Reply, State, Status
+from swarmd.core.messages import Code, Latch, Reply, State, Status
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import Request, RunRequest
 from swarmd.network.carriers.session import MAX_WIRE
 from swarmd.network.datagram import Latches, Stop

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
-from swarmd.core.messages import Refusal
+from swarmd.core.refusal import Refusal
 
 if TYPE_CHECKING:
     from swarmd.network.operator.outcome import Outcome

@@ -10,7 +10,8 @@ from collections.abc import Collection, Iterable, Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
-from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.network.datagram import Ack
 from swarmd.network.operator.exit_codes import APPLIED, MISTAKES, code_of_outcome
 

@@ -10,7 +10,8 @@ from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
 from swarmd.core.keys import ANY, CONTROL
-from swarmd.core.messages import Code, Epoch, Refusal, Reply, ReplyHeader
+from swarmd.core.messages import Code, Epoch, Reply, ReplyHeader
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import AnyRequest, starts_motion
 from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import Discovery

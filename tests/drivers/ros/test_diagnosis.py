@@ -11,6 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.finding import Finding
+from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Scan, Value
 from swarmd.drivers.ros import messages
 from swarmd.drivers.ros.diagnosis import DriverCheck, Graph, Middleware, has_enough
@@ -251,6 +252,28 @@ def test_a_clock_that_was_set_is_no_second_publisher(
     graph = Graph(middleware=middleware, endpoints=ends)
     conflict = graph.conflict(subscriptions.topics.values(), SPEC)
     assert (conflict is None) is bool(nodes), "only the check fails where one node is known"
+
+
+@both
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        pytest.param([(0.0, 50.0), (0.2, 50.2), (0.4, 49.0), (0.6, 49.2), (0.8, 48.0)], id="back"),
+        pytest.param([(0.1 * k, 50.0 + 0.1 * k) for k in range(20)], id="too often"),
+    ],
+)
+def test_signs_of_a_second_publisher_end_soon_after_its_last_message(
+    middleware: Middleware, pairs: list[tuple[float, float]]
+) -> None:
+    topics = received(pairs).topics.values()
+
+    def reason(now: float) -> Reason | None:
+        conflict = Graph(middleware=middleware, endpoints=[], now=now).conflict(topics, SPEC)
+        return None if conflict is None else conflict.reason
+
+    last = pairs[-1][0]
+    assert reason(last + 1.0) is Reason.SCAN_CONFLICT
+    assert reason(last + 3.0) is None
 
 
 @both

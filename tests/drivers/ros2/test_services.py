@@ -14,7 +14,8 @@ import zenoh
 import zenoh.ext
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.messages import Code, Refusal, Reply, State, Status
+from swarmd.core.messages import Code, Reply, State, Status
+from swarmd.core.refusal import Refusal
 from swarmd.core.values import Value
 from swarmd.daemon.driver_commands import MAX_COMMAND_AGE
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source

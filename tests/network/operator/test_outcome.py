@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Reply
+from swarmd.core.refusal import Refusal
 from swarmd.network.datagram import Ack
 from swarmd.network.operator.exit_codes import FAILED, NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
 from swarmd.network.operator.outcome import Acks

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.messages import Code, Presence, Refusal
+from swarmd.core.messages import Code, Presence
+from swarmd.core.refusal import Refusal
 from swarmd.network.datagram import MAX_MS, Ack, Flag, Stop, pack, tag_of
 from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT
 from swarmd.network.operator.stop_request import STOP_CAP, STOP_WAIT, PendingStop

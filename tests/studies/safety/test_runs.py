@@ -10,7 +10,15 @@ import pytest
 from studies.safety import hours, progress
 from studies.safety.columns import goals_a_minute, rate, upper_bound
 from studies.safety.judgement import Judgement
-from studies.safety.runs import Record, Task, carry_out, fingerprint, read, total
+from studies.safety.runs import (
+    Record,
+    Task,
+    carry_out,
+    carry_out_missing,
+    fingerprint,
+    read,
+    total,
+)
 from studies.safety.scenes import FAMILIES, Scene
 from swarmd.core.errors import ConfigError
 
@@ -63,6 +71,21 @@ def test_runs_of_other_sources_do_not_count(tmp_path: Path) -> None:
     done = carry_out([Task(SHORT, 0)], file, 1)
     assert done[0].code == fingerprint() != "c"
     assert len(read(file, Record)) == 2
+
+
+def test_a_line_that_a_power_cut_has_halved_is_made_again(tmp_path: Path) -> None:
+    file = tmp_path / "some.jsonl"
+    tasks = [Task(SHORT, seed) for seed in (0, 1)]
+
+    def perform(task: Task, code: str) -> Record:
+        return msgspec.structs.replace(record(task.scene, task.seed), code=code)
+
+    whole = carry_out_missing(tasks, perform, Record, file, 1)
+    assert read(file, Record) == whole
+    file.write_bytes(file.read_bytes()[:-20])
+    assert read(file, Record) == whole[:1]
+    assert carry_out_missing(tasks, perform, Record, file, 1) == whole
+    assert read(file, Record) == whole
 
 
 def test_a_file_of_another_format_is_refused_by_name(tmp_path: Path) -> None:
