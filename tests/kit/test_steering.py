@@ -204,7 +204,7 @@ def test_beside_named_robots_an_object_is_a_robot_by_its_place_and_not_by_its_wi
     pillar, robot = (1.0, 0.0, 0.2, 9, True), (1.0, math.pi / 2, 0.2, 9, True)
     at_wall, far = (1.0, math.pi, 2.0, 90, True), (3.5, 0.5, 0.2, 3, True)
     objects = [pillar, robot, at_wall, far]
-    # From the base, 0.5 m ahead of which the lidar is: 1.1 m behind the lidar, and 1.1 m to the left.
+    # From the base, 0.5 m behind the lidar: 1.1 m behind the lidar, and 1.1 m to its left.
     named = [(0.6, math.pi), (math.hypot(0.5, 1.1), math.atan2(1.1, 0.5))]
     found = RobotsInSight(objects, 0.3, 3.0, (0.5, 0.0), named)
     assert found.objects == [robot, at_wall]

@@ -220,7 +220,7 @@ def test_it_leaves_no_robot_that_it_sees(distance: float) -> None:
 def test_a_pillar_beside_a_robot_that_is_known_by_its_motion_attracts_no_robot(
     age: float, side: float
 ) -> None:
-    """The robot stands to the left, the pillar to the right; a place older than 2 s says nothing."""
+    """A robot to the left, a pillar to the right; a place older than 2 s says nothing."""
     scan = scan_of(WAFFLE, [Disc(0.0, 1.5), Disc(0.0, -1.5)])
     pattern = cast("Attraction", Subject(Attraction, WAFFLE, {}).make())
     robot = Neighbor("robot-2", age, 1.5, math.pi / 2, 0.0)
@@ -232,11 +232,8 @@ def test_a_pillar_beside_a_robot_that_is_known_by_its_motion_attracts_no_robot(
 
 
 def test_the_law_of_the_paper_uses_no_places() -> None:
-    uses = [
-        Subject(Attraction, WAFFLE, {"law": law}).make().uses_places
-        for law in ("paper", "settling")
-    ]
-    assert uses == [False, True]
+    paper, settling = (Subject(Attraction, WAFFLE, {"law": law}) for law in ("paper", "settling"))
+    assert [paper.make().uses_places, settling.make().uses_places] == [False, True]
 
 
 def test_a_short_range_is_wider_than_the_spacing() -> None:
