@@ -144,6 +144,14 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
         ),
     ]
     object_width: ObjectWidth
+    kin: Annotated[
+        bool,
+        about(
+            "only what a robot names as a peer by its motion attracts it, once it names any; from"
+            " the start of a run on",
+            source="ours: off, as in the paper, since peers then tell their motion",
+        ),
+    ] = False
 
 
 class _Surroundings(NamedTuple):
@@ -196,7 +204,7 @@ class Attraction(FieldPattern[AttractionParams]):
     def __init__(self, params: AttractionParams, context: Context) -> None:
         super().__init__(params, context)
         self.update(params)
-        self.uses_places = params.law == "settling"
+        self.uses_places = params.kin and params.law == "settling"
         self.state = "search"
         self._since = 0.0  # s, the time at which `state` began
         self._rest_time = _FIRST_REST_TIME  # s in a state before the next try to roll or lead
@@ -241,7 +249,7 @@ class Attraction(FieldPattern[AttractionParams]):
         furthest = min(params.range, _MAX_RANGE_SHARE * scan.range_max)
         named = [
             (one.distance, one.bearing)
-            for one in inputs.neighbors
+            for one in (inputs.neighbors if self.uses_places else ())
             if one.distance is not None and one.bearing is not None and one.age < _MAX_AGE
         ]
         robots = RobotsInSight(objects, params.object_width, furthest, offset, named)

@@ -179,7 +179,6 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
         "classes": classes,
         "params_type": params_type,
         "needs": needs,
-        "uses_places": any(kind.uses_places for kind in classes.values()),
         "channels": _channels(document, classes),
         "rate": max(kind.rate for kind in classes.values()),
         "report_units": _report_units(document, classes),

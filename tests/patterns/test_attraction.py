@@ -31,6 +31,11 @@ class TestAttraction(PatternContract):
     pattern = Attraction
 
 
+class TestAttractionByKin(PatternContract):
+    pattern = Attraction
+    params = {"kin": True}  # noqa: RUF012 - read only
+
+
 class TestAttractionOfThePaper(PatternContract):
     pattern = Attraction
     # Alone it spins to one side, which no mirror would.
@@ -222,7 +227,7 @@ def test_a_pillar_beside_a_robot_that_is_known_by_its_motion_attracts_no_robot(
 ) -> None:
     """A robot to the left, a pillar to the right; a place older than 2 s says nothing."""
     scan = scan_of(WAFFLE, [Disc(0.0, 1.5), Disc(0.0, -1.5)])
-    pattern = cast("Attraction", Subject(Attraction, WAFFLE, {}).make())
+    pattern = cast("Attraction", Subject(Attraction, WAFFLE, {"kin": True}).make())
     robot = Neighbor("robot-2", age, 1.5, math.pi / 2, 0.0)
     pattern.step(Inputs(0.0, 0.0, scan, neighbors=(robot,)))
     view = pattern._view
@@ -231,9 +236,10 @@ def test_a_pillar_beside_a_robot_that_is_known_by_its_motion_attracts_no_robot(
     assert math.copysign(1.0, view.pull[1]) * (abs(view.pull[1]) > 0.1) == side
 
 
-def test_the_law_of_the_paper_uses_no_places() -> None:
-    paper, settling = (Subject(Attraction, WAFFLE, {"law": law}) for law in ("paper", "settling"))
-    assert [paper.make().uses_places, settling.make().uses_places] == [False, True]
+def test_places_are_used_only_by_our_law_and_on_request() -> None:
+    asked = Subject(Attraction, WAFFLE, {"kin": True}), Subject(Attraction, WAFFLE, {})
+    paper = Subject(Attraction, WAFFLE, {"kin": True, "law": "paper"})
+    assert [subject.make().uses_places for subject in (*asked, paper)] == [True, False, False]
 
 
 def test_a_short_range_is_wider_than_the_spacing() -> None:
