@@ -455,13 +455,10 @@ class Lockstep:
     def _deliver(self, now: float) -> None:
         for receivers, _, _, message in self._radio.due(now):
             # A call for all receivers: a third of the time of a step of each.
-            if isinstance(message, events.KinInput):
-                for shell in self._present(receivers):
-                    shell.robot.step(message, now)
-                continue
             shells = [self.shells[row] for row in receivers]
             robots = [None if shell is None else shell.robot for shell in shells]
-            _core.message_many(robots, message, now)
+            is_kin = isinstance(message, events.KinInput)
+            (_core.kin_many if is_kin else _core.message_many)(robots, message, now)
         received, self._new_latches = self._new_latches, []
         for row, latches in received:
             for shell in self._present(range(len(self.shells))):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 
     import cython
 
-    from swarmd.core.events import Input, MessageInput, ScanInput, TickInput
+    from swarmd.core.events import Input, KinInput, MessageInput, ScanInput, TickInput
     from swarmd.core.host_messages import HostCommand
     from swarmd.core.values import Odometry
     from swarmd.protection.decision import Decision
@@ -438,3 +438,12 @@ def message_many(robots: list[Any], message: MessageInput, now: cython.double) -
     for robot in robots:
         if robot is not None:
             robot._on_message(message, now)
+
+
+def kin_many(robots: list[Any], one: KinInput, now: cython.double) -> None:
+    """Hand what a robot tells to each of its receivers; a robot of None is skipped."""
+    id, told = one.robot, one.told
+    robot: Ticker
+    for robot in robots:
+        if robot is not None:
+            InputAges.on_kin(robot._sensors, id, told, now)
