@@ -35,7 +35,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.values import Array, Value
-from swarmd.kin.make import KinMaker
+from swarmd.kin.make import KinMaker, hear_many
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -457,8 +457,11 @@ class Lockstep:
             # A call for all receivers: a third of the time of a step of each.
             shells = [self.shells[row] for row in receivers]
             robots = [None if shell is None else shell.robot for shell in shells]
-            is_kin = isinstance(message, events.KinInput)
-            (_core.kin_many if is_kin else _core.message_many)(robots, message, now)
+            if isinstance(message, events.KinInput):
+                kins = _core.kin_many(robots, message, now)
+                hear_many(kins, message.robot, message.told, now)
+            else:
+                _core.message_many(robots, message, now)
         received, self._new_latches = self._new_latches, []
         for row, latches in received:
             for shell in self._present(range(len(self.shells))):

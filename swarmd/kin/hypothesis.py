@@ -150,7 +150,7 @@ class Hypothesis:
     @cython.cfunc
     def see(
         self,
-        places: cython.p_double,
+        places: cython.double[::1],
         count: cython.Py_ssize_t,
         distance: cython.double,
         is_news: cython.bint,
@@ -167,7 +167,7 @@ class Hypothesis:
     @cython.cfunc
     def be_seen(
         self,
-        objects: cython.p_double,
+        objects: cython.double[::1],
         count: cython.Py_ssize_t,
         x: cython.double,
         y: cython.double,
@@ -203,7 +203,7 @@ class Hypothesis:
     @cython.cfunc
     def _take(
         self,
-        points: cython.p_double,
+        points: cython.double[::1],
         count: cython.Py_ssize_t,
         x: cython.double,
         y: cython.double,

@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from swarmd.core.angles import TURN, angle_between, wrap
-from swarmd.core.buffers import checked, doubles, view
+from swarmd.core.buffers import doubles, view
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
 from swarmd.core.told import MOST_OBJECTS, OBJECT_SIZE, UNIT, Told
 from swarmd.core.values import Neighbor
@@ -63,7 +63,7 @@ _most_objects = cython.declare(cython.Py_ssize_t, MOST_OBJECTS)
 _Neighbor, _Told = cython.declare(object, Neighbor), cython.declare(object, Told)
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
-MOST_PEERS = 24
+_MOST_PEERS = cython.declare(cython.Py_ssize_t, 24)
 _MOST_TRACKS = cython.declare(cython.Py_ssize_t, 24)
 # directions, of each of which it is known how far the rays of a scan are free
 _SECTORS = cython.declare(cython.Py_ssize_t, 72)
@@ -344,7 +344,7 @@ class Kin:
     @cython.cfunc
     def _is_free(self, bearing: cython.double, distance: cython.double) -> cython.bint:
         """True if the rays of the last scan in a direction are longer than a distance."""
-        free: cython.p_double = checked(self._free, _SECTORS)
+        free: cython.double[::1] = self._free
         if self._scan is not None:
             ranges: cython.const_double[::1] = view(self._scan.ranges)
             bearings: cython.const_double[::1] = view(self._scan.bearings)
@@ -375,7 +375,7 @@ class Kin:
             return None
         self._told_at = now
         self._told_x, self._told_y, self._told_yaw = self._x, self._y, self._yaw
-        points: cython.p_double = checked(self._places, POINT * _MOST_TRACKS)
+        points: cython.double[::1] = self._places
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
@@ -400,15 +400,16 @@ class Kin:
         packed = objects.to_bytes(OBJECT_SIZE * told_count, "big")
         return _Told(self._resets, _units(now), x, y, yaw, packed, asks != 0)
 
+    @cython.ccall
     def hear(self, id: str, told: Told, now: cython.double) -> None:
         """Take in the message of the peer `id`."""
         if self._trail.count == 0:
             return
         peer: _Peer | None = self._peers.get(id)
         if peer is None:
-            if len(self._peers) >= MOST_PEERS and now - self._forgot_at > 1.0:
+            if len(self._peers) >= _MOST_PEERS and now - self._forgot_at > 1.0:
                 self._forget_silent(now)
-            if len(self._peers) >= MOST_PEERS:
+            if len(self._peers) >= _MOST_PEERS:
                 return
             peer = self._peers[id] = _Peer()
         # Of a crowd each peer is compared less often, so that kin takes no longer.
@@ -551,8 +552,8 @@ class Kin:
     @cython.cfunc
     def _compare(self, id: str, told: Told, peer: _Peer, gap: cython.double) -> cython.int:
         """Compare the poses of a peer with the tracks, and with what it tells; begin new poses."""
-        places: cython.p_double = checked(self._places, POINT * _MOST_TRACKS)
-        objects: cython.p_double = checked(self._objects, POINT * _most_objects)
+        places: cython.double[::1] = self._places
+        objects: cython.double[::1] = self._objects
         track: _Track
         one: Hypothesis
         i: cython.Py_ssize_t = 0
@@ -577,7 +578,7 @@ class Kin:
         count: cython.Py_ssize_t = i // POINT
         told_count: cython.Py_ssize_t = k // POINT
         for one in peer.hypotheses:
-            self._judge(one, peer, gap, places, count, objects, told_count)
+            self._judge(one, peer, gap, count, told_count)
         is_sure: cython.bint = peer.best is not None and peer.best.score > _SURE
         for n in range(0 if is_sure else count):
             i = POINT * n
@@ -596,9 +597,7 @@ class Kin:
         one: Hypothesis,
         peer: _Peer,
         gap: cython.double,
-        places: cython.p_double,
         count: cython.Py_ssize_t,
-        objects: cython.p_double,
         told_count: cython.Py_ssize_t,
     ) -> cython.int:
         """Raise or lower the score of a pose by what both robots see."""
@@ -607,7 +606,7 @@ class Kin:
         distance: cython.double = length(dx, dy)
         is_news: cython.bint = one.sights.is_news(peer.told_x, peer.told_y)
         is_lost: cython.bint = one.sd() > _LOST
-        if not one.see(places, count, distance, is_news):
+        if not one.see(self._places, count, distance, is_news):
             # The rays of the last scan cross the place of the pose.
             is_empty: cython.bint = distance < _FREE_REACH and self._is_free(
                 atan2(dy, dx) - self._yaw, distance + _SEEN_MOST
@@ -622,7 +621,7 @@ class Kin:
         if is_news:
             one.sights.add(peer.told_x, peer.told_y)
         is_news = one.mutual.is_news(self._x, self._y)
-        if not one.be_seen(objects, told_count, self._x, self._y, is_news):
+        if not one.be_seen(self._objects, told_count, self._x, self._y, is_news):
             one.score -= gap * (_UNSEEN if distance < _REACH else _FADE)
         elif is_news:
             one.mutual.add(self._x, self._y)
@@ -810,3 +809,10 @@ def _sector_of(bearing: cython.double) -> cython.Py_ssize_t:
 def _units(number: cython.double) -> cython.longlong:
     """A number of m, rad or s as in a message."""
     return cython.cast(cython.longlong, rint(number / _unit))
+
+
+def hear_many(kins: list[Kin], id: str, told: Told, now: cython.double) -> None:
+    """Hand the message of a peer to each of the robots that hear it at one time."""
+    kin: Kin
+    for kin in kins:
+        kin.hear(id, told, now)

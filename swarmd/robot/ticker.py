@@ -440,10 +440,18 @@ def message_many(robots: list[Any], message: MessageInput, now: cython.double) -
             robot._on_message(message, now)
 
 
-def kin_many(robots: list[Any], one: KinInput, now: cython.double) -> None:
-    """Hand what a robot tells to each of its receivers; a robot of None is skipped."""
-    id, told = one.robot, one.told
+def kin_many(robots: list[Any], one: KinInput, now: cython.double) -> list[Any]:
+    """What names peers, of each receiver of what a robot tells; a robot of None is skipped.
+
+    As `InputAges.on_kin`, but the caller hands the message over.
+    """
+    asks: cython.bint = one.told.asks
+    hearing: list[Any] = []
     robot: Ticker
     for robot in robots:
         if robot is not None:
-            InputAges.on_kin(robot._sensors, id, told, now)
+            if asks:
+                InputAges.ask_kin(robot._sensors, now)
+            if robot._sensors.kin is not None:
+                hearing.append(robot._sensors.kin)
+    return hearing
