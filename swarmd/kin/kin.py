@@ -80,7 +80,6 @@ _READING_PERIOD = cython.declare(cython.double, 0.09)  # s between two readings 
 _EARLY = cython.declare(cython.double, 0.05)  # s by which a scan may come early
 _MOVED = cython.declare(cython.double, 0.01)  # m and rad that are a motion
 _COMPARED = cython.declare(cython.double, 0.55)  # s between two comparisons of a peer, at least
-_SEARCHED = cython.declare(cython.double, 0.75)  # s, of a peer without a confirmed pose
 _FEW = cython.declare(cython.double, 8.0)  # peers, of which each is compared so often
 # s/s by which the least delay of messages is forgotten
 _AHEAD_MEMORY = cython.declare(cython.double, 0.01)
@@ -413,8 +412,7 @@ class Kin:
                 return
             peer = self._peers[id] = _Peer()
         # Of a crowd each peer is compared less often, so that kin takes no longer.
-        period: cython.double = _COMPARED if peer.best is not None else _SEARCHED
-        period *= max(1.0, len(self._peers) / _FEW)
+        period: cython.double = _COMPARED * max(1.0, len(self._peers) / _FEW)
         # Only comparisons use the poses of a peer if none is confirmed.
         if now - peer.heard_at < period and peer.best is None:
             return
