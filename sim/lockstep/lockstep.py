@@ -35,7 +35,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.values import Array, Value
-from swarmd.kin.make import KinMaker
+from swarmd.kin.make import KinMaker, hear_many
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -455,13 +455,13 @@ class Lockstep:
     def _deliver(self, now: float) -> None:
         for receivers, _, _, message in self._radio.due(now):
             # A call for all receivers: a third of the time of a step of each.
-            if isinstance(message, events.KinInput):
-                for shell in self._present(receivers):
-                    shell.robot.step(message, now)
-                continue
             shells = [self.shells[row] for row in receivers]
             robots = [None if shell is None else shell.robot for shell in shells]
-            _core.message_many(robots, message, now)
+            if isinstance(message, events.KinInput):
+                kins = _core.kin_many(robots, message, now)
+                hear_many(kins, message.robot, message.told, now)
+            else:
+                _core.message_many(robots, message, now)
         received, self._new_latches = self._new_latches, []
         for row, latches in received:
             for shell in self._present(range(len(self.shells))):

@@ -122,6 +122,7 @@ class Radio:
         self._plain = [Neighbor(robot, 0.0) for robot in ids]
         self._in_flight: DelayQueue[tuple[list[int], int, str, Any]] = DelayQueue()
         self._all_others: dict[int, tuple[Neighbor, ...]] = {}
+        self._all_rows: dict[int, Indices] = {}  # of the others
         self.faults = Faults(ids, seed)
         """Without any; the caller may set those of its world."""
 
@@ -169,7 +170,9 @@ class Radio:
     def hearers(self, row: int, poses: Array, movable_boxes: Array | None = None) -> Indices:
         """The rows (k,) in radio contact with robot `row`, in order; the relation is symmetric."""
         if math.isinf(self._reach):
-            neighbors = np.delete(np.arange(len(self._ids)), row)
+            if row not in self._all_rows:
+                self._all_rows[row] = np.delete(np.arange(len(self._ids)), row)
+            neighbors = self._all_rows[row]
         else:
             away = poses[:, :2] - poses[row, :2]
             is_near = np.hypot(away[:, 0], away[:, 1]) <= self._reach

@@ -38,9 +38,9 @@ from msgspec.structs import replace
 from swarmd.core.angles import TURN, angle_between, wrap
 from swarmd.core.buffers import doubles, view
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
-from swarmd.core.told import MOST_OBJECTS, UNIT, Told, tell
+from swarmd.core.told import MOST_OBJECTS, OBJECT_SIZE, UNIT, Told
 from swarmd.core.values import Neighbor
-from swarmd.kin.hypothesis import POINT, Hypothesis
+from swarmd.kin.hypothesis import POINT, Hypothesis, begun, length
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Iterable
@@ -52,28 +52,35 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, atan2, cos, fabs, hypot, isnan, sin
+    from cython.cimports.libc.math import INFINITY, atan2, cos, fabs, isnan, rint, sin
 else:
-    from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, hypot, isnan, sin
+    from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, isnan, rint, sin
 
-_unit = cython.declare(cython.double, UNIT)  # a C name
+# C names
+_unit = cython.declare(cython.double, UNIT)
+_object_size = cython.declare(cython.Py_ssize_t, OBJECT_SIZE)
+_most_objects = cython.declare(cython.Py_ssize_t, MOST_OBJECTS)
+_Neighbor, _Told = cython.declare(object, Neighbor), cython.declare(object, Told)
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
-MOST_PEERS = 24
-MOST_TRACKS = 24
+_MOST_PEERS = cython.declare(cython.Py_ssize_t, 24)
+_MOST_TRACKS = cython.declare(cython.Py_ssize_t, 24)
 # directions, of each of which it is known how far the rays of a scan are free
 _SECTORS = cython.declare(cython.Py_ssize_t, 72)
 _MOST_HYPOTHESES = 8  # of one peer
-_MEMORY = 16  # places of a track that are kept: 3 s at 5 Hz
+# places of a track that are kept: 3 s at 5 Hz
+_MEMORY = cython.declare(cython.Py_ssize_t, 16)
 # s between two messages, or two scans, between which a place is interpolated
 _MOST_GAP = cython.declare(cython.double, 1.5)
 _MOST_AHEAD = cython.declare(cython.double, 0.4)  # s for which a place is extrapolated
 _SILENCE = cython.declare(cython.double, 10.0)  # s after which a silent peer is forgotten
 _MOVING_PERIOD = cython.declare(cython.double, 0.2)  # s between two messages
 _RESTING_PERIOD = cython.declare(cython.double, 1.0)  # s, at rest
+_READING_PERIOD = cython.declare(cython.double, 0.09)  # s between two readings of odometry
 _EARLY = cython.declare(cython.double, 0.05)  # s by which a scan may come early
 _MOVED = cython.declare(cython.double, 0.01)  # m and rad that are a motion
-_COMPARED = cython.declare(cython.double, 0.35)  # s between two comparisons of a peer, at least
+_COMPARED = cython.declare(cython.double, 0.55)  # s between two comparisons of a peer, at least
+_FEW = cython.declare(cython.double, 8.0)  # peers, of which each is compared so often
 # s/s by which the least delay of messages is forgotten
 _AHEAD_MEMORY = cython.declare(cython.double, 0.01)
 # Beginning of a pose.
@@ -115,25 +122,30 @@ _ELSEWHERE = cython.declare(cython.double, 0.5)  # m
 class _Track:
     """The path of one track, and the peers that it cannot be. `x`, `y`: what `find` has found."""
 
+    id: cython.longlong
     x: cython.double
     y: cython.double
-    places: list[Any]  # (time, x, y); the last is the newest
     still_x: cython.double
     still_y: cython.double
     still_since: cython.double
     still_way: cython.double
+    _places: cython.double[::1]  # a ring of times, x and y
+    _count: cython.Py_ssize_t  # of all places since the first
 
-    def __init__(self) -> None:
-        self.places, self.still_x = [], INFINITY
+    def __init__(self, id: cython.longlong) -> None:
+        self.id, self._places, self.still_x = id, doubles(3 * _MEMORY), INFINITY
 
     @cython.cfunc
     def add(
         self, time: cython.double, x: cython.double, y: cython.double, own_way: cython.double
     ) -> cython.int:
         """Add a place. `own_way`: m that the own robot has travelled."""
-        self.places.append((time, x, y))
-        del self.places[:-_MEMORY]
-        if not hypot(x - self.still_x, y - self.still_y) <= _STILL:
+        places: cython.double[::1] = self._places
+        i: cython.Py_ssize_t = 3 * (self._count % _MEMORY)
+        places[i] = time
+        places[i + 1], places[i + 2] = x, y
+        self._count += 1
+        if not length(x - self.still_x, y - self.still_y) <= _STILL:
             self.still_x, self.still_y = x, y
             self.still_since, self.still_way = time, own_way
 
@@ -145,13 +157,14 @@ class _Track:
     @cython.cfunc
     def find(self, time: cython.double) -> cython.bint:
         """Set `x`, `y` to the place at a time; False if the track was not there, or not yet."""
+        places: cython.double[::1] = self._places
         newer: cython.double = INFINITY
-        at: cython.double
-        x: cython.double
-        y: cython.double
         k: cython.Py_ssize_t
-        for k in range(len(self.places)):
-            at, x, y = self.places[len(self.places) - 1 - k]
+        for k in range(1, min(self._count, _MEMORY) + 1):
+            i: cython.Py_ssize_t = 3 * ((self._count - k) % _MEMORY)
+            at: cython.double = places[i]
+            x: cython.double = places[i + 1]
+            y: cython.double = places[i + 2]
             if at <= time:
                 if newer < INFINITY:
                     share: cython.double = (time - at) / (newer - at)
@@ -188,7 +201,15 @@ class _Peer:
     began_y: cython.double
     began_at: cython.double
     moved_since: cython.double
-    hypotheses: list[Hypothesis]  # best first
+    # The own pose at the time of the newest message.
+    own_x: cython.double
+    own_y: cython.double
+    own_yaw: cython.double
+    hypotheses: list[Hypothesis]
+    best: Hypothesis | None  # of these, the one that is confirmed
+    since: cython.double  # s, when it was
+    track: _Track | None  # that shows the peer in the last scan
+    row: cython.Py_ssize_t  # of the neighbors that `complete` took last
 
     def __init__(self) -> None:
         self.resets, self.hypotheses = -1, []
@@ -198,10 +219,7 @@ class _Peer:
     @cython.cfunc
     def confirmed(self, now: cython.double) -> Hypothesis | None:
         """The pose that is confirmed of a peer that is not silent."""
-        if now - self.heard_at > _SILENCE or not self.hypotheses:
-            return None
-        best: Hypothesis = self.hypotheses[0]
-        return best if best.confirmed_at < INFINITY else None
+        return self.best if now - self.heard_at <= _SILENCE else None
 
     @cython.cfunc
     def time_of(self, stamp: cython.double, now: cython.double) -> cython.double:
@@ -220,7 +238,7 @@ class _Peer:
     @cython.cfunc
     def follow(self) -> cython.int:
         """Note that the peer has moved, once it has gone a way of _CLEARED; then begin another."""
-        way: cython.double = hypot(self.told_x - self.began_x, self.told_y - self.began_y)
+        way: cython.double = length(self.told_x - self.began_x, self.told_y - self.began_y)
         if self.began_at == -INFINITY or way > _CLEARED:
             self.moved_since, self.began_at = self.began_at, self.time
             self.began_x, self.began_y = self.told_x, self.told_y
@@ -251,7 +269,12 @@ class Kin:
     _last_x: cython.double  # the own middle at the last reading
     _last_y: cython.double
     _way: cython.double  # m that it has travelled
-    _tracks: dict[int, _Track]
+    _tracks: list[_Track]
+    _is_matched: cython.bint  # peers have their tracks of the last scan
+    _asked: tuple[Neighbor, ...]  # what `complete` has completed last
+    _answer: tuple[Neighbor, ...]
+    _answered_at: cython.double  # the time of the scan
+    _scan: Scan | None  # the last scan if `_free` is not made of it yet
     _seen_at: cython.double  # s, of the last scan
     _free: cython.double[::1]  # of each direction from -pi on, m to the nearest return
     _peers: dict[str, _Peer]
@@ -270,56 +293,71 @@ class Kin:
         `resets`: the first number that marks the frame of the odometry; another one in each life.
         """
         self._middle, self._resets = middle, resets
-        self._trail, self._tracks, self._peers = OdometryTrail(), {}, {}
+        self._trail, self._tracks, self._peers = OdometryTrail(), [], {}
         self._seen_at = self._told_at = -INFINITY
         self._free = doubles(_SECTORS)
-        self._places, self._objects = doubles(POINT * MOST_TRACKS), doubles(POINT * MOST_OBJECTS)
+        self._places, self._objects = doubles(POINT * _MOST_TRACKS), doubles(POINT * _most_objects)
 
     def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
-        """Take in an own reading. A jump moves the frame: all is forgotten."""
-        is_first: cython.bint = self._trail.count == 0
+        """Take in an own reading, ten a second. A jump moves the frame: all is forgotten."""
+        if 0.0 < odometry.stamp - self._trail.latest < _READING_PERIOD:
+            return
         taken: cython.int = self._trail.take(odometry)
         if taken != NEXT and taken != ANEW:
             return
         peer: _Peer
         if taken == ANEW:
             self._resets += 1
-            self._tracks = {}
+            self._tracks = []
             for peer in self._peers.values():
-                peer.hypotheses = []
+                peer.hypotheses, peer.best = [], None
         self._shift = odometry.stamp - now
-        self._set_own(now)
-        if not is_first:
-            self._way += hypot(self._x - self._last_x, self._y - self._last_y)
-        self._last_x, self._last_y = self._x, self._y
 
     def observe(self, tracks: Iterable[Any], scan: Scan, now: cython.double) -> None:
         """Take in a scan, and the tracks after it: `id`, `x` and `y` in the base frame at `now`."""
         if self._trail.count == 0:
             return
         self._set_own(now)
+        self._way += length(self._x - self._last_x, self._y - self._last_y)
+        self._last_x, self._last_y = self._x, self._y
         c: cython.double = cos(self._yaw)
         s: cython.double = sin(self._yaw)
-        known, self._tracks = self._tracks, {}
+        known, self._tracks = self._tracks, []
+        track: _Track
         for seen in tracks:
-            if len(self._tracks) == MOST_TRACKS:
+            if len(self._tracks) == _MOST_TRACKS:
                 break
-            x: cython.double = seen.x - self._middle
+            id: cython.longlong = seen.id
+            for track in known:
+                if track.id == id:
+                    break
+            else:
+                track = _Track(id)
+            x: cython.double = seen.x
             y: cython.double = seen.y
-            track: _Track = known.get(seen.id) or _Track()
+            x -= self._middle
             track.add(now, self._x + c * x - s * y, self._y + s * x + c * y, self._way)
-            self._tracks[seen.id] = track
-        self._seen_at = now
-        ranges: cython.const_double[::1] = view(scan.ranges)
-        bearings: cython.const_double[::1] = view(scan.bearings)
-        i: cython.Py_ssize_t
-        for i in range(_SECTORS):
-            self._free[i] = INFINITY
-        for i in range(len(ranges)):
-            sector: cython.Py_ssize_t = _sector_of(bearings[i])
-            # Nothing is known of the direction of a ray without a number.
-            nearest: cython.double = 0.0 if isnan(ranges[i]) else ranges[i]
-            self._free[sector] = min(self._free[sector], nearest)
+            self._tracks.append(track)
+        self._seen_at, self._scan, self._is_matched = now, scan, False
+
+    @cython.cfunc
+    def _is_free(self, bearing: cython.double, distance: cython.double) -> cython.bint:
+        """True if the rays of the last scan in a direction are longer than a distance."""
+        free: cython.double[::1] = self._free
+        if self._scan is not None:
+            ranges: cython.const_double[::1] = view(self._scan.ranges)
+            bearings: cython.const_double[::1] = view(self._scan.bearings)
+            self._scan = None
+            i: cython.Py_ssize_t
+            for i in range(_SECTORS):
+                free[i] = INFINITY
+            for i in range(len(ranges)):
+                sector: cython.Py_ssize_t = _sector_of(bearings[i])
+                distance_of_ray: cython.double = ranges[i]
+                if not distance_of_ray >= free[sector]:
+                    # Nothing is known of the direction of a ray without a number.
+                    free[sector] = 0.0 if isnan(distance_of_ray) else distance_of_ray
+        return free[_sector_of(bearing)] > distance
 
     def tell(self, now: cython.double, asks: cython.bint) -> Told | None:
         """The message of this robot, after `observe`; None if it is not due yet.
@@ -329,105 +367,156 @@ class Kin:
         if self._trail.count == 0:
             return None
         self._set_own(now)
-        moved: cython.double = hypot(self._x - self._told_x, self._y - self._told_y)
+        moved: cython.double = length(self._x - self._told_x, self._y - self._told_y)
         moved += angle_between(self._yaw, self._told_yaw)
         period: cython.double = _MOVING_PERIOD if moved > _MOVED else _RESTING_PERIOD
         if now - self._told_at < period - _EARLY:
             return None
         self._told_at = now
         self._told_x, self._told_y, self._told_yaw = self._x, self._y, self._yaw
-        seen = []
+        points: cython.double[::1] = self._places
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        count: cython.Py_ssize_t = 0
         track: _Track
-        for track in self._tracks.values():
+        for track in self._tracks:
             track.find(now)
             dx: cython.double = track.x - self._x
             dy: cython.double = track.y - self._y
-            seen.append((hypot(dx, dy), wrap(atan2(dy, dx) - self._yaw)))
-        return tell(self._resets, now, (self._x, self._y, wrap(self._yaw)), seen, asks=asks != 0)
+            points[count], points[count + 1] = length(dx, dy), wrap(atan2(dy, dx) - self._yaw)
+            count += 2
+        objects = 0
+        told_count = min(count // 2, _most_objects)
+        for _ in range(told_count):
+            k = 0
+            for i in range(2, count, 2):
+                if points[i] < points[k]:
+                    k = i
+            nearest: cython.longlong = min(_units(points[k]), 0xFFFF) * 0x10000
+            objects = objects << 32 | nearest + (_units(points[k + 1]) & 0xFFFF)
+            points[k] = INFINITY
+        x, y, yaw = _units(self._x), _units(self._y), _units(wrap(self._yaw))
+        packed = objects.to_bytes(OBJECT_SIZE * told_count, "big")
+        return _Told(self._resets, _units(now), x, y, yaw, packed, asks != 0)
 
+    @cython.ccall
     def hear(self, id: str, told: Told, now: cython.double) -> None:
         """Take in the message of the peer `id`."""
         if self._trail.count == 0:
             return
-        if id not in self._peers:
-            if len(self._peers) >= MOST_PEERS and now - self._forgot_at > 1.0:
+        peer: _Peer | None = self._peers.get(id)
+        if peer is None:
+            if len(self._peers) >= _MOST_PEERS and now - self._forgot_at > 1.0:
                 self._forget_silent(now)
-            if len(self._peers) >= MOST_PEERS:
+            if len(self._peers) >= _MOST_PEERS:
                 return
-            self._peers[id] = _Peer()
-        peer: _Peer = self._peers[id]
-        stamp: cython.double = told.stamp
-        x: cython.double = told.x
-        y: cython.double = told.y
-        yaw: cython.double = told.yaw
-        stamp, x, y, yaw = stamp * _unit, x * _unit, y * _unit, yaw * _unit
+            peer = self._peers[id] = _Peer()
+        # Of a crowd each peer is compared less often, so that kin takes no longer.
+        period: cython.double = _COMPARED * max(1.0, len(self._peers) / _FEW)
+        # Only comparisons use the poses of a peer if none is confirmed.
+        if now - peer.heard_at < period and peer.best is None:
+            return
+        # Integers of Python become doubles six times faster by way of integers of C.
+        stamp_ms: cython.longlong = told.stamp
+        x_mm: cython.longlong = told.x
+        y_mm: cython.longlong = told.y
+        yaw_mrad: cython.longlong = told.yaw
+        stamp: cython.double = stamp_ms * _unit
+        x: cython.double = x_mm * _unit
+        y: cython.double = y_mm * _unit
+        yaw: cython.double = yaw_mrad * _unit
         gap: cython.double = stamp - peer.stamp
         if -_MOST_GAP < gap <= 0.0:  # late, or twice
             return
         time: cython.double = peer.time_of(stamp, now)
+        self._set_own(time)
         dx: cython.double = x - peer.told_x
         dy: cython.double = y - peer.told_y
         turn: cython.double = wrap(yaw - peer.told_yaw)
         if told.resets == peer.resets and 0.0 < gap < _SILENCE and not is_jump(dx, dy, turn, gap):
             c: cython.double = cos(peer.told_yaw)
             s: cython.double = sin(peer.told_yaw)
-            self._move(peer, time, c * dx + s * dy, c * dy - s * dx, turn)
-            peer.ahead, peer.left = (c * dx + s * dy) / gap, (c * dy - s * dx) / gap
+            ahead: cython.double = c * dx + s * dy
+            left: cython.double = c * dy - s * dx
+            self._move(peer, ahead, left, turn)
+            peer.ahead, peer.left = ahead / gap, left / gap
             peer.turn = turn / gap
         else:
-            peer.hypotheses = []
+            peer.hypotheses, peer.best = [], None
             peer.ahead = peer.left = peer.turn = 0.0
             peer.began_at = -INFINITY
         peer.resets, peer.stamp, peer.heard_at, peer.time = told.resets, stamp, now, time
         peer.told_x, peer.told_y, peer.told_yaw = x, y, yaw
+        peer.own_x, peer.own_y, peer.own_yaw = self._x, self._y, self._yaw
         peer.follow()
-        gap = min(time - peer.compared_at, _MOST_GAP)
-        if gap >= _COMPARED:
-            self._compare(id, told, peer, gap)
+        gap = time - peer.compared_at
+        if gap >= period - _EARLY:
+            self._compare(id, told, peer, min(gap, _MOST_GAP))
             peer.compared_at = time
 
     def names(self, now: cython.double) -> dict[int, str | None]:
         """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""
-        named = {track: id for id, track in self._matches(now).items()}
-        return {
-            id: named.get(id) or (NO_ROBOT if self._stands(track, now) else None)
-            for id, track in self._tracks.items()
-        }
+        self._match(now)
+        named: dict[int, str] = {}
+        peer: _Peer
+        for id, peer in self._peers.items():
+            if peer.track is not None and peer.best is not None:
+                named[peer.track.id] = id
+        track: _Track
+        found: dict[int, str | None] = {}
+        for track in self._tracks:
+            found[track.id] = named.get(track.id) or (
+                NO_ROBOT if self._stands(track, now) else None
+            )
+        return found
 
-    def complete(self, neighbors: Iterable[Neighbor], now: cython.double) -> tuple[Neighbor, ...]:
+    def complete(self, neighbors: tuple[Neighbor, ...], now: cython.double) -> tuple[Neighbor, ...]:
         """The neighbors; those whose pose is confirmed with what is not known of them otherwise.
 
         Distance and bearing are from the own axle to the visible middle of the peer. `age`: s since
-        a scan last showed it. `error`: two standard deviations of the place.
+        a scan last showed it. `error`: two standard deviations of the place. All are as of the
+        first call after the last scan.
         """
-        matches = self._matches(now)
+        if self._answered_at == self._seen_at and neighbors == self._asked:
+            return self._answer
+        self._match(now)
         self._trail.set_pose(now + self._shift)
-        return tuple([self._completed(one, matches, now) for one in neighbors])
+        completed: list[Neighbor] = list(neighbors)
+        count: cython.Py_ssize_t = len(completed)
+        peer: _Peer
+        for id, peer in self._peers.items():
+            best: Hypothesis | None = peer.confirmed(now)
+            if best is None:
+                continue
+            if peer.row >= count or completed[peer.row].id != id:
+                ids = [one.id for one in completed]
+                peer.row = ids.index(id) if id in ids else count
+            if peer.row < count:
+                completed[peer.row] = self._completed(completed[peer.row], peer, best, now)
+        self._asked, self._answer, self._answered_at = neighbors, tuple(completed), self._seen_at
+        return self._answer
 
     @cython.cfunc
-    def _completed(self, known: Neighbor, matches: dict[str, int], now: cython.double) -> Neighbor:
-        peer: _Peer | None = self._peers.get(known.id)
-        best: Hypothesis | None = None if peer is None else peer.confirmed(now)
-        if peer is None or best is None:
-            return known
+    def _completed(
+        self, known: Neighbor, peer: _Peer, best: Hypothesis, now: cython.double
+    ) -> Neighbor:
         peer.expect(best, now)
         seen_at: cython.double = best.seen_at
-        if known.id in matches:
-            track: _Track = self._tracks[matches[known.id]]  # where `_matches` found it
+        track: _Track | None = peer.track
+        if track is not None:  # where `_match` found it
             seen_at, peer.x, peer.y = self._seen_at, track.x, track.y
         dx: cython.double = peer.x - self._trail.x
         dy: cython.double = peer.y - self._trail.y
-        bearing: float | None = known.bearing
-        heading: float | None = known.heading
+        distance, bearing, heading = known.distance, known.bearing, known.heading
         if bearing is None:
             bearing = wrap(atan2(dy, dx) - self._trail.yaw)
         if heading is None:
             heading = wrap(peer.yaw - self._trail.yaw)
-        if known.distance is not None:
+        if distance is not None:
             return replace(known, bearing=bearing, heading=heading)
         age: cython.double = max(now - seen_at, 0.0)
         error: cython.double = 2.0 * best.sd()
-        return Neighbor(known.id, age, hypot(dx, dy), bearing, heading, known.in_reach, error)
+        return _Neighbor(known.id, age, length(dx, dy), bearing, heading, known.in_reach, error)
 
     @cython.cfunc
     def _set_own(self, time: cython.double) -> cython.int:
@@ -448,56 +537,47 @@ class Kin:
 
     @cython.cfunc
     def _move(
-        self,
-        peer: _Peer,
-        time: cython.double,
-        ahead: cython.double,
-        left: cython.double,
-        turn: cython.double,
+        self, peer: _Peer, ahead: cython.double, left: cython.double, turn: cython.double
     ) -> cython.int:
         """Move the poses of a peer by what it tells, and widen them by the own motion."""
-        self._set_own(peer.time)
-        x: cython.double = self._x
-        y: cython.double = self._y
-        yaw: cython.double = self._yaw
-        self._set_own(time)
-        own_way: cython.double = hypot(self._x - x, self._y - y)
-        own_turn: cython.double = angle_between(self._yaw, yaw)
+        own_way: cython.double = length(self._x - peer.own_x, self._y - peer.own_y)
+        own_turn: cython.double = angle_between(self._yaw, peer.own_yaw)
         one: Hypothesis
         for one in peer.hypotheses:
             one.move(ahead, left, turn)
-            one.drift(own_way, own_turn, hypot(one.x - self._x, one.y - self._y))
+            one.drift(own_way, own_turn, length(one.x - self._x, one.y - self._y))
 
     @cython.cfunc
     def _compare(self, id: str, told: Told, peer: _Peer, gap: cython.double) -> cython.int:
         """Compare the poses of a peer with the tracks, and with what it tells; begin new poses."""
-        self._set_own(peer.time)
         places: cython.double[::1] = self._places
         objects: cython.double[::1] = self._objects
         track: _Track
         one: Hypothesis
         i: cython.Py_ssize_t = 0
         k: cython.Py_ssize_t = 0
-        for track in self._tracks.values():
+        m: cython.Py_ssize_t
+        n: cython.Py_ssize_t
+        for track in self._tracks:
             if not track.is_other(peer) and track.find(peer.time):
                 places[i], places[i + 1] = track.x, track.y
-                places[i + 2] = hypot(track.x - self._x, track.y - self._y)
+                places[i + 2] = length(track.x - self._x, track.y - self._y)
                 i += POINT
-        distance: cython.double
-        bearing: cython.double
-        for distance, bearing in told.objects:
-            objects[k] = distance * _unit * cos(bearing * _unit)
-            objects[k + 1] = distance * _unit * sin(bearing * _unit)
-            objects[k + 2] = distance * _unit
+        data: bytes = told.objects
+        packed: cython.p_const_uchar = data
+        for m in range(len(data) // _object_size):
+            n = _object_size * m
+            distance: cython.double = _unit * (packed[n] * 0x100 + packed[n + 1])
+            turned: cython.Py_ssize_t = packed[n + 2] * 0x100 + packed[n + 3]
+            bearing: cython.double = _unit * (turned if turned < 0x8000 else turned - 0x10000)
+            objects[k], objects[k + 1] = distance * cos(bearing), distance * sin(bearing)
+            objects[k + 2] = distance
             k += POINT
         count: cython.Py_ssize_t = i // POINT
         told_count: cython.Py_ssize_t = k // POINT
         for one in peer.hypotheses:
             self._judge(one, peer, gap, count, told_count)
-        n: cython.Py_ssize_t
-        m: cython.Py_ssize_t
-        best: Hypothesis | None = peer.confirmed(peer.heard_at)
-        is_sure: cython.bint = best is not None and best.score > _SURE
+        is_sure: cython.bint = peer.best is not None and peer.best.score > _SURE
         for n in range(0 if is_sure else count):
             i = POINT * n
             for m in range(told_count):
@@ -521,16 +601,19 @@ class Kin:
         """Raise or lower the score of a pose by what both robots see."""
         dx: cython.double = one.x - self._x
         dy: cython.double = one.y - self._y
-        distance: cython.double = hypot(dx, dy)
+        distance: cython.double = length(dx, dy)
         is_news: cython.bint = one.sights.is_news(peer.told_x, peer.told_y)
         is_lost: cython.bint = one.sd() > _LOST
         if not one.see(self._places, count, distance, is_news):
             # The rays of the last scan cross the place of the pose.
-            sector: cython.Py_ssize_t = _sector_of(atan2(dy, dx) - self._yaw)
-            is_empty: cython.bint = self._free[sector] > distance + _SEEN_MOST
-            one.score -= gap * (_EMPTY if is_empty and distance < _FREE_REACH else _FADE)
+            is_empty: cython.bint = distance < _FREE_REACH and self._is_free(
+                atan2(dy, dx) - self._yaw, distance + _SEEN_MOST
+            )
+            one.score -= gap * (_EMPTY if is_empty else _FADE)
             return 0
         if is_lost:
+            if one is peer.best:
+                peer.best = None
             one.prove(peer.told_x, peer.told_y, self._x, self._y)
         one.seen_at = peer.time
         if is_news:
@@ -564,7 +647,7 @@ class Kin:
             if worst.score >= 0.0:
                 return 0
             peer.hypotheses.remove(worst)
-        one = Hypothesis(x, y, yaw, _FIRST_SD, _FIRST_SD / distance)
+        one = begun(x, y, yaw, _FIRST_SD, _FIRST_SD / distance)
         one.prove(peer.told_x, peer.told_y, self._x, self._y)
         peer.hypotheses.append(one)
         return 0
@@ -580,25 +663,28 @@ class Kin:
             if one.score > best.score:
                 best = one
         second: cython.double = -INFINITY
-        is_sure: cython.bint = best.confirmed_at < INFINITY and best.score > _SURE
+        is_sure: cython.bint = best is peer.best and best.score > _SURE
         least: cython.double = best.score - _SURE if is_sure else _DROPPED
-        kept: list[Hypothesis] = [best]
+        kept: list[Hypothesis] = []
         for one in peer.hypotheses:
-            if one is best or one.score <= least or one.is_like(best.x, best.y, best.yaw, 0.5):
-                continue
-            one.confirmed_at = INFINITY
-            second = max(second, one.score)
+            if one is not best:
+                if one.score <= least or one.is_like(best.x, best.y, best.yaw, 0.5):
+                    continue
+                second = max(second, one.score)
             kept.append(one)
         peer.hypotheses = kept if best.score > _DROPPED else []
+        if best is not peer.best:
+            peer.best = None
         if best.score < 0.5 * _CONFIRMED or best.score - second < _UNSURE:
-            best.confirmed_at = INFINITY
+            peer.best = None
         elif (
-            best.score >= _CONFIRMED
+            peer.best is None
+            and best.score >= _CONFIRMED
             and best.score - second >= _MARGIN
             and min(best.sights.count, best.mutual.count) >= _LEAST_NEWS
             and min(best.sights.extent, best.mutual.extent) >= _LEAST_EXTENT
         ):
-            best.confirmed_at = min(best.confirmed_at, peer.time)
+            peer.best, peer.since = best, peer.time
         return 0
 
     @cython.cfunc
@@ -610,8 +696,8 @@ class Kin:
         Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third
         robot does the same by its messages: so a liar lowers no other.
         """
-        best: Hypothesis | None = peer.confirmed(peer.heard_at)
-        if best is None or told_count == MOST_OBJECTS:
+        best: Hypothesis | None = peer.best
+        if best is None or told_count == _most_objects:
             return 0
         c: cython.double = cos(best.yaw)
         s: cython.double = sin(best.yaw)
@@ -620,13 +706,15 @@ class Kin:
             third: Hypothesis | None = other.confirmed(peer.heard_at)
             if name == id or third is None or third.score < best.score:
                 continue
+            if peer.heard_at - other.heard_at > _MOST_GAP:  # it may be elsewhere by now
+                continue
             other.expect(third, peer.time)
             dx: cython.double = other.x - best.x
             dy: cython.double = other.y - best.y
             ahead: cython.double = c * dx + s * dy
             left: cython.double = c * dy - s * dx
             # Two that are nearer claim one object: their messages need not tell each other.
-            is_due: cython.bint = _ELSEWHERE <= hypot(dx, dy) < _AGREED
+            is_due: cython.bint = _ELSEWHERE <= length(dx, dy) < _AGREED
             if is_due and not self._is_told(ahead, left, told_count):
                 best.score -= gap * _UNSEEN
         return 0
@@ -641,48 +729,51 @@ class Kin:
         k: cython.Py_ssize_t
         for k in range(told_count):
             i = POINT * k
-            if hypot(objects[i] - ahead, objects[i + 1] - left) < _ELSEWHERE:
+            if length(objects[i] - ahead, objects[i + 1] - left) < _ELSEWHERE:
                 return True
             turn: cython.double = angle_between(
                 atan2(objects[i + 1], objects[i]), atan2(left, ahead)
             )
-            if objects[i + 2] < hypot(ahead, left) and turn < _TURNED:
+            if objects[i + 2] < length(ahead, left) and turn < _TURNED:
                 return True
         return False
 
     @cython.cfunc
-    def _matches(self, now: cython.double) -> dict[str, int]:
-        """The track of each peer that is in sight."""
-        claims: list[tuple[float, str, int]] = []
-        confirmed_at: dict[str, float] = {}
+    def _match(self, now: cython.double) -> cython.int:
+        """Set the track of each peer that the last scan shows, unless that is done."""
+        if self._is_matched:
+            return 0
+        self._is_matched = True
+        claims: list[tuple[float, str, int, _Peer, _Track]] = []
         peer: _Peer
+        other: _Peer
         track: _Track
-        for track in self._tracks.values():
+        for track in self._tracks:
             track.find(self._seen_at)
         for id, peer in self._peers.items():
+            peer.track = None
             best: Hypothesis | None = peer.confirmed(now)
             if best is None:
                 continue
-            confirmed_at[id] = best.confirmed_at
             peer.expect(best, now)
-            for number, track in self._tracks.items():
+            for track in self._tracks:
                 far: cython.double = best.fits(track.x - peer.x, track.y - peer.y)
                 if far < INFINITY and not track.is_other(peer):
-                    claims.append((far, id, number))
+                    claims.append((far, id, track.id, peer, track))
         claims.sort()
-        matches: dict[str, int] = {}
-        taken: dict[int, str] = {}
-        for _, id, number in claims:
-            if id not in matches and number not in taken:
-                matches[id], taken[number] = number, id
-        for _, id, number in claims:  # a peer without a track contests that of another
-            other = taken.get(number, id)
-            if id not in matches and other != id:
-                if confirmed_at[other] > confirmed_at[id] - _EARLIER:
-                    matches.pop(other, None)
-                if confirmed_at[id] < confirmed_at[other] - _EARLIER:
-                    matches[id], taken[number] = number, id
-        return matches
+        taken: dict[int, _Peer] = {}
+        for _, _, number, peer, track in claims:
+            if peer.track is None and number not in taken:
+                peer.track, taken[number] = track, peer
+        for _, _, number, peer, track in claims:  # a peer without a track contests another's
+            other = taken.get(number, peer)
+            if peer.track is None and other is not peer:
+                later: cython.double = peer.since - other.since
+                if later < _EARLIER:
+                    other.track = None
+                if later < -_EARLIER:
+                    peer.track, taken[number] = track, peer
+        return 0
 
     @cython.cfunc
     def _stands(self, track: _Track, now: cython.double) -> cython.bint:
@@ -694,7 +785,7 @@ class Kin:
             best: Hypothesis | None = peer.confirmed(now)
             if best is not None:
                 peer.expect(best, now)
-                if hypot(peer.x - track.still_x, peer.y - track.still_y) < _ELSEWHERE:
+                if length(peer.x - track.still_x, peer.y - track.still_y) < _ELSEWHERE:
                     return False
             elif now - peer.heard_at <= _SILENCE and not track.is_other(peer):
                 return False
@@ -708,3 +799,18 @@ def _sector_of(bearing: cython.double) -> cython.Py_ssize_t:
     """The number of a direction."""
     sector: cython.double = (wrap(bearing) / TURN + 0.5) * _SECTORS
     return cython.cast(cython.Py_ssize_t, min(_SECTORS - 0.5, sector))  # also of NaN
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _units(number: cython.double) -> cython.longlong:
+    """A number of m, rad or s as in a message."""
+    return cython.cast(cython.longlong, rint(number / _unit))
+
+
+def hear_many(kins: list[Kin], id: str, told: Told, now: cython.double) -> None:
+    """Hand the message of a peer to each of the robots that hear it at one time."""
+    kin: Kin
+    for kin in kins:
+        kin.hear(id, told, now)

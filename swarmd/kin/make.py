@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from swarmd.core.told import Told
     from swarmd.kin.kin import Kin
 
 
@@ -16,3 +17,10 @@ class KinMaker:
         from swarmd.kin.naming import Kin
 
         return Kin(middle, resets)
+
+
+def hear_many(kins: list[Kin], id: str, told: Told, now: float) -> None:
+    """Hand the message of a peer to each of the robots that hear it at one time."""
+    from swarmd.kin.naming import hear_many
+
+    hear_many(kins, id, told, now)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from swarmd.core.kernels import load_kernel
 
 if TYPE_CHECKING:
-    from swarmd.kin.kin import NO_ROBOT, Kin
+    from swarmd.kin.kin import NO_ROBOT, Kin, hear_many
 else:
     _kernel = load_kernel("swarmd.kin.kin")
-    NO_ROBOT, Kin = _kernel.NO_ROBOT, _kernel.Kin
+    NO_ROBOT, Kin, hear_many = _kernel.NO_ROBOT, _kernel.Kin, _kernel.hear_many
 
-__all__ = ["NO_ROBOT", "Kin"]
+__all__ = ["NO_ROBOT", "Kin", "hear_many"]

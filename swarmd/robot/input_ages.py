@@ -22,11 +22,12 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 
     from swarmd.core.neighbor_places import NeighborPlaces
+    from swarmd.core.told import Told
     from swarmd.core.values import Detection, Odometry, Pose, Scan
     from swarmd.protection.decision import PoseAnchors
     from swarmd.robot.peers import Peers
     from swarmd.robot.sensors import RangeRing
-    from swarmd.robot.steers import NamesPeers
+    from swarmd.robot.steers import MakeKin, NamesPeers
     from swarmd.sensing.odometry_history import OdometryHistory
     from swarmd.sensing.scan_delay import ScanDelay
 else:
@@ -38,6 +39,7 @@ else:
 
 _ODOMETRY_TIMEOUT = cython.declare(cython.double, timeouts.ODOMETRY_TIMEOUT)
 _NEIGHBOR_TIMEOUT = cython.declare(cython.double, timeouts.NEIGHBOR_TIMEOUT)
+_KIN_TIMEOUT = cython.declare(cython.double, timeouts.KIN_TIMEOUT)
 _AGE_UPDATE_PERIOD = cython.declare(cython.double, timeouts.AGE_UPDATE_PERIOD)
 _Context = cython.declare(object, DecisionContext)
 _Inputs = cython.declare(object, Inputs)
@@ -108,6 +110,10 @@ class InputAges:
     _places: NeighborPlaces | None = cython.declare(object, visibility="public")
     _anchors: PoseAnchors | None = cython.declare(object, visibility="public")
     kin: NamesPeers | None = cython.declare(object, visibility="public")
+    _make_kin: MakeKin | None = cython.declare(object, visibility="public")
+    _middle = cython.declare(cython.double, visibility="public")  # see `Kin`
+    # s, until which this robot or a peer needs places.
+    _kin_until = cython.declare(cython.double, visibility="public")
     _teller: Peers | None = cython.declare(object, visibility="public")
     _is_new_scan = cython.declare(cython.bint, visibility="public")
     _history: OdometryHistory = cython.declare(object, visibility="public")
@@ -121,7 +127,7 @@ class InputAges:
     _context_at: cython.double
 
     def __init__(self) -> None:
-        self._scan_at = self._odometry_at = -INFINITY
+        self._scan_at = self._odometry_at = self._kin_until = -INFINITY
         self.lost_hold = Hold(Reason.DRIVER_LOST, -INFINITY)
         self.base_hold = Hold(None)  # the driver gives the reason
         self.hazard_hold = Hold(Reason.HAZARD, -INFINITY)
@@ -164,6 +170,21 @@ class InputAges:
                 self.pose_hold.begins = self._anchors.until
             if self.kin is not None:
                 self.kin.on_odometry(odometry, now)
+
+    @cython.ccall
+    def on_kin(self, robot: str, told: Told, now: cython.double) -> None:
+        """Take in the motion of a peer and what it sees; ignored without a use for it."""
+        if told.asks:
+            InputAges.ask_kin(self, now)
+        if self.kin is not None:
+            self.kin.hear(robot, told, now)
+
+    @cython.ccall
+    def ask_kin(self, now: cython.double) -> None:
+        """Name peers for some seconds from now on, if the platform can."""
+        self._kin_until = now + _KIN_TIMEOUT
+        if self.kin is None and self._make_kin is not None:
+            self.kin = self._make_kin(self._middle, round(1000.0 * now) % 2**16)
 
     @cython.ccall
     def neighbors(self, now: cython.double) -> tuple[Neighbor, ...]:

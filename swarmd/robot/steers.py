@@ -72,7 +72,7 @@ class NamesPeers(Protocol):
     def names(self, now: float) -> Mapping[int, str | None]:
         """The name of each track: that of a peer, "" for what is no robot, None: not known."""
 
-    def complete(self, neighbors: Iterable[Neighbor], now: float) -> tuple[Neighbor, ...]:
+    def complete(self, neighbors: tuple[Neighbor, ...], now: float) -> tuple[Neighbor, ...]:
         """The neighbors with what is not known of them otherwise."""
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 
     import cython
 
-    from swarmd.core.events import Input, MessageInput, ScanInput, TickInput
+    from swarmd.core.events import Input, KinInput, MessageInput, ScanInput, TickInput
     from swarmd.core.host_messages import HostCommand
     from swarmd.core.values import Odometry
     from swarmd.protection.decision import Decision
@@ -438,3 +438,20 @@ def message_many(robots: list[Any], message: MessageInput, now: cython.double) -
     for robot in robots:
         if robot is not None:
             robot._on_message(message, now)
+
+
+def kin_many(robots: list[Any], one: KinInput, now: cython.double) -> list[Any]:
+    """What names peers, of each receiver of what a robot tells; a robot of None is skipped.
+
+    As `InputAges.on_kin`, but the caller hands the message over.
+    """
+    asks: cython.bint = one.told.asks
+    hearing: list[Any] = []
+    robot: Ticker
+    for robot in robots:
+        if robot is not None:
+            if asks:
+                InputAges.ask_kin(robot._sensors, now)
+            if robot._sensors.kin is not None:
+                hearing.append(robot._sensors.kin)
+    return hearing

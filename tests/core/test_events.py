@@ -30,7 +30,7 @@ INPUTS: tuple[events.Input, ...] = (
     events.MessageInput("b", "vote/opinion", {"value": [1, None, b"x", 0.5]}),
     events.PeersInput({"b": Body(platform="burger", surface_speed=1.0, radius=0.2), "c": None}),
     events.PlaceInput(PeerPlace("b", "hall", 1.0, 2.0, 0.1, 0.5)),
-    events.KinInput("b", Told(7, 1000, -5, 5, 0, ((1200, -30),), True)),
+    events.KinInput("b", Told(7, 1000, -5, 5, 0, b"\x04\xb0\xff\xe2", True)),
     events.LatchesInput({"e1": Latch(issuer="anna", scope="swarm")}),
     events.GoalInput(Goal(generation=1, issuer="anna", id="g", signature=b"12"), None, True),
     events.LeaseInput("g", 3),

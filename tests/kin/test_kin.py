@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -131,7 +132,7 @@ class World:
 
     def peer(self, id: str, name: str) -> Place:
         """Where robot `id` knows the peer `name`."""
-        (one,) = self.kins[id].complete([Neighbor(name, 9.0)], self.now(id))
+        (one,) = self.kins[id].complete((Neighbor(name, 9.0),), self.now(id))
         assert one.distance is not None
         assert one.bearing is not None
         assert one.heading is not None
@@ -244,7 +245,7 @@ def test_a_liar_from_the_start_makes_its_victim_unknown_until_it_is_silent() -> 
 
 def test_a_liar_that_copies_a_path_alone_is_never_named() -> None:
     def relay(id: str, told: Told, time: float) -> list[tuple[str, Told]]:
-        copy = ("liar", changed(told, objects=()))
+        copy = ("liar", changed(told, objects=b""))
         return [copy, (id, told)] if id == "b" else [(id, told)]
 
     world = World(relay=relay)
@@ -275,7 +276,7 @@ def test_robots_in_step_are_told_apart_by_what_they_see() -> None:
 
 
 def test_robots_in_step_that_tell_no_objects_are_unknown() -> None:
-    world = World(paths=in_step(), relay=lambda id, told, time: [(id, changed(told, objects=()))])
+    world = World(paths=in_step(), relay=lambda id, told, time: [(id, changed(told, objects=b""))])
     found: set[str | None] = set()
     world.run(30.0, lambda: found.update(world.names("watcher")[x] for x in ("lead", "second")))
     assert found == {None}
@@ -300,6 +301,10 @@ def test_random_histories_keep_one_peer_a_track_and_one_track_a_peer(seed: int) 
         if rng.random() < 0.1:
             sent.append((rng.choice(["b", "x", "y"]), changed(told, stamp=told.stamp + 1)))
         if rng.random() < 0.05:
+            sent.append(
+                (id, changed(told, stamp=told.stamp + 2, objects=rng.randbytes(rng.randrange(33))))
+            )
+        if rng.random() < 0.05:
             sent.append((id, changed(told, resets=rng.randrange(3), yaw=rng.randrange(6000))))
         return sent
 
@@ -319,13 +324,17 @@ def test_random_histories_keep_one_peer_a_track_and_one_track_a_peer(seed: int) 
 def test_a_message_has_the_eight_nearest_objects() -> None:
     kin = Kin(middle=-0.1, resets=7)
     kin.on_odometry(Odometry(1.0, Pose(2.0, 1.0, math.pi / 6), Twist(0.0, 0.0)), 1.0)
-    objects: list[Any] = [Seen(k, 0.9 + 0.1 * k, 0.0) for k in range(12, 0, -1)]
+    objects: list[Any] = []
+    for k in range(11, -1, -1):  # 0.1 m and 0.1 rad further each
+        far, bearing = 1.1 + 0.1 * k, 0.1 * k
+        objects.append(Seen(k, far * math.cos(bearing) - 0.1, far * math.sin(bearing)))
     kin.observe(objects, FREE, 1.0)
     told = kin.tell(1.0, True)
     assert told is not None
     assert (told.x, told.y, told.yaw) == (1913, 950, 524)  # the middle lies behind the axle
     assert (told.stamp, told.resets, told.asks) == (1000, 7, True)
-    assert told.objects == tuple((1100 + 100 * k, 0) for k in range(8))
+    seen = list(struct.iter_unpack(">Hh", told.objects))
+    assert seen == [(1100 + 100 * k, 100 * k) for k in range(8)]
 
 
 def test_a_robot_tells_five_times_a_second_while_it_moves_and_once_at_rest() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -103,7 +104,7 @@ class Story:
             ox = own.x - 0.0555 * math.cos(own.yaw) - x
             oy = own.y - 0.0555 * math.sin(own.yaw) - y
             bearing = math.remainder(math.atan2(oy, ox) - yaw, math.tau)
-            objects = ((round(1000 * math.hypot(ox, oy)), round(1000 * bearing)),)
+            objects = struct.pack(">Hh", round(1000 * math.hypot(ox, oy)), round(1000 * bearing))
             turn = round(1000 * math.remainder(yaw, math.tau))
             stamp = round(1000 * harness.now) - 900_000
             told = Told(1, stamp, round(1000 * x), round(1000 * y), turn, objects, asks)

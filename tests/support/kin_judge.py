@@ -175,7 +175,7 @@ def _count(
     counted: Callable[[int, int], bool],
 ) -> None:
     names = kin.names(poll.now + _HOUR * row)
-    plain = [Neighbor(id, 0.0) for id in made.ids]
+    plain = tuple(Neighbor(id, 0.0) for id in made.ids)
     peers = {peer.id: peer for peer in kin.complete(plain, poll.now + _HOUR * row)}
     middles = truth[:, :2] + MIDDLE * np.stack([np.cos(truth[:, 2]), np.sin(truth[:, 2])], 1)
     bodies = [(*middles[k], _RADIUS) for k in range(len(middles)) if k != row] + [*made.pillars]
