@@ -20,7 +20,7 @@ from swarmd.core.kernels import load_kernel
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import cycle
 
@@ -42,10 +42,14 @@ from swarmd.robot.sensors import Sensors
 from swarmd.robot.setup import RobotSetup
 from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.settings.settings import load_platform
-from swarmd.testing.scans import Disc, scan_of, trembling
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.realism import REALISTIC
+from swarmd.sim.world.world import World
+from swarmd.testing.scans import Disc, scan_of
 from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode
 from tests.support.protection import Commander
+from tests.support.robot_harness import moved
 
 STEERING = load_kernel("swarmd.steering.steering").Steering
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
@@ -54,10 +58,12 @@ PERIOD = 0.2
 SCAN_GOAL, MOVING_GOAL = "p99 0.1 ms", "p99 0.2 ms"
 DECISION_GOALS = {1: "p50 15 us", 8: "p50 30 us"}
 """By neighbours."""
+TURN_SCANS = 32  # of a turn at _TURN rad/s
+_TURN = 2.0 * math.pi / (TURN_SCANS * PERIOD)
 MOTIONS = {
     "at rest": Twist(),
-    "turning with the sweep": Twist(0.1, -1.0),
-    "turning against the sweep": Twist(0.1, 1.0),
+    "turning with the sweep": Twist(0.1, -_TURN),
+    "turning against the sweep": Twist(0.1, _TURN),
 }
 
 
@@ -173,6 +179,38 @@ def among(
     return scans
 
 
+def in_a_ring(platform: Platform, neighbors: int, twist: Twist) -> list[Scan]:
+    """Raw scans of three turns at a twist, in a ring of that many Waffle Pis that are near.
+
+    As in a run: the ring stands, the lidar sweeps while the robot drives, and noise is that of
+    `realistic`.
+    """
+    rng = np.random.default_rng(neighbors)
+    radius = twist.linear / twist.angular if twist.angular else 0.0  # of a circle around the middle
+    away = rng.uniform(0.42, 0.6, neighbors) + abs(radius)
+    around = 2.0 * math.pi * (np.arange(neighbors) + rng.uniform()) / neighbors
+    world = World(
+        {"": platform} | {str(k): load_platform("waffle_pi") for k in range(neighbors)},
+        Arena(4.0, 4.0),
+        np.array(
+            [
+                (0.0, -radius, 0.0),
+                *zip(away * np.cos(around), away * np.sin(around), around, strict=True),
+            ]
+        ),
+        realism=REALISTIC,
+    )
+    world.set_commands(
+        np.array([(twist.linear, twist.angular, 0.0), *neighbors * [(0.0, 0.0, 0.0)]])
+    )
+    scans = []
+    for _ in range(4 * TURN_SCANS):
+        world.begin_scans(np.array([0]))
+        world.step(round(PERIOD / world.dt))
+        scans += [scan for _, scan in world.arrived_scans()]
+    return scans[-3 * TURN_SCANS :]
+
+
 class Moving:
     """What a daemon does with the scans of a sweeping sensor while the robot moves at a twist."""
 
@@ -191,16 +229,11 @@ class Moving:
         now, self._seq = PERIOD * self._seq, self._seq + 1
         for _ in range(4):
             now += PERIOD / 4
-            way, turn = PERIOD / 4 * self._twist.linear, PERIOD / 4 * self._twist.angular
-            x, y, yaw = self._pose.x, self._pose.y, self._pose.yaw + 0.5 * turn
-            x, y = x + way * math.cos(yaw), y + way * math.sin(yaw)
-            self._pose = Pose(x, y, yaw + 0.5 * turn)
+            self._pose = moved(self._pose, self._twist, PERIOD / 4)
             odometry = Odometry(now, self._pose, self._twist)
             self._sensors.on_odometry(odometry, now)
             self._protection.on_odometry(odometry)
-        raw = next(self._scans)
-        ranges = trembling(raw.ranges, self._seq)
-        scan = replace(raw, seq=self._seq, stamp=now - PERIOD, ranges=ranges)
+        scan = replace(next(self._scans), seq=self._seq, stamp=now - PERIOD)
         return partial(self._take, scan, now)
 
     def _take(self, raw: Scan, now: float) -> None:
@@ -208,44 +241,65 @@ class Moving:
         if not sensors.on_scan(raw, now) or sensors.scan is None:
             raise RuntimeError(f"the scan does not count: {sensors.hold(now)}")
         self._protection.observe(sensors.scan, sensors.context(now))
-        hold = sensors.hold(now)
-        self._protection.decide(REQUESTED, sensors.context(now), True, hold, self._permit)
+        self._protection.decide(
+            REQUESTED, sensors.context(now), True, sensors.hold(now), self._permit
+        )
 
 
 def moving_rows(platform: Platform) -> Iterator[Row]:
     """Scans of the default configuration with conditioning and de-skew, up to the decision."""
     for neighbors in (1, 8):
         for what, twist in MOTIONS.items():
-            moving = Moving(platform, among(platform, neighbors), twist)
-            name = f"scan with de-skew and decision, {what}, {neighbors} neighbours"
             goal = SCAN_GOAL if what == "at rest" else MOVING_GOAL
-            yield Row(name, measure_each(moving.prepare), goal)
+            row = f"scan with de-skew and decision, {what}, {neighbors} neighbours"
+            yield Row(
+                row,
+                measure_each(
+                    Moving(platform, in_a_ring(platform, neighbors, twist), twist).prepare
+                ),
+                goal,
+            )
     yield from avoidance_rows(platform)
 
 
 def avoidance_rows(platform: Platform) -> Iterator[Row]:
     """The same in a pattern with recovery beside eight moving robots, in alternation."""
-    permits = [Permit(may_recover=True, avoids=avoids) for avoids in (False, True)]
     scans = circling(platform, 8)
-    deciders = [Moving(platform, scans, Twist(0.02), permit) for permit in permits]
-    times: list[list[float]] = [[], []]
+    yield from in_alternation(
+        {
+            f"scan with de-skew and decision, driving, 8 neighbours, {word} avoidance": partial(
+                measure_each,
+                Moving(
+                    platform, scans, Twist(0.02), Permit(may_recover=True, avoids=avoids)
+                ).prepare,
+            )
+            for word, avoids in (("without", False), ("with", True))
+        }
+    )
+
+
+def in_alternation(measurements: Mapping[str, Callable[[], Sequence[float]]]) -> Iterator[Row]:
+    """A row of each measurement by its name, made three times in turn."""
+    times: dict[str, list[float]] = {name: [] for name in measurements}
     for _ in range(3):
-        for decider, times_of in zip(deciders, times, strict=True):
-            times_of += measure_each(decider.prepare)
-    for what, times_of in zip(("without avoidance", "with avoidance"), times, strict=True):
-        yield Row(f"scan with de-skew and decision, driving, 8 neighbours, {what}", times_of)
+        for name, measurement in measurements.items():
+            times[name] += measurement()
+    yield from map(Row, times, times.values())
 
 
 def circling(platform: Platform, neighbors: int) -> list[Scan]:
     """Scans of that many Waffle Pis that drive around on a circle of 1 m at 0.2 m/s, for a turn."""
     step = 0.2 * PERIOD
-    scans = []
-    for seq in range(round(2.0 * math.pi / step)):
-        angles = [seq * step + 2.0 * math.pi * i / neighbors for i in range(neighbors)]
-        discs = [Disc(math.cos(a), math.sin(a), 0.15) for a in angles]
-        rng = np.random.default_rng(seq)
-        scans.append(scan_of(platform, discs, seq=seq, noise=0.01, rng=rng))
-    return scans
+    places = 2.0 * math.pi * np.arange(neighbors) / neighbors
+    return [
+        scan_of(
+            platform,
+            [Disc(math.cos(a), math.sin(a), 0.15) for a in seq * step + places],
+            seq=seq,
+            noise=0.01,
+        )
+        for seq in range(round(2.0 * math.pi / step))
+    ]
 
 
 def mode_rows(platform: Platform) -> Iterator[Row]:
@@ -267,14 +321,13 @@ def wall_rows(platform: Platform) -> Iterator[Row]:
     standing = under_barrier(platform, walls_stand={"length": 0.5, "seconds": 2.0})
     for neighbors, room in ((8, 2.4), (0, 1.2)):
         scans = among(platform, neighbors, room=room)
-        deciders = [Decider(one, scans) for one in (platform, standing)]
-        times: list[list[float]] = [[], []]
-        for _ in range(3):
-            for decider, times_of in zip(deciders, times, strict=True):
-                times_of += measure(decider.scan)
-        for what, times_of in zip(("", ", walls_stand"), times, strict=True):
-            name = f"scan and decision, barrier, {neighbors} neighbours in a room of {room} m{what}"
-            yield Row(name, times_of)
+        name = f"scan and decision, barrier, {neighbors} neighbours in a room of {room} m"
+        yield from in_alternation(
+            {
+                name + what: partial(measure, Decider(one, scans).scan)
+                for what, one in (("", platform), (", walls_stand", standing))
+            }
+        )
 
 
 def rows() -> Iterator[Row]:

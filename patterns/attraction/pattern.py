@@ -28,12 +28,9 @@ robot, and groups farther apart than `range` meet only by chance where there are
 
 from __future__ import annotations
 
-import cmath
 import math
-from collections.abc import Sequence
+from operator import itemgetter
 from typing import Annotated, NamedTuple, TypeAlias
-
-import numpy as np
 
 from swarmd.api import (
     ZERO,
@@ -44,15 +41,16 @@ from swarmd.api import (
     Inputs,
     NearPoints,
     ObjectWidth,
+    RobotsInSight,
     Scan,
     TurnIfAlone,
     Twist,
     about,
     clear_distance,
-    closest_points,
     clusters,
+    near_points,
     of_threshold,
-    polar_from_base,
+    to_middle,
 )
 
 # Pull, as a share of full speed, below which a moving robot stops and above which it starts.
@@ -73,8 +71,6 @@ _FEW_ROBOTS = 2
 _LEAD_TIME = 12.0
 # Per m: how much stronger the way to the middle of the free space is than the heading of a search.
 _MIDDLE_GAIN = 6.0
-# rad on each side of a robot whose rays say nothing of the free space.
-_MARGIN = 0.05
 # Share of full speed at which a group that may be incomplete drives to the middle, at most.
 _GROUP_SPEED = 0.5
 # The time at rest before a try doubles with each try. s before the first roll (drive around the
@@ -153,22 +149,12 @@ class _Surroundings(NamedTuple):
 
     scan: Scan
     points: NearPoints  # of near surfaces
-    robots: list[tuple[float, float]]  # range and bearing of each fully visible robot
-    seen: int  # number of robots in sight: those of `robots`, and partly hidden robots
-    adjacent: int  # number of robots of `robots` that are near
+    robots: RobotsInSight
+    adjacent: int  # number of robots that are near
     pull: Vector  # the sum of all attraction and of the way to the middle, at most 1 long
     free: float  # length of the pull that is left once it keeps clear of `points`
     is_line: bool  # all robots lie on one line through this robot
     middle: Vector  # towards the middle of the free space, where few robots are in sight; else 0
-
-    @property
-    def nearest(self) -> tuple[float, float]:
-        """The range and bearing of the nearest robot."""
-        return min(self.robots, key=_range)
-
-
-def _range(robot: tuple[float, float]) -> float:
-    return robot[0]
 
 
 def _may_be_lost(seen: int, received: int) -> bool:
@@ -177,8 +163,7 @@ def _may_be_lost(seen: int, received: int) -> bool:
     `received`: the number of robots that are heard. If robots are heard, but no more than are in
     sight, no further robot is assumed.
     """
-    are_all_in_sight = 0 < received <= seen
-    return seen <= _FEW_ROBOTS and not are_all_in_sight
+    return seen <= _FEW_ROBOTS and not 0 < received <= seen
 
 
 def _limited(x: float, y: float) -> Vector:
@@ -187,35 +172,14 @@ def _limited(x: float, y: float) -> Vector:
     return x / length, y / length
 
 
-def to_middle(scan: Scan, robots: Sequence[tuple[float, ...]]) -> Vector:
-    """A vector in m towards the middle of the free space around a lidar, 0 in the open.
-
-    The mean of range times direction over all rays, less the mean range times the mean direction: a
-    lidar that does not look all around has its rays on one side. No return counts as `range_max`.
-    In the middle of a round room the vector is 0, beside it half as long as the way there.
-
-    `robots`: range in m, bearing in rad and width in m of each, whose rays are left out.
-    """
-    ranges = np.clip(scan.ranges, scan.range_min, scan.range_max)
-    is_known = ~np.isnan(ranges)
-    for distance, bearing, width, *_ in robots:
-        half = math.atan2(0.5 * width, distance) + _MARGIN
-        is_known &= np.cos(scan.bearings - bearing) < math.cos(half)
-    if not is_known.any():
-        return 0.0, 0.0
-    weights = (ranges[is_known] - ranges[is_known].mean()) / np.count_nonzero(is_known)
-    bearings = scan.bearings[is_known]
-    return float(weights @ np.cos(bearings)), float(weights @ np.sin(bearings))
-
-
 def _is_incomplete(view: _Surroundings, received: int) -> bool:
     """True if too few robots are adjacent to this robot, although there are or may be more.
 
     `received`: the number of robots that are heard.
     """
-    are_more_heard = received > view.seen
-    are_some_apart = view.adjacent < len(view.robots)
-    has_more = are_more_heard or are_some_apart or _may_be_lost(view.seen, received)
+    seen = len(view.robots.objects)
+    are_some_apart = view.adjacent < len(view.robots.polar)
+    has_more = received > seen or are_some_apart or _may_be_lost(seen, received)
     return view.adjacent < _MIN_ADJACENT and has_more
 
 
@@ -229,20 +193,22 @@ class Attraction(FieldPattern[AttractionParams]):
 
     def __init__(self, params: AttractionParams, context: Context) -> None:
         super().__init__(params, context)
+        self.update(params)
         self.state = "search"
         self._since = 0.0  # s, the time at which `state` began
         self._rest_time = _FIRST_REST_TIME  # s in a state before the next try to roll or lead
         self._has_tried = False  # since `_rest_time` was reset
         self._most_seen = 0  # robots in one scan so far
         self._side = float(context.rng.choice((-1.0, 1.0)))  # of a roll: 1 left, -1 right
-        self._view: _Surroundings | None = None  # of the last scan
         self._drift = 0.0  # rad, the heading of a search
         self._drift_until = -math.inf  # s, the time at which `_drift` changes
 
     def update(self, params: AttractionParams) -> None:
         """Apply changed parameters, and evaluate the scan again."""
         super().update(params)
-        self._view = None
+        self._view: _Surroundings | None = None  # of the last scan
+        # `spacing`, so far within `range` that a robot which drifts away is still in sight.
+        self._spacing = min(params.spacing, max(params.range - params.brake, 0.0))
 
     def settle(self, inputs: Inputs, scan: Scan) -> Twist:
         """Change the state (search, gather, settled, roll or lead); the command of the state."""
@@ -250,21 +216,15 @@ class Attraction(FieldPattern[AttractionParams]):
         if self._view is None or self._view.scan is not scan:
             self._view = self._look(scan, received)
         view = self._view
-        is_in_line = received > view.seen and view.is_line
+        is_in_line = received > len(view.robots.objects) and view.is_line
         state = self._next_state(view, now, received, is_in_line)
         if state != self.state:
             self.state, self._since = state, now
         if state == "settled":
             return ZERO
         if state in ("search", "lead"):
-            return self._follow(view, self._in_sight(view.robots, *self._explore(view, now)))
+            return self._follow(view, self._in_sight(view.robots, self._explore(view, now)))
         return self._follow(view, self._around(view) if state == "roll" else view.pull)
-
-    @property
-    def _spacing(self) -> float:
-        """`spacing`, so far within `range` that a robot which drifts away is still in sight."""
-        params = self.params
-        return min(params.spacing, max(params.range - params.brake, 0.0))
 
     def _look(self, scan: Scan, received: int) -> _Surroundings:
         """The robots and near surfaces in a scan, and the pull of the robots.
@@ -272,28 +232,27 @@ class Attraction(FieldPattern[AttractionParams]):
         `received`: the number of robots that are heard.
         """
         params = self.params
-        offset = self.context.platform.scan.offset
-        spacing = self._spacing - params.slack
-        reach = params.spacing + params.brake + math.hypot(*offset)
-        surfaces = closest_points(scan, within=reach).tolist()
-        points = NearPoints(polar_from_base(surfaces, offset))
-        objects = self._objects(scan)
-        seen = len(objects)
-        robots = polar_from_base([(one[0], one[1]) for one in objects if one[4]], offset)
-        middle = to_middle(scan, objects) if seen <= _FEW_ROBOTS else (0.0, 0.0)
-        near = _ADJACENT_SPACINGS * self._spacing
-        adjacent, axis = 0, 0j
-        for distance, bearing in robots:
-            adjacent += distance < near
-            axis += cmath.rect(1.0, 2.0 * bearing)  # doubled: ahead and behind are one line
-        pull = self._pull(robots)
-        if robots and _may_be_lost(seen, received):
+        brake, offset = params.brake, self.context.platform.scan.offset
+        points = near_points(
+            scan, within=params.spacing + brake + math.hypot(*offset), offset=offset
+        )
+        # Cut at `range`, a wall would be as narrow as a robot.
+        objects = clusters(scan, within=scan.range_max).objects
+        furthest = min(params.range, _MAX_RANGE_SHARE * scan.range_max)
+        robots = RobotsInSight(objects, params.object_width, furthest, offset)
+        seen = len(robots.objects)
+        middle = to_middle(scan, robots.objects) if seen <= _FEW_ROBOTS else (0.0, 0.0)
+        pull = _limited(*robots.pull(self._spacing, brake, params.range))
+        if robots.polar and _may_be_lost(seen, received):
             x, y = _limited(_MIDDLE_GAIN * middle[0], _MIDDLE_GAIN * middle[1])
-            x, y = pull[0] + _GROUP_SPEED * x, pull[1] + _GROUP_SPEED * y
-            pull = _limited(*self._in_sight(robots, x, y))
-        free = math.hypot(*points.keep_clear(*pull, spacing=spacing, brake=params.brake))
-        is_line = abs(axis) > _MIN_ALIGNMENT * len(robots)
-        return _Surroundings(scan, points, robots, seen, adjacent, pull, free, is_line, middle)
+            vector = pull[0] + _GROUP_SPEED * x, pull[1] + _GROUP_SPEED * y
+            pull = _limited(*self._in_sight(robots, vector))
+        adjacent, alignment = robots.arrangement(_ADJACENT_SPACINGS * self._spacing)
+        is_line = alignment > _MIN_ALIGNMENT * len(robots.polar)
+        free = math.hypot(
+            *points.keep_clear(*pull, spacing=self._spacing - params.slack, brake=brake)
+        )
+        return _Surroundings(scan, points, robots, adjacent, pull, free, is_line, middle)
 
     def _follow(self, view: _Surroundings, vector: Vector) -> Twist:
         """The command along `vector` (base frame, share of full speed), clear of near surfaces."""
@@ -306,49 +265,20 @@ class Attraction(FieldPattern[AttractionParams]):
         x, y = points.keep_clear(*vector, spacing=spacing, brake=brake)
         if is_searching and math.hypot(x, y) < _MIN_SEARCH_SPEED:
             return Twist(angular=math.copysign(0.5 * params.turn, self._drift))
-        may_back = points.nearest < spacing
         return points.steer(
-            x, y, params.speed, params.turn, spacing=spacing, brake=brake, may_back=may_back
+            x,
+            y,
+            params.speed,
+            params.turn,
+            spacing=spacing,
+            brake=brake,
+            may_back=points.nearest < spacing,
         )
 
-    def _objects(self, scan: Scan) -> list[tuple[float, float, float, int, bool]]:
-        """The objects of a scan that may be robots, as in `RayClusters`."""
-        # Cut at `range`, a wall would be as narrow as a robot.
-        objects = clusters(scan, within=scan.range_max).objects
-        furthest = min(self.params.range, _MAX_RANGE_SHARE * scan.range_max)
-        widest = self.params.object_width
-        return [one for one in objects if one[2] <= widest and one[0] <= furthest]
-
-    def _pull(self, robots: list[tuple[float, float]]) -> Vector:
-        """The sum of the attraction of all robots: a vector in the base frame, at most 1 long.
-
-        The attraction of a robot is 0 at `spacing` and grows with its range, near `range` beyond
-        all bounds, as potentials do that keep robots connected (Ji and Egerstedt, "Distributed
-        coordination control of multiagent systems while preserving connectedness", 2007).
-        """
-        spacing, brake, reach = self._spacing, self.params.brake, self.params.range
-        x = y = 0.0
-        for distance, bearing in robots:
-            if distance > spacing:
-                left = 1.0 - min(distance / reach, _MAX_RANGE_SHARE)
-                weight = (distance - spacing) / (brake * left)
-                x += weight * math.cos(bearing)
-                y += weight * math.sin(bearing)
-        return _limited(x, y)
-
-    def _in_sight(self, robots: list[tuple[float, float]], x: float, y: float) -> Vector:
-        """The vector (x, y), limited so that it leads no farther than `range` from `robots`.
-
-        As `keep_clear` with the opposite sign: the component away from a robot is at most 1 at the
-        range `range` - `brake`, and 0 at `range`.
-        """
-        for distance, bearing in robots:
-            ahead, left = math.cos(bearing), math.sin(bearing)
-            most = max(self.params.range - distance, 0.0) / self.params.brake
-            excess = -(x * ahead + y * left) - most
-            if excess > 0.0:
-                x, y = x + excess * ahead, y + excess * left
-        return x, y
+    def _in_sight(self, robots: RobotsInSight, vector: Vector) -> Vector:
+        """The vector, limited so that it leads no farther than `range` from `robots`."""
+        params = self.params
+        return robots.keep_in_sight(*vector, reach=params.range, brake=params.brake)
 
     def _next_state(self, view: _Surroundings, now: float, received: int, is_in_line: bool) -> str:
         """The next state: search, gather, settled, roll or lead.
@@ -356,13 +286,14 @@ class Attraction(FieldPattern[AttractionParams]):
         `received`: the number of robots that are heard. `is_in_line`: all fully visible robots lie
         on one line through this robot, and more robots are heard than are in sight.
         """
-        if len(view.robots) == 0:
+        if not view.robots.polar:
             return "search"
         # 1. A roll or a lead continues for its time, unless it has reached its aim.
         in_state_s = now - self._since
-        sees_more_than_ever = view.seen > self._most_seen
+        seen = len(view.robots.objects)
+        sees_more_than_ever = seen > self._most_seen
         if sees_more_than_ever:
-            self._most_seen = view.seen
+            self._most_seen = seen
             self._rest_time, self._has_tried = _FIRST_REST_TIME, False
         is_incomplete = _is_incomplete(view, received)
         if self.state == "roll" and is_incomplete and in_state_s < _ROLL_TIME:
@@ -379,7 +310,7 @@ class Attraction(FieldPattern[AttractionParams]):
         is_settled = self.state == "settled" and not is_pulled
         tries_again = is_settled and self._rest_time < _MAX_REST_TIME
         if (rolls_in_line or tries_again) and in_state_s > self._rest_time:
-            if self._rest_time > _LEAD_REST_TIME and _may_be_lost(view.seen, received):
+            if self._rest_time > _LEAD_REST_TIME and _may_be_lost(seen, received):
                 return self._try("lead", view)
             if rolls_in_line or is_incomplete:
                 return self._try("roll", view)
@@ -392,7 +323,7 @@ class Attraction(FieldPattern[AttractionParams]):
         """
         self._rest_time, self._has_tried = 2.0 * self._rest_time, True
         if view.adjacent > 1:
-            (_, first), (_, second) = sorted(view.robots, key=_range)[:2]
+            (_, first), (_, second) = sorted(view.robots.polar, key=itemgetter(0))[:2]
             turn = math.sin(second - first)
             self._side = -math.copysign(1.0, turn) if abs(turn) > _MIN_SIDE_SINE else self._side
         return state
@@ -402,9 +333,9 @@ class Attraction(FieldPattern[AttractionParams]):
 
         It keeps all robots in sight.
         """
-        ahead = view.nearest[1] + self._side * math.pi / 2.0
+        ahead = min(view.robots.polar, key=itemgetter(0))[1] + self._side * math.pi / 2.0
         x, y = math.cos(ahead) + view.pull[0], math.sin(ahead) + view.pull[1]
-        return _limited(*self._in_sight(view.robots, *_limited(x, y)))
+        return _limited(*self._in_sight(view.robots, _limited(x, y)))
 
     def _explore(self, view: _Surroundings, now: float) -> Vector:
         """A unit vector to the middle of the free space; in the open and near the middle, ahead."""

@@ -288,13 +288,11 @@ class Flocking(MovementPattern[FlockingParams]):
         objects = clusters(scan, within=scan.range_max).objects
         max_distance = _MAX_RANGE_SHARE * scan.range_max
         # 1. Robots. A partly hidden robot (not `is_free`) is neither followed nor a wall.
-        robots: list[Polar] = []
-        narrow_objects: list[complex] = []
-        for distance, bearing, width, _, is_free in objects:
-            if width <= params.object_width and distance <= max_distance:
-                narrow_objects.append(cmath.rect(distance, bearing))
-                if is_free:
-                    robots.append((distance, bearing))
+        narrow = [
+            one for one in objects if one[2] <= params.object_width and one[0] <= max_distance
+        ]
+        robots = [(distance, bearing) for distance, bearing, _, _, is_free in narrow if is_free]
+        narrow_objects = [cmath.rect(one[0], one[1]) for one in narrow]
         # 2. Walls: the closest points that do not lie on a narrow object.
         walls: list[Polar] = []
         for distance, bearing in closest_points(scan, within=params.wall).tolist():

@@ -14,7 +14,6 @@ from typing import Annotated, Literal
 from swarmd.api import (
     Context,
     Inputs,
-    NearPoints,
     Params,
     Scan,
     TimedPattern,
@@ -22,7 +21,7 @@ from swarmd.api import (
     TopTurn,
     Twist,
     about,
-    closest_points,
+    near_points,
     nearest,
     of_threshold,
     polar_from_base,
@@ -129,9 +128,9 @@ class FollowWall(TimedPattern[FollowWallParams]):
         `spacing_max`: the robot stands no farther than this before an obstacle, in m.
         """
         params = self.params
-        points = closest_points(scan, within=params.distance + 1.0).tolist()
-        near_points = NearPoints(polar_from_base(points, self.context.platform.scan.offset))
-        return near_points.steer(
+        return near_points(
+            scan, within=params.distance + 1.0, offset=self.context.platform.scan.offset
+        ).steer(
             math.cos(heading),
             math.sin(heading),
             params.speed,

@@ -15,7 +15,6 @@ from typing import Annotated, Literal
 from swarmd.api import (
     Context,
     Inputs,
-    NearPoints,
     Params,
     Recovery,
     TimedPattern,
@@ -23,9 +22,8 @@ from swarmd.api import (
     TopTurn,
     Twist,
     about,
-    closest_points,
+    near_points,
     of_threshold,
-    polar_from_base,
     turn_time,
 )
 
@@ -120,13 +118,8 @@ class Phototaxis(TimedPattern[PhototaxisParams]):
 
     def _towards(self, inputs: Inputs, bearing: float) -> Twist:
         params, scan = self.params, self.context.platform.scan
-        near = NearPoints(
-            polar_from_base(
-                closest_points(inputs.scan, within=params.spacing + 1.0).tolist(), scan.offset
-            )
-        )
+        near = near_points(inputs.scan, within=params.spacing + 1.0, offset=scan.offset)
         x, y = near.keep_clear(
             math.cos(bearing), math.sin(bearing), spacing=params.spacing, brake=_BRAKE
         )
-        speed, turn = params.speed, params.turn
-        return near.steer(x, y, speed, turn, spacing=params.spacing, brake=_BRAKE)
+        return near.steer(x, y, params.speed, params.turn, spacing=params.spacing, brake=_BRAKE)

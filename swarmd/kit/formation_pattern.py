@@ -46,8 +46,7 @@ from swarmd.kit.params import (
     of_threshold,
     threshold,
 )
-from swarmd.kit.steering import NearPoints, polar_from_base
-from swarmd.sensing.rays import closest_points
+from swarmd.kit.steering import NearPoints, near_points
 
 # Share of `tolerance` within which a moving robot has arrived.
 _ARRIVAL_SHARE = 0.4
@@ -227,8 +226,7 @@ class FormationPattern(MovementPattern[F]):
         offset = self.context.platform.scan.offset
         # Ranges are from the lidar, and the base may be nearer to a point by the offset.
         reach = self.params.clearance + self.params.brake + math.hypot(*offset)
-        points = closest_points(scan, within=reach).tolist()
-        self._points = NearPoints(polar_from_base(points, offset))
+        self._points = near_points(scan, within=reach, offset=offset)
 
     def _others(self, inputs: Inputs, scan: Scan, pose: Pose) -> Array:
         """The other robots (k, 2) in m in the base frame: objects of the scan, or neighbours."""

@@ -1,6 +1,7 @@
 """The arithmetic on points around the base: steering, and robots among the objects of a scan.
 
-A kernel (see `core/kernels.py`): `steering.py` and `formation_geometry.py` use it.
+A kernel (see `core/kernels.py`): `steering.py`, `robot_detection.py` and `formation_geometry.py`
+use it.
 """
 
 from __future__ import annotations
@@ -9,19 +10,47 @@ import math
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Iterable, Sequence
     from typing import TypeAlias
 
     import cython
 
+    from swarmd.core.values import Scan
+
     Pair: TypeAlias = tuple[float, float]
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, asin, atan2, cos, fabs, hypot, isinf, sin
+    from cython.cimports.libc.math import (
+        INFINITY,
+        NAN,
+        asin,
+        atan2,
+        cos,
+        fabs,
+        hypot,
+        isinf,
+        isnan,
+        remainder,
+        sin,
+    )
 else:
-    from swarmd.core.cython_shadow import INFINITY, asin, atan2, cos, fabs, hypot, isinf, sin
+    from swarmd.core.cython_shadow import (
+        INFINITY,
+        NAN,
+        asin,
+        atan2,
+        cos,
+        fabs,
+        hypot,
+        isinf,
+        isnan,
+        remainder,
+        sin,
+    )
 
 from swarmd.core.values import ZERO, Twist
 
@@ -36,6 +65,10 @@ _HEADING_GAIN = cython.declare(cython.double, 2.0)
 _MAX_OCCLUSION_ANGLE = cython.declare(cython.double, math.radians(3.0))
 # Centers nearer to each other than this share of the largest width belong to one robot.
 _MERGE_SHARE = cython.declare(cython.double, 0.45)
+# A robot farther than this share of the range at which it is lost pulls as one at this share.
+_MAX_LOSS_SHARE = cython.declare(cython.double, 0.95)
+# rad on each side of a robot whose rays say nothing of the free space.
+_MARGIN = cython.declare(cython.double, 0.05)
 # m: a nearer object counts as one at this range where its range divides.
 _MIN_RANGE = cython.declare(cython.double, 1e-3)
 
@@ -141,6 +174,121 @@ class NearPoints:
                 speed_share = min(speed_share, max(distance - spacing, 0.0) / (brake * ahead))
         turn = min(max(_HEADING_GAIN * heading_error, -angular_max), angular_max)
         return Twist(sign * speed_share * linear_max, turn)
+
+
+@cython.auto_pickle(False)
+@cython.cclass
+class RobotsInSight:
+    """The objects of a scan that may be robots, in the order of their bearings from the lidar.
+
+    `objects`: all of them, as in `RayClusters`, from the lidar. `polar`: range in m and bearing in
+    rad, from the base, of each that no nearer object hides in part.
+    """
+
+    objects: list[Any] = cython.declare(object, visibility="readonly")
+    polar: list[Pair] = cython.declare(object, visibility="readonly")
+    _directed: list[Any]  # range, cosine and sine of the bearing
+
+    def __init__(
+        self, objects: Iterable[Any], width: cython.double, reach: cython.double, offset: Pair
+    ) -> None:
+        """`objects` as in `RayClusters`, from the lidar at `offset` (m); a robot is at most `width`
+        m wide and `reach` m away.
+        """
+        self.objects = [one for one in objects if one[2] <= width and one[0] <= reach]
+        self.polar = polar_from_base([one[:2] for one in self.objects if one[4]], offset)
+        self._directed = [(away, cos(bearing), sin(bearing)) for away, bearing in self.polar]
+
+    def arrangement(self, near: cython.double) -> tuple[int, float]:
+        """The number of robots of `polar` nearer than `near` m, and how well all lie on one line.
+
+        The second is the length of the sum of exp(2i bearing): their number on one line.
+        """
+        distance: cython.double
+        bearing: cython.double
+        count: cython.Py_ssize_t = 0
+        x: cython.double = 0.0
+        y: cython.double = 0.0
+        for distance, bearing in self.polar:
+            count += distance < near
+            x += cos(2.0 * bearing)  # doubled: ahead and behind are one line
+            y += sin(2.0 * bearing)
+        return count, hypot(x, y)
+
+    def pull(self, spacing: cython.double, brake: cython.double, reach: cython.double) -> Pair:
+        """The sum of the attraction of all robots: a vector in the base frame.
+
+        The attraction of a robot is 0 up to `spacing` m and grows with its range, by 1 for each
+        `brake` m at first, and beyond all bounds near `reach` m, as potentials do that keep robots
+        connected (Ji and Egerstedt, "Distributed coordination control of multiagent systems while
+        preserving connectedness", 2007).
+        """
+        distance: cython.double
+        ahead: cython.double
+        left: cython.double
+        x: cython.double = 0.0
+        y: cython.double = 0.0
+        if brake == 0.0 or reach == 0.0:  # compiled code would not raise by itself
+            raise ZeroDivisionError(f"brake is {brake} m and reach {reach} m")
+        for distance, ahead, left in self._directed:
+            if distance > spacing:
+                rest: cython.double = 1.0 - min(distance / reach, _MAX_LOSS_SHARE)
+                weight: cython.double = (distance - spacing) / (brake * rest)
+                x += weight * ahead
+                y += weight * left
+        return x, y
+
+    def keep_in_sight(
+        self, x: cython.double, y: cython.double, *, reach: cython.double, brake: cython.double
+    ) -> Pair:
+        """The vector (x, y), limited so that it leads no farther than `reach` m from the robots.
+
+        As `keep_clear` with the opposite sign: the component away from a robot is at most 1 at the
+        range `reach` - `brake`, and 0 at `reach`.
+        """
+        distance: cython.double
+        ahead: cython.double
+        left: cython.double
+        if brake == 0.0:  # compiled code would not raise by itself
+            raise ZeroDivisionError("brake is 0 m")
+        for distance, ahead, left in self._directed:
+            excess: cython.double = -(x * ahead + y * left) - max(reach - distance, 0.0) / brake
+            if excess > 0.0:
+                x, y = x + excess * ahead, y + excess * left
+        return x, y
+
+
+def to_middle(scan: Scan, robots: Iterable[Sequence[Any]]) -> Pair:
+    """A vector in m towards the middle of the free space around a lidar, 0 in the open.
+
+    The mean of range times direction over all rays, less the mean range times the mean direction: a
+    lidar that does not look all around has its rays on one side. No return counts as `range_max`.
+    In the middle of a round room the vector is 0, beside it half as long as the way there.
+
+    `robots`: range in m, bearing in rad and width in m of each, whose rays are left out.
+    """
+    rays = np.array((scan.ranges, scan.bearings), np.float64)
+    rays[0].clip(scan.range_min, scan.range_max, out=rays[0])  # NaN stays
+    # The ranges and bearings, known ones first. CPython reads a memoryview faster than an array.
+    ray: cython.double[:, ::1] = rays if cython.compiled else rays.data
+    i: cython.Py_ssize_t
+    count: cython.Py_ssize_t = 0
+    for robot in robots:
+        bearing: cython.double = robot[1]
+        half: cython.double = math.atan2(0.5 * robot[2], robot[0]) + _MARGIN
+        for i in range(ray.shape[1]):
+            if not fabs(remainder(ray[1, i] - bearing, 2.0 * _PI)) > half:
+                ray[0, i] = NAN
+    for i in range(ray.shape[1]):
+        if not isnan(ray[0, i]):
+            ray[0, count], ray[1, count] = ray[0, i], ray[1, i]
+            count += 1
+    if count == 0:
+        return 0.0, 0.0
+    # By numpy, whose sums have another order than a loop.
+    ranges, bearings = rays[:, :count]
+    weights = (ranges - np.add.reduce(ranges) / count) / count
+    return float(weights @ np.cos(bearings)), float(weights @ np.sin(bearings))
 
 
 def robot_centers(

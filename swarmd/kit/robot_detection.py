@@ -29,10 +29,10 @@ def robots_near(
     max_width = object_width(platform)
     # If the scan were cut off at `within`, the near part of a wall would seem as narrow as a robot.
     objects = clusters(scan, within=within + max_width).objects
-    robots = []
-    for distance, direction, width, _, is_free in objects:
-        is_robot = width <= max_width and is_free
-        is_in_sector = abs(difference(direction, bearing)) <= half_width
-        if distance <= within and is_robot and is_in_sector:
-            robots.append(Ray(distance, direction))
+    robots = [
+        Ray(distance, direction)
+        for distance, direction, width, _, is_free in objects
+        if is_free and width <= max_width and distance <= within
+        if abs(difference(direction, bearing)) <= half_width
+    ]
     return sorted(robots, key=itemgetter(0))

@@ -13,24 +13,28 @@ from numpy.random import Generator
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Scan, Twist
-from swarmd.sensing.rays import Ray, nearest
+from swarmd.sensing.rays import Ray, closest_points, nearest
 
 if TYPE_CHECKING:
-    from swarmd.kit.points import NearPoints, polar_from_base
+    from swarmd.kit.points import NearPoints, RobotsInSight, polar_from_base, to_middle
 else:
     _kernel = load_kernel("swarmd.kit.points")
-    NearPoints, polar_from_base = _kernel.NearPoints, _kernel.polar_from_base
+    NearPoints, RobotsInSight = _kernel.NearPoints, _kernel.RobotsInSight
+    polar_from_base, to_middle = _kernel.polar_from_base, _kernel.to_middle
 
 __all__ = [
     "AHEAD_HALF_WIDTH",
     "Ahead",
     "NearPoints",
+    "RobotsInSight",
     "away_from",
     "drive_along",
     "from_base",
     "keep_clear",
+    "near_points",
     "polar_from_base",
     "steer",
+    "to_middle",
     "turn_time",
 ]
 
@@ -42,6 +46,11 @@ _LEAST_TURN = 0.01  # rad/s: with less a turn takes no longer
 def from_base(points: Array, offset: tuple[float, float]) -> Array:
     """Points (k, 2) of range and bearing from a sensor at `offset` (m), relative to the base."""
     return np.array(polar_from_base(points.tolist(), offset), dtype=np.float64).reshape(-1, 2)
+
+
+def near_points(scan: Scan | None, *, within: float, offset: tuple[float, float]) -> NearPoints:
+    """The closest points up to `within` m from a sensor at `offset` (m), seen from the base."""
+    return NearPoints(polar_from_base(closest_points(scan, within=within).tolist(), offset))
 
 
 def keep_clear(vector: Array, points: Array, *, spacing: float, brake: float) -> Array:
@@ -71,9 +80,14 @@ def steer(
     `may_back`. Points ahead of the base limit the speed as in `keep_clear`, also while the base is
     still turning. A zero or non-finite vector gives zero.
     """
-    x, y = float(vector[0]), float(vector[1])
     return NearPoints(points.tolist()).steer(
-        x, y, linear_max, angular_max, spacing=spacing, brake=brake, may_back=may_back
+        float(vector[0]),
+        float(vector[1]),
+        linear_max,
+        angular_max,
+        spacing=spacing,
+        brake=brake,
+        may_back=may_back,
     )
 
 

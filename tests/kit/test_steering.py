@@ -6,11 +6,24 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from swarmd.core.values import Array, Twist
-from swarmd.kit.steering import NearPoints, from_base, keep_clear, steer
+from swarmd.kit.steering import (
+    NearPoints,
+    RobotsInSight,
+    from_base,
+    keep_clear,
+    near_points,
+    steer,
+    to_middle,
+)
+from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import Disc, scan_of
+
+WAFFLE = load_platform("waffle_pi")
 
 NOTHING = np.empty((0, 2))
 UNIT = st.floats(-1.0, 1.0)
@@ -116,3 +129,104 @@ def test_near_points_serve_several_steps(x: float, y: float, bearings: list[floa
         assert list(vector) == list(keep_clear(np.array([x, y]), points, spacing=0.5, brake=0.5))
         twist = near.steer(*vector, 0.2, 2.0, spacing=0.5, brake=0.5)
         assert twist == command(*vector, points)
+
+
+def test_the_middle_of_a_room_is_where_its_walls_are_farther() -> None:
+    # The right wall is 0.5 m away, the left one 3.5 m: no return counts as the range of 3.5 m.
+    right = scan_of(WAFFLE, [Disc(0.0, -100.5, 100.0)])
+    x, y = to_middle(right, [])
+    assert abs(x) < 0.05
+    assert y > 0.5
+    assert to_middle(scan_of(WAFFLE), []) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_robots_do_not_move_the_middle() -> None:
+    near = scan_of(WAFFLE, [Disc(0.5, 0.0, 0.1)])
+    assert math.hypot(*to_middle(near, [(0.4, 0.0, 0.2)])) < 0.02 < math.hypot(*to_middle(near, []))
+
+
+@given(seed=st.integers(0, 2**16), robots=st.integers(0, 3))
+def test_the_middle_is_the_mean_of_the_free_rays(seed: int, robots: int) -> None:
+    rng = np.random.default_rng(seed)
+    scan = scan_of(WAFFLE, room=5.0, seq=seed, noise=0.05)
+    ranges = np.where(rng.random(360) < 0.1, math.nan, scan.ranges)
+    ranges[::17], ranges[::19] = math.inf, -math.inf
+    hidden = [(*rng.uniform((0.1, -3.0), (3.0, 3.0)), 0.3) for _ in range(robots)]
+    free = [
+        (min(max(away, scan.range_min), scan.range_max), bearing)
+        for away, bearing in zip(ranges.tolist(), scan.bearings.tolist(), strict=True)
+        if not math.isnan(away)
+        # 0.05 rad beside the edges of a robot.
+        and all(
+            abs(math.remainder(bearing - at, math.tau)) > math.atan2(0.15, near) + 0.05
+            for near, at, _ in hidden
+        )
+    ]
+    mean = math.fsum(away for away, _ in free) / len(free)
+    wanted = [
+        math.fsum((away - mean) * part(bearing) for away, bearing in free) / len(free)
+        for part in (math.cos, math.sin)
+    ]
+    found = to_middle(structs.replace(scan, ranges=ranges), hidden)
+    assert found == pytest.approx(wanted, abs=1e-12)
+
+
+def test_a_scan_of_unknown_rays_has_no_middle() -> None:
+    scan = scan_of(WAFFLE)
+    blind = structs.replace(scan, ranges=np.full_like(scan.ranges, math.nan))
+    assert to_middle(blind, []) == (0.0, 0.0)
+
+
+def test_near_points_of_a_scan_are_seen_from_the_base() -> None:
+    # A disc of 0.1 m, 0.5 m before a lidar that stands 0.064 m behind the axle.
+    scan = scan_of(WAFFLE, [Disc(0.5 + WAFFLE.scan.offset[0], 0.0)])
+    assert WAFFLE.scan.offset == (-0.064, 0.0)
+    near = near_points(scan, within=1.0, offset=WAFFLE.scan.offset)
+    assert near.nearest == pytest.approx(0.5 - 0.1 - 0.064, abs=1e-3)
+    assert near_points(scan, within=0.3, offset=WAFFLE.scan.offset).nearest == math.inf
+    assert near_points(None, within=1.0, offset=(0.0, 0.0)).nearest == math.inf
+
+
+def in_sight(*polar: tuple[float, float]) -> RobotsInSight:
+    """Robots of 0.1 m that no other hides, seen from a lidar at the axle."""
+    return RobotsInSight([(*one, 0.1, 9, True) for one in polar], 0.3, 3.0, (0.0, 0.0))
+
+
+def test_robots_in_sight_are_narrow_and_near_and_whole_ones_have_a_place() -> None:
+    robot, partly = (1.0, 0.0, 0.3, 9, True), (2.0, 1.0, 0.2, 9, False)
+    wide, far = (1.0, 2.0, 0.31, 9, True), (3.1, 2.0, 0.1, 9, True)
+    found = RobotsInSight([robot, partly, wide, far], 0.3, 3.0, (0.5, 1.0))
+    assert found.objects == [robot, partly]
+    assert found.polar == [pytest.approx((math.hypot(1.5, 1.0), math.atan2(1.0, 1.5)))]
+
+
+def test_robots_ahead_and_behind_lie_on_one_line() -> None:
+    line = in_sight((1.0, 0.3), (0.4, 0.3 - math.pi)).arrangement(0.5)
+    assert line == pytest.approx((1, 2.0))
+    across = in_sight((1.0, 0.0), (0.4, math.pi / 2)).arrangement(0.4)
+    assert across == pytest.approx((0, 0.0), abs=1e-12)
+    assert in_sight().arrangement(1.0) == (0, 0.0)
+
+
+def test_the_pull_of_robots_grows_beyond_all_bounds_near_the_reach() -> None:
+    # (1.5 - 0.5) / (0.25 * (1 - 1.5 / 2)) ahead; within 0.5 m none; beyond 1.9 m that of 1.9 m.
+    robots = in_sight((1.5, 0.0), (0.5, 1.0), (2.5, math.pi / 2))
+    assert robots.pull(0.5, 0.25, 2.0) == pytest.approx((16.0, 2.0 / (0.25 * 0.05)))
+    for brake, reach in ((0.0, 2.0), (0.25, 0.0)):
+        with pytest.raises(ZeroDivisionError):
+            robots.pull(0.5, brake, reach)
+
+
+@given(x=UNIT, y=UNIT, distance=st.floats(0.5, 2.5), bearing=BEARING)
+@example(x=-1.0, y=0.5, distance=1.9, bearing=0.3)
+def test_a_vector_leads_no_farther_than_the_reach(
+    x: float, y: float, distance: float, bearing: float
+) -> None:
+    kept = in_sight((distance, bearing)).keep_in_sight(x, y, reach=2.0, brake=0.5)
+    ahead, left = math.cos(bearing), math.sin(bearing)
+    away = -(x * ahead + y * left)
+    most = max(2.0 - distance, 0.0) / 0.5
+    assert -(kept[0] * ahead + kept[1] * left) == pytest.approx(min(away, most), abs=1e-12)
+    assert kept[0] * left - kept[1] * ahead == pytest.approx(x * left - y * ahead, abs=1e-12)
+    with pytest.raises(ZeroDivisionError):
+        in_sight((1.0, 0.0)).keep_in_sight(x, y, reach=2.0, brake=0.0)

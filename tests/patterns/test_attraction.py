@@ -10,10 +10,10 @@ from typing import cast
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from swarmd.core.values import Inputs, Neighbor, Scalar, Scan, Twist, Value
-from swarmd.patterns.attraction.pattern import Attraction, to_middle
+from swarmd.kit.steering import RobotsInSight
+from swarmd.patterns.attraction.pattern import Attraction
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure
@@ -194,26 +194,6 @@ def test_leaves_a_line_early_if_messages_come_from_more_robots() -> None:
     assert "roll" not in states_on(corner, 1.0, heard=6)
 
 
-def test_the_middle_of_a_room_is_where_its_walls_are_farther() -> None:
-    # The right wall is 0.5 m away, the left one 3.5 m: no return counts as the range of 3.5 m.
-    right = scan_of(WAFFLE, [Disc(0.0, -100.5, 100.0)])
-    x, y = to_middle(right, [])
-    assert abs(x) < 0.05
-    assert y > 0.5
-    assert to_middle(scan_of(WAFFLE), []) == pytest.approx((0.0, 0.0), abs=1e-9)
-
-
-def test_robots_do_not_move_the_middle() -> None:
-    near = scan_of(WAFFLE, [Disc(0.5, 0.0, 0.1)])
-    assert math.hypot(*to_middle(near, [(0.4, 0.0, 0.2)])) < 0.02 < math.hypot(*to_middle(near, []))
-
-
-def test_a_scan_of_unknown_rays_has_no_middle() -> None:
-    scan = scan_of(WAFFLE)
-    blind = structs.replace(scan, ranges=np.full_like(scan.ranges, math.nan))
-    assert to_middle(blind, []) == (0.0, 0.0)
-
-
 def test_a_robot_between_two_keeps_the_farther_one_in_sight() -> None:
     """With a range of 0.8 m a pull of 0.17 m outweighs one of 0.11 m by more than their ratio."""
     far, near = Disc(0.0, 0.77, 0.1), Disc(0.0, -0.71, 0.1)
@@ -229,7 +209,8 @@ def test_a_robot_between_two_keeps_the_farther_one_in_sight() -> None:
 @pytest.mark.parametrize("distance", [0.55, 0.7, 0.79])
 def test_it_leaves_no_robot_that_it_sees(distance: float) -> None:
     pattern = cast("Attraction", Subject(Attraction, WAFFLE, {"range": 0.8}).make())
-    x, y = pattern._in_sight([(distance, 0.0)], -1.0, 0.5)
+    robots = RobotsInSight([(distance, 0.0, 0.1, 9, True)], 0.3, 3.0, (0.0, 0.0))
+    x, y = pattern._in_sight(robots, (-1.0, 0.5))
     # The brake is 0.3 m: full speed away from a robot at 0.5 m, none at 0.8 m.
     assert x == pytest.approx(-(0.8 - distance) / 0.3)
     assert y == 0.5

@@ -7,10 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Twist
 from swarmd.sensing.scan_pipeline import BlindSectors, ScanConditioner
+from swarmd.sensing.sector_history import frozen_sectors
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_from, scan_of
 
@@ -84,6 +87,68 @@ def test_a_front_that_repeats_its_ranges_is_frozen_within_half_a_metre_of_way(pa
     assert said[:5] == [""] * 5
     assert "equal ranges" in said[round(3.6 / PERIOD)]
     assert said[-1] == ""  # the returns that differ have ended it
+
+
+def frozen_by_hand(means: list[float], look: list[float], pose: Pose, before: Pose) -> list[bool]:
+    """The sectors of `frozen_sectors`, one after the other, by what it promises."""
+    count, width = len(means), math.tau / len(means)
+    static = [math.inf] * count
+    for sector, distance in enumerate(look):
+        if not math.isnan(distance):
+            angle = (sector + 0.5) * width + before.yaw
+            x = before.x + distance * math.cos(angle) - pose.x
+            y = before.y + distance * math.sin(angle) - pose.y
+            place = math.floor((math.atan2(y, x) - pose.yaw) / width) % count
+            static[place] = min(static[place], math.hypot(x, y))
+    moved, equal = 0, []
+    for sector, (now, then) in enumerate(zip(means, look, strict=True)):
+        off = min(abs(static[(sector + k) % count] - now) for k in (-1, 0, 1))
+        moved += abs(now - then) > 0.1 and off <= 0.05
+        equal.append(abs(now - then) <= 0.03 and 0.1 < off < math.inf)
+    frozen = [False] * count
+    if moved >= 11 and not all(equal):
+        start = equal.index(False)
+        run: list[int] = []
+        for sector in [(start + k) % count for k in range(count + 1)]:
+            if equal[sector]:
+                run.append(sector)
+                continue
+            if len(run) >= 11 and sum(means[one] for one in run) * width >= 1.0:
+                for one in run:
+                    frozen[one] = True
+            run = []
+    return frozen
+
+
+@given(
+    seed=st.integers(0, 2**16),
+    frozen=st.integers(8, 40),
+    others=st.integers(8, 50),
+    way=st.floats(0.2, 0.6),
+)
+def test_frozen_sectors_are_those_of_the_docstring(
+    seed: int, frozen: int, others: int, way: float
+) -> None:
+    """Of a wavy room, with so many sectors that freeze, and so many others that return at all."""
+    rng, sectors = np.random.default_rng(seed), np.arange(90)
+    before, pose = Pose(0.0, 0.0, float(rng.uniform(-3.0, 3.0))), Pose(way, 0.1, 0.3)
+    waves = 1.6 + 0.4 * np.sin(sectors / float(rng.uniform(3.0, 9.0)))
+    look = np.where(rng.random(90) < 0.05, math.nan, waves)
+    angles = (sectors + 0.5) * math.tau / 90 + before.yaw
+    x, y = look * np.cos(angles) - way, look * np.sin(angles) - 0.1
+    means = np.full(90, math.nan)
+    for sector, distance in zip(
+        np.floor((np.arctan2(y, x) - pose.yaw) / (math.tau / 90)), np.hypot(x, y), strict=True
+    ):
+        if not math.isnan(distance):
+            means[int(sector) % 90] = distance + rng.normal(0.0, 0.01)
+    start = int(rng.integers(90))
+    rest = np.roll(sectors, -start)[frozen:]
+    means[np.roll(sectors, -start)[:frozen]] = look[np.roll(sectors, -start)[:frozen]]
+    means[rest[others:]] = math.nan
+    found = frozen_sectors(means, look, pose, before).tolist()
+    event(f"frozen: {any(found)}")
+    assert found == frozen_by_hand(means.tolist(), look.tolist(), pose, before)
 
 
 def to_walls(walls: list[tuple[float, float, float, float]], pose: Pose, most: float) -> Array:
