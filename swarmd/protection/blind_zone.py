@@ -7,7 +7,8 @@ end at an obstacle inside the zone, or see nothing. An empty sector is a run of 
 
 1. An obstacle becomes hidden if it was near the rim, may have crossed it since, has no return near
    its place any more, and the rays there are empty. A hidden obstacle then approaches at the
-   assumed speed.
+   assumed speed. A return near its place does not count if so wide a surface vanished at once that
+   no obstacle can have moved aside: the return is of a neighbour, or of a part still in view.
 2. An obstacle too wide to vanish may cross the rim; returns at the end of an empty sector show
    this. If an obstacle crosses at one end, the part seen there last becomes hidden. If obstacles
    cross at both ends, they count as a single obstacle that fills the sector. The obstacle is no
@@ -277,6 +278,8 @@ class BlindZoneMemory:
     _range: cython.double[::1]
     _is_empty: cython.uchar[::1]
     _is_in_entered_sector: cython.uchar[::1]
+    _was_near: cython.uchar[::1]  # in the scan before, a return was there that may have vanished
+    _is_covered: cython.uchar[::1]  # of an empty ray: in a sector that near returns covered
     _age_by_ray: cython.double[::1]
     _nearest_by_ray: cython.double[::1]
     _is_face_by_ray: cython.uchar[::1]  # only a face in view continues there; or nothing is hidden
@@ -337,7 +340,7 @@ class BlindZoneMemory:
         self._bearing = self._rising = self._range = _NOTHING
         self._age_by_ray = self._nearest_by_ray = _NOTHING
         self._exact_bearing = self._corner = self._turned_angle = self._angles = _NOTHING
-        self._is_empty = self._is_in_entered_sector = flags(0)
+        self._is_empty = self._is_in_entered_sector = self._was_near = self._is_covered = flags(0)
         self._is_face_by_ray = self._is_hidden = self._is_empty
 
     def update(
@@ -422,6 +425,7 @@ class BlindZoneMemory:
         self._range, self._exact_bearing, self._corner = doubles(size), doubles(size), doubles(size)
         self._age_by_ray, self._nearest_by_ray = doubles(size), doubles(size)
         self._is_empty, self._is_in_entered_sector = flags(size), flags(size)
+        self._was_near, self._is_covered = flags(size), flags(size)
         self._is_face_by_ray = flags(size)
         self._sector_first, self._sector_width = indices(size), indices(size)
         self._crossings, self._angle_rays = indices(size), indices(size)
@@ -624,25 +628,36 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
+        # 1. The old returns in the present base frame, with their bearings and rays. The ray is -1
+        # for a return too far from the rim.
+        for i in range(self._ray_count):
+            self._was_near[i] = False
         for i in range(self._old_point_count):
-            # 1. The old return in the present base frame. Skips returns too far from the rim.
             old_x, old_y = self._old_x[i] - moved_x, self._old_y[i] - moved_y
             x, y = cos_turn * old_x + sin_turn * old_y, cos_turn * old_y - sin_turn * old_x
-            if not hypot(x - sensor_x, y - sensor_y) < self._radius + obstacle_step:
+            self._old_x[i], self._old_y[i] = x, y
+            self._angle_rays[i] = -1
+            if hypot(x - sensor_x, y - sensor_y) < self._radius + obstacle_step:
+                self._angles[i] = atan2(y - sensor_y, x - sensor_x)
+                ray = _nearest(self._rising, self._ray_count, self._angles[i])
+                self._angle_rays[i], self._was_near[ray] = ray, True
+        self._find_covered(obstacle_step)
+        for i in range(self._old_point_count):
+            ray = self._angle_rays[i]
+            if ray < 0:
                 continue
+            x, y, bearing = self._old_x[i], self._old_y[i], self._angles[i]
             # 2. Finds a near return of this scan near this place. The search begins at the match of
             # the old return before, since neighbours lie side by side.
             match = _find_match(
                 self._x, self._y, self._point_count, x, y, match_distance, stride, last_match
             )
-            is_gone = match < 0
-            if not is_gone:
+            is_gone = match < 0 or (self._is_empty[ray] != 0 and self._is_covered[ray] != 0)
+            if match >= 0:
                 last_match = match
             # 3. An empty ray there: this width of the obstacle went out of view. The width is
             # subtracted from the width that came into view: noise at the rim shows the same width
             # out of view and in view again.
-            bearing = atan2(y - sensor_y, x - sensor_x)
-            ray = _nearest(self._rising, self._ray_count, bearing)
             if isinf(self._range[ray]):
                 return_width = hypot(x - sensor_x, y - sensor_y) * TURN / self._ray_count
                 self._emerged_m -= return_width
@@ -656,6 +671,29 @@ class BlindZoneMemory:
                 self._age[k] = 0.0 if is_gone else _DOUBTFUL
                 self._is_face[k] = not is_gone
                 self._candidate_count += 1
+
+    @cython.cfunc
+    def _find_covered(self, obstacle_step: cython.double) -> cython.int:
+        """Find the empty sectors that near returns covered in the scan before (`_is_covered`).
+
+        More than half of the rays of a covered sector had a near return (`_was_near`), and the
+        sector is wider at the rim than an obstacle moves aside between two scans: half of
+        `obstacle_step`, the m that obstacle and robot approach each other. No obstacle crosses the
+        rim at its ends (rule 2).
+        """
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for k in range(self._sector_count):
+            near_count: cython.Py_ssize_t = 0
+            width: cython.Py_ssize_t = self._sector_width[k]
+            rim_width: cython.double = width * TURN / self._ray_count * self._radius  # m
+            for i in range(self._sector_first[k], self._sector_first[k] + width):
+                near_count += self._was_near[wrapped_index(i, self._ray_count)]
+            is_covered: cython.bint = 2 * near_count > width and rim_width > 0.5 * obstacle_step
+            for i in range(self._sector_first[k], self._sector_first[k] + width):
+                self._is_covered[wrapped_index(i, self._ray_count)] = (
+                    is_covered and not self._crossings[k]
+                )
 
     @cython.cfunc
     def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:

@@ -248,6 +248,22 @@ def test_standing_neighbor_does_not_count_as_reappearance() -> None:
         assert look(memory, legs, empty=near) == list(near)
 
 
+def test_neighbors_in_view_do_not_explain_an_obstacle_that_vanishes() -> None:
+    """The middle one of three side by side, 13 cm wide, with gaps of 1.5 cm."""
+    memory = Memory()
+    beside = [*range(-16, -5), *range(6, 17)]
+    look(memory, [*WIDE, *beside])
+    for _ in range(5):
+        assert look(memory, beside, empty=WIDE) == list(WIDE)
+
+
+def test_obstacle_that_moves_aside_before_a_window_is_not_hidden() -> None:
+    """6 cm in each scan; nothing behind the window gives a return."""
+    memory, window = Memory(), range(13)
+    for left in range(0, 24, 4):
+        assert look(memory, range(left, left + 13), distance=0.92, empty=window) == []
+
+
 def test_obstacle_that_vanishes_before_a_wall_is_hidden() -> None:
     memory = Memory()
     look(memory, WIDE, distance=0.85, beyond=1.05)
