@@ -70,7 +70,7 @@ SLACK = 1.05
 SURFACE = "swarmd/__init__.py"
 # Packages that take the time as an argument, and read no clock.
 PURE = (
-    *("robot", "protection", "steering", "kit", "mission", "sensing", "calibration"),
+    *("robot", "protection", "steering", "kin", "kit", "mission", "sensing", "calibration"),
     "acceptance",
 )
 CLOCKS = ("time", "datetime", "asyncio", "swarmd.core.clock.boottime")
@@ -82,7 +82,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("sensing", "driver_api", "network"),
     ("plugins",),
     ("kit", "protection"),
-    ("steering", "texts"),
+    ("kin", "steering", "texts"),
     ("api", "settings"),
     ("robot",),
     ("recording",),
@@ -188,7 +188,7 @@ def test_protection_and_the_robot_know_nothing_of_steering(module: str) -> None:
     """Neither by an import nor by a kernel that is loaded by its name: the shells give it."""
     known = import_closure(module)
     assert "swarmd.protection.barrier" in known
-    assert not [one for one in known if one.startswith("swarmd.steering")]
+    assert not [one for one in known if one.startswith(("swarmd.steering", "swarmd.kin"))]
     assert "swarmd.steering.recovery" in import_closure("swarmd.daemon.robot_setup")
 
 

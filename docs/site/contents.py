@@ -41,8 +41,8 @@ INNER = {
         "docs/drivers",
     ],
     "docs/evidence/README": [
-        *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals", "faults"),
-        *_inside("docs/evidence", "network", "security", "simulation"),
+        *_inside("docs/evidence", "safety", "barrier", "avoidance", "kin", "sensing", "goals"),
+        *_inside("docs/evidence", "faults", "network", "security", "simulation"),
         *("docs/paper", "docs/ros_faults", "benchmarks/README"),
         "ARCHITECTURE",
     ],

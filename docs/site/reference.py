@@ -550,7 +550,7 @@ _EXAMPLES: dict[str, Any] = {
     "decision": {**_SHARED, "state": "running", "reason": None, "decision": _DECISION},
     # The ranges are 1 m and 2 m; JSON has them as base64.
     "scan": [812, 1.75e9, b"\x00\x00\x80\x3f\x00\x00\x00\x40", [0.0, 0.0175], None],
-    "tracks": ["tb3-01", [[0.6, 0.3, 0.1, -0.05, 0.09]]],
+    "tracks": ["tb3-01", [[0.6, 0.3, 0.1, -0.05, 0.09, "tb3-02"]]],
     "message": {**_SHARED, "channel": "voter_model/opinion", "value": 2},
     "log": {
         **{"robot": "tb3-01", "instance": "01ab", "now": 5012.3, "last": 1},

@@ -35,6 +35,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.values import Array, Value
+from swarmd.kin.make import KinMaker
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -262,6 +263,7 @@ class Lockstep:
             self._platforms[row],
             setup,
             make_steering=load_kernel("swarmd.steering.steering").Steering,
+            make_kin=KinMaker(),
             seed=self.seed,
             instance=f"lockstep-{self._boots[row]}",
             now=now,
@@ -363,8 +365,11 @@ class Lockstep:
             plain = decode_value(payload)
         except CodecError:
             return
-        # One input for all receivers: no receiver changes it.
         message = events.MessageInput(self.world.ids[row], name, plain, size=len(payload))
+        self.send(row, name, message, now)
+
+    def send(self, row: int, name: str, message: events.Input, now: float) -> None:
+        """Send an input of all receivers by radio; no receiver changes it."""
         self._flights += self._radio.send(
             row, name, message, now, self.world.poses(), self._boxes()
         )
@@ -450,6 +455,10 @@ class Lockstep:
     def _deliver(self, now: float) -> None:
         for receivers, _, _, message in self._radio.due(now):
             # A call for all receivers: a third of the time of a step of each.
+            if isinstance(message, events.KinInput):
+                for shell in self._present(receivers):
+                    shell.robot.step(message, now)
+                continue
             shells = [self.shells[row] for row in receivers]
             robots = [None if shell is None else shell.robot for shell in shells]
             _core.message_many(robots, message, now)

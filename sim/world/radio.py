@@ -12,7 +12,7 @@ from msgspec import Meta, Struct, structs
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import PLACES_BY_POSE, Array, Neighbor, Platform
+from swarmd.core.values import KIN, PLACES_BY_POSE, Array, Neighbor, Platform
 from swarmd.sim.world.active_faults import Faults, Flight
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
@@ -95,7 +95,7 @@ def neighbors_rate(settings: RadioSettings) -> float:
 
 def with_bearings(platform: Platform) -> Platform:
     """The platform of a robot that knows where its neighbors are."""
-    return replace(platform, provides=platform.provides | PLACES_BY_POSE)
+    return replace(platform, provides=(platform.provides | PLACES_BY_POSE) - {KIN})
 
 
 class Radio:

@@ -22,6 +22,7 @@ from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent
 from swarmd.core.messages import Body, Latch, Reason
+from swarmd.core.told import Told
 from swarmd.core.values import (
     MAX_DETECTIONS,
     Array,
@@ -139,6 +140,13 @@ class PlaceInput(Struct, frozen=True, array_like=True, tag="place"):
     place: PeerPlace
 
 
+class KinInput(Struct, frozen=True, array_like=True, tag="kin"):
+    """A peer told its motion and what it sees."""
+
+    robot: Name
+    told: Told
+
+
 class LatchesInput(Struct, frozen=True, array_like=True, tag="latches"):
     """The latches that a peer holds, by id; a latch of scope `swarm` holds this robot, too."""
 
@@ -247,6 +255,7 @@ Input = (
     | MessageInput
     | PeersInput
     | PlaceInput
+    | KinInput
     | LatchesInput
     | GoalInput
     | LeaseInput

@@ -96,6 +96,7 @@ class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
     # The pattern is not held while scans are late, beyond the platform's latency, by at most this
     # time in s.
     scan_delay: Annotated[float, Meta(ge=0.0, le=MAX_SCAN_DELAY)] = 0.0
+    needs_places: bool = False  # the pattern, or the end of its run, needs the places of peers
 
 
 class LoadRefused(Struct, frozen=True, array_like=True, tag="refused"):

@@ -47,6 +47,13 @@ from pathlib import Path
 from typing import Any
 
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
+    "swarmd.kin._kin": (
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.core.odometry_trail",
+        "swarmd.kin.hypothesis",
+        "swarmd.kin.kin",
+    ),
     "swarmd.kit._points": ("swarmd.kit.points",),
     "swarmd.protection._assumption_monitor": (
         "swarmd.core.angles",

@@ -43,7 +43,9 @@ _ROWS = (
     Published("pose", ShownPose, "10 Hz", "pose in a shared frame, if the robot has one"),
     Published("decision", ShownDecision, "10 Hz", "last decision of protection"),
     Published("scan", ScanWire, "each scan, at most 10 Hz", "conditioned scan of the lidar"),
-    Published("tracks", Tracks, "with each scan", "moving objects, if the robot avoids"),
+    Published(
+        "tracks", Tracks, "with each scan", "objects, if the robot avoids or names its peers"
+    ),
     Published(
         "message",
         ShownMessage,

@@ -461,6 +461,7 @@ class Status(Struct, frozen=True, kw_only=True):
     - `not_following`: how the base fails to follow its commands, or follows late; empty if the base
       follows.
     - `goal`: None before the robot has seen a goal. `keys`: None in an insecure swarm.
+    - `places`: where the robot knows its neighbors to be, in its base frame, in a line for each.
     - `programs`: the Zenoh programs whose liveliness tokens the robot sees.
     - `words`: what each word of an operator means to the robot, as its platform's file says.
     """
@@ -502,6 +503,7 @@ class Status(Struct, frozen=True, kw_only=True):
     findings: tuple[Line, ...] = ()
     not_following: Annotated[Line, shown("Protection", "base")] = ""
     neighbors: Annotated[tuple[Name, ...], shown("Health", "neighbors")] = ()
+    places: Annotated[tuple[Line, ...], shown("Health", "places")] = ()
     recording: Annotated[RecordingSummary | None, shown("State", "recording")] = None
     goal: GoalStatus | None = None
     keys: KeySummary | None = None
@@ -589,17 +591,21 @@ class ScanWire(Struct, frozen=True, array_like=True):
 
 
 class ShownTrack(Struct, frozen=True, array_like=True, gc=False):
-    """A track of avoidance: centre, velocity and radius in the base frame, in m and m/s."""
+    """A tracked object: centre, velocity and radius in the base frame, in m and m/s.
+
+    - `name`: the peer that it is, or "" if it is no robot, by kin; None: not known.
+    """
 
     x: Metres
     y: Metres
     vx: Speed
     vy: Speed
     radius: Metres
+    name: Annotated[str, Meta(max_length=63)] | None = None
 
 
 class Tracks(Struct, frozen=True, array_like=True):
-    """The nearest tracks of an avoiding robot, for viewers: with each scan, while subscribed."""
+    """The nearest tracked objects of a robot, for viewers: with each scan, while subscribed."""
 
     robot: Name
     tracks: Annotated[tuple[ShownTrack, ...], Meta(max_length=MAX_TRACKS)] = ()

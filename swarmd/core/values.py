@@ -202,13 +202,14 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     """A robot nearby that is heard or sensed.
 
     - `age`: s since the robot was last heard or sensed, to within 0.5 s; of a place in a shared
-      frame, the age of the older of both poses.
-    - `distance` in m, `bearing`, `heading` in rad: relative to the own robot, measured or computed
-      from poses in a shared frame; None: not known.
+      frame, the age of the older of both poses; of a place by kin, s since a scan showed it.
+    - `distance` in m, `bearing`, `heading` in rad: relative to the own robot, measured, computed
+      from poses in a shared frame, or by kin (`swarmd/kin/`); None: not known.
     - `in_reach`: the robot is within the range or link quality of the settings
       (`NeighborSettings`). Patterns get only neighbors in reach. Protection uses every sensed
       robot.
-    - `error`: m, a bound of the error of a place in a shared frame; None: measured, or not known.
+    - `error`: m, a bound of the error of a place in a shared frame; by kin two standard deviations;
+      None: measured, or not known.
     """
 
     id: str
@@ -470,6 +471,9 @@ PLACES_BY_SIGHT = frozenset({"neighbors.distance", "neighbors.bearing"})
 PLACES_BY_POSE = PLACES_BY_SIGHT | {"neighbors.heading"}
 """What patterns get of each peer whose pose, as the own one, is known in one shared frame."""
 
+KIN = "kin"
+"""What a platform provides that learns the places of its peers by their motion (`swarmd/kin/`)."""
+
 POSE_OPTIONS = ("shared_pose", "pose_frame")
 """Options by which drivers give the pose in a shared frame; each driver has one of them or none."""
 
@@ -489,6 +493,7 @@ _INPUTS = (
     "neighbors.distance",
     "neighbors.bearing",
     "neighbors.heading",
+    KIN,
     "gripper",
 )
 _READING = "reading:"
@@ -499,6 +504,12 @@ def input_fault(word: str) -> str:
     is_reading = word.startswith(_READING) and word.removeprefix(_READING).isidentifier()
     known = word in _INPUTS or is_reading
     return "" if known else unknown("input", word, (*_INPUTS, f"{_READING}<name>"))
+
+
+def has_places(platform: Platform) -> bool:
+    """True if the robot has distance and bearing of its peers; not if by kin, which names some."""
+    provides = platform.provides
+    return provides >= PLACES_BY_SIGHT and (KIN not in provides or "pose" in provides)
 
 
 def lacks_text(needs: frozenset[str], platform: Platform) -> str:

@@ -101,6 +101,7 @@ _MEASURED = (  # any input that is neither measured nor routine is an event
     events.LeaseInput,
     events.PeersInput,
     events.PlaceInput,
+    events.KinInput,
 )
 _FREQUENT = (  # after such an input an unchanged command waits for the next tick, at most 50 ms
     events.ScanInput,
@@ -668,6 +669,8 @@ class Daemon:
             self._gripper.grip(actions.grip)
         for channel, value in actions.messages.items():
             self._send_message(channel, value)
+        if actions.told is not None:
+            self._network.publish_told(actions.told)
         if actions.has_status:
             self._network.publish("status", lambda: encode(self._status()))
             self._viewer_feed.show_status(self._status)

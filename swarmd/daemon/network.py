@@ -25,6 +25,7 @@ from swarmd.core.events import (
     DuplicateInput,
     GoalInput,
     Input,
+    KinInput,
     LatchesInput,
     LeaseInput,
     MessageInput,
@@ -32,6 +33,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Body, Member, Presence, Reply
+from swarmd.core.told import Told
 from swarmd.core.values import SharedPose
 from swarmd.daemon.connection import NetworkConnection
 from swarmd.daemon.datagram_guard import DatagramGuard
@@ -360,6 +362,12 @@ class Network:
         if place is not None:
             self._send(place, None)
 
+    def publish_told(self, told: Told) -> None:
+        """Tell all robots the own motion, and what this robot sees."""
+        report = None if self._peer is None else self._peer.kin_report(told)
+        if report is not None:
+            self._send(report, None)
+
     def ask_clocks(self) -> None:
         """Ask peers for their clocks if a reading is due; the answers go to `on_clock`."""
         if self._peer is not None:
@@ -556,6 +564,8 @@ class Network:
             self._take_message(message)
         for place in actions.places:
             self._owner.on_input(PlaceInput(place))
+        for report in actions.kin:
+            self._owner.on_input(KinInput(report.robot, report.told))
 
     def _take_message(self, message: Message) -> None:
         try:

@@ -10,6 +10,7 @@ from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import GoalRecord
 from swarmd.core.kernels import describe_kernels, load_kernel
 from swarmd.core.libm import digest_of_libm
+from swarmd.kin.make import KinMaker
 from swarmd.recording.head import RecordingHead, digest_of
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
@@ -46,6 +47,7 @@ def make_robot(
         settings.platform,
         setup,
         make_steering=load_kernel("swarmd.steering.steering").Steering,
+        make_kin=KinMaker(),
         seed=seed,
         instance=instance,
         now=boottime(),

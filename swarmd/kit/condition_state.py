@@ -53,6 +53,8 @@ class UntilConditions:
     """Ends a run when one of its conditions is met; times count from its first step."""
 
     def __init__(self, condition: conditions.Condition) -> None:
+        self.needs = conditions.needs_of(condition)
+        """what the robot must sense, in the words of `Pattern.needs`"""
         several = condition.conditions if isinstance(condition, conditions.AnyOf) else (condition,)
         self._states = [ConditionState(part) for part in several]
         self._is_started = False

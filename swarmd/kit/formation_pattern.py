@@ -26,6 +26,7 @@ from swarmd.core.values import (
     Scalar,
     Scan,
     Twist,
+    has_places,
     lacks_text,
 )
 from swarmd.kit.behavior import Context, MovementPattern
@@ -284,4 +285,4 @@ def _kept_free(platform: Platform) -> float:
 
 def _is_by_lidar(params: FormationParams, platform: Platform) -> bool:
     kind: Any = params.sensing
-    return kind == "lidar" or (kind == "auto" and not platform.provides >= PLACES_BY_SIGHT)
+    return kind == "lidar" or (kind == "auto" and not has_places(platform))

@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import PLACES_BY_SIGHT, Array, Inputs, Limits, Platform, Twist
+from swarmd.core.values import Array, Inputs, Limits, Platform, Twist, has_places
 from swarmd.kit.robot_detection import robots_near
 from swarmd.sensing.rays import Ray, sectors
 
@@ -133,7 +133,7 @@ def default_spec(platform: Platform) -> PolicySpec:
     parts: list[Part] = []
     if "scan" in platform.provides:
         parts += [ScanPart(range=reach), RobotsPart(range=reach)]
-    if platform.provides >= PLACES_BY_SIGHT:
+    if has_places(platform):
         parts.append(NeighborsPart())
     is_lateral = platform.limits.lateral > 0.0
     parts.append(TwistPart(lateral=is_lateral))

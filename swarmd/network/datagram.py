@@ -32,6 +32,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_GOAL
 from swarmd.core.messages import Body, Latch, Presence, State
 from swarmd.core.record import Digest, RecordKind
+from swarmd.core.told import Told
 
 MAGIC = b"SWMD"
 TAG_BYTES = 8
@@ -78,6 +79,7 @@ class Kind(IntEnum):
     CLOCK_REPLY = 11
     GOAL = 12
     RUN_LEASE = 13
+    KIN = 14
 
 
 class Flag(IntFlag):
@@ -321,6 +323,14 @@ class Place(_Datagram, frozen=True, kw_only=True):
     heading: Milliradians | None = None  # in the shared frame; None from an older version
 
 
+class KinReport(_Datagram, frozen=True, kw_only=True):
+    """The motion of a robot and what it sees, sent while a robot needs the places of its peers."""
+
+    robot: RobotId
+    instance: Bytes6
+    told: Told
+
+
 class ClockQuery(_Datagram, frozen=True, kw_only=True):
     """Asks a robot for its clock's time; `sent`: on the asker's clock, repeated in the answer."""
 
@@ -358,6 +368,7 @@ Datagram = (
     | ClockReply
     | GoalReport
     | RunLease
+    | KinReport
 )
 """In the order of `Kind`."""
 _TYPES: dict[Kind, type[_Datagram]] = dict(zip(Kind, get_args(Datagram), strict=True))

@@ -19,6 +19,7 @@ from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal, HeldGoal, encode_goal
 from swarmd.core.messages import Body, Latch, Presence, State
 from swarmd.core.record import RecordKind
+from swarmd.core.told import Told
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.datagram import (
     PRESENCES,
@@ -32,6 +33,7 @@ from swarmd.network.datagram import (
     Datagram,
     Flag,
     GoalReport,
+    KinReport,
     Latches,
     MemberList,
     Message,
@@ -105,6 +107,7 @@ class PeerActions:
     changed: list[str] = field(default_factory=list)  # robots whose presence changed
     messages: list[Message] = field(default_factory=list)  # messages from patterns of peers
     places: list[PeerPlace] = field(default_factory=list)  # places of peers in a shared frame
+    kin: list[KinReport] = field(default_factory=list)  # the motion of peers, and what they see
     clocks: list[ClockSample] = field(default_factory=list)  # answers of peers to clock queries
     indirect_addresses: list[Address] = field(default_factory=list)
     """The addresses of robots that other robots hear."""
@@ -297,6 +300,11 @@ class Peer:
                 self._on_clock(body, now, actions)
             case Place():
                 self._on_place(body, now, actions)
+            case KinReport():
+                if body.robot != self.robot and self.membership.is_present(
+                    body.robot, body.instance
+                ):
+                    actions.kin.append(body)
         return actions
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
@@ -324,6 +332,12 @@ class Peer:
     def place(self, pose: SharedPose, age: float, now: float) -> Place | None:
         """The datagram of the own pose, measured `age` s ago; None if it is not due yet."""
         return None if self._claim is not None else self._places.place(pose, age, now)
+
+    def kin_report(self, told: Told) -> KinReport | None:
+        """The datagram of the own motion; None while this robot claims its id."""
+        if self._claim is not None:
+            return None
+        return KinReport(robot=self.robot, instance=self._instance, told=told)
 
     def clock_queries(self, now: float) -> list[tuple[Datagram, Address | None]]:
         """Questions for the clocks of peers, if they are due: call it while a recording is made."""

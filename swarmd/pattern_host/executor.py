@@ -18,7 +18,17 @@ from msgspec.structs import replace
 from swarmd.core import host_messages
 from swarmd.core.errors import ParameterError, PluginError, SwarmError, named
 from swarmd.core.messages import Refusal
-from swarmd.core.values import Inputs, Message, Outputs, Platform, Scalar, Scan, Twist, Value
+from swarmd.core.values import (
+    PLACES_BY_POSE,
+    Inputs,
+    Message,
+    Outputs,
+    Platform,
+    Scalar,
+    Scan,
+    Twist,
+    Value,
+)
 from swarmd.kit.condition_state import UntilConditions, until_conditions
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
 from swarmd.kit.params import Params, build, schema
@@ -81,6 +91,7 @@ class PatternExecutor:
         pattern = assembled.pattern
         requested = dict(load.layers).get(host_messages.REQUEST_LAYER, {})
         params_type = type(pattern).params_type
+        ended_by = frozenset[str]() if until is None else until.needs
         note = _beyond_limits(params_type, requested, assembled.params, load.platform)
         return host_messages.Loaded(
             load.generation,
@@ -90,6 +101,7 @@ class PatternExecutor:
             pattern.touches,
             note=note,
             scan_delay=float(pattern.scan_delay),
+            needs_places=not PLACES_BY_POSE.isdisjoint(pattern.needs | ended_by),
         )
 
     def _on_step(self, step: host_messages.Step) -> host_messages.SentEvent:

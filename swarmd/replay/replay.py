@@ -33,6 +33,7 @@ from swarmd.core.libm import digest_of_libm
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.core.verbs import StopRequest
+from swarmd.kin.make import KinMaker
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages
@@ -182,6 +183,7 @@ class Replay:
             self._platform,
             identity.setup,
             make_steering=load_kernel("swarmd.steering.steering").Steering,
+            make_kin=KinMaker(),
             seed=identity.seed,
             instance=identity.instance,
             now=now,

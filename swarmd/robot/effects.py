@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 
     from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
     from swarmd.core.messages import Reply
+    from swarmd.core.told import Told
     from swarmd.core.values import Value
     from swarmd.robot.actions import FailedCode
 else:
@@ -52,6 +53,7 @@ class Effects:
     failed_code: FailedCode | None = cython.declare(object, visibility="public")
     ended: str = cython.declare(object, visibility="public")
     grip: bool | None = cython.declare(object, visibility="public")
+    told: Told | None = cython.declare(object, visibility="public")
 
     def __init__(self, now: cython.double) -> None:
         self.now, self.messages, self.replies, self.ended = now, _NO_MESSAGES, (), ""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from swarmd.protection.decision import PoseAnchors
     from swarmd.robot.peers import Peers
     from swarmd.robot.sensors import RangeRing
+    from swarmd.robot.steers import NamesPeers
     from swarmd.sensing.odometry_history import OdometryHistory
     from swarmd.sensing.scan_delay import ScanDelay
 else:
@@ -72,6 +73,7 @@ class InputAges:
     - `_teller`: the `Peers` object while the place of any peer is known; such places are obstacles.
     - `_ring`: the `RangeRing` of a robot with such sensors.
     - `_places`: the `NeighborPlaces` of a robot that computes where its neighbours are.
+    - `kin`: names the peers of a robot while it or a peer needs their places.
     - `_anchors`: the `PoseAnchors` of a robot whose layers need its pose in a shared frame.
 
     An object that the robot does not have is None.
@@ -105,6 +107,7 @@ class InputAges:
     _ring: RangeRing | None = cython.declare(object, visibility="public")
     _places: NeighborPlaces | None = cython.declare(object, visibility="public")
     _anchors: PoseAnchors | None = cython.declare(object, visibility="public")
+    kin: NamesPeers | None = cython.declare(object, visibility="public")
     _teller: Peers | None = cython.declare(object, visibility="public")
     _is_new_scan = cython.declare(cython.bint, visibility="public")
     _history: OdometryHistory = cython.declare(object, visibility="public")
@@ -159,12 +162,14 @@ class InputAges:
             if self._anchors is not None:
                 self._anchors.on_odometry(odometry)
                 self.pose_hold.begins = self._anchors.until
+            if self.kin is not None:
+                self.kin.on_odometry(odometry, now)
 
     @cython.ccall
     def neighbors(self, now: cython.double) -> tuple[Neighbor, ...]:
         """The neighbours; each age is exact to 0.5 s. Empty after 3 s without an update.
 
-        `_places` adds the places that the base does not measure.
+        `_places`, and then `kin`, add the places that the base does not measure.
         """
         past: cython.double = now - self._neighbors_at
         if past > _NEIGHBOR_TIMEOUT:
@@ -178,7 +183,8 @@ class InputAges:
                     for n in self._neighbors
                 ]
             )
-        return self._aged if self._places is None else self._places.complete(self._aged, now)
+        known = self._aged if self._places is None else self._places.complete(self._aged, now)
+        return known if self.kin is None else self.kin.complete(known, now)
 
     @cython.ccall
     def inputs(self, now: cython.double, dt: cython.double) -> Inputs:

@@ -58,7 +58,9 @@ MAX_SIZE = 1 << 22
 """Parts of all values, nested parts included: a bound on the time that a comparison takes."""
 _MAX_KEY = 64  # parts of a dict key or a set member: a bound on the time that its hash takes
 
-_PACKAGES = ("swarmd.robot.", "swarmd.protection.", "swarmd.sensing.", "swarmd.steering.")
+_PACKAGES = tuple(
+    f"swarmd.{name}." for name in ("robot", "protection", "sensing", "steering", "kin")
+)
 _VALUES = frozenset(
     f"swarmd.core.{name}"
     for name in (
@@ -69,6 +71,7 @@ _VALUES = frozenset(
             "odometry_trail",
             "pattern_manifest",
             "record",
+            "told",
             "token_bucket",
             "values",
             "verbs",

@@ -60,6 +60,8 @@ class Running:
     permit: Permit = cython.declare(object, visibility="public")
     finish_at = cython.declare(cython.double, visibility="readonly")  # inf: no end
     period = cython.declare(cython.double, visibility="readonly")  # s between two steps
+    # The pattern needs the places of peers.
+    needs_places = cython.declare(cython.bint, visibility="readonly")
     # s for which a requested command is valid (rule 1 of the module).
     expiry = cython.declare(cython.double, visibility="readonly")
     # The last requested command, None to stand; the start of the step that returned this command;
@@ -79,7 +81,7 @@ class Running:
         )
         self.rate, self.channels, self.values = event.rate, event.channels, event.params
         self.wish, self.until, self.permit = loading.wish, loading.until, NOTHING_PERMITTED
-        self.finish_at = finish_at
+        self.finish_at, self.needs_places = finish_at, event.needs_places
         self.period, self.expiry = 1.0 / event.rate, max(timeouts.MIN_EXPIRY, 3.0 / event.rate)
         self.requested_at, self.scan_seq = now, -1
 

@@ -32,9 +32,10 @@ from swarmd.core.messages import (
     Status,
     Tracks,
 )
+from swarmd.core.told import Told
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
 from swarmd.protection.compatibility import Accepts
-from swarmd.protection.decision import Decision
+from swarmd.protection.decision import Decision, DecisionContext
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.message_limits import EventLimit
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
     from swarmd.protection.protection import Protection
     from swarmd.robot.effects import Effects
     from swarmd.robot.pattern_run import PatternRun
-    from swarmd.robot.steers import MakeSteering
+    from swarmd.robot.steers import MakeKin, MakeSteering
     from swarmd.robot.ticker import DutyCycle, Ticker
 else:
     Protection = load_kernel("swarmd.protection.protection").Protection
@@ -75,7 +76,8 @@ def _settled(
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
-    `make_steering` makes what may ask for another command than the pattern. `seed` makes the random
+    `make_steering` makes what may ask for another command than the pattern, `make_kin` what names
+    peers (None: nothing). `seed` makes the random
     choices of patterns and steering repeatable. `instance`: the id of
     this daemon process. `now`: s on a monotonic clock. `earlier`: the records on disk of earlier
     daemon processes. `decision`: the last decision of protection, made at `decided_at` (s).
@@ -96,6 +98,7 @@ class Robot(Ticker):
         setup: RobotSetup,
         *,
         make_steering: MakeSteering,
+        make_kin: MakeKin | None = None,
         seed: int,
         instance: str,
         now: float,
@@ -110,7 +113,11 @@ class Robot(Ticker):
         self._handlers = HANDLERS
         accepts = Accepts.of(settings.accepts_unseen, settings.accepts_faster)
         self._sensors = Sensors(
-            platform, accepts, tells_pose=setup.tells_pose, anchors=settings.anchors(POSE_TIMEOUT)
+            platform,
+            accepts,
+            tells_pose=setup.tells_pose,
+            anchors=settings.anchors(POSE_TIMEOUT),
+            make_kin=make_kin,
         )
         self._protection = Protection(platform, settings.layers.values())
         self._steering = make_steering(platform, self._protection, f"{seed}/{id}")
@@ -361,18 +368,37 @@ class Robot(Ticker):
         )
 
     def tracks(self, now: float) -> Tracks | None:
-        """The nearest tracks of moving objects, for viewers; None without avoidance."""
+        """The nearest tracked objects, for viewers; None while nothing is tracked."""
         tracks = self._steering.tracks(self._sensors.context(now))
         if tracks is None:
             return None
         near = sorted(tracks, key=lambda track: math.hypot(track.x, track.y))[:MAX_TRACKS]
-        shown = (ShownTrack(t.x, t.y, t.vx, t.vy, t.radius) for t in near)
+        kin = self._sensors.kin
+        names = {} if kin is None else kin.names(now)
+        shown = (ShownTrack(t.x, t.y, t.vx, t.vy, t.radius, names.get(t.id)) for t in near)
         return Tracks(self.id, tuple(shown))
 
     @property
     def scan(self) -> Scan | None:
         """The latest conditioned scan."""
         return self._sensors.scan
+
+    def _share(self, context: DecisionContext, asks: bool) -> Told | None:
+        """Name the tracks after a new scan; the message to peers that is due, or None.
+
+        `asks`: the running pattern needs the places of peers.
+        """
+        sensors, steering, now = self._sensors, self._steering, context.now
+        if asks:
+            sensors.ask_kin(now)
+        sensors.end_kin(now)
+        kin, scan = sensors.kin, sensors.scan
+        steering.follows = kin is not None
+        if kin is None or scan is None:
+            return None
+        tracks = steering.tracks(context) or ()
+        kin.observe(tracks, scan, now)
+        return kin.tell(now, asks)
 
     def _log_protection(self, now: float) -> None:
         events = self._protection.events
@@ -452,6 +478,7 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.DriverInput: Robot._on_driver,
     events.MessageInput: Robot._on_message,
     events.PeersInput: Robot._on_peers,
+    events.KinInput: lambda robot, one, now: robot._sensors.on_kin(one.robot, one.told, now),
     events.PlaceInput: lambda robot, one, now: robot._sensors.on_place(one.place, now),
     # Pattern host, operators and peers
     events.LatchesInput: _settled(

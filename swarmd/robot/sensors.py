@@ -22,7 +22,9 @@ from swarmd.core.hazard import Hazard
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, PeerFinding, Reason
 from swarmd.core.neighbor_places import NeighborPlaces
+from swarmd.core.told import Told
 from swarmd.core.values import (
+    KIN,
     OPTION_INPUTS,
     PLACES_BY_POSE,
     Message,
@@ -41,7 +43,8 @@ from swarmd.protection.decision import PoseAnchors, ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
-from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
+from swarmd.robot.steers import MakeKin
+from swarmd.robot.timeouts import KIN_TIMEOUT, NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
 
@@ -85,10 +88,12 @@ class Sensors(InputAges):
         *,
         tells_pose: bool = False,
         anchors: PoseAnchors | None = None,
+        make_kin: MakeKin | None = None,
     ) -> None:
         """Begin without any input; the parts follow from the sensors of `platform`.
 
         `accepts`, `anchors`: of the `RobotSettings`. `tells_pose`: see `RobotSetup`.
+        `make_kin`: None names no peers.
         """
         super().__init__()
         self._begin_lidar(platform)
@@ -99,6 +104,10 @@ class Sensors(InputAges):
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self._known_places = NeighborPlaces()
         self._places = self._known_places if PLACES_BY_POSE & platform.provides else None
+        self._make_kin = make_kin if KIN in platform.provides else None
+        # m from the axle ahead to the middle of what other lidars see.
+        self._middle = 0.5 * float(platform.footprint[:, 0].min() + platform.footprint[:, 0].max())
+        self._kin_until = -math.inf  # s, until which this robot or a peer needs places
         self._anchors = anchors
         if anchors is not None:  # else this hold never begins
             self.pose_hold.begins = anchors.until
@@ -212,6 +221,24 @@ class Sensors(InputAges):
         self._known_places.on_place(place, now)
         if self.peers.on_place(place, now):
             self._look_at_peers()
+
+    def on_kin(self, robot: str, told: Told, now: float) -> None:
+        """Take in the motion of a peer and what it sees; ignored without a use for it."""
+        if told.asks:
+            self.ask_kin(now)
+        if self.kin is not None:
+            self.kin.hear(robot, told, now)
+
+    def ask_kin(self, now: float) -> None:
+        """Name peers for some seconds from now on, if the platform can."""
+        self._kin_until = now + KIN_TIMEOUT
+        if self._make_kin is not None and self.kin is None:
+            self.kin = self._make_kin(self._middle, round(1000.0 * now) % 2**16)
+
+    def end_kin(self, now: float) -> None:
+        """Name peers no more if no robot has asked for it."""
+        if now > self._kin_until:
+            self.kin = None
 
     def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
         """Take in the bodies that all known peers report; returns the new findings."""

@@ -62,6 +62,7 @@ def make_status(
     identity, setup = lifecycle.identity, lifecycle.identity.setup
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
     reason = status_reason(lifecycle, decision)
+    neighbors = sensors.neighbors(now)[:MAX_NEIGHBORS]
     return Status(
         robot=identity.robot,
         instance=identity.instance,
@@ -97,7 +98,12 @@ def make_status(
         battery=_battery(lifecycle),
         findings=protection.findings,
         not_following=protection.not_following,
-        neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
+        neighbors=tuple(neighbor.id for neighbor in neighbors),
+        places=tuple(
+            f"{one.id} at {one.distance:.2f} m, {math.degrees(one.bearing):.0f} deg"
+            for one in neighbors
+            if one.distance is not None and one.bearing is not None
+        ),
         goal=lifecycle.goals.status(now),
         words=dict(identity.platform.words.get(setup.driver, {})),
         **_layers(identity.platform, setup.settings, sensors, decision, protection, now),

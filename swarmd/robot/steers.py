@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from swarmd.core.messages import Reason
-from swarmd.core.values import Odometry, Platform, Scan, Twist
+from swarmd.core.told import Told
+from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 class MovingObject(Protocol):
     """A tracked object: place (m), velocity (m/s) and radius (m) in the frame of the robot."""
 
+    id: int
     x: float
     y: float
     vx: float
@@ -28,6 +30,9 @@ class Steers(Protocol):
 
     It cannot weaken protection, which judges what is asked like any request.
     """
+
+    follows: bool
+    """objects are tracked also without avoidance"""
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
@@ -46,8 +51,32 @@ class Steers(Protocol):
         """The decision of protection on the request, or on what is asked in its place."""
 
     def tracks(self, context: DecisionContext) -> Iterable[MovingObject] | None:
-        """The moving objects that are avoided; None while nothing is."""
+        """The tracked objects; None while nothing is tracked."""
 
 
+class NamesPeers(Protocol):
+    """Names tracked objects, and gives the places of peers (`swarmd/kin/kin.py`)."""
+
+    def on_odometry(self, odometry: Odometry, now: float) -> None:
+        """Take in a new reading."""
+
+    def observe(self, tracks: Iterable[MovingObject], scan: Scan, now: float) -> None:
+        """Take in a scan and the tracks after it."""
+
+    def tell(self, now: float, asks: bool) -> Told | None:
+        """The message to peers that is due."""
+
+    def hear(self, id: str, told: Told, now: float) -> None:
+        """Take in the message of a peer."""
+
+    def names(self, now: float) -> Mapping[int, str | None]:
+        """The name of each track: that of a peer, "" for what is no robot, None: not known."""
+
+    def complete(self, neighbors: Iterable[Neighbor], now: float) -> tuple[Neighbor, ...]:
+        """The neighbors with what is not known of them otherwise."""
+
+
+MakeKin: TypeAlias = "Callable[[float, int], NamesPeers]"
+"""Makes what names peers; see `Kin`."""
 MakeSteering: TypeAlias = "Callable[[Platform, Protection, str], Steers]"
 """Makes steering for a robot: its platform, its protection, and a seed for random choices."""

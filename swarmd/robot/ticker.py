@@ -268,6 +268,7 @@ class Ticker:
             effects.failed_code,
             effects.ended,
             effects.grip,
+            effects.told,
         )
 
     @cython.cfunc
@@ -319,6 +320,10 @@ class Ticker:
             self._steering.observe(sensors.scan, context)
             if protection.events:
                 self._log_protection(now)  # type: ignore[attr-defined]  # of Robot
+            running = self._run.running
+            asks: cython.bint = running is not None and running.needs_places
+            if asks or sensors.kin is not None:
+                effects.told = self._share(context, asks)  # type: ignore[attr-defined]  # of Robot
         return self._settled_after(effects)
 
     @cython.cfunc

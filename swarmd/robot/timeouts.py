@@ -14,3 +14,4 @@ ODOMETRY_TIMEOUT = 0.5  # the age at which odometry is stale
 NEIGHBOR_TIMEOUT = 3.0  # without an update for this time the robot has no neighbours
 # The period of updates of neighbours' ages, which take long for 1000 neighbours.
 AGE_UPDATE_PERIOD = 0.5
+KIN_TIMEOUT = 5.0  # since this robot or a peer needed the places of peers: kin ends

@@ -18,7 +18,18 @@ from swarmd.core.bounds import Line, Word
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
-from swarmd.core.values import Array, Heights, Limits, Platform, ScanSpec, Sweep, Value, input_fault
+from swarmd.core.values import (
+    KIN,
+    PLACES_BY_POSE,
+    Array,
+    Heights,
+    Limits,
+    Platform,
+    ScanSpec,
+    Sweep,
+    Value,
+    input_fault,
+)
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.footprint import Footprint
@@ -533,6 +544,20 @@ def _spec(scan: ScanSection) -> ScanSpec:
     )
 
 
+_LEAST_RAYS = 90  # of a lidar whose tracks show robots: 4 degrees apart
+
+
+def _provided(file: PlatformFile) -> frozenset[str]:
+    """What the file names, and the places of peers by kin if the lidar shows robots of its kind."""
+    provides, heights = frozenset(file.provides), file.heights
+    is_seen = heights is not None and heights.lowest <= heights.scan_plane <= heights.highest
+    has_tracks = file.protection.mode == "barrier" and len(_bearings(file.scan)) >= _LEAST_RAYS
+    has_motion = {"scan", "odometry"} <= provides
+    if is_seen and has_tracks and has_motion and not provides >= PLACES_BY_POSE:
+        return provides | PLACES_BY_POSE | {KIN}
+    return provides
+
+
 def _platform(name: str, file: PlatformFile) -> Platform:
     protection = file.protection
     return Platform(
@@ -540,7 +565,7 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         limits=file.limits,
         footprint=np.array(file.footprint, dtype=np.float64),
         scan=_spec(file.scan),
-        provides=frozenset(file.provides),
+        provides=_provided(file),
         protection={
             "mode": protection.mode,
             "avoidance": protection.avoidance,

@@ -20,6 +20,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.files import user_path
 from swarmd.core.keys import check_id
 from swarmd.core.values import (
+    KIN,
     OPTION_INPUTS,
     PLACES_BY_POSE,
     PLACES_BY_SIGHT,
@@ -177,9 +178,13 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
 def with_options(platform: Platform, options: Mapping[str, Value]) -> Platform:
     """The platform with all inputs that a robot whose driver has these options gives to patterns.
 
-    With a pose in a shared frame the robot computes the places of its peers.
+    With a pose in a shared frame the robot computes the places of its peers. Cameras that give the
+    places of robots replace kin.
     """
-    provides = platform.provides | _inputs_of(options)
+    inputs, own = _inputs_of(options), platform.provides
+    if KIN in own and inputs >= PLACES_BY_SIGHT:
+        own -= PLACES_BY_POSE | {KIN}
+    provides = own | inputs
     return replace(
         platform, provides=provides | ({*PLACES_BY_POSE} if "pose" in provides else set())
     )

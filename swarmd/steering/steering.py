@@ -51,6 +51,7 @@ class Steering:
     _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
     _avoidance: Avoidance
     _tracker: Tracker = cython.declare(object, visibility="public")
+    follows = cython.declare(cython.bint, visibility="public")  # kin needs tracks
     _avoids: cython.bint  # as the platform says
     _is_avoiding: cython.bint  # as the permit says
     _has_avoided: cython.bint  # right of way may know openings
@@ -73,19 +74,24 @@ class Steering:
         if self._is_avoiding:
             # Right of way reads the tracks of its last command, which the next scan changes.
             self._right_of_way.observe(scan, self._offset, context)
+        if self._is_tracking():
             self._tracker.observe(scan, context)
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading: tracks and right of way use it."""
-        if self._is_avoiding:
+        if self._is_tracking():
             self._tracker.on_odometry(odometry)
         self._odometry = odometry
         if self._has_avoided:  # a hold may end avoidance for a while
             self._right_of_way.on_odometry(odometry)
 
     def tracks(self, context: DecisionContext) -> tuple[Track, ...] | None:
-        """The tracks that avoidance uses; None while avoidance is off."""
-        return self._tracker.surroundings(context).tracks if self._is_avoiding else None
+        """The tracked objects; None while nothing is tracked."""
+        return self._tracker.surroundings(context).tracks if self._is_tracking() else None
+
+    @cython.cfunc
+    def _is_tracking(self) -> cython.bint:
+        return self._is_avoiding or (self.follows and self._recovery is not None)
 
     def decide(
         self,

@@ -297,12 +297,15 @@ class LiveSource:
         if tracks.robot == robot:
             self._tracks[robot] = time.monotonic(), tracks
 
-    def _tracks_of(self, name: str) -> list[list[float]]:
-        """The tracks of a watched robot: x, y, vx, vy and radius in its base frame."""
+    def _tracks_of(self, name: str) -> list[list[float | str | None]]:
+        """The tracks of a watched robot: x, y, vx, vy and radius in its base frame, and name."""
         at, tracks = self._tracks.get(name, (-math.inf, None))
         if tracks is None or time.monotonic() - at > _WATCHED_AGE:
             return []
-        return [[round(value, 3) for value in astuple(track)] for track in tracks.tracks]
+        return [
+            [*(round(value, 3) for value in numbers), label]
+            for *numbers, label in map(astuple, tracks.tracks)
+        ]
 
     def _add(self, names: Iterable[str], statuses: Mapping[str, tuple[Status, float]]) -> None:
         """Add robots to the list; without a status a robot has a plain footprint."""

@@ -196,6 +196,7 @@ def test_a_driver_with_a_pose_makes_patterns_of_neighbors_fit(
     monkeypatch.setattr(preflight, "describe_patterns", lambda *_: described)
     posed: dict[str, Any] = {"driver": "ros2dds", "driver_options": {"shared_pose": "/pose"}}
     for values, misfits in ((posed, "foraging"), ({}, "lloyd_coverage, foraging")):
+        values["platform"] = "epuck2"  # its sensors show no robot
         found = check_patterns(settings_of(tmp_path, **values))
         (text,) = (one.text for one in found if one.subject == "patterns")
         assert text.partition("not for this platform: ")[2].partition(";")[0] == misfits

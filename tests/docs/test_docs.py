@@ -408,7 +408,7 @@ def test_names_of_the_library_are_there() -> None:
     ("pattern", "where"),
     [
         ("dispersion", "all 11"),
-        ("vicsek_alignment", "with a shared frame: all 11"),
+        ("vicsek_alignment", "waffle_pi_lds02; with a shared frame: crazyflie, epuck2, thymio"),
         ("phototaxis", "epuck2"),
         ("shelter_choice", "in simulation alone: no platform has `reading:ground`"),
         ("foraging", "gripper"),
@@ -425,7 +425,7 @@ def test_the_list_of_patterns_says_on_which_platforms_each_runs(pattern: str, wh
     ("platform", "option", "has_places"),
     [
         ("burger", "shared_pose", True),
-        ("burger", "pose_frame", False),
+        ("thymio", "pose_frame", False),
         ("crazyflie", "pose_frame", True),
         ("crazyflie", "shared_pose", False),
     ],

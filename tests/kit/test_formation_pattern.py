@@ -21,9 +21,10 @@ from swarmd.testing.pattern_contract import Subject
 from swarmd.testing.scans import Disc, scan_of
 from tests.kit.test_formation_geometry import seen
 
-BURGER = load_platform("burger")
+BURGER = load_platform("burger")  # kin gives it the places of some peers
 HEARING = frozenset({"neighbors", "neighbors.distance", "neighbors.bearing"})
-SENSING = replace(BURGER, provides=BURGER.provides | HEARING)
+SENSING = replace(BURGER, provides=(BURGER.provides - {"kin"}) | HEARING)
+DEAF = replace(BURGER, provides=frozenset({"scan", "odometry"}))
 EMPTY = scan_of(BURGER)
 
 
@@ -101,7 +102,9 @@ def test_it_keeps_clear_of_obstacles_in_its_way() -> None:
 
 def test_needs_follow_from_sensing() -> None:
     assert make().needs == LineFormation.needs | {"neighbors.distance", "neighbors.bearing"}
-    assert make(BURGER).needs == LineFormation.needs
+    for platform in (BURGER, DEAF):
+        assert make(platform).needs == LineFormation.needs
+    assert make(BURGER, sensing="neighbors").needs >= {"neighbors.distance"}
     assert make(sensing="lidar").needs == LineFormation.needs
     with pytest.raises(PluginError, match=r"neighbors\.bearing, neighbors\.distance"):
         assemble(
@@ -109,13 +112,13 @@ def test_needs_follow_from_sensing() -> None:
             (("test", {"sensing": "neighbors"}),),
             find=lambda name: LineFormation,
             robot="r0",
-            platform=BURGER,
+            platform=DEAF,
             rng=np.random.default_rng(0),
         )
 
 
 def test_sensing_cannot_change_to_missing_hardware() -> None:
-    pattern = make(BURGER)
+    pattern = make(DEAF)
     good = pattern.params
     with pytest.raises(ConfigError, match=r"neighbors\.bearing"):
         pattern.update(msgspec.structs.replace(good, sensing="neighbors"))

@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Latch, Presence, State
+from swarmd.core.told import Told
 from swarmd.core.values import Pose, SharedPose
 from swarmd.network.datagram import (
     Ack,
@@ -15,6 +16,7 @@ from swarmd.network.datagram import (
     Beacon,
     Datagram,
     Flag,
+    KinReport,
     Latches,
     MemberList,
     MemberReport,
@@ -72,7 +74,7 @@ def test_every_kind_of_datagram_has_its_signers() -> None:
 
     A robot hands on the stops of operators. `Swarm` is never signed.
     """
-    told = "Beacon MemberList Ack Latches Message Place ClockReply GoalReport"
+    told = "Beacon MemberList Ack Latches Message Place KinReport ClockReply GoalReport"
     wanted = dict.fromkeys(told.split(), "robot")
     wanted |= dict.fromkeys(("Solicit", "ClockQuery"), "operator robot viewer")
     wanted |= {"Stop": "operator robot", "RunLease": "operator", "Swarm": ""}
@@ -95,6 +97,7 @@ FORGED: dict[str, Datagram] = {
         digest=b"123456",
         held={"l": Latch(issuer="anna", scope="swarm")},
     ),
+    "kin": KinReport(robot="r2", instance=b"ghosts", told=Told(7, 1000, 0, 0, 0)),
     "message": Message(robot="r2", instance=b"ghosts", sequence=1, channel="a/b", payload=b"x"),
     "ack": Ack(id="s", robot="r2", instance=b"ghosts", revision=1, code="applied"),
     "member list": MemberList(
@@ -291,6 +294,21 @@ def test_replayed_messages_and_places_are_not_taken(network: VirtualNetwork) -> 
     network._send("r2", r2.address, r2.peer.message("vote/a", b"new"), None)
     network.run(0.1)
     assert late.messages == [b"new"]
+
+
+def test_replayed_kin_reports_are_not_taken(network: VirtualNetwork) -> None:
+    r1, r2 = network.robots["r1"], network.robots["r2"]
+    for number in range(5):
+        told = Told(7, round(1000.0 * network.now), number, 0, 0)
+        report = r2.peer.kin_report(told)
+        assert report is not None
+        network._send("r2", r2.address, report, None)
+        network.run(0.2)
+    assert [report.told.x for report in r1.kin] == [0, 1, 2, 3, 4]
+    for raw in recorded(network, KinReport, "r2"):
+        network.inject(raw, r2.address, "r1")
+        network.run(0.1)
+    assert len(r1.kin) == 5
 
 
 def test_replayed_member_lists_name_no_robot(network: VirtualNetwork) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import msgspec
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Body
+from swarmd.core.told import Told
 from swarmd.network import datagram
 from swarmd.network.datagram import (
     ANY_SWARM,
@@ -172,6 +174,51 @@ def test_a_place_has_at_most_sixty_bytes_and_is_read_back() -> None:
                   ("map", 0, 0, 0, 3_143), ("map", 0, 0, 0, 0.5)):  # fmt: skip
         with pytest.raises(CodecError):
             unpack(TAG, body(Kind.PLACE, *head, *wrong))
+
+
+TOLD = Told(7, 10**9, -3_500, 12_000, -3_142, ((1_200, 1_571),) * 8, True)
+
+
+def test_a_kin_report_has_at_most_110_bytes_and_is_read_back() -> None:
+    """The sizes of docs/evidence/network.md."""
+    report = datagram.KinReport(robot="tb3-01", instance=b"abcdef", told=TOLD)
+    assert len(pack(TAG, report)) <= 110
+    assert len(pack(TAG, replace(report, told=replace(TOLD, objects=())))) <= 55
+    assert unpack(TAG, pack(TAG, report)) == report
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        (),
+        (7, 1000, 0, 0),
+        (-1, 1000, 0, 0, 0),
+        (7, -1, 0, 0, 0),
+        (7, 2**63, 0, 0, 0),
+        (7, 1000, 2**62, 0, 0),
+        (7, 1000, 0, 0.5, 0),
+        (7, 1000, 0, None, 0),
+        (7, 1000, 0, 0, 3_143),
+        (7, 1000, 0, 0, 0, 5),
+        (7, 1000, 0, 0, 0, ((1, 0),) * 9),
+        (7, 1000, 0, 0, 0, ((-1, 0),)),
+        (7, 1000, 0, 0, 0, ((100_001, 0),)),
+        (7, 1000, 0, 0, 0, ((1, 3_143),)),
+        (7, 1000, 0, 0, 0, ((1,),)),
+        (7, 1000, 0, 0, 0, ((1, float("nan")),)),
+        (7, 1000, 0, 0, 0, (), 2),
+    ],
+)
+def test_a_kin_report_beyond_its_bounds_is_refused(wrong: tuple[object, ...]) -> None:
+    assert unpack(TAG, body(Kind.KIN, "r1", b"abcdef", (7, 1000, 0, 0, 0))) is not None
+    with pytest.raises(CodecError):
+        unpack(TAG, body(Kind.KIN, "r1", b"abcdef", wrong))
+
+
+def test_a_kin_report_of_a_later_version_is_read() -> None:
+    later = (*structs.astuple(TOLD), "new")
+    read = unpack(TAG, body(Kind.KIN, "r1", b"abcdef", later, 5))
+    assert read == datagram.KinReport(robot="r1", instance=b"abcdef", told=TOLD)
 
 
 def test_places_without_and_with_a_heading_are_read_by_both_versions() -> None:

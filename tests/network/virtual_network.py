@@ -17,7 +17,17 @@ from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Latch, State
 from swarmd.core.values import PeerPlace
-from swarmd.network.datagram import Ack, Address, Datagram, Solicit, Stop, pack, tag_of, unpack
+from swarmd.network.datagram import (
+    Ack,
+    Address,
+    Datagram,
+    KinReport,
+    Solicit,
+    Stop,
+    pack,
+    tag_of,
+    unpack,
+)
 from swarmd.network.members.admission import Admission
 from swarmd.network.peer import CheckGoal, Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
@@ -43,6 +53,7 @@ class Robot:
     changes: list[str] = field(default_factory=list)
     clocks: list[ClockSample] = field(default_factory=list)
     places: list[PeerPlace] = field(default_factory=list)
+    kin: list[KinReport] = field(default_factory=list)
     goals: Goals = field(default_factory=lambda: Goals("robot", (), None, 0.0))
     wished: float = -math.inf
     reset_at: float = -math.inf
@@ -285,6 +296,7 @@ class VirtualNetwork:
         robot.changes.extend(effects.changed)
         robot.clocks.extend(effects.clocks)
         robot.places.extend(effects.places)
+        robot.kin.extend(effects.kin)
         robot.invalid_goals += effects.invalid_goals
         for found in effects.goals:
             robot.find(found.goal, found.age, self.now)

@@ -198,27 +198,28 @@ def test_a_robot_without_a_pose_has_neighbors_as_heard() -> None:
 @pytest.mark.parametrize(
     ("needs", "words"),
     [
-        ({"neighbors.bearing", "scan"}, ["neighbors.bearing", "burger", "shared_pose", "hardware"]),
-        ({"gripper"}, ["gripper", "burger"]),
+        ({"neighbors.bearing", "scan"}, ["neighbors.bearing", "thymio", "shared_pose", "hardware"]),
+        ({"gripper"}, ["gripper", "thymio"]),
         ({"scan"}, []),
     ],
 )
 def test_a_refusal_names_what_is_lacking_and_both_ways_to_places(
     needs: set[str], words: list[str]
 ) -> None:
-    text = lacks_text(frozenset(needs), load_platform("burger"))
+    text = lacks_text(frozenset(needs), load_platform("thymio"))
     assert [word for word in words if word in text] == words
     assert bool(text) is bool(words)
     assert ("shared_pose" in text) is ("shared_pose" in words)
     assert "\n" not in text
 
 
-def test_the_patterns_of_neighbors_are_made_on_a_robot_with_a_pose_and_refused_without() -> None:
-    posed = with_options(load_platform("burger"), {"shared_pose": "pose"})
+def test_the_patterns_of_neighbors_are_made_by_kin_or_a_pose_and_refused_without() -> None:
+    posed = with_options(load_platform("thymio"), {"shared_pose": "pose"})
     find = PatternLoader(places_of(pattern_names(None)))
     for name in BY_NEIGHBORS:
         assert not lacks_text(find(name).needs, posed), name
-        assert "shared_pose" in lacks_text(find(name).needs, load_platform("burger")), name
+        assert not lacks_text(find(name).needs, load_platform("burger")), name
+        assert "shared_pose" in lacks_text(find(name).needs, load_platform("thymio")), name
     assert "reading:ground" in lacks_text(find("shelter_choice").needs, posed)
 
 

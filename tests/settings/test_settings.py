@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import TouchZone
+from swarmd.core.values import TouchZone, has_places
 from swarmd.kit.touch import granted_zones
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 
@@ -148,11 +148,14 @@ def test_patterns_may_need_places_of_peers_from_shared_poses_or_detected_tags(
     assert flown.platform.provides >= {"pose", distance, bearing, heading}
     camera = "topic: /tags, type: apriltag_msgs/AprilTagDetectionArray, robots: {'7': r2}"
     near = "driver: ros2dds\ndriver_options: {detections: {front: {%s}}}"
-    assert distance not in load(near % camera).platform.provides  # that follows from the size
+    assert not has_places(load(near % camera).platform)  # that follows from the size
     seen = load(near % f"{camera}, size: 0.2")
     assert seen.platform.provides >= {"detections", distance, bearing}
     assert heading not in seen.platform.provides
-    assert not load("driver: ros2dds").platform.provides & {distance, bearing, heading}
+    for platform, is_known in (("burger", True), ("thymio", False)):
+        known = load(f"driver: ros2dds\nplatform: {platform}").platform
+        assert ({"kin", distance, bearing, heading} <= known.provides) is is_known
+        assert not has_places(known)
     typed = "extends: burger\nprovides: [scan, odometry, pose]"  # as of a drone
     (folder / "mine.yaml").write_text(typed)
     assert load("id: r1\nplatform: mine.yaml").platform.provides >= {distance, bearing, heading}

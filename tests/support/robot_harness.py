@@ -44,6 +44,7 @@ from swarmd.core.verbs import (
     VERBS,
     Request,
 )
+from swarmd.kin.make import KinMaker
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.pattern_host.executor import PatternExecutor
@@ -136,6 +137,7 @@ class RobotHarness:
                 ),
             ),
             make_steering=STEERING,
+            make_kin=KinMaker(),
             seed=1,
             instance=instance,
             now=self.now,

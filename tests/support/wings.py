@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 WINGS: Mapping[str, tuple[str, ...]] = {
     "robot": (
         *("config", "drivers", "patterns", "swarmd/api", "swarmd/core", "swarmd/daemon"),
-        *("swarmd/driver_api", "swarmd/kit", "swarmd/mission", "swarmd/network"),
+        *("swarmd/driver_api", "swarmd/kin", "swarmd/kit", "swarmd/mission", "swarmd/network"),
         *("swarmd/pattern_host", "swarmd/plugins", "swarmd/protection", "swarmd/recording"),
         *("swarmd/robot", "swarmd/security", "swarmd/sensing", "swarmd/settings"),
         "swarmd/steering",

@@ -39,11 +39,11 @@ def test_the_tracks_of_a_selected_robot_are_in_its_row() -> None:
             )
             assert ("tracks", one) not in swarm.watched
             source.select([one])
-            told = Tracks(one, (ShownTrack(0.6, 0.3, 0.1, -0.05, 0.09),))
+            told = Tracks(one, (ShownTrack(0.6, 0.3, 0.1, -0.05, 0.09, "tb3-02"),))
             swarm.watched["tracks", one](one, encode(told))
             swarm.watched["tracks", one](one, encode(Tracks(other)))  # not its own
             rows = source.rows()
-            assert rows[one]["tracks"] == [[0.6, 0.3, 0.1, -0.05, 0.09]]
+            assert rows[one]["tracks"] == [[0.6, 0.3, 0.1, -0.05, 0.09, "tb3-02"]]
             assert rows[other]["tracks"] == []
             source.select([])
             assert source.rows()[one]["tracks"] == []

@@ -114,7 +114,7 @@ class _Listener(NamedTuple):
     way: _Way
 
 
-_PASSING = Kind.MESSAGE, Kind.PLACE  # kinds that go only to addresses that are heard
+_PASSING = Kind.MESSAGE, Kind.PLACE, Kind.KIN  # kinds that go only to addresses that are heard
 
 
 class UdpCarrier:

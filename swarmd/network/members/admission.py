@@ -7,7 +7,7 @@ fresh if it is
 
 - a beacon by the rules of `beacon_freshness.py`; the sender of an unproven beacon, which may be
   replayed, is asked for a new beacon,
-- a message, place or goal from the instance that is the member now,
+- a message, place, kin report or goal from the instance that is the member now,
 - latches from the instance that is the member now, with the digest of its newest beacon,
 - a member list that answers a question of this robot,
 - a stop by the rules of `stop_freshness.py`. A stop names the operator that signed it. A robot that
@@ -27,6 +27,7 @@ from swarmd.network.datagram import (
     Datagram,
     Flag,
     GoalReport,
+    KinReport,
     Latches,
     MemberList,
     Message,
@@ -60,6 +61,7 @@ SIGNERS: Mapping[type[Datagram], frozenset[Role]] = {
     ClockReply: _ROBOTS,
     GoalReport: _ROBOTS,
     RunLease: _OPERATORS,
+    KinReport: _ROBOTS,
 }
 """The roles that may send each kind; `Swarm` is for readers without keys, and never signed."""
 
@@ -122,7 +124,7 @@ class Admission:
 
     def _is_fresh(
         self,
-        body: MemberList | Message | Place | Latches | GoalReport,
+        body: MemberList | Message | Place | KinReport | Latches | GoalReport,
         now: float,
         membership: Membership,
     ) -> bool:
@@ -136,6 +138,8 @@ class Admission:
                 return self.freshness.is_new_message(body.robot, body.instance, body.sequence)
             case Place():
                 return self.freshness.is_new_place(body.robot, body.instance, body.sent)
+            case KinReport():
+                return self.freshness.is_new_place(body.robot, body.instance, body.told.stamp)
             case Latches():  # must be those of the sender's newest beacon
                 return membership.latches_of(body.robot, body.instance) == body.digest
             case GoalReport():

@@ -381,20 +381,29 @@ export class SwarmMap {
     }
   }
 
-  // The moving objects that a robot avoids: a circle, and a line to the place in one second.
+  // The objects that a robot tracks: a circle, a line to the place in one second, and the name.
   drawTracks(robot, zoom) {
     const { ctx } = this, c = Math.cos(robot.yaw), s = Math.sin(robot.yaw);
     ctx.strokeStyle = TRACK;
     ctx.lineWidth = 1.5 * this.ratio / zoom;
     ctx.beginPath();
-    for (const [u, v, vx, vy, radius] of robot.row.tracks || []) {
+    const names = [];
+    for (const [u, v, vx, vy, radius, name] of robot.row.tracks || []) {
       const x = robot.x + c * u - s * v, y = robot.y + s * u + c * v;
       ctx.moveTo(x + radius, y);
       ctx.arc(x, y, radius, 0, 2 * Math.PI);
       ctx.moveTo(x, y);
       ctx.lineTo(x + c * vx - s * vy, y + s * vx + c * vy);
+      if (name) names.push([name, x + radius, y]);
     }
     ctx.stroke();
+    ctx.save();
+    ctx.setTransform(1, 0, 0, 1, 0, 0); // text is not turned
+    ctx.fillStyle = TRACK;
+    ctx.font = `${0.8 * this.rem}px system-ui, sans-serif`;
+    ctx.textAlign = 'left';
+    for (const [name, x, y] of names) ctx.fillText(name, ...this.toScreen(x, y));
+    ctx.restore();
   }
 
   // One path for each colour is drawn faster than one path for each robot.

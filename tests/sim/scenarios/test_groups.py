@@ -33,10 +33,12 @@ def test_a_hundred_robots_still_sort_by_name(load: Load) -> None:
 def test_a_platform_gets_the_sensors_of_the_scenario(load: Load) -> None:
     robot = load().robots["red-01"]
     assert robot.limits == load_platform("burger").limits
-    assert robot.provides == {"scan", "odometry", "neighbors", "reading:light"}
+    places = {"neighbors.distance", "neighbors.bearing", "neighbors.heading"}
+    by_kin = {"kin", *places}
+    assert robot.provides == {"scan", "odometry", "neighbors", "reading:light", *by_kin}
     for radio in ({"range_and_bearing": True}, {"places": "shared"}):
         near = load({"radio": radio}).robots["red-01"].provides
-        assert near >= {"neighbors.distance", "neighbors.bearing", "neighbors.heading"}
+        assert near == robot.provides - {"kin"}
 
 
 def test_values_of_a_platform_can_be_changed_for_one_scenario(load: Load) -> None:

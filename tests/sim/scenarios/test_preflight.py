@@ -67,7 +67,9 @@ def test_a_robot_must_sense_what_the_pattern_needs(load: Load, tmp_path: Path) -
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "needy.py").write_text(_NEEDY)
     (tmp_path / "mine" / "leaving.py").write_text(f"{_NEEDY}\nraise SystemExit\n")
-    changes = {"plugin_dir": "mine", "groups.blue.pattern": "needy"}
+    # Its sensors show no robot: a Burger would learn the places of peers by kin.
+    blue = {"groups.blue.platform": "thymio", "groups.blue.pattern": "needy"}
+    changes = {"plugin_dir": "mine", "lidar_visibility": "body", **blue}
     with pytest.raises(ConfigError, match=r"groups.blue.pattern: .*neighbors.distance"):
         load(changes)
     assert load({**changes, "radio": {"range_and_bearing": True}}).plugin_dir == tmp_path / "mine"

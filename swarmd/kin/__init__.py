@@ -1,0 +1,1 @@
+"""Kin: which tracked object is which peer, by motion and mutual sight. Pure."""

@@ -1,0 +1,710 @@
+"""Kin: which tracked object is which peer, from the scans and the odometry of robots alone. Pure.
+
+Robots tell each other their odometry and the narrow objects that they see (`core/told.py`). For
+each peer there are up to _MOST_HYPOTHESES poses in the frame of the own odometry (`hypothesis.py`):
+
+1. *Mutual sight* begins one: the peer tells an object at the distance at which the own robot tracks
+   one. Both bearings give the yaw between the frames. (Mutual localisation by range and bearing
+   without identities: Franchi, Oriolo, Stegagno, IJRR 32(11), 2013.)
+2. Each message moves all poses of its sender by the told motion, and compares them with the tracks,
+   and with what the peer tells. What fits after motion raises the score, a place that rays cross
+   lowers it, and so does a peer that should see the own robot and does not.
+3. The best pose of a peer is *confirmed* once its score is high enough, both robots have moved, and
+   no other pose of the peer is nearly as good.
+4. A track where a confirmed pose expects the peer is that peer. A track has one peer, a peer one
+   track. If two peers fit a track, the peer that was confirmed first keeps it; peers confirmed at
+   much the same time make it unknown.
+5. A track that stands while the own robot moves is no robot if no peer that was heard can be there:
+   the peer has moved meanwhile, or its confirmed pose is elsewhere.
+
+What a peer tells moves the poses of this peer alone, so a liar names at most itself.
+
+The source of the objects is `Tracker` (`swarmd/steering/tracks.py`) and not the clusters of a scan:
+its tracks have an identity over time, by which a track that stands is known, they reach further
+than clusters that no nearer object hides, and steering computes them anyway.
+
+Frames: the frame of the own odometry, unless a name says another. Times: s on the robot's clock.
+Units: m, rad.
+
+A kernel (see `core/kernels.py`), compiled into one library with hypothesis.py.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from swarmd.core.angles import TURN, angle_between, wrap
+from swarmd.core.buffers import doubles, view
+from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
+from swarmd.core.told import MOST_OBJECTS, UNIT, Told, tell
+from swarmd.core.values import Neighbor
+from swarmd.kin.hypothesis import POINT, Hypothesis
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Iterable
+    from typing import Any
+
+    import cython
+
+    from swarmd.core.values import Odometry, Scan
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, atan2, cos, fabs, hypot, isnan, sin
+else:
+    from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, hypot, isnan, sin
+
+_unit = cython.declare(cython.double, UNIT)  # a C name
+NO_ROBOT = ""
+"""The name of a track that is no robot. None: unknown."""
+MOST_PEERS = 24
+MOST_TRACKS = 24
+# directions, of each of which it is known how far the rays of a scan are free
+_SECTORS = cython.declare(cython.Py_ssize_t, 72)
+_MOST_HYPOTHESES = 8  # of one peer
+_MEMORY = 16  # places of a track that are kept: 3 s at 5 Hz
+# s between two messages, or two scans, between which a place is interpolated
+_MOST_GAP = cython.declare(cython.double, 1.5)
+_MOST_AHEAD = cython.declare(cython.double, 0.4)  # s for which a place is extrapolated
+_SILENCE = cython.declare(cython.double, 10.0)  # s after which a silent peer is forgotten
+_MOVING_PERIOD = cython.declare(cython.double, 0.2)  # s between two messages
+_RESTING_PERIOD = cython.declare(cython.double, 1.0)  # s, at rest
+_EARLY = cython.declare(cython.double, 0.05)  # s by which a scan may come early
+_MOVED = cython.declare(cython.double, 0.01)  # m and rad that are a motion
+_COMPARED = cython.declare(cython.double, 0.35)  # s between two comparisons of a peer, at least
+# s/s by which the least delay of messages is forgotten
+_AHEAD_MEMORY = cython.declare(cython.double, 0.01)
+# Beginning of a pose.
+# m between both measured distances of a mutual sight
+_SAME_DISTANCE = cython.declare(cython.double, 0.10)
+_FIRST_SD = cython.declare(cython.double, 0.07)  # m
+_TURNED = cython.declare(cython.double, 0.4)  # rad: directions that differ less are one
+# Scores.
+_EMPTY = cython.declare(cython.double, 5.0)  # 1/s, while rays cross the place of the peer
+# 1/s, while the peer does not tell the own robot, or a third
+_UNSEEN = cython.declare(cython.double, 5.0)
+_DROPPED = cython.declare(cython.double, -3.0)  # score of a pose that is dropped
+_CONFIRMED = cython.declare(cython.double, 7.0)
+# with which a pose is sure: others begin no more, and poor ones are dropped
+_SURE = cython.declare(cython.double, 12.0)
+_MARGIN = cython.declare(cython.double, 4.0)  # to the next pose of the peer
+_UNSURE = cython.declare(cython.double, 1.0)  # margin below which no pose is confirmed any more
+# sights, and mutual sights, that a confirmed pose counts
+_LEAST_NEWS = cython.declare(cython.Py_ssize_t, 3)
+# m, standard deviation beyond which a peer that comes back may be another object
+_LOST = cython.declare(cython.double, 0.15)
+_LEAST_EXTENT = cython.declare(cython.double, 0.4)  # m over which both robots have moved meanwhile
+_FADE = cython.declare(cython.double, 0.2)  # 1/s, while nothing shows the peer
+_REACH = cython.declare(cython.double, 2.2)  # m: what is not hidden is surely tracked
+_FREE_REACH = cython.declare(cython.double, 3.2)  # m within which a ray without a return is free
+_SEEN_MOST = cython.declare(cython.double, 0.25)  # m by which a ray passes a place it has crossed
+_AGREED = cython.declare(cython.double, 1.8)  # m within which a peer surely tells a third robot
+_EARLIER = cython.declare(cython.double, 2.0)  # s: a peer confirmed so much earlier keeps a track
+# Standing tracks.
+_STILL = cython.declare(cython.double, 0.12)  # m
+_STILL_TIME = cython.declare(cython.double, 2.0)  # s
+_OWN_WAY = cython.declare(cython.double, 0.3)  # m
+_CLEARED = cython.declare(cython.double, 0.25)  # m: a peer that moved so far is no standing track
+_ELSEWHERE = cython.declare(cython.double, 0.5)  # m
+
+
+@cython.final
+@cython.cclass
+class _Track:
+    """The path of one track, and the peers that it cannot be. `x`, `y`: what `find` has found."""
+
+    x: cython.double
+    y: cython.double
+    places: list[Any]  # (time, x, y); the last is the newest
+    still_x: cython.double
+    still_y: cython.double
+    still_since: cython.double
+    still_way: cython.double
+
+    def __init__(self) -> None:
+        self.places, self.still_x = [], INFINITY
+
+    @cython.cfunc
+    def add(
+        self, time: cython.double, x: cython.double, y: cython.double, own_way: cython.double
+    ) -> cython.int:
+        """Add a place. `own_way`: m that the own robot has travelled."""
+        self.places.append((time, x, y))
+        del self.places[:-_MEMORY]
+        if not hypot(x - self.still_x, y - self.still_y) <= _STILL:
+            self.still_x, self.still_y = x, y
+            self.still_since, self.still_way = time, own_way
+
+    @cython.cfunc
+    def is_other(self, peer: _Peer) -> cython.bint:
+        """True if the peer has moved while the track stood."""
+        return peer.moved_since >= self.still_since
+
+    @cython.cfunc
+    def find(self, time: cython.double) -> cython.bint:
+        """Set `x`, `y` to the place at a time; False if the track was not there, or not yet."""
+        newer: cython.double = INFINITY
+        at: cython.double
+        x: cython.double
+        y: cython.double
+        k: cython.Py_ssize_t
+        for k in range(len(self.places)):
+            at, x, y = self.places[len(self.places) - 1 - k]
+            if at <= time:
+                if newer < INFINITY:
+                    share: cython.double = (time - at) / (newer - at)
+                    x, y = x + share * (self.x - x), y + share * (self.y - y)
+                self.x, self.y = x, y
+                return newer < INFINITY or time - at <= _MOST_AHEAD
+            newer, self.x, self.y = at, x, y
+        return False
+
+
+@cython.final
+@cython.cclass
+class _Peer:
+    """What is known of one peer. `x`, `y`, `yaw`: what `expect` has found."""
+
+    x: cython.double
+    y: cython.double
+    yaw: cython.double
+    resets: int
+    stamp: cython.double  # s on the clock of the peer
+    delay: cython.double  # s, the least of arrival less stamp: between both clocks
+    heard_at: cython.double  # s, of the last message
+    time: cython.double  # s, of the pose in it
+    compared_at: cython.double  # s, of the last pose that was compared
+    told_x: cython.double
+    told_y: cython.double
+    told_yaw: cython.double
+    ahead: cython.double  # m/s, between the last two messages
+    left: cython.double
+    turn: cython.double  # rad/s
+    # Where the peer was when it began the way that it now goes, and when; it has gone such a way in
+    # the time from `moved_since` to the newest message.
+    began_x: cython.double
+    began_y: cython.double
+    began_at: cython.double
+    moved_since: cython.double
+    hypotheses: list[Hypothesis]  # best first
+
+    def __init__(self) -> None:
+        self.resets, self.hypotheses = -1, []
+        self.stamp = self.heard_at = self.time = self.began_at = self.compared_at = -INFINITY
+        self.delay = INFINITY
+
+    @cython.cfunc
+    def confirmed(self, now: cython.double) -> Hypothesis | None:
+        """The pose that is confirmed of a peer that is not silent."""
+        if now - self.heard_at > _SILENCE or not self.hypotheses:
+            return None
+        best: Hypothesis = self.hypotheses[0]
+        return best if best.confirmed_at < INFINITY else None
+
+    @cython.cfunc
+    def time_of(self, stamp: cython.double, now: cython.double) -> cython.double:
+        """When the pose of a message was measured.
+
+        The delay of messages varies: of all clock differences the least counts.
+        """
+        delay: cython.double = now - stamp
+        if not fabs(delay - self.delay) < _MOST_GAP:  # the first, or a clock was set
+            self.delay = delay
+        else:
+            self.delay += _AHEAD_MEMORY * max(now - self.heard_at, 0.0)
+        self.delay = min(self.delay, delay)
+        return stamp + self.delay
+
+    @cython.cfunc
+    def follow(self) -> cython.int:
+        """Note that the peer has moved, once it has gone a way of _CLEARED; then begin another."""
+        way: cython.double = hypot(self.told_x - self.began_x, self.told_y - self.began_y)
+        if self.began_at == -INFINITY or way > _CLEARED:
+            self.moved_since, self.began_at = self.began_at, self.time
+            self.began_x, self.began_y = self.told_x, self.told_y
+
+    @cython.cfunc
+    def expect(self, pose: Hypothesis, now: cython.double) -> cython.int:
+        """Set the pose to that of a hypothesis, moved on at the told speed."""
+        seconds: cython.double = min(max(now - self.time, 0.0), _MOST_AHEAD)
+        c: cython.double = cos(pose.yaw + 0.5 * self.turn * seconds)
+        s: cython.double = sin(pose.yaw + 0.5 * self.turn * seconds)
+        self.x = pose.x + (c * self.ahead - s * self.left) * seconds
+        self.y = pose.y + (s * self.ahead + c * self.left) * seconds
+        self.yaw = pose.yaw + self.turn * seconds
+
+
+@cython.final
+@cython.cclass
+class Kin:
+    """Names the tracks of one robot. `_x`, `_y`, `_yaw`: the pose that `_set_own` has set."""
+
+    _middle: cython.double
+    _resets: cython.longlong
+    _trail: OdometryTrail
+    _shift: cython.double  # s, of the odometry's clock less the robot's
+    _x: cython.double
+    _y: cython.double
+    _yaw: cython.double
+    _last_x: cython.double  # the own middle at the last reading
+    _last_y: cython.double
+    _way: cython.double  # m that it has travelled
+    _tracks: dict[int, _Track]
+    _seen_at: cython.double  # s, of the last scan
+    _free: cython.double[::1]  # of each direction from -pi on, m to the nearest return
+    _peers: dict[str, _Peer]
+    _forgot_at: cython.double  # s, when silent peers were forgotten last
+    _told_at: cython.double  # s, of the last message, and the pose in it
+    _told_x: cython.double
+    _told_y: cython.double
+    _told_yaw: cython.double
+    # Points: of tracks at the time of a message, and of the objects in it, seen from the peer.
+    _places: cython.double[::1]
+    _objects: cython.double[::1]
+
+    def __init__(self, middle: cython.double = 0.0, resets: cython.longlong = 0) -> None:
+        """`middle`: m by which the middle of what others see lies ahead of the axle.
+
+        `resets`: the first number that marks the frame of the odometry; another one in each life.
+        """
+        self._middle, self._resets = middle, resets
+        self._trail, self._tracks, self._peers = OdometryTrail(), {}, {}
+        self._seen_at = self._told_at = -INFINITY
+        self._free = doubles(_SECTORS)
+        self._places, self._objects = doubles(POINT * MOST_TRACKS), doubles(POINT * MOST_OBJECTS)
+
+    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
+        """Take in an own reading. A jump moves the frame: all is forgotten."""
+        is_first: cython.bint = self._trail.count == 0
+        taken: cython.int = self._trail.take(odometry)
+        if taken != NEXT and taken != ANEW:
+            return
+        peer: _Peer
+        if taken == ANEW:
+            self._resets += 1
+            self._tracks = {}
+            for peer in self._peers.values():
+                peer.hypotheses = []
+        self._shift = odometry.stamp - now
+        self._set_own(now)
+        if not is_first:
+            self._way += hypot(self._x - self._last_x, self._y - self._last_y)
+        self._last_x, self._last_y = self._x, self._y
+
+    def observe(self, tracks: Iterable[Any], scan: Scan, now: cython.double) -> None:
+        """Take in a scan, and the tracks after it: `id`, `x` and `y` in the base frame at `now`."""
+        if self._trail.count == 0:
+            return
+        self._set_own(now)
+        c: cython.double = cos(self._yaw)
+        s: cython.double = sin(self._yaw)
+        known, self._tracks = self._tracks, {}
+        for seen in tracks:
+            if len(self._tracks) == MOST_TRACKS:
+                break
+            x: cython.double = seen.x - self._middle
+            y: cython.double = seen.y
+            track: _Track = known.get(seen.id) or _Track()
+            track.add(now, self._x + c * x - s * y, self._y + s * x + c * y, self._way)
+            self._tracks[seen.id] = track
+        self._seen_at = now
+        ranges: cython.const_double[::1] = view(scan.ranges)
+        bearings: cython.const_double[::1] = view(scan.bearings)
+        i: cython.Py_ssize_t
+        for i in range(_SECTORS):
+            self._free[i] = INFINITY
+        for i in range(len(ranges)):
+            sector: cython.Py_ssize_t = _sector_of(bearings[i])
+            # Nothing is known of the direction of a ray without a number.
+            nearest: cython.double = 0.0 if isnan(ranges[i]) else ranges[i]
+            self._free[sector] = min(self._free[sector], nearest)
+
+    def tell(self, now: cython.double, asks: cython.bint) -> Told | None:
+        """The message of this robot, after `observe`; None if it is not due yet.
+
+        `asks`: this robot runs a pattern that needs the places of its peers.
+        """
+        if self._trail.count == 0:
+            return None
+        self._set_own(now)
+        moved: cython.double = hypot(self._x - self._told_x, self._y - self._told_y)
+        moved += angle_between(self._yaw, self._told_yaw)
+        period: cython.double = _MOVING_PERIOD if moved > _MOVED else _RESTING_PERIOD
+        if now - self._told_at < period - _EARLY:
+            return None
+        self._told_at = now
+        self._told_x, self._told_y, self._told_yaw = self._x, self._y, self._yaw
+        seen = []
+        track: _Track
+        for track in self._tracks.values():
+            track.find(now)
+            dx: cython.double = track.x - self._x
+            dy: cython.double = track.y - self._y
+            seen.append((hypot(dx, dy), wrap(atan2(dy, dx) - self._yaw)))
+        return tell(self._resets, now, (self._x, self._y, wrap(self._yaw)), seen, asks=asks != 0)
+
+    def hear(self, id: str, told: Told, now: cython.double) -> None:
+        """Take in the message of the peer `id`."""
+        if self._trail.count == 0:
+            return
+        if id not in self._peers:
+            if len(self._peers) >= MOST_PEERS and now - self._forgot_at > 1.0:
+                self._forget_silent(now)
+            if len(self._peers) >= MOST_PEERS:
+                return
+            self._peers[id] = _Peer()
+        peer: _Peer = self._peers[id]
+        stamp: cython.double = told.stamp
+        x: cython.double = told.x
+        y: cython.double = told.y
+        yaw: cython.double = told.yaw
+        stamp, x, y, yaw = stamp * _unit, x * _unit, y * _unit, yaw * _unit
+        gap: cython.double = stamp - peer.stamp
+        if -_MOST_GAP < gap <= 0.0:  # late, or twice
+            return
+        time: cython.double = peer.time_of(stamp, now)
+        dx: cython.double = x - peer.told_x
+        dy: cython.double = y - peer.told_y
+        turn: cython.double = wrap(yaw - peer.told_yaw)
+        if told.resets == peer.resets and 0.0 < gap < _SILENCE and not is_jump(dx, dy, turn, gap):
+            c: cython.double = cos(peer.told_yaw)
+            s: cython.double = sin(peer.told_yaw)
+            self._move(peer, time, c * dx + s * dy, c * dy - s * dx, turn)
+            peer.ahead, peer.left = (c * dx + s * dy) / gap, (c * dy - s * dx) / gap
+            peer.turn = turn / gap
+        else:
+            peer.hypotheses = []
+            peer.ahead = peer.left = peer.turn = 0.0
+            peer.began_at = -INFINITY
+        peer.resets, peer.stamp, peer.heard_at, peer.time = told.resets, stamp, now, time
+        peer.told_x, peer.told_y, peer.told_yaw = x, y, yaw
+        peer.follow()
+        gap = min(time - peer.compared_at, _MOST_GAP)
+        if gap >= _COMPARED:
+            self._compare(id, told, peer, gap)
+            peer.compared_at = time
+
+    def names(self, now: cython.double) -> dict[int, str | None]:
+        """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""
+        named = {track: id for id, track in self._matches(now).items()}
+        return {
+            id: named.get(id) or (NO_ROBOT if self._stands(track, now) else None)
+            for id, track in self._tracks.items()
+        }
+
+    def complete(self, neighbors: Iterable[Neighbor], now: cython.double) -> tuple[Neighbor, ...]:
+        """The neighbors; those whose pose is confirmed with what is not known of them otherwise.
+
+        Distance and bearing are from the own axle to the visible middle of the peer. `age`: s since
+        a scan last showed it. `error`: two standard deviations of the place.
+        """
+        matches = self._matches(now)
+        self._trail.set_pose(now + self._shift)
+        return tuple([self._completed(one, matches, now) for one in neighbors])
+
+    @cython.cfunc
+    def _completed(self, known: Neighbor, matches: dict[str, int], now: cython.double) -> Neighbor:
+        peer: _Peer | None = self._peers.get(known.id)
+        best: Hypothesis | None = None if peer is None else peer.confirmed(now)
+        if peer is None or best is None:
+            return known
+        peer.expect(best, now)
+        seen_at: cython.double = best.seen_at
+        if known.id in matches:
+            track: _Track = self._tracks[matches[known.id]]  # where `_matches` found it
+            seen_at, peer.x, peer.y = self._seen_at, track.x, track.y
+        dx: cython.double = peer.x - self._trail.x
+        dy: cython.double = peer.y - self._trail.y
+        bearing: float | None = known.bearing
+        heading: float | None = known.heading
+        if bearing is None:
+            bearing = wrap(atan2(dy, dx) - self._trail.yaw)
+        if heading is None:
+            heading = wrap(peer.yaw - self._trail.yaw)
+        if known.distance is not None:
+            return replace(known, bearing=bearing, heading=heading)
+        age: cython.double = max(now - seen_at, 0.0)
+        error: cython.double = 2.0 * best.sd()
+        return Neighbor(known.id, age, hypot(dx, dy), bearing, heading, known.in_reach, error)
+
+    @cython.cfunc
+    def _set_own(self, time: cython.double) -> cython.int:
+        """Set the pose of the own visible middle at a time."""
+        trail: OdometryTrail = self._trail
+        trail.set_pose(time + self._shift)
+        self._x = trail.x + self._middle * cos(trail.yaw)
+        self._y = trail.y + self._middle * sin(trail.yaw)
+        self._yaw = trail.yaw
+
+    @cython.cfunc
+    def _forget_silent(self, now: cython.double) -> cython.int:
+        self._forgot_at = now
+        peer: _Peer
+        for id, peer in list(self._peers.items()):
+            if now - peer.heard_at > _SILENCE:
+                del self._peers[id]
+
+    @cython.cfunc
+    def _move(
+        self,
+        peer: _Peer,
+        time: cython.double,
+        ahead: cython.double,
+        left: cython.double,
+        turn: cython.double,
+    ) -> cython.int:
+        """Move the poses of a peer by what it tells, and widen them by the own motion."""
+        self._set_own(peer.time)
+        x: cython.double = self._x
+        y: cython.double = self._y
+        yaw: cython.double = self._yaw
+        self._set_own(time)
+        own_way: cython.double = hypot(self._x - x, self._y - y)
+        own_turn: cython.double = angle_between(self._yaw, yaw)
+        one: Hypothesis
+        for one in peer.hypotheses:
+            one.move(ahead, left, turn)
+            one.drift(own_way, own_turn, hypot(one.x - self._x, one.y - self._y))
+
+    @cython.cfunc
+    def _compare(self, id: str, told: Told, peer: _Peer, gap: cython.double) -> cython.int:
+        """Compare the poses of a peer with the tracks, and with what it tells; begin new poses."""
+        self._set_own(peer.time)
+        places: cython.double[::1] = self._places
+        objects: cython.double[::1] = self._objects
+        track: _Track
+        one: Hypothesis
+        i: cython.Py_ssize_t = 0
+        k: cython.Py_ssize_t = 0
+        for track in self._tracks.values():
+            if not track.is_other(peer) and track.find(peer.time):
+                places[i], places[i + 1] = track.x, track.y
+                places[i + 2] = hypot(track.x - self._x, track.y - self._y)
+                i += POINT
+        distance: cython.double
+        bearing: cython.double
+        for distance, bearing in told.objects:
+            objects[k] = distance * _unit * cos(bearing * _unit)
+            objects[k + 1] = distance * _unit * sin(bearing * _unit)
+            objects[k + 2] = distance * _unit
+            k += POINT
+        count: cython.Py_ssize_t = i // POINT
+        told_count: cython.Py_ssize_t = k // POINT
+        for one in peer.hypotheses:
+            self._judge(one, peer, gap, count, told_count)
+        n: cython.Py_ssize_t
+        m: cython.Py_ssize_t
+        best: Hypothesis | None = peer.confirmed(peer.heard_at)
+        is_sure: cython.bint = best is not None and best.score > _SURE
+        for n in range(0 if is_sure else count):
+            i = POINT * n
+            for m in range(told_count):
+                k = POINT * m
+                if fabs(objects[k + 2] - places[i + 2]) <= _SAME_DISTANCE:
+                    to_own: cython.double = atan2(self._y - places[i + 1], self._x - places[i])
+                    yaw: cython.double = to_own - atan2(objects[k + 1], objects[k])
+                    self._begin(peer, places[i], places[i + 1], yaw, max(places[i + 2], 0.3))
+        self._rank(peer)
+        self._agree(id, peer, gap, told_count)
+
+    @cython.cfunc
+    def _judge(
+        self,
+        one: Hypothesis,
+        peer: _Peer,
+        gap: cython.double,
+        count: cython.Py_ssize_t,
+        told_count: cython.Py_ssize_t,
+    ) -> cython.int:
+        """Raise or lower the score of a pose by what both robots see."""
+        dx: cython.double = one.x - self._x
+        dy: cython.double = one.y - self._y
+        distance: cython.double = hypot(dx, dy)
+        is_news: cython.bint = one.sights.is_news(peer.told_x, peer.told_y)
+        is_lost: cython.bint = one.sd() > _LOST
+        if not one.see(self._places, count, distance, is_news):
+            # The rays of the last scan cross the place of the pose.
+            sector: cython.Py_ssize_t = _sector_of(atan2(dy, dx) - self._yaw)
+            is_empty: cython.bint = self._free[sector] > distance + _SEEN_MOST
+            one.score -= gap * (_EMPTY if is_empty and distance < _FREE_REACH else _FADE)
+            return 0
+        if is_lost:
+            one.prove(peer.told_x, peer.told_y, self._x, self._y)
+        one.seen_at = peer.time
+        if is_news:
+            one.sights.add(peer.told_x, peer.told_y)
+        is_news = one.mutual.is_news(self._x, self._y)
+        if not one.be_seen(self._objects, told_count, self._x, self._y, is_news):
+            one.score -= gap * (_UNSEEN if distance < _REACH else _FADE)
+        elif is_news:
+            one.mutual.add(self._x, self._y)
+        return 0
+
+    @cython.cfunc
+    def _begin(
+        self,
+        peer: _Peer,
+        x: cython.double,
+        y: cython.double,
+        yaw: cython.double,
+        distance: cython.double,
+    ) -> cython.int:
+        """Begin a pose by mutual sight, unless it is known, or all that are known are better."""
+        one: Hypothesis
+        for one in peer.hypotheses:
+            if one.is_like(x, y, yaw, 1.0):
+                return 0
+        if len(peer.hypotheses) >= _MOST_HYPOTHESES:
+            worst: Hypothesis = peer.hypotheses[0]
+            for one in peer.hypotheses:
+                if one.score < worst.score:
+                    worst = one
+            if worst.score >= 0.0:
+                return 0
+            peer.hypotheses.remove(worst)
+        one = Hypothesis(x, y, yaw, _FIRST_SD, _FIRST_SD / distance)
+        one.prove(peer.told_x, peer.told_y, self._x, self._y)
+        peer.hypotheses.append(one)
+        return 0
+
+    @cython.cfunc
+    def _rank(self, peer: _Peer) -> cython.int:
+        """Put the best pose first, drop bad and double ones, and confirm the best if it is sure."""
+        if not peer.hypotheses:
+            return 0
+        one: Hypothesis
+        best: Hypothesis = peer.hypotheses[0]
+        for one in peer.hypotheses:
+            if one.score > best.score:
+                best = one
+        second: cython.double = -INFINITY
+        is_sure: cython.bint = best.confirmed_at < INFINITY and best.score > _SURE
+        least: cython.double = best.score - _SURE if is_sure else _DROPPED
+        kept: list[Hypothesis] = [best]
+        for one in peer.hypotheses:
+            if one is best or one.score <= least or one.is_like(best.x, best.y, best.yaw, 0.5):
+                continue
+            one.confirmed_at = INFINITY
+            second = max(second, one.score)
+            kept.append(one)
+        peer.hypotheses = kept if best.score > _DROPPED else []
+        if best.score < 0.5 * _CONFIRMED or best.score - second < _UNSURE:
+            best.confirmed_at = INFINITY
+        elif (
+            best.score >= _CONFIRMED
+            and best.score - second >= _MARGIN
+            and min(best.sights.count, best.mutual.count) >= _LEAST_NEWS
+            and min(best.sights.extent, best.mutual.extent) >= _LEAST_EXTENT
+        ):
+            best.confirmed_at = min(best.confirmed_at, peer.time)
+        return 0
+
+    @cython.cfunc
+    def _agree(
+        self, id: str, peer: _Peer, gap: cython.double, told_count: cython.Py_ssize_t
+    ) -> cython.int:
+        """Lower the pose of a peer that does not tell a third robot which it must see.
+
+        Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third
+        robot does the same by its messages: so a liar lowers no other.
+        """
+        best: Hypothesis | None = peer.confirmed(peer.heard_at)
+        if best is None or told_count == MOST_OBJECTS:
+            return 0
+        c: cython.double = cos(best.yaw)
+        s: cython.double = sin(best.yaw)
+        other: _Peer
+        for name, other in self._peers.items():
+            third: Hypothesis | None = other.confirmed(peer.heard_at)
+            if name == id or third is None or third.score < best.score:
+                continue
+            other.expect(third, peer.time)
+            dx: cython.double = other.x - best.x
+            dy: cython.double = other.y - best.y
+            ahead: cython.double = c * dx + s * dy
+            left: cython.double = c * dy - s * dx
+            # Two that are nearer claim one object: their messages need not tell each other.
+            is_due: cython.bint = _ELSEWHERE <= hypot(dx, dy) < _AGREED
+            if is_due and not self._is_told(ahead, left, told_count):
+                best.score -= gap * _UNSEEN
+        return 0
+
+    @cython.cfunc
+    def _is_told(
+        self, ahead: cython.double, left: cython.double, told_count: cython.Py_ssize_t
+    ) -> cython.bint:
+        """True if the last message has an object at a place, or one that hides it."""
+        objects: cython.double[::1] = self._objects
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for k in range(told_count):
+            i = POINT * k
+            if hypot(objects[i] - ahead, objects[i + 1] - left) < _ELSEWHERE:
+                return True
+            turn: cython.double = angle_between(
+                atan2(objects[i + 1], objects[i]), atan2(left, ahead)
+            )
+            if objects[i + 2] < hypot(ahead, left) and turn < _TURNED:
+                return True
+        return False
+
+    @cython.cfunc
+    def _matches(self, now: cython.double) -> dict[str, int]:
+        """The track of each peer that is in sight."""
+        claims: list[tuple[float, str, int]] = []
+        confirmed_at: dict[str, float] = {}
+        peer: _Peer
+        track: _Track
+        for track in self._tracks.values():
+            track.find(self._seen_at)
+        for id, peer in self._peers.items():
+            best: Hypothesis | None = peer.confirmed(now)
+            if best is None:
+                continue
+            confirmed_at[id] = best.confirmed_at
+            peer.expect(best, now)
+            for number, track in self._tracks.items():
+                far: cython.double = best.fits(track.x - peer.x, track.y - peer.y)
+                if far < INFINITY and not track.is_other(peer):
+                    claims.append((far, id, number))
+        claims.sort()
+        matches: dict[str, int] = {}
+        taken: dict[int, str] = {}
+        for _, id, number in claims:
+            if id not in matches and number not in taken:
+                matches[id], taken[number] = number, id
+        for _, id, number in claims:  # a peer without a track contests that of another
+            other = taken.get(number, id)
+            if id not in matches and other != id:
+                if confirmed_at[other] > confirmed_at[id] - _EARLIER:
+                    matches.pop(other, None)
+                if confirmed_at[id] < confirmed_at[other] - _EARLIER:
+                    matches[id], taken[number] = number, id
+        return matches
+
+    @cython.cfunc
+    def _stands(self, track: _Track, now: cython.double) -> cython.bint:
+        """True if a track stands while the own robot moves, and no peer can be there."""
+        if now - track.still_since < _STILL_TIME or self._way - track.still_way < _OWN_WAY:
+            return False
+        peer: _Peer
+        for peer in self._peers.values():
+            best: Hypothesis | None = peer.confirmed(now)
+            if best is not None:
+                peer.expect(best, now)
+                if hypot(peer.x - track.still_x, peer.y - track.still_y) < _ELSEWHERE:
+                    return False
+            elif now - peer.heard_at <= _SILENCE and not track.is_other(peer):
+                return False
+        return True
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _sector_of(bearing: cython.double) -> cython.Py_ssize_t:
+    """The number of a direction."""
+    sector: cython.double = (wrap(bearing) / TURN + 0.5) * _SECTORS
+    return cython.cast(cython.Py_ssize_t, min(_SECTORS - 0.5, sector))  # also of NaN

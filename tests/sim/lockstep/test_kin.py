@@ -1,0 +1,80 @@
+"""Robots of a simulated swarm name each other by lidar and odometry alone."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.patterns.random_walk.pattern import RandomWalk
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenariofile import scenario_of
+
+MIDDLE = -0.032  # m, of a Burger ahead of its axle
+
+
+class Seeking(RandomWalk):
+    """A random walk that needs the places of peers."""
+
+    needs = RandomWalk.needs | {"neighbors.distance"}
+
+
+def simulated(pattern: type[RandomWalk]) -> Lockstep:
+    """30 s of four Burgers among three pillars as wide as a robot."""
+    poles = [((1.0, 1.0), 0.1), ((-1.0, 0.6), 0.1), ((0.2, -1.0), 0.12)]
+    scenario = scenario_of(
+        {
+            "duration": 30.0,
+            "arena": {"size": [4, 4], "poles": [{"at": at, "radius": r} for at, r in poles]},
+            "realism": "realistic",
+            "radio": {"loss": 0.1, "delay": 0.1},
+            "groups": {
+                "all": {
+                    "platform": "burger",
+                    "count": 4,
+                    "start": {"layout": "random", "clearance": 0.3},
+                    "pattern": "random_walk",
+                }
+            },
+        }
+    )
+    run = Lockstep(scenario, 3, patterns={"random_walk": pattern})
+    run.advance(scenario.duration)
+    return run
+
+
+def places(run: Lockstep) -> list[tuple[str, Any]]:
+    """What each robot knows of each peer."""
+    now = run.world.time
+    return [
+        (shell.robot.id, neighbor)
+        for shell in run.shells
+        if shell is not None
+        for neighbor in shell.robot._sensors.neighbors(now)
+    ]
+
+
+@pytest.mark.compiled_only(reason="a long simulated run")
+def test_robots_know_where_their_peers_are() -> None:
+    run = simulated(Seeking)
+    poses = dict(zip(run.world.ids, run.world.poses(), strict=True))
+    errors = []
+    for robot, peer in places(run):
+        if peer.distance is not None:
+            x, y, yaw = poses[robot]
+            px, py, heading = poses[peer.id]
+            seen = np.array([math.cos(yaw + peer.bearing), math.sin(yaw + peer.bearing)])
+            middle = MIDDLE * np.array([math.cos(heading), math.sin(heading)])
+            away = (x, y) + peer.distance * seen - (px, py) - middle
+            errors.append(float(np.hypot(*away)))
+            assert abs(math.remainder(peer.heading + yaw - heading, math.tau)) < 0.5
+    assert len(errors) >= 6  # of twelve pairs, hidden ones among them
+    assert max(errors) < 0.35
+
+
+def test_nothing_is_told_where_no_pattern_needs_places() -> None:
+    run = simulated(RandomWalk)
+    assert all(shell is not None and shell.robot._sensors.kin is None for shell in run.shells)
+    assert {peer.distance for _, peer in places(run)} == {None}
