@@ -25,8 +25,8 @@ from msgspec.structs import astuple, replace
 
 from swarmd.core.angles import PI, TURN
 from swarmd.core.avoided import Avoided, WayState
-from swarmd.core.odometry_trail import is_jump
-from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
+from swarmd.core.odometry_trail import ANEW, OdometryTrail
+from swarmd.core.values import ZERO, Limits, Odometry, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.openings import SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
@@ -268,52 +268,6 @@ class _Traffic(Struct, frozen=True, gc=False):
 
 @cython.final
 @cython.cclass
-class Motion:
-    """The pose and the twist of a reading of odometry: m, rad, m/s, rad/s.
-
-    An extension type, whose numbers are of C: each of 35 decisions a second reads them twice.
-    """
-
-    odometry: Odometry = cython.declare(object, visibility="readonly")
-    stamp: cython.double
-    x: cython.double
-    y: cython.double
-    yaw: cython.double
-    linear: cython.double
-    angular: cython.double
-    lateral: cython.double
-
-    def __init__(self, odometry: Odometry) -> None:
-        """Read the numbers of `odometry`."""
-        pose, twist = odometry.pose, odometry.twist
-        self.odometry, self.stamp = odometry, odometry.stamp
-        self.x, self.y, self.yaw = pose.x, pose.y, pose.yaw
-        self.linear, self.angular, self.lateral = twist.linear, twist.angular, twist.lateral
-
-    @cython.cfunc
-    def pose_after(
-        self, seconds: cython.double
-    ) -> tuple[cython.double, cython.double, cython.double]:
-        """The pose (x, y, yaw) some time after the reading, at its twist."""
-        middle_yaw: cython.double = self.yaw + 0.5 * seconds * self.angular
-        c: cython.double = cos(middle_yaw)
-        s: cython.double = sin(middle_yaw)
-        return (
-            self.x + seconds * (c * self.linear - s * self.lateral),
-            self.y + seconds * (s * self.linear + c * self.lateral),
-            self.yaw + seconds * self.angular,
-        )
-
-    @cython.cfunc
-    def jumps_from(self, last: Motion) -> cython.bint:
-        """True if an estimator has shifted the pose since `last`."""
-        dx: cython.double = self.x - last.x
-        dy: cython.double = self.y - last.y
-        return is_jump(dx, dy, self.yaw - last.yaw, self.stamp - last.stamp)
-
-
-@cython.final
-@cython.cclass
 class RightOfWay:
     """Replaces the requested command of a robot before an opening. Times are in s, by argument."""
 
@@ -328,7 +282,7 @@ class RightOfWay:
     _x: cython.double  # the pose by odometry at the last command
     _y: cython.double
     _yaw: cython.double
-    _motion: Motion  # the last reading of odometry; None before the first
+    _trail: OdometryTrail
     _passed_at = cython.declare(cython.double, visibility="public")
     # m to the left of the axis at which the robot drives in a corridor
     _lean: cython.double
@@ -368,7 +322,7 @@ class RightOfWay:
         lead = limits.linear / limits.angular if limits.angular > 0.0 else _LEAD_TIME
         self._lead = min(max(lead, _LEAD_TIMES[0]), _LEAD_TIMES[1])
         self._rng = Random(f"way {seed}")
-        self._openings = Openings(clearance.body, returns)
+        self._openings, self._trail = Openings(clearance.body, returns), OdometryTrail()
         self._passed_at = -INFINITY
         self.reset()
 
@@ -380,11 +334,8 @@ class RightOfWay:
 
     @cython.ccall
     def on_odometry(self, odometry: Odometry) -> None:
-        """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
-        last: Motion = self._motion
-        motion: Motion = Motion(odometry)
-        self._motion = motion
-        if last is not None and (motion.stamp < last.stamp or motion.jumps_from(last)):
+        """Take in a reading. If it begins the trail anew, all openings are forgotten."""
+        if self._trail.take(odometry) == ANEW:
             self._openings.clear()
             self._release()
 
@@ -410,19 +361,12 @@ class RightOfWay:
         odometry = context.odometry
         if self.state is WayState.NONE or opening is None or odometry is None:
             return None
-        base_x, base_y, yaw = self._motion_of(odometry).pose_after(context.odometry_age or 0.0)
-        x: cython.double = opening.x - base_x
-        y: cython.double = opening.y - base_y
-        bearing: cython.double = remainder(atan2(y, x) - yaw, TURN)
+        trail: OdometryTrail = self._trail
+        trail.set_pose(trail.latest + (context.odometry_age or 0.0))
+        x: cython.double = opening.x - trail.x
+        y: cython.double = opening.y - trail.y
+        bearing: cython.double = remainder(atan2(y, x) - trail.yaw, TURN)
         return Avoided(bearing, math.hypot(x, y), self.state)
-
-    @cython.cfunc
-    def _motion_of(self, odometry: Odometry) -> Motion:
-        """The numbers of a reading, which is the last one as a rule."""
-        motion: Motion = self._motion
-        if motion is None or motion.odometry is not odometry:
-            motion = Motion(odometry)
-        return motion
 
     @cython.ccall
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
@@ -441,11 +385,11 @@ class RightOfWay:
                 self._lean = _LEAN * float(right_ages.mean() - left_ages.mean())
         if odometry is None or context.odometry_age is None:
             return
+        self.on_odometry(odometry)
         if abs(odometry.twist.angular) > _TURNING:
             return
         scan_age = (scan.newest_age or 0.0) + context.scan_delay
-        motion: Motion = self._motion_of(odometry)
-        pose = Pose(*motion.pose_after(context.odometry_age - scan_age))
+        pose = self._trail.pose_at(self._trail.latest + context.odometry_age - scan_age)
         c: cython.double = cos(self._yaw)
         s: cython.double = sin(self._yaw)
         track: Track
@@ -477,11 +421,14 @@ class RightOfWay:
         now: cython.double = context.now
         if odometry is None or odometry_age is None:
             return requested
-        if self._motion is None or self._motion.odometry is not odometry:
-            self.on_odometry(odometry)
+        self.on_odometry(odometry)
 
         # 1. The pose of the base, and the direction of the request.
-        base_x, base_y, yaw = self._motion.pose_after(odometry_age)
+        trail: OdometryTrail = self._trail
+        trail.set_pose(trail.latest + odometry_age)
+        base_x: cython.double = trail.x
+        base_y: cython.double = trail.y
+        yaw: cython.double = trail.yaw
         self._surroundings, self._x, self._y, self._yaw = surroundings, base_x, base_y, yaw
         linear: cython.double = requested.linear
         angular: cython.double = requested.angular

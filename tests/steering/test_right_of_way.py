@@ -434,6 +434,7 @@ def test_a_robot_turns_to_its_opening_among_several() -> None:
     ride = Ride()
     for y in (1.0, 0.0):
         for _ in range(2):
+            ride.now += 0.1
             odometry = Odometry(ride.now, Pose(-0.8, y), ZERO)
             context = DecisionContext(ride.now, 0.0, odometry, 0.0)
             ride.way.observe(scan(near(-0.8)), (0.0, 0.0), context)
@@ -720,12 +721,12 @@ def test_openings_that_were_seen_once_do_not_push_out_a_known_one() -> None:
     ride = Ride()
     ride.at(near(-1.0))
     ride.way.reset()
-    for k in range(1, 12):  # each at another place, by a step of odometry
-        ride.way.observe(
-            scan(near(-1.0)),
-            (0.0, 0.0),
-            DecisionContext(ride.now, 0.0, Odometry(ride.now, Pose(-1.0, 3.0 * k, 0.0), ZERO), 0.0),
-        )
+    for k in range(1, 12):  # each at another place, by a step of odometry that is no jump
+        ride.now += 0.3
+        odometry = Odometry(ride.now, Pose(-1.0, 3.0 * k, 0.0), ZERO)
+        context = DecisionContext(ride.now, 0.0, odometry, 0.0)
+        ride.way.observe(scan(near(-1.0)), (0.0, 0.0), context)
+    ride.now += 4.0
     ride.at(near(-1.0), seconds=0.1)
     assert ride.state() is WayState.APPROACH
 
@@ -750,3 +751,21 @@ def test_tracks_that_have_ended_are_forgotten_at_a_door() -> None:
     for id in range(1, 40):
         ride.at(near(-1.0), track(id, 1.6), seconds=3.5)
     assert len(ride.way._sides) <= 1
+
+
+def test_the_pose_at_a_scan_is_between_the_readings_around_it() -> None:
+    """The base has just stopped: at the scan, 0.2 s before the newest reading, it was 4 cm back."""
+    ride = Ride()
+    for back in (0.08, 0.06, 0.04, 0.02, 0.0):
+        ride.now += 0.1
+        speed = Twist(0.2 if back else 0.0)
+        ride.way.on_odometry(Odometry(ride.now, near(-1.0 - back), speed))
+        context = DecisionContext(ride.now, 0.0, Odometry(ride.now, near(-1.0), ZERO), 0.0, 0.2)
+    for _ in range(2):
+        ride.way.observe(scan(near(-1.04)), (0.0, 0.0), context)
+    ride.way.command(
+        AHEAD, context, Surroundings((), NO_POINTS), lambda twist: twist, lambda: NO_POINTS
+    )
+    avoided = ride.way.passed(context)
+    assert avoided is not None
+    assert avoided.distance == pytest.approx(1.0, abs=0.01)
