@@ -3,9 +3,8 @@
 A robot remembers the openings in walls that its scans show (openings.py). If the command that the
 pattern requests leads into a wall, the robot drives to the nearest opening in that wall. The robot
 waits beside an opening while other robots come out of the opening. When two robots meet within an
-opening, the robot that is deeper in goes on and the other robot backs out. If both are equally
-deep, each draws at random whether to go on, and draws again after a random time (random backoff,
-Metcalfe and Boggs 1976).
+opening, the robot that is deeper in goes on and the other robot backs out, and gives way for a
+random time.
 
 The result replaces the command that the pattern requested. Avoidance, recovery and protection
 treat the result as a requested command.
@@ -117,8 +116,6 @@ _FIRST_SEEN_IN = cython.declare(cython.double, -0.1)
 _BACKS_OUT = cython.declare(cython.double, 0.1)
 # m, in addition to the depth, within which a track that comes is met
 _MEETING = cython.declare(cython.double, 0.8)
-# m within which two robots count as equally deep
-_EQUALLY_DEEP = cython.declare(cython.double, 0.15)
 # A track comes from the side of the robot, or from the other side of the opening.
 _THIS_SIDE = cython.declare(cython.double, -1.0)
 _OTHER_SIDE = cython.declare(cython.double, 1.0)
@@ -137,10 +134,6 @@ _HIDDEN = cython.declare(cython.double, 6.0)
 _PASSED_TIMES, _RECENTLY = (6.0, 10.0), 120.0
 # s after a passage in which the robot lets robots pass that wait on its side
 _LETS_PASS = cython.declare(cython.double, 90.0)
-_PRIORITY_TIMES = (3.0, 6.0)  # s for which the drawn priority holds
-# s without progress after which the robot draws its priority
-_NO_PROGRESS = cython.declare(cython.double, 2.0)
-_MINE_SHARE = cython.declare(cython.double, 0.5)  # the chance to draw priority
 # s and m: with less a robot in an opening tries the other way
 _STUCK = cython.declare(cython.double, 6.0)
 _PROGRESS = cython.declare(cython.double, 0.03)
@@ -305,8 +298,6 @@ class RightOfWay:
     _is_backing: cython.bint
     _busy_at: cython.double  # when traffic last made the robot give way
     _keep_clear_for: cython.double  # s after `_busy_at` in which the robot still gives way
-    _has_priority = cython.declare(cython.bint, visibility="public")  # as drawn at random
-    _drawn_until = cython.declare(cython.double, visibility="public")
     _waiting_side: cython.double  # 1 left or -1 right of the axis; 0: not chosen
     _is_lined_up: cython.bint
     # m to the left: the middle measured between the posts less that of the sightings; None before.
@@ -346,9 +337,9 @@ class RightOfWay:
         self._wanted_yaw = self._keep_clear_for = self._waiting_side = 0.0
         self._sides, self._farthest, self._seen_since, self._within_at = {}, {}, {}, {}
         self._came_out = set()
-        self._progress_along = self._progress_at = self._busy_at = self._drawn_until = -INFINITY
+        self._progress_along = self._progress_at = self._busy_at = -INFINITY
         self._held_along = -INFINITY
-        self._has_priority, self._is_backing, self._is_lined_up = True, False, False
+        self._is_backing, self._is_lined_up = False, False
 
     @property
     def is_settled(self) -> bool:
@@ -564,10 +555,6 @@ class RightOfWay:
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
         moving objects) in the same frame. `now`: s.
         """
-        # m. In an opening, a robot with priority backs out only for a robot that is deeper in by
-        # more than `slack`. Before an opening, a robot with priority lets another robot go first
-        # that is up to `slack` farther away. Without priority, `slack` is negative.
-        slack = _EQUALLY_DEEP if self._has_priority else -_EQUALLY_DEEP
         is_busy = is_behind = is_met = is_close = is_queued = False
         for id, along, aside in map(astuple, others):
             # 1. The side from which the track came. The side stays while the track is within or
@@ -601,14 +588,14 @@ class RightOfWay:
                 is_in_or_through = along < place.depth + _IN
                 if place.is_in and is_ahead:
                     meets = along - place.along < _MEETING + place.depth
-                    is_met |= meets and other_m > max(own_m + slack, 0.0)
-                elif is_in_or_through or along - place.depth < -place.along + slack:
+                    is_met |= meets and other_m > max(own_m, 0.0)
+                elif is_in_or_through or along - place.depth < -place.along:
                     is_busy = True  # the track is in or through the opening, or nearer to it
                     if is_within:
                         self._within_at[id] = now
             elif is_ahead and along > -_IN:  # the track goes in ahead of the robot
                 is_close |= along - place.along < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
-            elif hypot(along + _LINE_UP, aside) < place.to_line_up + slack:
+            elif hypot(along + _LINE_UP, aside) < place.to_line_up:
                 is_behind = True  # the track is nearer to the place to line up
         return _Traffic(is_busy, is_behind, is_met, is_close, is_queued)
 
@@ -632,12 +619,7 @@ class RightOfWay:
             safe_for: gives the command that protection would make of any command.
             points: gives the returns of the scan in the base frame.
         """
-        # 1. Draws the priority again if the robot makes no progress.
-        if now > self._drawn_until and now - self._progress_at > _NO_PROGRESS:
-            self._has_priority = self._rng.random() < _MINE_SHARE
-            self._drawn_until = now + self._rng.uniform(*_PRIORITY_TIMES)
-
-        # 2. Corrects all places by the measured middle of the opening.
+        # 1. Corrects all places by the measured middle of the opening.
         self._find_middle(place, points)
         middle_offset = self._middle_offset or 0.0
         if abs(middle_offset) > _WRONG_BY and self._openings.forget(self._opening):
@@ -646,7 +628,7 @@ class RightOfWay:
         place = replace(place, aside=place.aside - middle_offset)
         others = [_PlacedTrack(o.id, o.along, o.aside - middle_offset) for o in others]
 
-        # 3. Judges the traffic. The time to keep clear counts from the last decision with traffic,
+        # 2. Judges the traffic. The time to keep clear counts from the last decision with traffic,
         # and is random, so that two robots do not enter together. Then the state.
         traffic = self._judge_traffic(place, others, now)
         self._update_progress(place, traffic, now)
