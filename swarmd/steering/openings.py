@@ -9,7 +9,6 @@ A kernel (see `core/kernels.py`), since each scan passes it. right_of_way.py cal
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -285,11 +284,6 @@ class Opening:
     hits = cython.declare(cython.longlong, visibility="readonly")  # number of sightings
     seen_at = cython.declare(cython.double, visibility="readonly")  # s, of the last sighting
 
-    @property
-    def walls(self) -> tuple[float, float]:
-        """How far the wall reaches to the left and the right of the middle."""
-        return self.left, self.right
-
     @cython.ccall
     def to_local(
         self, x: cython.double, y: cython.double, sign: cython.double
@@ -433,16 +427,13 @@ class Openings:
     """The openings that a robot remembers. Times are in s and come with each call."""
 
     _narrowest: cython.double
-    known: list[Opening]
+    known: list[Opening] = cython.declare(list, visibility="readonly")
     _returns: ScanReturns
 
     def __init__(self, body: float, returns: ScanReturns | None = None) -> None:
         """`body`: half of the robot's width in m. `returns`: what tracks share; None: its own."""
         self._narrowest = 2.0 * _NARROWEST_SHARE * body
         self.known, self._returns = [], returns or ScanReturns()
-
-    def __iter__(self) -> Iterator[Opening]:
-        return iter(self.known)
 
     @cython.ccall
     def clear(self) -> None:

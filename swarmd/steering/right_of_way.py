@@ -3,9 +3,8 @@
 A robot remembers the openings in walls that its scans show (openings.py). If the command that the
 pattern requests leads into a wall, the robot drives to the nearest opening in that wall. The robot
 waits beside an opening while other robots come out of the opening. When two robots meet within an
-opening, the robot that is deeper in goes on and the other robot backs out. If both are equally
-deep, each draws at random whether to go on, and draws again after a random time (random backoff,
-Metcalfe and Boggs 1976).
+opening, the robot that is deeper in goes on and the other robot backs out, and gives way for a
+random time.
 
 The result replaces the command that the pattern requested. Avoidance, recovery and protection
 treat the result as a requested command.
@@ -25,8 +24,8 @@ from msgspec.structs import astuple, replace
 
 from swarmd.core.angles import PI, TURN
 from swarmd.core.avoided import Avoided, WayState
-from swarmd.core.odometry_trail import is_jump
-from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
+from swarmd.core.odometry_trail import ANEW, OdometryTrail
+from swarmd.core.values import ZERO, Limits, Odometry, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.openings import SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
@@ -117,8 +116,6 @@ _FIRST_SEEN_IN = cython.declare(cython.double, -0.1)
 _BACKS_OUT = cython.declare(cython.double, 0.1)
 # m, in addition to the depth, within which a track that comes is met
 _MEETING = cython.declare(cython.double, 0.8)
-# m within which two robots count as equally deep
-_EQUALLY_DEEP = cython.declare(cython.double, 0.15)
 # A track comes from the side of the robot, or from the other side of the opening.
 _THIS_SIDE = cython.declare(cython.double, -1.0)
 _OTHER_SIDE = cython.declare(cython.double, 1.0)
@@ -137,10 +134,6 @@ _HIDDEN = cython.declare(cython.double, 6.0)
 _PASSED_TIMES, _RECENTLY = (6.0, 10.0), 120.0
 # s after a passage in which the robot lets robots pass that wait on its side
 _LETS_PASS = cython.declare(cython.double, 90.0)
-_PRIORITY_TIMES = (3.0, 6.0)  # s for which the drawn priority holds
-# s without progress after which the robot draws its priority
-_NO_PROGRESS = cython.declare(cython.double, 2.0)
-_MINE_SHARE = cython.declare(cython.double, 0.5)  # the chance to draw priority
 # s and m: with less a robot in an opening tries the other way
 _STUCK = cython.declare(cython.double, 6.0)
 _PROGRESS = cython.declare(cython.double, 0.03)
@@ -268,52 +261,6 @@ class _Traffic(Struct, frozen=True, gc=False):
 
 @cython.final
 @cython.cclass
-class Motion:
-    """The pose and the twist of a reading of odometry: m, rad, m/s, rad/s.
-
-    An extension type, whose numbers are of C: each of 35 decisions a second reads them twice.
-    """
-
-    odometry: Odometry = cython.declare(object, visibility="readonly")
-    stamp: cython.double
-    x: cython.double
-    y: cython.double
-    yaw: cython.double
-    linear: cython.double
-    angular: cython.double
-    lateral: cython.double
-
-    def __init__(self, odometry: Odometry) -> None:
-        """Read the numbers of `odometry`."""
-        pose, twist = odometry.pose, odometry.twist
-        self.odometry, self.stamp = odometry, odometry.stamp
-        self.x, self.y, self.yaw = pose.x, pose.y, pose.yaw
-        self.linear, self.angular, self.lateral = twist.linear, twist.angular, twist.lateral
-
-    @cython.cfunc
-    def pose_after(
-        self, seconds: cython.double
-    ) -> tuple[cython.double, cython.double, cython.double]:
-        """The pose (x, y, yaw) some time after the reading, at its twist."""
-        middle_yaw: cython.double = self.yaw + 0.5 * seconds * self.angular
-        c: cython.double = cos(middle_yaw)
-        s: cython.double = sin(middle_yaw)
-        return (
-            self.x + seconds * (c * self.linear - s * self.lateral),
-            self.y + seconds * (s * self.linear + c * self.lateral),
-            self.yaw + seconds * self.angular,
-        )
-
-    @cython.cfunc
-    def jumps_from(self, last: Motion) -> cython.bint:
-        """True if an estimator has shifted the pose since `last`."""
-        dx: cython.double = self.x - last.x
-        dy: cython.double = self.y - last.y
-        return is_jump(dx, dy, self.yaw - last.yaw, self.stamp - last.stamp)
-
-
-@cython.final
-@cython.cclass
 class RightOfWay:
     """Replaces the requested command of a robot before an opening. Times are in s, by argument."""
 
@@ -328,7 +275,7 @@ class RightOfWay:
     _x: cython.double  # the pose by odometry at the last command
     _y: cython.double
     _yaw: cython.double
-    _motion: Motion  # the last reading of odometry; None before the first
+    _trail: OdometryTrail
     _passed_at = cython.declare(cython.double, visibility="public")
     # m to the left of the axis at which the robot drives in a corridor
     _lean: cython.double
@@ -351,8 +298,6 @@ class RightOfWay:
     _is_backing: cython.bint
     _busy_at: cython.double  # when traffic last made the robot give way
     _keep_clear_for: cython.double  # s after `_busy_at` in which the robot still gives way
-    _has_priority = cython.declare(cython.bint, visibility="public")  # as drawn at random
-    _drawn_until = cython.declare(cython.double, visibility="public")
     _waiting_side: cython.double  # 1 left or -1 right of the axis; 0: not chosen
     _is_lined_up: cython.bint
     # m to the left: the middle measured between the posts less that of the sightings; None before.
@@ -368,7 +313,7 @@ class RightOfWay:
         lead = limits.linear / limits.angular if limits.angular > 0.0 else _LEAD_TIME
         self._lead = min(max(lead, _LEAD_TIMES[0]), _LEAD_TIMES[1])
         self._rng = Random(f"way {seed}")
-        self._openings = Openings(clearance.body, returns)
+        self._openings, self._trail = Openings(clearance.body, returns), OdometryTrail()
         self._passed_at = -INFINITY
         self.reset()
 
@@ -380,11 +325,8 @@ class RightOfWay:
 
     @cython.ccall
     def on_odometry(self, odometry: Odometry) -> None:
-        """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
-        last: Motion = self._motion
-        motion: Motion = Motion(odometry)
-        self._motion = motion
-        if last is not None and (motion.stamp < last.stamp or motion.jumps_from(last)):
+        """Take in a reading. If it begins the trail anew, all openings are forgotten."""
+        if self._trail.take(odometry) == ANEW:
             self._openings.clear()
             self._release()
 
@@ -395,9 +337,9 @@ class RightOfWay:
         self._wanted_yaw = self._keep_clear_for = self._waiting_side = 0.0
         self._sides, self._farthest, self._seen_since, self._within_at = {}, {}, {}, {}
         self._came_out = set()
-        self._progress_along = self._progress_at = self._busy_at = self._drawn_until = -INFINITY
+        self._progress_along = self._progress_at = self._busy_at = -INFINITY
         self._held_along = -INFINITY
-        self._has_priority, self._is_backing, self._is_lined_up = True, False, False
+        self._is_backing, self._is_lined_up = False, False
 
     @property
     def is_settled(self) -> bool:
@@ -410,19 +352,12 @@ class RightOfWay:
         odometry = context.odometry
         if self.state is WayState.NONE or opening is None or odometry is None:
             return None
-        base_x, base_y, yaw = self._motion_of(odometry).pose_after(context.odometry_age or 0.0)
-        x: cython.double = opening.x - base_x
-        y: cython.double = opening.y - base_y
-        bearing: cython.double = remainder(atan2(y, x) - yaw, TURN)
+        trail: OdometryTrail = self._trail
+        trail.set_pose(trail.latest + (context.odometry_age or 0.0))
+        x: cython.double = opening.x - trail.x
+        y: cython.double = opening.y - trail.y
+        bearing: cython.double = remainder(atan2(y, x) - trail.yaw, TURN)
         return Avoided(bearing, math.hypot(x, y), self.state)
-
-    @cython.cfunc
-    def _motion_of(self, odometry: Odometry) -> Motion:
-        """The numbers of a reading, which is the last one as a rule."""
-        motion: Motion = self._motion
-        if motion is None or motion.odometry is not odometry:
-            motion = Motion(odometry)
-        return motion
 
     @cython.ccall
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
@@ -441,11 +376,11 @@ class RightOfWay:
                 self._lean = _LEAN * float(right_ages.mean() - left_ages.mean())
         if odometry is None or context.odometry_age is None:
             return
+        self.on_odometry(odometry)
         if abs(odometry.twist.angular) > _TURNING:
             return
         scan_age = (scan.newest_age or 0.0) + context.scan_delay
-        motion: Motion = self._motion_of(odometry)
-        pose = Pose(*motion.pose_after(context.odometry_age - scan_age))
+        pose = self._trail.pose_at(self._trail.latest + context.odometry_age - scan_age)
         c: cython.double = cos(self._yaw)
         s: cython.double = sin(self._yaw)
         track: Track
@@ -477,11 +412,14 @@ class RightOfWay:
         now: cython.double = context.now
         if odometry is None or odometry_age is None:
             return requested
-        if self._motion is None or self._motion.odometry is not odometry:
-            self.on_odometry(odometry)
+        self.on_odometry(odometry)
 
         # 1. The pose of the base, and the direction of the request.
-        base_x, base_y, yaw = self._motion.pose_after(odometry_age)
+        trail: OdometryTrail = self._trail
+        trail.set_pose(trail.latest + odometry_age)
+        base_x: cython.double = trail.x
+        base_y: cython.double = trail.y
+        yaw: cython.double = trail.yaw
         self._surroundings, self._x, self._y, self._yaw = surroundings, base_x, base_y, yaw
         linear: cython.double = requested.linear
         angular: cython.double = requested.angular
@@ -617,10 +555,6 @@ class RightOfWay:
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
         moving objects) in the same frame. `now`: s.
         """
-        # m. In an opening, a robot with priority backs out only for a robot that is deeper in by
-        # more than `slack`. Before an opening, a robot with priority lets another robot go first
-        # that is up to `slack` farther away. Without priority, `slack` is negative.
-        slack = _EQUALLY_DEEP if self._has_priority else -_EQUALLY_DEEP
         is_busy = is_behind = is_met = is_close = is_queued = False
         for id, along, aside in map(astuple, others):
             # 1. The side from which the track came. The side stays while the track is within or
@@ -654,14 +588,14 @@ class RightOfWay:
                 is_in_or_through = along < place.depth + _IN
                 if place.is_in and is_ahead:
                     meets = along - place.along < _MEETING + place.depth
-                    is_met |= meets and other_m > max(own_m + slack, 0.0)
-                elif is_in_or_through or along - place.depth < -place.along + slack:
+                    is_met |= meets and other_m > max(own_m, 0.0)
+                elif is_in_or_through or along - place.depth < -place.along:
                     is_busy = True  # the track is in or through the opening, or nearer to it
                     if is_within:
                         self._within_at[id] = now
             elif is_ahead and along > -_IN:  # the track goes in ahead of the robot
                 is_close |= along - place.along < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
-            elif hypot(along + _LINE_UP, aside) < place.to_line_up + slack:
+            elif hypot(along + _LINE_UP, aside) < place.to_line_up:
                 is_behind = True  # the track is nearer to the place to line up
         return _Traffic(is_busy, is_behind, is_met, is_close, is_queued)
 
@@ -685,12 +619,7 @@ class RightOfWay:
             safe_for: gives the command that protection would make of any command.
             points: gives the returns of the scan in the base frame.
         """
-        # 1. Draws the priority again if the robot makes no progress.
-        if now > self._drawn_until and now - self._progress_at > _NO_PROGRESS:
-            self._has_priority = self._rng.random() < _MINE_SHARE
-            self._drawn_until = now + self._rng.uniform(*_PRIORITY_TIMES)
-
-        # 2. Corrects all places by the measured middle of the opening.
+        # 1. Corrects all places by the measured middle of the opening.
         self._find_middle(place, points)
         middle_offset = self._middle_offset or 0.0
         if abs(middle_offset) > _WRONG_BY and self._openings.forget(self._opening):
@@ -699,7 +628,7 @@ class RightOfWay:
         place = replace(place, aside=place.aside - middle_offset)
         others = [_PlacedTrack(o.id, o.along, o.aside - middle_offset) for o in others]
 
-        # 3. Judges the traffic. The time to keep clear counts from the last decision with traffic,
+        # 2. Judges the traffic. The time to keep clear counts from the last decision with traffic,
         # and is random, so that two robots do not enter together. Then the state.
         traffic = self._judge_traffic(place, others, now)
         self._update_progress(place, traffic, now)

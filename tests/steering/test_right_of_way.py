@@ -109,7 +109,6 @@ class Step(NamedTuple):
     pause: float = 0.0  # s before, without a decision
     turns: float = 0.0  # rad/s by odometry
     passed: float | None = None  # s before now: when the robot passed an opening among others
-    has_priority: bool | None = None  # what chance decides, from now on
 
 
 def ride_through(*steps: Step, depth: float = 0.0) -> Ride:
@@ -118,8 +117,6 @@ def ride_through(*steps: Step, depth: float = 0.0) -> Ride:
     for step in steps:
         if step.passed is not None:
             ride.way._passed_at = ride.now - step.passed
-        if step.has_priority is not None:
-            ride.way._has_priority, ride.way._drawn_until = step.has_priority, math.inf
         ride.now += step.pause
         c, s = math.cos(step.yaw), math.sin(step.yaw)
         tracks = [
@@ -197,11 +194,11 @@ STATES: dict[str, tuple[list[Step], WayState]] = {
         WayState.ASIDE,
     ),
     "another farther on its other side": (
-        [LINED_UP, Step(-0.3, there={1: (0.48, 0.0)}, seconds=1.5, has_priority=False)],
+        [LINED_UP, Step(-0.3, there={1: (0.48, 0.0)}, seconds=1.5)],
         WayState.LINE,
     ),
     "another through it, as near as the robot": (
-        [LINED_UP, Step(-0.1, 0, 0.7, {1: (0.2, 0.0)}, seconds=1.5, has_priority=False)],
+        [LINED_UP, Step(-0.1, 0, 0.7, {1: (0.2, 0.0)}, seconds=1.5)],
         WayState.ASIDE,
     ),
     "another 0.7 m beyond": (
@@ -269,16 +266,16 @@ STATES: dict[str, tuple[list[Step], WayState]] = {
         [CHOSEN, Step(-0.7, there={1: (-0.85, 0.3)}, seconds=1.5)],
         WayState.APPROACH,
     ),
-    "another 5 cm nearer, the robot has priority": (
-        [CHOSEN, Step(-0.85, there={1: (-0.5, 0.3)}, seconds=1.5, has_priority=True)],
+    "another 5 cm nearer": (
+        [CHOSEN, Step(-0.85, there={1: (-0.5, 0.3)}, seconds=1.5)],
         WayState.ASIDE,
     ),
-    "another 5 cm nearer, the robot has no priority": (
-        [CHOSEN, Step(-0.85, there={1: (-0.5, 0.3)}, seconds=1.5, has_priority=False)],
+    "another 5 cm farther": (
+        [CHOSEN, Step(-0.85, there={1: (-0.8, 0.27)}, seconds=1.5)],
         WayState.APPROACH,
     ),
     "another 30 cm farther": (
-        [CHOSEN, Step(-0.7, there={1: (-0.9, 0.3)}, seconds=1.5, has_priority=True)],
+        [CHOSEN, Step(-0.7, there={1: (-0.9, 0.3)}, seconds=1.5)],
         WayState.APPROACH,
     ),
     "another ahead that advances": (
@@ -305,26 +302,26 @@ STATES: dict[str, tuple[list[Step], WayState]] = {
         ],
         WayState.GO,
     ),
-    "another comes that is 5 cm less deep, the robot has priority": (
+    "another comes that is 5 cm less deep": (
         [
             LINED_UP,
-            Step(-0.05, there={1: (0.3, 0.0)}, has_priority=True),
+            Step(-0.05, there={1: (0.3, 0.0)}),
             Step(-0.05, there={1: (0.1, 0.0)}, seconds=1.5),
         ],
         WayState.IN,
     ),
-    "another comes that is 5 cm less deep, the robot has no priority": (
+    "another comes that is 5 cm deeper": (
         [
             LINED_UP,
-            Step(-0.05, there={1: (0.3, 0.0)}, has_priority=False),
-            Step(-0.05, there={1: (0.1, 0.0)}, seconds=1.5),
+            Step(-0.05, there={1: (0.3, 0.0)}),
+            Step(-0.05, there={1: (0.0, 0.0)}, seconds=1.5),
         ],
         WayState.BACK,
     ),
-    "another comes that is 25 cm deeper, the robot has priority": (
+    "another comes that is 25 cm deeper": (
         [
             LINED_UP,
-            Step(-0.2, there={1: (0.3, 0.0)}, has_priority=True),
+            Step(-0.2, there={1: (0.3, 0.0)}),
             Step(-0.2, there={1: (-0.05, 0.0)}, seconds=1.5),
         ],
         WayState.BACK,
@@ -434,32 +431,11 @@ def test_a_robot_turns_to_its_opening_among_several() -> None:
     ride = Ride()
     for y in (1.0, 0.0):
         for _ in range(2):
+            ride.now += 0.1
             odometry = Odometry(ride.now, Pose(-0.8, y), ZERO)
             context = DecisionContext(ride.now, 0.0, odometry, 0.0)
             ride.way.observe(scan(near(-0.8)), (0.0, 0.0), context)
     assert ride.at(near(-0.4, 0.7), seconds=0.1).angular > 0.0
-
-
-def test_a_robot_in_an_opening_draws_its_priority_anew() -> None:
-    ride = ride_through(LINED_UP)
-    drawn: dict[float, bool] = {}
-    for _ in range(300):
-        ride.at(near(0.0), seconds=0.1)
-        drawn[ride.way._drawn_until] = ride.way._has_priority
-    times = np.diff(list(drawn))
-    assert times.min() >= 3.0
-    assert times.max() <= 6.0 + 2.1  # and up to 2 s since the last progress
-    assert {*drawn.values()} == {True, False}
-
-
-def test_a_robot_that_makes_progress_keeps_its_priority() -> None:
-    ride = ride_through(LINED_UP, depth=1.0)
-    drawn = {ride.way._drawn_until}
-    for k in range(20):
-        ride.at(near(-0.2 + 0.05 * k), seconds=0.5)
-        drawn.add(ride.way._drawn_until)
-    assert ride.state() is WayState.IN
-    assert len(drawn) == 1
 
 
 def test_without_an_opening_on_the_way_a_request_passes_unchanged() -> None:
@@ -597,7 +573,6 @@ def test_a_robot_clears_the_way_of_another_that_does_not_go_on() -> None:
 def test_a_robot_in_an_opening_goes_on_while_another_is_before_its_other_side() -> None:
     ride = Ride()
     ride.at(near(-0.6))
-    ride.way._has_priority, ride.way._drawn_until = False, np.inf  # chance is against the robot
     ride.at(near(-0.2), track(1, 0.5), seconds=4.0)
     assert ride.state() is WayState.IN
 
@@ -720,12 +695,12 @@ def test_openings_that_were_seen_once_do_not_push_out_a_known_one() -> None:
     ride = Ride()
     ride.at(near(-1.0))
     ride.way.reset()
-    for k in range(1, 12):  # each at another place, by a step of odometry
-        ride.way.observe(
-            scan(near(-1.0)),
-            (0.0, 0.0),
-            DecisionContext(ride.now, 0.0, Odometry(ride.now, Pose(-1.0, 3.0 * k, 0.0), ZERO), 0.0),
-        )
+    for k in range(1, 12):  # each at another place, by a step of odometry that is no jump
+        ride.now += 0.3
+        odometry = Odometry(ride.now, Pose(-1.0, 3.0 * k, 0.0), ZERO)
+        context = DecisionContext(ride.now, 0.0, odometry, 0.0)
+        ride.way.observe(scan(near(-1.0)), (0.0, 0.0), context)
+    ride.now += 4.0
     ride.at(near(-1.0), seconds=0.1)
     assert ride.state() is WayState.APPROACH
 
@@ -750,3 +725,21 @@ def test_tracks_that_have_ended_are_forgotten_at_a_door() -> None:
     for id in range(1, 40):
         ride.at(near(-1.0), track(id, 1.6), seconds=3.5)
     assert len(ride.way._sides) <= 1
+
+
+def test_the_pose_at_a_scan_is_between_the_readings_around_it() -> None:
+    """The base has just stopped: at the scan, 0.2 s before the newest reading, it was 4 cm back."""
+    ride = Ride()
+    for back in (0.08, 0.06, 0.04, 0.02, 0.0):
+        ride.now += 0.1
+        speed = Twist(0.2 if back else 0.0)
+        ride.way.on_odometry(Odometry(ride.now, near(-1.0 - back), speed))
+        context = DecisionContext(ride.now, 0.0, Odometry(ride.now, near(-1.0), ZERO), 0.0, 0.2)
+    for _ in range(2):
+        ride.way.observe(scan(near(-1.04)), (0.0, 0.0), context)
+    ride.way.command(
+        AHEAD, context, Surroundings((), NO_POINTS), lambda twist: twist, lambda: NO_POINTS
+    )
+    avoided = ride.way.passed(context)
+    assert avoided is not None
+    assert avoided.distance == pytest.approx(1.0, abs=0.01)
