@@ -57,7 +57,6 @@ short: _Type[builtins.int]
 uchar: _Type[builtins.int]
 bint: _Type[bool]
 p_double: _Type[View[builtins.float]]
-p_const_uchar: _Type[bytes]
 p_longlong: _Type[View[builtins.int]]
 
 @overload

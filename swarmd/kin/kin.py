@@ -563,9 +563,8 @@ class Kin:
                 places[i], places[i + 1] = track.x, track.y
                 places[i + 2] = length(track.x - self._x, track.y - self._y)
                 i += POINT
-        data: bytes = told.objects
-        packed: cython.p_const_uchar = data
-        for m in range(len(data) // _object_size):
+        packed: bytes = told.objects
+        for m in range(len(packed) // _object_size):
             n = _object_size * m
             distance: cython.double = _unit * (packed[n] * 0x100 + packed[n + 1])
             turned: cython.Py_ssize_t = packed[n + 2] * 0x100 + packed[n + 3]
