@@ -57,6 +57,7 @@ else:
     from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, isnan, rint, sin
 
 # C names
+_MOST_NUMBER = cython.declare(cython.double, 1e12)  # m, rad or s in a message
 _unit = cython.declare(cython.double, UNIT)
 _object_size = cython.declare(cython.Py_ssize_t, OBJECT_SIZE)
 _most_objects = cython.declare(cython.Py_ssize_t, MOST_OBJECTS)
@@ -367,6 +368,8 @@ class Kin:
         if self._trail.count == 0:
             return None
         self._set_own(now)
+        if not fabs(self._x) + fabs(self._y) + fabs(self._yaw) < _MOST_NUMBER:
+            return None
         moved: cython.double = length(self._x - self._told_x, self._y - self._told_y)
         moved += angle_between(self._yaw, self._told_yaw)
         period: cython.double = _MOVING_PERIOD if moved > _MOVED else _RESTING_PERIOD
@@ -804,8 +807,9 @@ def _sector_of(bearing: cython.double) -> cython.Py_ssize_t:
 @cython.inline
 @cython.exceptval(check=False)
 def _units(number: cython.double) -> cython.longlong:
-    """A number of m, rad or s as in a message."""
-    return cython.cast(cython.longlong, rint(number / _unit))
+    """A number of m, rad or s as in a message; 0 if it is too great, or none."""
+    is_small: cython.bint = fabs(number) < _MOST_NUMBER
+    return cython.cast(cython.longlong, rint((number if is_small else 0.0) / _unit))
 
 
 def hear_many(kins: list[Kin], id: str, told: Told, now: cython.double) -> None:

@@ -349,3 +349,20 @@ def test_a_robot_tells_five_times_a_second_while_it_moves_and_once_at_rest() -> 
             told.append(now)
     assert [round(now, 1) for now in told[:26]] == [round(0.2 * k, 1) for k in range(26)]
     assert [round(now, 1) for now in told[26:]] == [6.0, 7.0, 8.0, 9.0]
+
+
+@pytest.mark.parametrize("far", [math.nan, math.inf, -math.inf, 1e13, 1e300])
+def test_a_robot_whose_odometry_no_message_can_hold_tells_nothing(far: float) -> None:
+    kin = Kin()
+    kin.on_odometry(Odometry(0.0, Pose(far, 0.0, 0.0), Twist()), 0.0)
+    kin.observe([Seen(1, 1.0, 0.0)], FREE, 0.0)
+    assert kin.tell(0.0, True) is None
+
+
+@pytest.mark.parametrize("far", [math.nan, math.inf, 1e300])
+def test_a_track_that_no_message_can_hold_is_told_in_bounds(far: float) -> None:
+    kin = Kin()
+    kin.on_odometry(Odometry(0.0, Pose(), Twist()), 0.0)
+    kin.observe([Seen(1, far, 0.0)], FREE, 0.0)
+    told = kin.tell(0.0, True)
+    assert told is None or len(told.objects) == 4
