@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.patterns.random_walk.pattern import RandomWalk
+from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
@@ -86,3 +87,39 @@ def test_nothing_is_told_where_no_pattern_needs_places() -> None:
     run = simulated(RandomWalk)
     assert all(shell is not None and shell.robot._sensors.kin is None for shell in run.shells)
     assert {peer.distance for _, peer in places(run)} == {None}
+
+
+ARENA = {"groups.all.start": {"layout": "random", "clearance": 0.65}}
+AMONG_PILLARS = {
+    "arena.poles": [
+        {"at": at, "radius": 0.15}
+        for at in ([-2.1, 1.2], [-1.2, -1.4], [0.2, 0.6], [1.5, -0.9], [2.3, 1.3])
+    ]
+}
+BY_KIN = {"groups.all.parameters.kin": True}
+AT_REST = {"groups.all.parameters.speed": 0.0, "groups.all.parameters.turn": 0.0}
+WAYS = {
+    "by width, no pillars": {},
+    "by kin, no pillars": BY_KIN,
+    "by width": AMONG_PILLARS,
+    "by kin": {**AMONG_PILLARS, **BY_KIN},
+    "at rest": {**AMONG_PILLARS, **AT_REST},
+}
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("visibility", ["real", "body"])
+def test_attraction_gathers_among_pillars_as_without_them(visibility: str) -> None:
+    """The table "Attraction among pillars" of docs/evidence/kin.md."""
+    linked = {}
+    for way, changes in WAYS.items():
+        sets = {"lidar_visibility": visibility, **ARENA, **changes}
+        results = simulate("paper_exp1_hardware_free", range(8000, 8040), set=sets, traces=False)
+        clusters = results.metric("largest_cluster", results.runs[0].variant.name)
+        linked[way] = int((clusters >= 6).sum())
+        print(f"{visibility}, {way}: {linked[way]} of {len(clusters)}")
+    assert linked["by kin"] > linked["by width"]
+    assert linked["by kin, no pillars"] >= linked["by width, no pillars"]
+    if visibility == "real":
+        assert linked["by kin"] >= linked["by width, no pillars"] - 2
+    assert linked["at rest"] == 0
