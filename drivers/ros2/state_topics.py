@@ -20,7 +20,6 @@ from zenoh.handlers import Callback
 
 from swarmd.core.finding import Finding
 from swarmd.core.messages import Motion, ShownPose, State, Status
-from swarmd.core.state_colours import colour_of
 from swarmd.core.values import Array, Platform, Pose
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros import messages as ros
@@ -41,6 +40,14 @@ _TYPES: Mapping[str, type] = {
 }
 _NO_DATA = np.empty(0, dtype=np.uint8)
 _LIFETIME = 2  # s after which RViz removes the markers of a robot that is silent
+_HELD = (0.95, 0.55, 0.1)  # the colour of a robot that runs and may not move: red, green, blue
+_COLOURS: Mapping[State, tuple[float, float, float]] = {
+    State.IDLE: (0.2, 0.4, 0.9),
+    State.RUNNING: (0.1, 0.7, 0.2),
+    State.STOPPED: (0.9, 0.8, 0.1),
+    State.ESTOPPED: (0.7, 0.0, 0.0),
+    State.FAULTED: (0.6, 0.1, 0.7),
+}
 
 
 class StateTopics:
@@ -172,7 +179,7 @@ def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> r
     `head`.
     """
     is_held = status.state is State.RUNNING and status.reason is not None
-    red, green, blue = colour_of(status.state, is_held=is_held)
+    red, green, blue = _HELD if is_held else _COLOURS[status.state]
     length = float(abs(footprint[:, 0]).max())
     outline = [ros.Point(x=float(x), y=float(y), z=0.0) for x, y in (*footprint, footprint[0])]
     heading = [ros.Point(x=0.0, y=0.0, z=0.0), ros.Point(x=1.5 * length, y=0.0, z=0.0)]

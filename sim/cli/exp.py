@@ -6,7 +6,6 @@ import itertools
 import shlex
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from signal import SIGTERM
@@ -109,9 +108,6 @@ def exp() -> None:
 @click.option(
     "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
 )
-@click.option(
-    "--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask cluster: tcp://HOST:8786."
-)
 @click.option("--no-traces", is_flag=True, help="Keep only metrics; fewer plots are possible.")
 @click.option(
     "--until",
@@ -143,7 +139,6 @@ def run(
     timeout: float | None,
     out: Path | None,
     shard: str | None,
-    scheduler: str | None,
     no_traces: bool,
     until: str | None,
     alpha: float | None,
@@ -162,12 +157,8 @@ def run(
     """
     # 1. Libraries.
     need("mujoco")
-    if scheduler is not None:
-        need("distributed", extra="sim,plot,cluster")
     from swarmd.sim.cli.progress import time_span
-    from swarmd.sim.experiments.cluster import connect
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
-    from swarmd.sim.experiments.pool import STEP_TIMEOUT
     from swarmd.sim.experiments.requirements import Verdict
     from swarmd.sim.experiments.sequential import SequentialTest
     from swarmd.sim.experiments.simulate import plan_of
@@ -198,7 +189,7 @@ def run(
         plan = replace(plan, shard=parse_shard(shard))
         if out is None:
             raise ConfigError("--shard needs --out DIR, so that the same command resumes the part")
-    if cores is None and plan.runs and scheduler is None:
+    if cores is None and plan.runs:
         cores = _spare_cores(plan, jobs)
 
     # 3. The command line that resumes the experiment in its folder.
@@ -213,7 +204,6 @@ def run(
             "--jobs": jobs,
             "--cores": cores,
             "--shard": shard,
-            "--scheduler": scheduler,
             "--out": folder,
             "--no-traces": no_traces,
             "--until": until,
@@ -226,20 +216,15 @@ def run(
 
     # 4. The runs.
     start_time = time.monotonic()
-    with (
-        connect(scheduler, timeout or STEP_TIMEOUT, jobs, cores or 1)
-        if scheduler is not None
-        else nullcontext(workers(jobs, timeout, cores or 1))
-    ) as runner:
-        results = do_runs(
-            plan,
-            folder,
-            runner,
-            traces=not no_traces,
-            command=command,
-            metrics=chosen or (),
-            test=test,
-        )
+    results = do_runs(
+        plan,
+        folder,
+        workers(jobs, timeout, cores or 1),
+        traces=not no_traces,
+        command=command,
+        metrics=chosen or (),
+        test=test,
+    )
 
     # 5. The statistics and the exit code.
     measured = None if chosen is None else [results.about(metric.name) for metric in chosen]

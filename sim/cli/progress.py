@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.simulate import OnProgress, Progress
 
 MAX_LINES = 10  # without a terminal: a line for each tenth of the runs
-NAMED_WORKERS = 4  # of a cluster
 FIRST_ESTIMATE = 2.0  # s of progress before there is an estimate
 
 
@@ -65,8 +64,7 @@ class _Notes:
         """
         failures = f", {now.failed} failed" if now.failed else ""
         seconds = self._seconds_left(now, time)
-        text = f"{failures}{_on_workers(now.workers)}"
-        return text if seconds is None else f"{text}, about {time_span(seconds)} left"
+        return failures if seconds is None else f"{failures}, about {time_span(seconds)} left"
 
     def _seconds_left(self, now: Progress, time: float) -> float | None:
         """The estimate of the time left in s; None before the first estimate, and at the end."""
@@ -100,13 +98,6 @@ class _Lines:
             self._printed_tenths = tenths
             self._has_estimate = self._has_estimate or is_first_estimate
             warn(f"{now.done} of {now.total} runs{text}")
-
-
-def _on_workers(runs: Mapping[str, int]) -> str:
-    """Text such as ", 3 on tcp://10.0.0.2:4001"; empty without a cluster. `runs`: by worker."""
-    listed = [f", {count} on {worker}" for worker, count in sorted(runs.items())]
-    more = len(listed) - NAMED_WORKERS
-    return "".join(listed[:NAMED_WORKERS]) + (f" and {more} more workers" if more > 0 else "")
 
 
 def time_span(seconds: float) -> str:

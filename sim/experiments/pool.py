@@ -92,15 +92,6 @@ Shares: TypeAlias = Mapping[str, float]
 """The simulated share 0..1 of each run in progress, by run."""
 
 
-class ClusterShares(dict[str, float]):
-    """Shares of runs on the workers of a cluster."""
-
-    def __init__(self, shares: Mapping[str, float], workers: Mapping[str, str]) -> None:
-        """`shares` and `workers`: by run in progress."""
-        super().__init__(shares)
-        self.workers = workers
-
-
 @dataclass(frozen=True, slots=True)
 class JobResult:
     """The result of a job."""

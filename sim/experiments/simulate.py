@@ -16,10 +16,9 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
-from contextlib import closing, nullcontext, suppress
-from dataclasses import dataclass, field, replace
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Integral
 from pathlib import Path
@@ -28,12 +27,10 @@ from typing import Any, TypeAlias, cast
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.plugins import MISSION
-from swarmd.sim.experiments.cluster import connect
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
 from swarmd.sim.experiments.pool import (
     STEP_TIMEOUT,
-    ClusterShares,
     Job,
     JobResult,
     Shares,
@@ -63,8 +60,6 @@ class Progress:
 
     At least the longest running run's rest, times the number of running runs: workers may wait for
     the longest run."""
-    workers: Mapping[str, int] = field(default_factory=dict)
-    """The number of runs in progress by worker of a cluster."""
 
 
 _TRIAL = 1.0  # simulated s
@@ -73,7 +68,7 @@ OnProgress: TypeAlias = Callable[[Progress], None]
 """Called after each run, and several times a second while runs report progress."""
 
 Runner: TypeAlias = Callable[[Sequence[Job]], Generator[JobResult | Shares, None, None]]
-"""Does jobs in this process, in worker processes or elsewhere: results as they arrive."""
+"""Does jobs in this process or in worker processes: results as they arrive."""
 
 
 def simulate(
@@ -88,7 +83,6 @@ def simulate(
     timeout: float = STEP_TIMEOUT,
     shard: str | None = None,
     cores: int = 1,
-    scheduler: str | None = None,
     metrics: Iterable[str | Metric] = (),
     on_progress: OnProgress | None = None,
 ) -> Results:
@@ -105,8 +99,6 @@ def simulate(
       folder and equal arguments continues an interrupted experiment. Without `out` the results lie
       in a temporary folder, which is deleted with the returned object.
     - `cores`: the number of processes that share the robots of each run, for runs with many robots.
-    - `scheduler`: the address of a Dask scheduler, such as `"tcp://HOST:8786"`. Its workers do the
-      runs, one for each of their threads, whatever `jobs` is; the extra `cluster` is needed.
     - `metrics`: metrics besides those of the catalog: `report:...`, `reading:...`,
       `FILE.py:FUNCTION`.
     - `shard`: with "3/40" only the third of forty parts is run; `merge` joins the parts' folders.
@@ -129,13 +121,10 @@ def simulate(
     custom = beyond_catalog(map(metric_of, metrics))
     manifest = manifest_of(plan, traces=traces, command=[], metrics=custom)
     run_in_workers = partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
-    here = run_in_workers if max(jobs, cores) > 1 else run_here
+    runner = run_in_workers if max(jobs, cores) > 1 else run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
-        with (
-            nullcontext(here) if scheduler is None else connect(scheduler, timeout, cores=cores)
-        ) as runner:
-            results = run_experiment(manifest, folder, runner, on_progress=on_progress)
+        results = run_experiment(manifest, folder, runner, on_progress=on_progress)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -249,7 +238,6 @@ class _Work:
     def __init__(self, work: Mapping[str, float]) -> None:
         """`work`: of all runs to do, by run."""
         self.shares: dict[str, float] = {}  # simulated share 0..1 of runs in progress, by run
-        self.workers: dict[str, str] = {}  # worker of a cluster, by run in progress
         self._work = work
         self._ended = 0.0  # simulated by runs that have ended
         self._to_end = sum(work.values())  # of all runs that have not ended
@@ -257,7 +245,6 @@ class _Work:
     def end(self, run: str, *, has_failed: bool) -> None:
         """Count a run that has ended; a failed run has done its last reported share."""
         last_share = self.shares.pop(run, 0.0)
-        self.workers.pop(run, None)
         self._ended += self._work[run] * last_share if has_failed else self._work[run]
         self._to_end -= self._work[run]
 
@@ -293,15 +280,13 @@ def _gather(
         if on_progress is not None:
             failed = len(store.failures)
             done = len(store.rows) + failed
-            workers = Counter(work.workers.values())
-            on_progress(Progress(done, total, failed, *work.done_and_left(), workers))
+            on_progress(Progress(done, total, failed, *work.done_and_left()))
 
     with closing(reports):
         report_progress()
         for result in reports:
             if not isinstance(result, JobResult):
                 work.shares = dict(result)
-                work.workers = dict(result.workers) if isinstance(result, ClusterShares) else {}
                 report_progress()
                 continue
             if result.write_error:

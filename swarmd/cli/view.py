@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -14,8 +13,8 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli.options import EXISTING, CommonOptions, common_options
-from swarmd.cli.output import need_terminal, signals_end, warn
-from swarmd.cli.web import HOST, WebOptions, check_web, serve, web_options
+from swarmd.cli.output import need_terminal, warn
+from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import SwarmError
 from swarmd.plugins import need, pattern_names
 
@@ -24,29 +23,16 @@ if TYPE_CHECKING:
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 
-FOXGLOVE_PORT = 8765
-"""At which Foxglove looks by default."""
-
 
 @click.command()
 @click.argument("files", nargs=-1, metavar="[FILE]...", type=EXISTING)
 @click.option("--web", is_flag=True, help="Serve a web page.")
-@click.option(
-    "--foxglove",
-    type=click.IntRange(0, 65535),
-    is_flag=False,
-    flag_value=FOXGLOVE_PORT,
-    metavar="[PORT]",
-    help=f"Serve Foxglove on this port of loopback [{FOXGLOVE_PORT}]; 0: any. The printed address"
-    " has a secret.",
-)
 @web_options
 @common_options
 def view(
     options: CommonOptions,
     files: tuple[Path, ...],
     web: bool,
-    foxglove: int | None,
     page: WebOptions,
 ) -> None:
     """Show a living swarm: map and list.
@@ -54,14 +40,11 @@ def view(
     The swarm is shown on this terminal, where keys stop all robots; with --web on a page with
     details and commands, whose address is printed. With FILE the page plays recordings instead: a
     merged recording, recordings of robots (.mcap), or a folder of recordings, such as `record
-    fetch` makes. With --foxglove a Foxglove on this computer shows the swarm.
+    fetch` makes.
     """
     if not web and (page.token or page.viewer_token or page.tls is not None):
         raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
-    if foxglove is not None:
-        _check_foxglove(files, web, page)
-        _serve_foxglove(options, foxglove)
-    elif not web:
+    if not web:
         if files:
             raise click.UsageError(f"{files[0]}: recordings are shown on a page; add --web")
         click.get_current_context().exit(_show(options))
@@ -77,22 +60,6 @@ def view(
             page = page.of(identity)
             check_web(page)
             serve(source, commander, page)
-
-
-def _check_foxglove(files: tuple[Path, ...], web: bool, page: WebOptions) -> None:
-    """UsageError for options that do not go with --foxglove; PluginError without its packages."""
-    if web:
-        raise click.UsageError("--foxglove shows a living swarm, alone; without --web")
-    if files:
-        raise click.UsageError(
-            "--foxglove shows a living swarm, alone; Foxglove opens recordings by itself:"
-            f" leave out {files[0]}"
-        )
-    if page.bind != HOST:
-        raise click.UsageError(
-            f"--bind {page.bind}: Foxglove is served on {HOST} alone; from another computer: ssh -L"
-        )
-    need("foxglove", "websockets", extra="foxglove")
 
 
 @contextmanager
@@ -120,24 +87,6 @@ def _live(
             commander.close()
             source.close()
             remember(operator.settings, source.view)
-
-
-def _serve_foxglove(options: CommonOptions, port: int) -> None:
-    """Serve the swarm to Foxglove until Ctrl-C or SIGTERM."""
-    from swarmd.view.foxglove import PERIOD, FoxgloveServer
-
-    with (
-        _live(options, "", with_patterns=False) as (source, _, _),
-        FoxgloveServer(source, HOST, port) as server,
-        signals_end(),
-        suppress(KeyboardInterrupt),
-    ):
-        click.echo(f"foxglove: {server.address}")
-        warn("the address has a secret: whoever knows it can read what Foxglove shows")
-        warn("Ctrl-C ends it")
-        while True:
-            server.publish()
-            time.sleep(PERIOD)
 
 
 def _show(options: CommonOptions) -> int:

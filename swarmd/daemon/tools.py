@@ -34,9 +34,6 @@ from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)
 
-PATTERN = "pattern"
-"""The source of what a pattern prints."""
-
 
 class LogCapture(logging.Handler):
     """Puts each log record into a ring, from any thread; on the root logger until `close`."""

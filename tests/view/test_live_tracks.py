@@ -1,8 +1,12 @@
-"""The tracks of selected robots, from robots that tell them to those that watch."""
+"""The tracks and scans of selected robots, from robots that tell them to those that watch."""
 
 from __future__ import annotations
 
+import time
+from contextlib import closing
 from typing import cast
+
+import pytest
 
 from swarmd.core.codec import encode
 from swarmd.core.messages import DecisionSummary, Reason, ShownTrack, Tracks
@@ -50,3 +54,18 @@ def test_the_tracks_of_a_selected_robot_are_in_its_row() -> None:
             assert ("tracks", one) not in swarm.watched
         finally:
             source.close()
+
+
+def test_a_scan_is_shown_no_longer_than_it_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    with FedSwarm(1) as swarm:
+        (name,) = swarm.names
+        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
+        source.start()
+        with closing(source):
+            wait_until(lambda: bool(source.rows().get(name, {}).get("limits")), "a status")
+            source.select([name])
+            wait_until(lambda: source.scan(name) is not None, "a scan")
+            swarm.watched.pop(("scan", name))  # its sensor is silent
+            now = time.monotonic()
+            monkeypatch.setattr("swarmd.view.live.time.monotonic", lambda: now + 2.0)
+            assert source.scan(name) is None

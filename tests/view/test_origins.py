@@ -7,25 +7,17 @@ cannot read, and names the page's origin. A name of the page's own may lead to l
 from __future__ import annotations
 
 import asyncio
-import os
-import socket
 import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, closing
-from pathlib import Path
-from typing import cast
 from urllib.parse import urlsplit
 
 import pytest
 
 from swarmd.network.carriers.robot_link import RobotServer
 from swarmd.network.carriers.session import open_listening
-from swarmd.network.operator.operator import Operator
 from swarmd.view.access import Access
-from swarmd.view.foxglove import FoxgloveServer
-from swarmd.view.live import LiveSource
 from swarmd.view.server import ViewServer
-from tests.support.fed_swarm import PATTERNS, FedOperator, FedSwarm
 from tests.support.processes import CAP
 from tests.view.test_server import OneRobot
 
@@ -45,18 +37,6 @@ def page_of(access: Access, path: str) -> Listener:
             yield f"{address.netloc}{path}"
         finally:
             await server.close()
-
-    return listener
-
-
-def foxglove_of(path: str | None) -> Listener:
-    @asynccontextmanager
-    async def listener() -> AsyncIterator[str]:
-        with FedSwarm(1) as swarm:
-            source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
-            with FoxgloveServer(source, "127.0.0.1", 0) as server:
-                address = urlsplit(server.address)
-                yield f"{address.netloc}{address.path if path is None else path}"
 
     return listener
 
@@ -95,9 +75,6 @@ LISTENERS: dict[str, tuple[Listener, str, str, str]] = {
     "page": (page_of(Access(), "/socket"), OPEN, REFUSED, REFUSED),
     "page with token": (page_of(Access(TOKEN), f"/socket?token={TOKEN}"), OPEN, REFUSED, OPEN),
     "page without its token": (page_of(Access(TOKEN), "/socket"), CLOSED, REFUSED, CLOSED),
-    "foxglove": (foxglove_of(None), OPEN, OPEN, OPEN),
-    "foxglove without secret": (foxglove_of("/"), REFUSED, REFUSED, REFUSED),
-    "foxglove, a guess": (foxglove_of(f"/{TOKEN}?token={TOKEN}"), REFUSED, REFUSED, REFUSED),
     "link of simulated robots": (robots_link, SILENT, SILENT, SILENT),
     "zenoh": (zenoh, SILENT, SILENT, SILENT),
 }
@@ -129,8 +106,6 @@ async def test_pages_of_other_sites_reach_no_listener(listener: str) -> None:
             heads += [f"Origin: {origin.format(**names)}"] if origin is not None else []
             found[name] = await upgraded(host, f"/{path}", heads)
             wanted[name] = results[result - 1]
-        if listener.startswith("foxglove"):  # the secret decides, whatever the headers
-            wanted = dict.fromkeys(wanted, results[0])
     assert found == wanted
 
 
@@ -143,7 +118,6 @@ async def upgraded(host: str, path: str, heads: list[str]) -> str:
         "Connection: Upgrade",
         "Sec-WebSocket-Version: 13",
         "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
-        "Sec-WebSocket-Protocol: foxglove.sdk.v1",
     ]
     name, _, port = host.rpartition(":")
     async with asyncio.timeout(CAP):
@@ -160,31 +134,3 @@ async def upgraded(host: str, path: str, heads: list[str]) -> str:
             return SILENT
         finally:
             writer.close()
-
-
-def listening() -> set[tuple[str, int]]:
-    """The TCP addresses at which this process listens."""
-    own = set()
-    for one in Path("/proc/self/fd").iterdir():
-        try:
-            own.add(os.readlink(one))
-        except OSError:  # that of this look
-            continue
-    found = set()
-    for line in Path("/proc/self/net/tcp").read_text().splitlines()[1:]:
-        fields = line.split()
-        if fields[3] == "0A" and f"socket:[{fields[9]}]" in own:
-            address, _, port = fields[1].partition(":")
-            packed = bytes.fromhex(address)[::-1]
-            found.add((socket.inet_ntoa(packed), int(port, 16)))
-    return found
-
-
-def test_foxglove_listens_at_the_printed_address_alone() -> None:
-    with FedSwarm(1) as swarm:
-        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
-        before = listening()
-        with FoxgloveServer(source, "127.0.0.1", 0) as server:
-            port = urlsplit(server.address).port
-            assert listening() - before == {("127.0.0.1", port)}
-        assert listening() <= before

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import logging
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
@@ -31,8 +30,6 @@ from swarmd.network.carriers.session import open_in_thread, open_pull_session
 from swarmd.network.datagram import Address
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity
-
-log = logging.getLogger(__name__)
 
 PIECE = 64 * 1024
 """Bytes of one answer; a whole blob exceeds what one message may have on a narrow link."""

@@ -67,18 +67,6 @@ def test_the_time_left_is_shown_before_the_first_run_has_ended(
     assert float(value) == pytest.approx(float(left.split()[0]), rel=0.25)
 
 
-def test_workers_of_a_cluster_that_hold_runs_are_named(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress(clock=lambda: 0.0) as show:
-        show(Progress(0, 4, 0, 0.0, 4.0, {"tcp://b:1": 1, "tcp://a:1": 2}))
-        show(Progress(2, 4, 1, 2.0, 2.0, {f"tcp://{n}:1": 1 for n in range(7)}))
-        show(Progress(4, 4, 1, 4.0, 0.0))
-    first, second, last = capsys.readouterr().err.splitlines()
-    assert first == "0 of 4 runs, 2 on tcp://a:1, 1 on tcp://b:1"
-    assert [f"tcp://{n}:1" in second for n in range(7)] == [True] * 4 + [False] * 3
-    assert second.endswith("3 more workers")
-    assert "tcp" not in last
-
-
 def test_nothing_to_do_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     with progress() as show:
         show(at(4, 4, worked=4.0))
