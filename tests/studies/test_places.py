@@ -112,6 +112,18 @@ def test_shared_poses_reach_what_boards_reach_and_robots_at_rest_do_not(name: st
     assert reached(name, figures[BOARD], figures[STILL]) < ENOUGH
 
 
+@pytest.mark.evidence
+def test_leader_following_by_kin_has_the_gaps_of_boards_in_most_runs() -> None:
+    """The table "Following by kin" of docs/evidence/kin.md; in some runs a robot is not named."""
+    without = {"radio.range_and_bearing": False}
+    figures = {
+        BOARD: [run(("leader_following", BOARD, seed)) for seed in range(20)],
+        "kin": [run(("leader_following", "kin", seed), without) for seed in range(20)],
+    }
+    show("leader_following", figures)
+    assert float(np.median(figures[BOARD]) / np.median(figures["kin"])) >= ENOUGH
+
+
 @pytest.mark.long
 def test_burgers_spread_by_shared_poses_and_not_at_rest() -> None:
     changes = {"duration": 25.0, "groups.tb3.count": 4}
