@@ -74,13 +74,12 @@ def scenario_of(
     overrides: Mapping[str, Any] | None = None,
     *,
     source: str = SOURCE,
-    home: str = "effective configuration",
 ) -> Scenario:
     """The scenario of a complete configuration, `Scenario.effective`, without files.
 
-    `overrides`, `source`: as of `load_scenario`. Errors call the configuration `home`.
+    `overrides`, `source`: as of `load_scenario`.
     """
-    sources = ((home, dict(effective)),)
+    sources = (("effective configuration", dict(effective)),)
     return _overridden(sources, overrides, "scenario", source)
 
 

@@ -12,7 +12,6 @@ from typing import Any, Concatenate, Self
 
 from swarmd.client.hand_over import begin, from_thread, in_thread
 from swarmd.client.swarm import Swarm
-from swarmd.core.clock import boottime
 from swarmd.core.errors import P, R
 
 MAX_LOOKS = 4
@@ -26,7 +25,7 @@ def _awaited(
     @wraps(method)
     async def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> R:
         cancelled = threading.Event()
-        swarm = self._swarm._cancellable(cancelled, self._began, self._worked)
+        swarm = self._swarm._cancellable(cancelled)
         work = begin(partial(method, swarm, *args, **kwargs))
         self._under_way.add(work)
         work.add_done_callback(self._under_way.discard)
@@ -82,22 +81,6 @@ class AsyncSwarm:
         self._swarm = swarm
         self._under_way: set[Future[Any]] = set()
         self._looks = asyncio.Semaphore(MAX_LOOKS)
-        self._began: float | None = None
-        self._worked = 0.0
-
-    def called_at(self, began: float) -> AsyncSwarm:
-        """The same connection, whose methods count as called at `began`.
-
-        For a program that works before it calls a method, such as one that simulates a run first: a
-        stop since `began` then counts as later than the run. `began`: s on the clock since boot
-        (CLOCK_BOOTTIME). The time from then to now counts as work: a robot refuses a run that is
-        5 s older than its work. So a program that may be stopped or suspended meanwhile watches its
-        own loop (`network/operator/loop_watch.py`).
-        """
-        one = AsyncSwarm(self._swarm)
-        one._under_way, one._looks = self._under_way, self._looks
-        one._began, one._worked = began, boottime() - began
-        return one
 
     members = _in_turn(Swarm.members)
     describe = _in_turn(Swarm.describe)

@@ -62,7 +62,6 @@ class Swarm(Closing):
         self._pool, self._timeout, self._tell, self._places = pool, timeout, tell, places
         self._cancelled = cancelled or threading.Event()
         self._parents: tuple[threading.Event, ...] = ()
-        self._worked = 0.0  # s for which the caller worked since then
         self._began: float | None = None  # when the call began; None: when it takes an operator
 
     def close(self) -> None:
@@ -426,13 +425,10 @@ class Swarm(Closing):
         with self._session(timeout, is_stop=True) as session:
             return send_stop(session, verb, targets, reason, until_all=until_all)
 
-    def _cancellable(
-        self, cancelled: threading.Event, began: float | None = None, worked: float = 0.0
-    ) -> Swarm:
+    def _cancellable(self, cancelled: threading.Event, began: float | None = None) -> Swarm:
         """The same connection, for one call that ends when `cancelled` is set.
 
-        `began`: when the call was made, in s on the clock since boot; None: now. `worked`: s
-        from then on for which the caller worked before.
+        `began`: when the call was made, in s on the clock since boot; None: now.
         """
         one = Swarm(
             self._pool,
@@ -443,7 +439,6 @@ class Swarm(Closing):
         )
         one._parents = (self._cancelled,)
         one._began = boottime() if began is None else began
-        one._worked = worked
         return one
 
     @contextmanager
@@ -456,8 +451,6 @@ class Swarm(Closing):
         events = (self._cancelled, *self._parents)
         lend = self._pool.lend_for_request if is_request else self._pool.lend
         with lend() as operator:
-            if self._worked:
-                operator.loops.note_work(began, began + self._worked)
             yield Session(
                 operator,
                 self._timeout if timeout is None else timeout,

@@ -9,6 +9,8 @@ from typing import Annotated, TypeVar
 
 from msgspec import Meta
 
+MAX_COORDINATE = 1e9
+"""m, rad, m/s and rad/s: a reading of odometry beyond is garbage, and has no difference either."""
 MAX_SECONDS = 1e9
 Seconds = Annotated[float, Meta(ge=0.0, le=MAX_SECONDS)]
 Speed = Annotated[float, Meta(ge=-100.0, le=100.0)]

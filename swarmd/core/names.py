@@ -20,20 +20,15 @@ _COMMA = re.compile(r",(?![^\[]*\])")  # outside of brackets
 _NUMBERS = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
 _GLOB = re.compile(r"[a-z0-9_*?-]{1,63}")
 _EXAMPLE = "tb3-[01-40]"
-_BY = " by "
-
-
-def named_by_program(name: str, program: str) -> str:
-    """The name of an operator for whom a program chooses the requests, such as `anna by mcp`."""
-    return f"{name}{_BY}{program}" if program else name
 
 
 def owner_of(name: str) -> str:
-    """The operator in a name of `named_by_program`, or in a plain name.
+    """The operator whose keys prove a stop in this name, which is the name itself as a rule.
 
-    The keys of an operator prove this part alone. No name with keys has a space.
+    In version 0.2 a program for agents sends stops as `anna by mcp`, and robots of every version
+    obey stops of every version. No name with keys has a space.
     """
-    return name.partition(_BY)[0]
+    return name.partition(" by ")[0]
 
 
 def expand_names(text: str) -> tuple[str, ...]:

@@ -16,10 +16,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core.angles import TURN
+from swarmd.core.bounds import MAX_COORDINATE
 from swarmd.core.buffers import doubles
 from swarmd.core.values import (
     HISTORY,
-    MAX_COORDINATE,
     MAX_EXTRAPOLATION,
     MAX_SPEED,
     MAX_STEP,

@@ -10,8 +10,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import MAX_SECONDS
-from swarmd.core.values import MAX_COORDINATE
+from swarmd.core.bounds import MAX_COORDINATE, MAX_SECONDS
 
 MOST_OBJECTS = 8
 """Objects in a message at most: the nearest."""

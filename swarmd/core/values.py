@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from swarmd.core.bounds import MAX_COORDINATE
 from swarmd.core.errors import unknown
 
 Array: TypeAlias = NDArray[np.float64]
@@ -118,10 +119,6 @@ MAX_EXTRAPOLATION = 0.15
 
 HISTORY = 40
 """Readings of odometry that are kept."""
-
-
-MAX_COORDINATE = 1e9
-"""m, rad, m/s and rad/s: a reading of odometry beyond is garbage, and has no difference either."""
 
 
 class Odometry(Struct, frozen=True, array_like=True, gc=False):

@@ -23,7 +23,6 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import CONTROL
 from swarmd.core.messages import Code, Reply
-from swarmd.core.names import owner_of
 from swarmd.core.refusal import Refusal
 from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.carriers.bus import Query, ZenohBus
@@ -106,8 +105,7 @@ class RequestServer:
     4. A request whose handler raises gets the reply REFUSED (after a CodecError) or FAILED, and is
        counted in `drops`.
     5. If the swarm `is_secured`, the operator of a request is the name in the certificate of the
-       Zenoh link. The name in the request counts only if it is a program of this operator
-       (`core/names.owner_of`).
+       Zenoh link, whatever name the request has.
     """
 
     def __init__(
@@ -279,9 +277,7 @@ class RequestServer:
 
     def _carry_out(self, request: verbs.AnyRequest, query: Query) -> None:
         if self._is_secured:
-            is_proved = owner_of(request.operator) == query.asker
-            name = request.operator if is_proved else query.asker
-            request = msgspec.structs.replace(request, operator=name)
+            request = msgspec.structs.replace(request, operator=query.asker)
         is_for_this = request.targets is None or self._robot in request.targets
         is_pending = request.id in self._pending
         is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)

@@ -63,7 +63,6 @@ def completed(*words: str, shell: str = "bash", **environ: str) -> list[str]:
         (("run", "attr"), ["attraction"]),
         (("run", "attraction", "--exclude", "w"), ["waffle"]),
         (("run", "attraction", "-l", "r"), ["red"]),
-        (("mcp", "--allow", "es"), ["estop"]),
         (("patterns", "list", "--platform", "burg"), ["burger", "burger_lds02"]),
         (("demo", "circ"), ["circle_formation"]),
         (("completion", "f"), ["fish"]),

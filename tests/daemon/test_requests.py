@@ -279,24 +279,6 @@ def test_a_reply_names_the_latches_that_are_not_on_disk() -> None:
     assert len(answers) == 1
 
 
-@pytest.mark.parametrize(
-    ("claimed", "kept"),
-    [
-        ("bob", "bob"),
-        ("bob by mcp", "bob by mcp"),
-        ("anna by mcp", "bob"),
-        ("bobby by mcp", "bob"),
-        ("bob bymcp", "bob"),
-    ],
-)
-def test_in_a_secured_swarm_a_program_adds_its_name_to_the_asker(claimed: str, kept: str) -> None:
-    taken: list[Request] = []
-    server = server_of("tb3-01", taken.append, is_secured=True)
-    request = msgspec.structs.replace(run_request(), operator=claimed)
-    server.handle("run", RecordingQuery(encode(request), "bob"))
-    assert [one.operator for one in taken] == [kept]
-
-
 def test_in_a_secured_swarm_the_operator_is_the_asker_of_the_key() -> None:
     taken: list[Request] = []
     lines: list[str] = []

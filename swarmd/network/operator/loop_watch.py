@@ -79,10 +79,6 @@ class LoopWatch:
             (wait - before.get(thread, 0.0) for thread, wait in self._waited.items()), default=0.0
         )
 
-    def note_work(self, begun: float, end: float) -> None:
-        """Note work of the caller in another loop, such as a rehearsal."""
-        self._loops.append((begun, end))
-
     def stood(self, since: float) -> float:
         """The longest standstill in s that ended after `since`; 0 without one."""
         return max((gap for end, gap in self._stops if end > since), default=0.0)

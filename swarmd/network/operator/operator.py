@@ -30,7 +30,6 @@ from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, RequestError
 from swarmd.core.keys import ANY
 from swarmd.core.messages import Epoch
-from swarmd.core.names import named_by_program
 from swarmd.core.verbs import AnyRequest, starts_motion
 from swarmd.network.access import may_ask
 from swarmd.network.datagram import (
@@ -104,13 +103,11 @@ class Operator(Closing):
         roster: Iterable[str] = (),
         carrier: Carrier | None = None,
         takes_rosters: bool = True,
-        program: str = "",
     ) -> None:
         """Open the datagram carrier and start its thread. Zenoh sessions are opened as needed.
 
         `name`: the operator's name in a swarm without keys, None for this user's name. `carrier`: a
-        carrier in place of UDP or routers, for tests. `program`: the name of a program that chooses
-        the requests, such as an agent; the robots' audit shows it.
+        carrier in place of UDP or routers, for tests.
         """
         settings.check()
         self.settings = settings
@@ -118,8 +115,6 @@ class Operator(Closing):
         if identity is not None:
             name = identity.name
         self.name = sendable_name(name or operator_name())
-        # Requests and stops carry the name of the operator and of the program.
-        self._asker = sendable_name(named_by_program(self.name, program))
         self._roster = frozenset(roster)
         if identity is not None:
             self._roster |= frozenset(identity.roster.robots)
@@ -440,7 +435,7 @@ class Operator(Closing):
         stop = Stop(
             id=os.urandom(6).hex(),
             verb=verb,
-            operator=self._asker,
+            operator=self.name,
             scope="swarm" if select is None else "robots",
             clock=clock_id(),
             issued=now,
@@ -523,7 +518,7 @@ class Operator(Closing):
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:
             fields["reason"] = request_reason(fields["reason"])
-        return kind(id=os.urandom(6).hex(), operator=self._asker, **fields)
+        return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
 
     def _new_discovery(self, now: float, *, needs_status: bool = True) -> Discovery:
         wait = DEV_WAIT if self.settings.profile == "dev" else FIRST_ROBOT_TIMEOUT
