@@ -25,7 +25,8 @@ around them. In a room that the lidar sees whole they meet there. In the open th
 With `kin: true` a robot that names peers by their motion takes for robots what is at their places.
 
 Limits: a robot within about 0.2 m of a wall is taken for a part of the wall, a pillar counts as a
-robot where no peer is named, and groups farther apart than `range` meet only by chance where there are no walls.
+robot where no peer is named, and groups farther apart than `range` meet only by chance where there
+are no walls.
 """
 
 from __future__ import annotations

@@ -89,16 +89,16 @@ def test_nothing_is_told_where_no_pattern_needs_places() -> None:
     assert {peer.distance for _, peer in places(run)} == {None}
 
 
-ARENA = {"groups.all.start": {"layout": "random", "clearance": 0.65}}
-AMONG_PILLARS = {
+ARENA: dict[str, Any] = {"groups.all.start": {"layout": "random", "clearance": 0.65}}
+AMONG_PILLARS: dict[str, Any] = {
     "arena.poles": [
         {"at": at, "radius": 0.15}
         for at in ([-2.1, 1.2], [-1.2, -1.4], [0.2, 0.6], [1.5, -0.9], [2.3, 1.3])
     ]
 }
-BY_KIN = {"groups.all.parameters.kin": True}
-AT_REST = {"groups.all.parameters.speed": 0.0, "groups.all.parameters.turn": 0.0}
-WAYS = {
+BY_KIN: dict[str, Any] = {"groups.all.parameters.kin": True}
+AT_REST: dict[str, Any] = {"groups.all.parameters.speed": 0.0, "groups.all.parameters.turn": 0.0}
+WAYS: dict[str, dict[str, Any]] = {
     "by width, no pillars": {},
     "by kin, no pillars": BY_KIN,
     "by width": AMONG_PILLARS,
