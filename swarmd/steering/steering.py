@@ -55,6 +55,7 @@ class Steering:
     _avoids: cython.bint  # as the platform says
     _is_avoiding: cython.bint  # as the permit says
     _has_avoided: cython.bint  # right of way may know openings
+    _odometry: Odometry | None  # the last reading; None without one
     _right_of_way: RightOfWay
 
     def __init__(self, platform: Platform, protection: Protection, seed: str = "") -> None:
@@ -80,6 +81,7 @@ class Steering:
         """Take in a reading: tracks and right of way use it."""
         if self._is_tracking():
             self._tracker.on_odometry(odometry)
+        self._odometry = odometry
         if self._has_avoided:  # a hold may end avoidance for a while
             self._right_of_way.on_odometry(odometry)
 
@@ -136,6 +138,8 @@ class Steering:
         if is_avoiding == self._is_avoiding:
             return
         self._is_avoiding = is_avoiding
+        if not self._has_avoided and self._odometry is not None:
+            self._right_of_way.on_odometry(self._odometry)
         self._has_avoided = True
         self._tracker.reset()  # objects have moved meanwhile
         self._avoidance.reset()
