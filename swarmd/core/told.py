@@ -23,7 +23,7 @@ Angle = Annotated[int, Meta(ge=-3142, le=3142)]
 
 
 class Told(Struct, frozen=True, array_like=True):
-    """A message of one robot, some 40 bytes and 4 for each object.
+    """A message of one robot, some 20 bytes and 4 for each object.
 
     - `resets`: marks the frame of the odometry; another number is another frame.
     - `stamp`: ms on the clock of the sender, at which all other values are valid.

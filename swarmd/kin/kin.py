@@ -6,9 +6,11 @@ each peer there are up to _MOST_HYPOTHESES poses in the frame of the own odometr
 1. *Mutual sight* begins one: the peer tells an object at the distance at which the own robot tracks
    one. Both bearings give the yaw between the frames. (Mutual localisation by range and bearing
    without identities: Franchi, Oriolo, Stegagno, IJRR 32(11), 2013.)
-2. Each message moves all poses of its sender by the told motion, and compares them with the tracks,
-   and with what the peer tells. What fits after motion raises the score, a place that rays cross
-   lowers it, and so does a peer that should see the own robot and does not.
+2. A message moves the poses of its sender by the told motion; one of a peer without a confirmed
+   pose is read only when a comparison is due. At most every _COMPARED s, in a crowd less often, the
+   poses are compared with the tracks and with what the peer tells. What fits after motion raises
+   the score, a place that rays cross lowers it, and so does a peer that should see the own robot
+   and does not.
 3. The best pose of a peer is *confirmed* once its score is high enough, both robots have moved, and
    no other pose of the peer is nearly as good.
 4. A track where a confirmed pose expects the peer is that peer. A track has one peer, a peer one
@@ -17,7 +19,8 @@ each peer there are up to _MOST_HYPOTHESES poses in the frame of the own odometr
 5. A track that stands while the own robot moves is no robot if no peer that was heard can be there:
    the peer has moved meanwhile, or its confirmed pose is elsewhere.
 
-What a peer tells moves the poses of this peer alone, so a liar names at most itself.
+What a peer tells moves the poses of this peer alone, so a liar gives no other robot a name. If it
+copies a peer, its own name may stand at the body of the peer.
 
 The source of the objects is `Tracker` (`swarmd/steering/tracks.py`) and not the clusters of a scan:
 its tracks have an identity over time, by which a track that stands is known, they reach further
@@ -83,7 +86,7 @@ _MOVED = cython.declare(cython.double, 0.01)  # m and rad that are a motion
 _COMPARED = cython.declare(cython.double, 0.55)  # s between two comparisons of a peer, at least
 _FEW = cython.declare(cython.double, 8.0)  # peers, of which each is compared so often
 # s/s by which the least delay of messages is forgotten
-_AHEAD_MEMORY = cython.declare(cython.double, 0.01)
+_DELAY_FORGOTTEN = cython.declare(cython.double, 0.01)
 # Beginning of a pose.
 # m between both measured distances of a mutual sight
 _SAME_DISTANCE = cython.declare(cython.double, 0.10)
@@ -232,7 +235,7 @@ class _Peer:
         if not fabs(delay - self.delay) < _MOST_GAP:  # the first, or a clock was set
             self.delay = delay
         else:
-            self.delay += _AHEAD_MEMORY * max(now - self.heard_at, 0.0)
+            self.delay += _DELAY_FORGOTTEN * max(now - self.heard_at, 0.0)
         self.delay = min(self.delay, delay)
         return stamp + self.delay
 
@@ -271,10 +274,6 @@ class Kin:
     _last_y: cython.double
     _way: cython.double  # m that it has travelled
     _tracks: list[_Track]
-    _is_matched: cython.bint  # peers have their tracks of the last scan
-    _asked: tuple[Neighbor, ...]  # what `complete` has completed last
-    _answer: tuple[Neighbor, ...]
-    _answered_at: cython.double  # the time of the scan
     _scan: Scan | None  # the last scan if `_free` is not made of it yet
     _seen_at: cython.double  # s, of the last scan
     _free: cython.double[::1]  # of each direction from -pi on, m to the nearest return
@@ -339,7 +338,8 @@ class Kin:
             x -= self._middle
             track.add(now, self._x + c * x - s * y, self._y + s * x + c * y, self._way)
             self._tracks.append(track)
-        self._seen_at, self._scan, self._is_matched = now, scan, False
+        self._seen_at, self._scan = now, scan
+        self._match(now)
 
     @cython.cfunc
     def _is_free(self, bearing: cython.double, distance: cython.double) -> cython.bint:
@@ -459,7 +459,6 @@ class Kin:
 
     def names(self, now: cython.double) -> dict[int, str | None]:
         """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""
-        self._match(now)
         named: dict[int, str] = {}
         peer: _Peer
         for id, peer in self._peers.items():
@@ -477,12 +476,9 @@ class Kin:
         """The neighbors; those whose pose is confirmed with what is not known of them otherwise.
 
         Distance and bearing are from the own axle to the visible middle of the peer. `age`: s since
-        a scan last showed it. `error`: two standard deviations of the place. All are as of the
-        first call after the last scan.
+        a scan last showed it. `error`: two standard deviations of the place. No call changes what
+        another gives: viewers ask at any time, which no recording has.
         """
-        if self._answered_at == self._seen_at and neighbors == self._asked:
-            return self._answer
-        self._match(now)
         self._trail.set_pose(now + self._shift)
         completed: list[Neighbor] = list(neighbors)
         count: cython.Py_ssize_t = len(completed)
@@ -496,8 +492,7 @@ class Kin:
                 peer.row = ids.index(id) if id in ids else count
             if peer.row < count:
                 completed[peer.row] = self._completed(completed[peer.row], peer, best, now)
-        self._asked, self._answer, self._answered_at = neighbors, tuple(completed), self._seen_at
-        return self._answer
+        return tuple(completed)
 
     @cython.cfunc
     def _completed(
@@ -506,7 +501,7 @@ class Kin:
         peer.expect(best, now)
         seen_at: cython.double = best.seen_at
         track: _Track | None = peer.track
-        if track is not None:  # where `_match` found it
+        if track is not None and track.find(self._seen_at):
             seen_at, peer.x, peer.y = self._seen_at, track.x, track.y
         dx: cython.double = peer.x - self._trail.x
         dy: cython.double = peer.y - self._trail.y
@@ -742,10 +737,7 @@ class Kin:
 
     @cython.cfunc
     def _match(self, now: cython.double) -> cython.int:
-        """Set the track of each peer that the last scan shows, unless that is done."""
-        if self._is_matched:
-            return 0
-        self._is_matched = True
+        """Set the track of each peer that the last scan shows."""
         claims: list[tuple[float, str, int, _Peer, _Track]] = []
         peer: _Peer
         other: _Peer

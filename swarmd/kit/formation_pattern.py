@@ -64,7 +64,7 @@ class FormationParams(Params, frozen=True, kw_only=True):
         Literal["auto", "neighbors", "lidar"],
         about(
             "how others are sensed: by range and bearing, or as narrow objects in the scan; auto: "
-            "by range and bearing where the platform provides both",
+            "by range and bearing from hardware or a shared frame, else by the scan",
             source="ours",
         ),
     ] = "auto"

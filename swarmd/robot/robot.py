@@ -393,7 +393,7 @@ class Robot(Ticker):
             sensors.ask_kin(now)
         sensors.end_kin(now)
         kin, scan = sensors.kin, sensors.scan
-        steering.follows = kin is not None
+        steering.must_track = kin is not None
         if kin is None or scan is None:
             return None
         tracks = steering.tracks(context) or ()

@@ -31,7 +31,7 @@ class Steers(Protocol):
     It cannot weaken protection, which judges what is asked like any request.
     """
 
-    follows: bool
+    must_track: bool
     """objects are tracked also without avoidance"""
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:

@@ -36,7 +36,7 @@ _RESTART_SCANS = cython.declare(cython.int, 3)
 _MAX_RAY_AGE = cython.declare(cython.double, 10.0)  # s: more is garbage
 _MOVES_LINEAR = cython.declare(cython.double, 0.02)  # m/s above which the robot counts as moving
 _MOVES_ANGULAR = cython.declare(cython.double, 0.05)  # rad/s
-# s after which a driver knows of a second source of scans: 0.6 to 1.7 s behind a bridge of ROS.
+# s within which a driver knows of a second source of scans; behind a bridge of ROS 0.6 to 1.7 s.
 _NOTICE = cython.declare(cython.double, 4.0)
 
 

@@ -21,6 +21,7 @@ from swarmd.core.files import user_path
 from swarmd.core.values import (
     KIN,
     PLACES_BY_POSE,
+    PLACES_BY_SIGHT,
     Array,
     Heights,
     Limits,
@@ -553,7 +554,7 @@ def _provided(file: PlatformFile) -> frozenset[str]:
     is_seen = heights is not None and heights.lowest <= heights.scan_plane <= heights.highest
     has_tracks = file.protection.mode == "barrier" and len(_bearings(file.scan)) >= _LEAST_RAYS
     has_motion = {"scan", "odometry"} <= provides
-    if is_seen and has_tracks and has_motion and not provides >= PLACES_BY_POSE:
+    if is_seen and has_tracks and has_motion and not provides >= PLACES_BY_SIGHT:
         return provides | PLACES_BY_POSE | {KIN}
     return provides
 

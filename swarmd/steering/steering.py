@@ -51,7 +51,7 @@ class Steering:
     _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
     _avoidance: Avoidance
     _tracker: Tracker = cython.declare(object, visibility="public")
-    follows = cython.declare(cython.bint, visibility="public")  # kin needs tracks
+    must_track = cython.declare(cython.bint, visibility="public")  # kin needs tracks
     _avoids: cython.bint  # as the platform says
     _is_avoiding: cython.bint  # as the permit says
     _has_avoided: cython.bint  # right of way may know openings
@@ -91,7 +91,7 @@ class Steering:
 
     @cython.cfunc
     def _is_tracking(self) -> cython.bint:
-        return self._is_avoiding or (self.follows and self._recovery is not None)
+        return self._is_avoiding or (self.must_track and self._recovery is not None)
 
     def decide(
         self,

@@ -164,6 +164,29 @@ def test_names_robots_and_says_where_they_are() -> None:
             assert peer.age == pytest.approx(0.0, abs=0.01)
 
 
+def test_a_viewer_that_asks_changes_no_later_answer() -> None:
+    """A recording has no such call: a replay would give the pattern other places."""
+    viewed, alone = World(), World()
+    for _ in range(60):
+        for world in (viewed, alone):
+            world.run(PERIOD)
+        scanned_at = alone.time
+        viewed.time = scanned_at + 0.05
+        viewed.names("a")
+        viewed.kins["a"].complete((Neighbor("b", 9.0),), viewed.now("a"))
+        viewed.time = alone.time = scanned_at + 0.1
+        for name in "bc":
+            found, wanted = (
+                world.kins["a"].complete((Neighbor(name, 9.0),), world.now("a"))
+                for world in (viewed, alone)
+            )
+            assert found == wanted
+        viewed.time = alone.time = scanned_at
+    assert alone.peer("a", "b").age == pytest.approx(0.0, abs=0.01)
+    alone.time += 0.1
+    assert alone.peer("a", "b").age == pytest.approx(0.1, abs=0.01)
+
+
 def test_what_stands_while_all_move_is_no_robot() -> None:
     world = World()
     world.run(20.0)

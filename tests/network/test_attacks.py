@@ -311,6 +311,21 @@ def test_replayed_kin_reports_are_not_taken(network: VirtualNetwork) -> None:
     assert len(r1.kin) == 5
 
 
+def test_a_place_between_two_kin_reports_is_no_replay(network: VirtualNetwork) -> None:
+    """Both have times of one clock; a report is of the last scan, before the place."""
+    r1, r2 = network.robots["r1"], network.robots["r2"]
+    pose = SharedPose(0.0, Pose(1.0, 2.0, 0.5), error=0.05, yaw_error=0.1, frame="mocap")
+    for _ in range(20):
+        report = r2.peer.kin_report(Told(7, round(1000.0 * network.now) - 50, 0, 0, 0))
+        for sent in (r2.peer.place(pose, 0.1, network.now), report):
+            assert sent is not None
+            network._send("r2", r2.address, sent, None)
+        network.run(0.2)
+    assert Flaw.REPEATED not in r1.flaws
+    assert len(r1.kin) == 20
+    assert len(r1.places) > 10  # once the delay is known
+
+
 def test_replayed_member_lists_name_no_robot(network: VirtualNetwork) -> None:
     network.solicit()
     network.run(15.0)

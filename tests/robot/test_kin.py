@@ -190,8 +190,8 @@ def test_a_shared_frame_and_hardware_precede_kin() -> None:
     assert measured.heading != 1.0
 
 
-def test_a_robot_that_has_hardware_for_places_needs_no_kin() -> None:
-    story = Story("thymio")  # its seven sensors show no robot
+def test_a_robot_whose_sensors_show_no_robot_runs_no_kin() -> None:
+    story = Story("thymio")
     story.harness.advance(1.0)
     story.run(2.0, asks=True)
     assert story.harness.robot._sensors.kin is None

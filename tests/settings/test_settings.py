@@ -156,6 +156,11 @@ def test_patterns_may_need_places_of_peers_from_shared_poses_or_detected_tags(
         known = load(f"driver: ros2dds\nplatform: {platform}").platform
         assert ({"kin", distance, bearing, heading} <= known.provides) is is_known
         assert not has_places(known)
+    board = "extends: burger\nprovides: [scan, odometry, neighbors.distance, neighbors.bearing]"
+    (folder / "board.yaml").write_text(board)
+    with_board = load("id: r1\nplatform: board.yaml").platform
+    assert has_places(with_board)  # kin would name some peers alone
+    assert "kin" not in with_board.provides
     typed = "extends: burger\nprovides: [scan, odometry, pose]"  # as of a drone
     (folder / "mine.yaml").write_text(typed)
     assert load("id: r1\nplatform: mine.yaml").platform.provides >= {distance, bearing, heading}

@@ -139,7 +139,7 @@ class Admission:
             case Place():
                 return self.freshness.is_new_place(body.robot, body.instance, body.sent)
             case KinReport():
-                return self.freshness.is_new_place(body.robot, body.instance, body.told.stamp)
+                return self.freshness.is_new_report(body.robot, body.instance, body.told.stamp)
             case Latches():  # must be those of the sender's newest beacon
                 return membership.latches_of(body.robot, body.instance) == body.digest
             case GoalReport():

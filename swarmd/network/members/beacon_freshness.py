@@ -44,6 +44,7 @@ class _ProvenLife(Struct):
     heard: float
     said: int  # messages up to this number were sent before the answer
     clock: int  # ms; places up to this time were sent before the answer or the last place
+    told: int  # ms; likewise of kin reports
 
 
 class _Asked(Struct, frozen=True):
@@ -96,7 +97,9 @@ class BeaconFreshness:
             return Flaw.UNPROVEN
         self._asked.pop(key, None)
         self._known.pop(key, None)
-        self._known[key] = _ProvenLife(beacon.sequence, now, beacon.said, beacon.clock)
+        self._known[key] = _ProvenLife(
+            beacon.sequence, now, beacon.said, beacon.clock, beacon.clock
+        )
         if len(self._known) > MAX_INSTANCES:
             del self._known[min(self._known, key=lambda instance: self._known[instance].heard)]
         return None
@@ -136,4 +139,12 @@ class BeaconFreshness:
         if known is None or sent <= known.clock:
             return False
         known.clock = sent
+        return True
+
+    def is_new_report(self, robot: str, instance: bytes, stamp: int) -> bool:
+        """True if a kin report is later than every earlier one of its instance; notes it."""
+        known = self._known.get((robot, instance))
+        if known is None or stamp <= known.told:
+            return False
+        known.told = stamp
         return True

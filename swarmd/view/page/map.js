@@ -11,7 +11,7 @@ const NAMED = 15; // robots in view up to which all have names
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const KEEP_OUT = 'rgba(213, 94, 0, 0.22)'; // areas of a fence that robots do not enter
-const TRACK = '#0072b2'; // of a moving object that a robot avoids
+const TRACK = '#0072b2'; // of a tracked object
 const OLD = 3000; // ms after which a scan is not shown
 const STEPS = [0.1, 0.5, 1, 5, 10, 50, 100, 500]; // m between two lines of the grid, and of the scale bar
 const BAR = 140; // pixels of the scale bar, at most

@@ -619,5 +619,6 @@ def test_a_mission_is_checked_for_the_robots_of_a_scenario(
     assert "ok on burger" in done.stdout
     document = json.loads(swarmctl(*words, "shelter_choice", "-o", "json").stdout)
     assert (document["kind"], document["faults"]) == ("Mission", [])
-    done = swarmctl(*words, "shelter_choice", "--set", "radio.range_and_bearing=false")
+    no_kin = "--set", "platforms.burger.protection.mode=potential_field"
+    done = swarmctl(*words, "shelter_choice", "--set", "radio.range_and_bearing=false", *no_kin)
     assert done.returncode == 2

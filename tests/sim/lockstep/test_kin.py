@@ -75,14 +75,16 @@ def test_robots_know_where_their_peers_are() -> None:
     assert max(errors) < 0.35
 
 
+@pytest.mark.compiled_only(reason="a long simulated run")
 def test_a_pattern_that_only_uses_places_is_told_them() -> None:
     class Using(RandomWalk):
         uses_places = True
 
     run = simulated(Using)
-    assert all(shell is not None and shell.robot._sensors.kin is not None for shell in run.shells)
+    assert any(peer.distance is not None for _, peer in places(run))
 
 
+@pytest.mark.compiled_only(reason="a long simulated run")
 def test_nothing_is_told_where_no_pattern_needs_places() -> None:
     run = simulated(RandomWalk)
     assert all(shell is not None and shell.robot._sensors.kin is None for shell in run.shells)
