@@ -210,8 +210,8 @@ class _Peer:
     own_y: cython.double
     own_yaw: cython.double
     hypotheses: list[Hypothesis]
-    best: Hypothesis | None  # of these, the one that is confirmed
-    since: cython.double  # s, when it was
+    best: Hypothesis | None  # the confirmed pose
+    since: cython.double  # s, when it was confirmed
     track: _Track | None  # that shows the peer in the last scan
     row: cython.Py_ssize_t  # of the neighbors that `complete` took last
 
@@ -270,7 +270,7 @@ class Kin:
     _x: cython.double
     _y: cython.double
     _yaw: cython.double
-    _last_x: cython.double  # the own middle at the last reading
+    _last_x: cython.double  # the own middle at the last scan
     _last_y: cython.double
     _way: cython.double  # m that it has travelled
     _tracks: list[_Track]
@@ -651,7 +651,7 @@ class Kin:
 
     @cython.cfunc
     def _rank(self, peer: _Peer) -> cython.int:
-        """Put the best pose first, drop bad and double ones, and confirm the best if it is sure."""
+        """Drop bad and double poses, and confirm the best if it is sure."""
         if not peer.hypotheses:
             return 0
         one: Hypothesis
@@ -720,7 +720,7 @@ class Kin:
     def _is_told(
         self, ahead: cython.double, left: cython.double, told_count: cython.Py_ssize_t
     ) -> cython.bint:
-        """True if the last message has an object at a place, or one that hides it."""
+        """True if an object of the last message is at a place or hides it."""
         objects: cython.double[::1] = self._objects
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t

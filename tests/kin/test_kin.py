@@ -279,7 +279,7 @@ def test_a_liar_that_copies_a_path_alone_is_never_named() -> None:
 
 
 def in_step() -> dict[str, Path]:
-    """Two robots that drive the same path 0.8 m apart, and one that watches them."""
+    """Two robots drive the same path 0.8 m apart; a third robot sees both."""
     lead = circle(-0.4, 0.6, 0.4, 0.4)
 
     def second(time: float) -> tuple[float, float, float]:

@@ -137,9 +137,10 @@ class Admission:
             case Message():
                 return self.freshness.is_new_message(body.robot, body.instance, body.sequence)
             case Place():
-                return self.freshness.is_new_place(body.robot, body.instance, body.sent)
+                return self.freshness.is_later(body.robot, body.instance, Place, body.sent)
             case KinReport():
-                return self.freshness.is_new_report(body.robot, body.instance, body.told.stamp)
+                sent = body.told.stamp
+                return self.freshness.is_later(body.robot, body.instance, KinReport, sent)
             case Latches():  # must be those of the sender's newest beacon
                 return membership.latches_of(body.robot, body.instance) == body.digest
             case GoalReport():

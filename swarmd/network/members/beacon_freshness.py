@@ -43,8 +43,8 @@ class _ProvenLife(Struct):
     sequence: int  # the sequence number of the last beacon
     heard: float
     said: int  # messages up to this number were sent before the answer
-    clock: int  # ms; places up to this time were sent before the answer or the last place
-    told: int  # ms; likewise of kin reports
+    clock: int  # ms; places and kin reports up to this time were sent before the answer
+    latest: dict[type, int] = {}  # ms, of the last datagram by kind
 
 
 class _Asked(Struct, frozen=True):
@@ -97,9 +97,7 @@ class BeaconFreshness:
             return Flaw.UNPROVEN
         self._asked.pop(key, None)
         self._known.pop(key, None)
-        self._known[key] = _ProvenLife(
-            beacon.sequence, now, beacon.said, beacon.clock, beacon.clock
-        )
+        self._known[key] = _ProvenLife(beacon.sequence, now, beacon.said, beacon.clock)
         if len(self._known) > MAX_INSTANCES:
             del self._known[min(self._known, key=lambda instance: self._known[instance].heard)]
         return None
@@ -133,18 +131,13 @@ class BeaconFreshness:
         known = self._known.get((robot, instance))
         return known is not None and sequence > known.said
 
-    def is_new_place(self, robot: str, instance: bytes, sent: int) -> bool:
-        """True if a place was sent later than every earlier place of its instance; notes it."""
-        known = self._known.get((robot, instance))
-        if known is None or sent <= known.clock:
-            return False
-        known.clock = sent
-        return True
+    def is_later(self, robot: str, instance: bytes, kind: type, sent: int) -> bool:
+        """True if a datagram was sent later than all earlier ones of its instance and kind.
 
-    def is_new_report(self, robot: str, instance: bytes, stamp: int) -> bool:
-        """True if a kin report is later than every earlier one of its instance; notes it."""
+        Notes it. `sent`: ms on the clock of the beacon.
+        """
         known = self._known.get((robot, instance))
-        if known is None or stamp <= known.told:
+        if known is None or sent <= known.latest.get(kind, known.clock):
             return False
-        known.told = stamp
+        known.latest[kind] = sent
         return True
