@@ -77,7 +77,6 @@ _WEAK, _SOUND = (int(np.flatnonzero(share == _SHARES)[0]) for share in (WEAK, SO
 _LONGEST_DELAY = 0.6  # s from the command to the stamp at which the base responds
 _DELAYS = np.linspace(0.0, _LONGEST_DELAY, 13)
 _FINE_DELAYS = np.linspace(-0.04, 0.04, 9)
-_PARTS = np.array((0.25, 0.75))  # of each period: the mean of the speeds there gives its distance
 # Noise of odometry as a share of a reading before any stop, and how many readings it counts for.
 _SLIP, _SLIP_FREEDOM = 0.05, 20.0
 _MAX_FREEDOM = 400.0  # readings that count for the noise at most, so that older ones fade
@@ -650,7 +649,6 @@ def _residual(
     part: cython.Py_ssize_t
     command: cython.Py_ssize_t = 0  # the index of the command that holds
     count: cython.Py_ssize_t = len(stamps)
-    parts: cython.double[::1] = view_of(_PARTS)
     cross_sum: cython.double = 0.0
     model_sum: cython.double = 0.0
     for i in range(len(periods)):
@@ -659,10 +657,11 @@ def _residual(
         weighted_distance: cython.double = periods[i, 2]
         weight: cython.double = periods[i, 3]
         speed_sum: cython.double = 0.0
-        for part in range(2):  # the speeds at a quarter and three quarters of the period
+        # The mean of the speeds at a quarter and three quarters of the period gives its distance.
+        for part in range(2):
             # The command that holds at `stamp`. The search goes forwards and back, so the periods
             # may be in any order. It ends at command 0 at the latest, which holds since -inf.
-            stamp: cython.double = period_begin + parts[part] * duration - delay
+            stamp: cython.double = period_begin + (0.25 + 0.5 * part) * duration - delay
             while command + 1 < count and stamps[command + 1] <= stamp:
                 command += 1
             while stamps[command] > stamp:

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.angles import TURN
-from swarmd.core.buffers import flags, indices, scratch, view_of
+from swarmd.core.buffers import checked, checked_indices, flags, indices, scratch, view_of
 from swarmd.core.values import Array, Odometry, ScanSpec
 from swarmd.sensing.sector_history import (
     EQUAL,
@@ -342,19 +342,27 @@ class BlindSectors:
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
+        count: cython.Py_ssize_t = len(ranges)
+        given: cython.p_double = checked(ranges, count)
+        sector: cython.p_longlong = checked_indices(self._sector, count)
+        mean: cython.p_double = checked(self._mean, _SECTORS)
+        least: cython.double = self._range_min
+        most: cython.double = self._range_max
+        is_zero_near: cython.bint = self._is_zero_near
         for k in range(_SECTORS):
             self._hits[k] = 0
             self._sums[k] = 0.0
-        for i in range(len(ranges)):
-            self._is_return[i] = (0.0 < ranges[i] <= self._range_max) or ranges[i] == -INFINITY
-            if self._is_zero_near and ranges[i] == 0.0:
-                self._is_return[i] = True
-            if self._is_return[i]:
-                k = self._sector[i]
+        for i in range(count):
+            distance: cython.double = given[i]
+            is_return: cython.bint = (0.0 < distance <= most) or distance == -INFINITY
+            is_return = is_return or (is_zero_near and distance == 0.0)
+            self._is_return[i] = is_return
+            if is_return:
+                k = sector[i]
                 self._hits[k] += 1
-                self._sums[k] += max(ranges[i], self._range_min)
+                self._sums[k] += max(distance, least)
         for k in range(_SECTORS):
-            self._mean[k] = self._sums[k] / self._hits[k] if self._hits[k] else NAN
+            mean[k] = self._sums[k] / self._hits[k] if self._hits[k] else NAN
 
     @cython.cfunc
     def _count_returns(self, now: cython.double) -> cython.bint:
@@ -399,14 +407,24 @@ class BlindSectors:
         True if a further sector is blind now. `x`, `y`, `yaw` are the pose of the robot.
         """
         d: cython.Py_ssize_t
+        doubts: cython.bint = self._has_doubts()
         self._sum_by_direction(ranges, yaw)
         for d in range(_SECTORS):
             self._is_known[d] = now - self._seen_at[d] <= _MAX_TIME and (
                 hypot(x - self._x[d], y - self._y[d]) <= _MAX_MOTION * self._range[d]
             )
-            self._compare_direction(d, x, y, now)
+            self._compare_direction(d, x, y, now, doubts)
         self._await_confirmation()
-        return self._judge_sectors()
+        return doubts and self._judge_sectors()
+
+    @cython.cfunc
+    def _has_doubts(self) -> cython.bint:
+        """True if any sector waits or has missed an object: in most comparisons none."""
+        i: cython.Py_ssize_t
+        found: cython.int = 0
+        for i in range(_SECTORS * _SECTORS):
+            found |= self._pending[i] | self._missed[i]
+        return found != 0
 
     @cython.cfunc
     def _sum_by_direction(self, ranges: cython.double[::1], yaw: cython.double) -> cython.int:
@@ -425,7 +443,12 @@ class BlindSectors:
 
     @cython.cfunc
     def _compare_direction(
-        self, d: cython.Py_ssize_t, x: cython.double, y: cython.double, now: cython.double
+        self,
+        d: cython.Py_ssize_t,
+        x: cython.double,
+        y: cython.double,
+        now: cython.double,
+        doubts: cython.bint,
     ) -> cython.int:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
@@ -435,7 +458,7 @@ class BlindSectors:
         object waits (`_pending`) until the object proves to be static again. Then the miss counts
         against the sector (`_missed`).
 
-        `x`, `y`: m, the place of the robot. `now`: s.
+        `x`, `y`: m, the place of the robot. `now`: s. `doubts`: as of `_has_doubts`.
         """
         k: cython.Py_ssize_t
 
@@ -457,7 +480,7 @@ class BlindSectors:
         # again, without a miss if the object is a new object, or is no longer known.
         is_static: cython.bint = self._is_known[d] != 0 and has_streak
         is_decided: cython.bint = is_static or is_new or not self._is_known[d]
-        for k in range(_SECTORS):
+        for k in range(_SECTORS if doubts else 0):
             if self._return_streak[k]:  # a sector that has returns now is not blind
                 self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
             elif is_decided and self._pending[_SECTORS * d + k]:
