@@ -209,28 +209,17 @@ class RobotsInSight:
         """
         one: tuple[Any, ...]
         places = [(d * cos(b), d * sin(b)) for d, b in named]
-        has_places: cython.bint = len(places) > 0
-        forward: cython.double = offset[0]
-        left: cython.double = offset[1]
-        self.objects, self.polar, self._directed = [], [], []
-        self.narrow = [] if has_places else self.objects
+        self.objects = []
+        self.narrow = [] if places else self.objects
         for one in objects:
             away: cython.double = one[0]
             is_narrow: cython.bint = one[2] <= width
-            if has_places and is_narrow:
+            if places and is_narrow:
                 self.narrow.append(one)
-            if not (away <= reach and (_is_at(one, offset, places) if has_places else is_narrow)):
-                continue
-            self.objects.append(one)
-            if not one[4]:
-                continue
-            bearing: cython.double = one[1]
-            _check(bearing)
-            x: cython.double = away * cos(bearing) + forward
-            y: cython.double = away * sin(bearing) + left
-            away, bearing = hypot(x, y), atan2(y, x)
-            self.polar.append((away, bearing))
-            self._directed.append((away, cos(bearing), sin(bearing)))
+            if away <= reach and (_is_at(one, offset, places) if places else is_narrow):
+                self.objects.append(one)
+        self.polar = polar_from_base([(one[0], one[1]) for one in self.objects if one[4]], offset)
+        self._directed = [(away, cos(bearing), sin(bearing)) for away, bearing in self.polar]
 
     def arrangement(self, near: cython.double) -> tuple[int, float]:
         """The number of robots of `polar` nearer than `near` m, and how well all lie on one line.

@@ -657,8 +657,7 @@ def _residual(
         weighted_distance: cython.double = periods[i, 2]
         weight: cython.double = periods[i, 3]
         speed_sum: cython.double = 0.0
-        # The mean of the speeds at a quarter and three quarters of the period gives its distance.
-        for part in range(2):
+        for part in range(2):  # the speeds at a quarter and three quarters of the period
             # The command that holds at `stamp`. The search goes forwards and back, so the periods
             # may be in any order. It ends at command 0 at the latest, which holds since -inf.
             stamp: cython.double = period_begin + (0.25 + 0.5 * part) * duration - delay

@@ -345,24 +345,20 @@ class BlindSectors:
         count: cython.Py_ssize_t = len(ranges)
         given: cython.p_double = checked(ranges, count)
         sector: cython.p_longlong = checked_indices(self._sector, count)
-        mean: cython.p_double = checked(self._mean, _SECTORS)
-        least: cython.double = self._range_min
-        most: cython.double = self._range_max
-        is_zero_near: cython.bint = self._is_zero_near
         for k in range(_SECTORS):
             self._hits[k] = 0
             self._sums[k] = 0.0
         for i in range(count):
             distance: cython.double = given[i]
-            is_return: cython.bint = (0.0 < distance <= most) or distance == -INFINITY
-            is_return = is_return or (is_zero_near and distance == 0.0)
+            is_return: cython.bint = (0.0 < distance <= self._range_max) or distance == -INFINITY
+            is_return = is_return or (self._is_zero_near and distance == 0.0)
             self._is_return[i] = is_return
             if is_return:
                 k = sector[i]
                 self._hits[k] += 1
-                self._sums[k] += max(distance, least)
+                self._sums[k] += max(distance, self._range_min)
         for k in range(_SECTORS):
-            mean[k] = self._sums[k] / self._hits[k] if self._hits[k] else NAN
+            self._mean[k] = self._sums[k] / self._hits[k] if self._hits[k] else NAN
 
     @cython.cfunc
     def _count_returns(self, now: cython.double) -> cython.bint:
@@ -407,7 +403,9 @@ class BlindSectors:
         True if a further sector is blind now. `x`, `y`, `yaw` are the pose of the robot.
         """
         d: cython.Py_ssize_t
-        doubts: cython.bint = self._has_doubts()
+        doubts: cython.int = 0  # 0: no sector waits, and none has missed an object, as mostly
+        for d in range(_SECTORS * _SECTORS):
+            doubts |= self._pending[d] | self._missed[d]
         self._sum_by_direction(ranges, yaw)
         for d in range(_SECTORS):
             self._is_known[d] = now - self._seen_at[d] <= _MAX_TIME and (
@@ -415,16 +413,7 @@ class BlindSectors:
             )
             self._compare_direction(d, x, y, now, doubts)
         self._await_confirmation()
-        return doubts and self._judge_sectors()
-
-    @cython.cfunc
-    def _has_doubts(self) -> cython.bint:
-        """True if any sector waits or has missed an object: in most comparisons none."""
-        i: cython.Py_ssize_t
-        found: cython.int = 0
-        for i in range(_SECTORS * _SECTORS):
-            found |= self._pending[i] | self._missed[i]
-        return found != 0
+        return self._judge_sectors() if doubts else False
 
     @cython.cfunc
     def _sum_by_direction(self, ranges: cython.double[::1], yaw: cython.double) -> cython.int:
@@ -448,7 +437,7 @@ class BlindSectors:
         x: cython.double,
         y: cython.double,
         now: cython.double,
-        doubts: cython.bint,
+        doubts: cython.int,
     ) -> cython.int:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
@@ -458,7 +447,7 @@ class BlindSectors:
         object waits (`_pending`) until the object proves to be static again. Then the miss counts
         against the sector (`_missed`).
 
-        `x`, `y`: m, the place of the robot. `now`: s. `doubts`: as of `_has_doubts`.
+        `x`, `y`: m, the place of the robot. `now`: s. `doubts`: 0 if no sector waits or has missed.
         """
         k: cython.Py_ssize_t
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.angles import PI, TURN, wrap
-from swarmd.core.buffers import checked, flags, indices, scratch, view_of
+from swarmd.core.buffers import flags, indices, scratch, view_of
 from swarmd.core.ray_order import sort_rays
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -83,19 +83,16 @@ class ScanLayout:
         return list(bearings) == self.given[:n]
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def set_bearings(self, bearings: cython.const_double[::1]) -> cython.int:
         """Take other bearings."""
         i: cython.Py_ssize_t
-        n: cython.Py_ssize_t = len(bearings)
-        given: cython.p_double = checked(self.given, n)
-        wrapped: cython.p_double = checked(self.wrapped, n)
-        self.n = n
-        for i in range(n):
-            angle: cython.double = bearings[i]
-            if not isfinite(angle):
-                raise ValueError(f"bearing {i} of a scan is {angle}; expected a finite angle")
-            given[i] = angle
-            wrapped[i] = wrap(angle)
+        self.n = len(bearings)
+        for i in range(self.n):
+            if not isfinite(bearings[i]):
+                raise ValueError(f"bearing {i} of a scan is {bearings[i]}; expected a finite angle")
+            self.given[i] = bearings[i]
+            self.wrapped[i] = wrap(bearings[i])
         self.is_ordered, self.grazing = False, NAN
         self.count = -1
 
@@ -152,7 +149,7 @@ class ScanLayout:
         i: cython.Py_ssize_t
         sector: cython.longlong
         for i in range(self.n):
-            # At most half of `count` to each side: a modulo, at a tenth of its cost.
+            # At most half of `count` to each side, so that no slow modulo is needed.
             sector = cython.cast(cython.longlong, rint(self.wrapped[i] * share))
             self.sector[i] = sector + count if sector < 0 else sector
         self.count = count
