@@ -149,7 +149,7 @@ class ScanLayout:
         i: cython.Py_ssize_t
         sector: cython.longlong
         for i in range(self.n):
-            # At most half of `count` to each side, so that no slow modulo is needed.
+            # Below `count` on either side, so that no slow modulo is needed.
             sector = cython.cast(cython.longlong, rint(self.wrapped[i] * share))
             self.sector[i] = sector + count if sector < 0 else sector
         self.count = count
