@@ -221,6 +221,7 @@ class Attraction(FieldPattern[AttractionParams]):
         """Apply changed parameters, and evaluate the scan again."""
         super().update(params)
         self._view: _Surroundings | None = None  # of the last scan
+        self._command: Twist | None = None  # for this view and state
         # `spacing`, so far within `range` that a robot which drifts away is still in sight.
         self._spacing = min(params.spacing, max(params.range - params.brake, 0.0))
 
@@ -228,17 +229,20 @@ class Attraction(FieldPattern[AttractionParams]):
         """Change the state (search, gather, settled, roll or lead); the command of the state."""
         now, received = inputs.now, len(inputs.neighbors)
         if self._view is None or self._view.scan is not scan:
-            self._view = self._look(scan, inputs)
+            self._view, self._command = self._look(scan, inputs), None
         view = self._view
         is_in_line = received > len(view.robots.objects) and view.is_line
         state = self._next_state(view, now, received, is_in_line)
         if state != self.state:
-            self.state, self._since = state, now
+            self.state, self._since, self._command = state, now, None
         if state == "settled":
             return ZERO
         if state in ("search", "lead"):
             return self._follow(view, self._in_sight(view.robots, self._explore(view, now)))
-        return self._follow(view, self._around(view) if state == "roll" else view.pull)
+        if self._command is None:  # two steps of a scan mostly have the same command
+            vector = self._around(view) if state == "roll" else view.pull
+            self._command = self._follow(view, vector)
+        return self._command
 
     def _look(self, scan: Scan, inputs: Inputs) -> _Surroundings:
         """The robots and near surfaces in a scan, and the pull of the robots."""

@@ -43,6 +43,7 @@ from swarmd.protection.compatibility import body_of
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotSetup
+from swarmd.sim.lockstep.huge_pages import use_huge_pages
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, EventTimeline, Schedules
@@ -174,6 +175,8 @@ class Lockstep:
         are due. All odometry is due together.
         """
         ids, n = self.world.ids, len(self.world.ids)
+        # By then robots have all they keep. Fewer robots fit into the processor's caches.
+        self._use_huge_pages_at = 1.0 if n >= 32 else math.inf
         phases = np.array([generator(self.seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._sensor_times = SensorTimes(
@@ -414,6 +417,9 @@ class Lockstep:
                 self._step()
                 if on_step is not None:
                     on_step(self.world.time)
+        if self.world.time >= self._use_huge_pages_at:
+            self._use_huge_pages_at = math.inf
+            use_huge_pages()
 
     def trace(self) -> Trace:
         """The trace up to now, complete in the first process; all processes must call this."""
@@ -470,12 +476,15 @@ class Lockstep:
         self._update_neighbors(self._neighbors_due.due(now))
 
     def _update_neighbors(self, rows: Sequence[int]) -> None:
-        self._radio.measure_poses(rows, self.world.poses(), self.world.time)
+        if not rows:  # the case in most steps
+            return
+        world, there = self.world, set[str]()
+        poses = world.poses()
+        self._radio.measure_poses(rows, poses, world.time)
         shells = self._present(rows)
         if not shells:
             return
-        world, there = self.world, set[str]()
-        poses, boxes = world.poses(), self._boxes()
+        boxes = self._boxes()
         if self._absent_count:
             there.update(compress(world.ids, self.has_daemon))
         for shell in shells:

@@ -55,6 +55,11 @@ class Faults:
             if not active:
                 self._active.pop((kind.place, row), None)
 
+    @property
+    def have_begun(self) -> bool:
+        """Whether a fault is on, or one of odometry has shifted a pose."""
+        return bool(self._active or self._chains)
+
     def rows(self, place: str) -> list[int]:
         """The robots that have a fault at a place, in order."""
         return sorted(row for one, row in self._active if one == place) if self._active else []

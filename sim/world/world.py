@@ -81,6 +81,8 @@ class World:
             raise ConfigError(f"{n} robots, but start poses of shape {starts.shape}")
         self.ids, self.platforms = tuple(robots), tuple(robots.values())
         self.arena, self.dt, self._steps = arena, TIME_STEP, 0
+        self.time = 0.0
+        """Simulated time in s."""
         self.fields = tuple(fields)
         self.faults = Faults(self.ids, seed, self.platforms, self.dt, bodies.value)
         # Each part needs the parts before it.
@@ -179,11 +181,6 @@ class World:
             names = [f"ring of {robot}" for robot in self.ids]
             self._ring_noise = NoisyLidar(realism.lidar, ringed, names, seed)
 
-    @property
-    def time(self) -> float:
-        """Simulated time in s."""
-        return self._steps * self.dt
-
     def set_commands(self, twists: Array) -> None:
         """Set the commands (n, 3) linear, angular, lateral of the bases in m/s and rad/s.
 
@@ -222,6 +219,7 @@ class World:
         self._items.apply_friction()
         mujoco.mj_step(self.model, data)
         self._steps += 1
+        self.time = self._steps * self.dt
         if self._items.has_flat:
             self._items.follow(self._robot_poses, self.grips)
         if data.ncon:
@@ -293,7 +291,7 @@ class World:
 
     def _send(self, row: int, scan: Scan) -> None:
         """Send a scan whose last ray is measured now to its robot, with the faults of its lidar."""
-        seen, delay = self.faults.scan(row, scan)
+        seen, delay = self.faults.scan(row, scan) if self.faults.have_begun else (scan, 0.0)
         if seen is not None:
             self._transport.send(row, seen, self.time + delay)
 
@@ -341,7 +339,9 @@ class World:
         poses, twists = self._odometers.read(chosen, self._places(), self.twists())
         places, speeds = map(Pose, *poses.T.tolist()), map(Twist, *twists.T.tolist())
         readings = list(map(Odometry, repeat(now), places, speeds))
-        return list(map(self.faults.odometry, chosen.tolist(), readings))
+        if self.faults.have_begun:
+            readings = list(map(self.faults.odometry, chosen.tolist(), readings))
+        return readings
 
     def readings(self, robot: int) -> Mapping[str, float]:
         """The readings of a robot by name: fields at its sensors or axle, and items near it."""

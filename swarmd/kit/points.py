@@ -191,7 +191,6 @@ class RobotsInSight:
     objects: list[Any] = cython.declare(object, visibility="readonly")
     narrow: list[Any] = cython.declare(object, visibility="readonly")
     polar: list[Pair] = cython.declare(object, visibility="readonly")
-    _directed: list[Any]  # range, cosine and sine of the bearing
 
     def __init__(
         self,
@@ -208,7 +207,9 @@ class RobotsInSight:
         robot if it is at one of them, however wide it is.
         """
         places = [(d * cos(b), d * sin(b)) for d, b in named]
-        self.objects = []
+        forward: cython.double = offset[0]
+        left: cython.double = offset[1]
+        self.objects, self.polar = [], []
         self.narrow = [] if places else self.objects
         for one in objects:
             row: tuple[Any, ...] = tuple(one)  # of a tuple itself, whose items C reads faster
@@ -218,8 +219,12 @@ class RobotsInSight:
                 self.narrow.append(one)
             if away <= reach and (_is_at(one, offset, places) if places else is_narrow):
                 self.objects.append(one)
-        self.polar = polar_from_base([(one[0], one[1]) for one in self.objects if one[4]], offset)
-        self._directed = [(away, cos(bearing), sin(bearing)) for away, bearing in self.polar]
+                if row[4]:
+                    bearing: cython.double = row[1]
+                    _check(bearing)
+                    x: cython.double = away * cos(bearing) + forward
+                    y: cython.double = away * sin(bearing) + left
+                    self.polar.append((hypot(x, y), atan2(y, x)))
 
     def arrangement(self, near: cython.double) -> tuple[int, float]:
         """The number of robots of `polar` nearer than `near` m, and how well all lie on one line.
@@ -246,18 +251,17 @@ class RobotsInSight:
         preserving connectedness", 2007).
         """
         distance: cython.double
-        ahead: cython.double
-        left: cython.double
+        bearing: cython.double
         x: cython.double = 0.0
         y: cython.double = 0.0
         if brake == 0.0 or reach == 0.0:  # compiled code would not raise by itself
             raise ZeroDivisionError(f"brake is {brake} m and reach {reach} m")
-        for distance, ahead, left in self._directed:
+        for distance, bearing in self.polar:
             if distance > spacing:
                 rest: cython.double = 1.0 - min(distance / reach, _MAX_LOSS_SHARE)
                 weight: cython.double = (distance - spacing) / (brake * rest)
-                x += weight * ahead
-                y += weight * left
+                x += weight * cos(bearing)
+                y += weight * sin(bearing)
         return x, y
 
     def keep_in_sight(
@@ -269,11 +273,12 @@ class RobotsInSight:
         range `reach` - `brake`, and 0 at `reach`.
         """
         distance: cython.double
-        ahead: cython.double
-        left: cython.double
+        bearing: cython.double
         if brake == 0.0:  # compiled code would not raise by itself
             raise ZeroDivisionError("brake is 0 m")
-        for distance, ahead, left in self._directed:
+        for distance, bearing in self.polar:
+            ahead: cython.double = cos(bearing)
+            left: cython.double = sin(bearing)
             excess: cython.double = -(x * ahead + y * left) - max(reach - distance, 0.0) / brake
             if excess > 0.0:
                 x, y = x + excess * ahead, y + excess * left

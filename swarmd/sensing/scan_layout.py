@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -193,17 +193,30 @@ def layout_of(scan: Scan) -> ScanLayout | None:
     for layout in _layouts:
         if layout.scan is scan:
             return layout
-    ranges, bearings = _known_rays(scan)
-    if not len(bearings):
+    given_ranges, given_bearings = scan.ranges, scan.bearings
+    ranges = np.ascontiguousarray(given_ranges, np.float64)
+    bearings = np.ascontiguousarray(given_bearings, np.float64)
+    if ranges.shape != bearings.shape or ranges.ndim != 1:
+        raise ValueError(
+            f"ranges {ranges.shape} and bearings {bearings.shape} of a scan; expected both (n,)"
+        )
+    known: cython.const_double[::1] = view_of(ranges)
+    i: cython.Py_ssize_t
+    for i in range(len(known)):
+        if isnan(known[i]):
+            is_known = ~np.isnan(ranges)
+            known, bearings = view_of(ranges[is_known]), bearings[is_known]
+            break
+    if not len(known):
         return None
-    view: cython.const_double[::1] = bearings
+    view: cython.const_double[::1] = view_of(bearings)
     for layout in _layouts:
         if layout.is_of(view):
             break
     else:
         layout = _new_layout(view)
-    is_fixed = not (scan.ranges.flags.writeable or scan.bearings.flags.writeable)
-    layout.scan, layout.known = scan if is_fixed else None, ranges
+    is_fixed = not (given_ranges.flags.writeable or given_bearings.flags.writeable)
+    layout.scan, layout.known = scan if is_fixed else None, known
     return layout
 
 
@@ -216,21 +229,3 @@ def _new_layout(view: cython.const_double[::1]) -> ScanLayout:
     layout.set_bearings(view)
     _layouts.insert(0, layout)
     return layout
-
-
-@cython.cfunc
-def _known_rays(scan: Scan) -> tuple[Any, ...]:
-    """The known ranges and their bearings."""
-    ranges = np.ascontiguousarray(scan.ranges, np.float64)
-    bearings = np.ascontiguousarray(scan.bearings, np.float64)
-    if ranges.shape != bearings.shape or ranges.ndim != 1:
-        raise ValueError(
-            f"ranges {ranges.shape} and bearings {bearings.shape} of a scan; expected both (n,)"
-        )
-    view: cython.const_double[::1] = view_of(ranges)
-    i: cython.Py_ssize_t
-    for i in range(len(view)):
-        if isnan(view[i]):
-            is_known = ~np.isnan(ranges)
-            return view_of(ranges[is_known]), view_of(bearings[is_known])
-    return view_of(ranges), view_of(bearings)
