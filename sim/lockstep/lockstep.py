@@ -175,7 +175,7 @@ class Lockstep:
         are due. All odometry is due together.
         """
         ids, n = self.world.ids, len(self.world.ids)
-        # By then robots have all they keep. Fewer robots fit into the processor's caches.
+        # s; by then robots have all they keep. Fewer robots gain nothing.
         self._use_huge_pages_at = 1.0 if n >= 32 else math.inf
         phases = np.array([generator(self.seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
