@@ -221,7 +221,8 @@ class Attraction(FieldPattern[AttractionParams]):
         """Apply changed parameters, and evaluate the scan again."""
         super().update(params)
         self._view: _Surroundings | None = None  # of the last scan
-        self._command: Twist | None = None  # for this view and state
+        # For this view and state; neither `params` nor `_side` changes within both.
+        self._command: Twist | None = None
         # `spacing`, so far within `range` that a robot which drifts away is still in sight.
         self._spacing = min(params.spacing, max(params.range - params.brake, 0.0))
 

@@ -67,6 +67,7 @@ _core = load_kernel("swarmd.robot.ticker")
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
+_HUGE_PAGES_AT, _MANY = 5.0, 64  # s, robots; a shorter or smaller run gains less than it takes
 _PARTS = 50  # of a run, between which garbage is collected
 
 _NO_PATTERNS: Mapping[str, type[Pattern[Any]]] = MappingProxyType({})
@@ -175,8 +176,6 @@ class Lockstep:
         are due. All odometry is due together.
         """
         ids, n = self.world.ids, len(self.world.ids)
-        # s; by then robots have all they keep. Fewer robots gain nothing.
-        self._use_huge_pages_at = 1.0 if n >= 32 else math.inf
         phases = np.array([generator(self.seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._sensor_times = SensorTimes(
@@ -219,6 +218,8 @@ class Lockstep:
         self.has_daemon = [False] * n
         self._absent_count = n
         self._steps = 0
+        is_large = len(self.world.ids) >= _MANY
+        self._huge_pages_at = round(_HUGE_PAGES_AT / self.world.dt) if is_large else -1  # in steps
 
     def _begin_latches(self) -> None:
         """Set the latches, emergency stops that hold until a reset; no robot has any."""
@@ -415,11 +416,10 @@ class Lockstep:
         with _without_collection():
             for _ in range(round(seconds / self.world.dt)):
                 self._step()
+                if self._steps == self._huge_pages_at:
+                    use_huge_pages()
                 if on_step is not None:
                     on_step(self.world.time)
-        if self.world.time >= self._use_huge_pages_at:
-            self._use_huge_pages_at = math.inf
-            use_huge_pages()
 
     def trace(self) -> Trace:
         """The trace up to now, complete in the first process; all processes must call this."""

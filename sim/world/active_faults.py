@@ -56,7 +56,7 @@ class Faults:
                 self._active.pop((kind.place, row), None)
 
     @property
-    def have_begun(self) -> bool:
+    def have_effect(self) -> bool:
         """Whether a fault is on, or one of odometry has shifted a pose."""
         return bool(self._active or self._chains)
 

@@ -291,7 +291,7 @@ class World:
 
     def _send(self, row: int, scan: Scan) -> None:
         """Send a scan whose last ray is measured now to its robot, with the faults of its lidar."""
-        seen, delay = self.faults.scan(row, scan) if self.faults.have_begun else (scan, 0.0)
+        seen, delay = self.faults.scan(row, scan) if self.faults.have_effect else (scan, 0.0)
         if seen is not None:
             self._transport.send(row, seen, self.time + delay)
 
@@ -339,7 +339,7 @@ class World:
         poses, twists = self._odometers.read(chosen, self._places(), self.twists())
         places, speeds = map(Pose, *poses.T.tolist()), map(Twist, *twists.T.tolist())
         readings = list(map(Odometry, repeat(now), places, speeds))
-        if self.faults.have_begun:
+        if self.faults.have_effect:
             readings = list(map(self.faults.odometry, chosen.tolist(), readings))
         return readings
 

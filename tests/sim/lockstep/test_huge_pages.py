@@ -1,6 +1,9 @@
-"""Huge pages: what memory Linux is asked for, and that a run keeps its bits."""
+"""Huge pages: what memory Linux is asked for, when, and that the memory stays as it is."""
 
 from __future__ import annotations
+
+import ctypes
+from pathlib import Path
 
 import pytest
 
@@ -8,10 +11,10 @@ from swarmd.sim.lockstep import huge_pages
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import load_scenario
 
-# As of proc(5).
-MAPS = """\
+# As of proc(5). A path is of any bytes but a newline.
+MAPS = b"""\
 00400000-00e00000 r-xp 00000000 fd:00 1234                               /usr/bin/python3.11
-00e00000-02000000 rw-p 00a00000 fd:00 1234                               /usr/bin/python3.11
+00e00000-02000000 rw-p 00a00000 fd:00 1234                               /caf\xe9/two words\x0b\x85
 10100000-10a00000 rw-p 00000000 00:00 0                                  [heap]
 20000000-20200000 rw-p 00000000 00:00 0
 30000000-30100000 rw-p 00000000 00:00 0
@@ -19,6 +22,7 @@ MAPS = """\
 40000000-41000000 rw-s 00000000 00:01 77                                 /dev/shm/one of three words
 50000000-51000000 r--p 00000000 00:00 0                                  [vvar]
 60000000-61000000 ---p 00000000 00:00 0
+61000000-62000000 rw-p 00000000 00:00 0                                  [anon:of another]
 7ffd00000000-7ffd01000000 rw-p 00000000 00:00 0                          [stack]
 """
 
@@ -37,16 +41,31 @@ def test_memory_keeps_its_contents() -> None:
     assert held == bytearray(range(256)) * (1 << 15)
 
 
-@pytest.mark.parametrize(("robots", "asked_at"), [(31, []), (32, [pytest.approx(1.2)])])
+@pytest.mark.parametrize("odd", [OSError("refused"), b"no map\n", None])
+def test_a_run_goes_on_where_it_cannot_ask(
+    odd: bytes | OSError | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read(path: Path) -> bytes:
+        if isinstance(odd, OSError):
+            raise odd
+        return odd or MAPS
+
+    monkeypatch.setattr(Path, "read_bytes", read)
+    # A library without the function, as of another system.
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: object())
+    huge_pages.use_huge_pages()
+
+
+@pytest.mark.parametrize(("robots", "asked_at"), [(63, []), (64, [pytest.approx(0.1)])])
 def test_a_large_run_asks_once(
     robots: int, asked_at: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    changes = {"arena.size": [6.0, 6.0], "groups.all.count": robots}
-    run = Lockstep(load_scenario("thousand", changes), seed=0)
+    changes = {"arena.size": [20.0, 20.0], "groups.all.count": robots}
+    monkeypatch.setattr("swarmd.sim.lockstep.lockstep._HUGE_PAGES_AT", 0.1)
+    run = Lockstep(load_scenario("thousand", {**changes, "groups.all.pattern": "drive"}), seed=0)
     asked: list[float] = []
     monkeypatch.setattr(
         "swarmd.sim.lockstep.lockstep.use_huge_pages", lambda: asked.append(run.world.time)
     )
-    for _ in range(3):
-        run.advance(0.6)
+    run.advance(0.3)
     assert asked == asked_at
