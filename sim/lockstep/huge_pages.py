@@ -18,7 +18,7 @@ _SIZE = 2 << 20
 def use_huge_pages() -> None:
     """Ask Linux to put the memory that this process has now into huge pages.
 
-    It takes some 0.3 ms for each MB, in which Linux copies also what a fork shares with its parent.
+    It takes some 1 ms for each MB. Linux also copies what a fork shares with its parent.
     What Linux leaves in small pages stays as it is. No effect on other systems.
     """
     with suppress(OSError, AttributeError, ValueError):  # no such file or function, an odd line
