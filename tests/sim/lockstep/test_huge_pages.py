@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -27,33 +28,41 @@ MAPS = b"""\
 """
 
 
-def test_only_own_memory_that_holds_a_huge_page_is_asked_for() -> None:
-    assert list(huge_pages.spans(MAPS)) == [
-        (0x10200000, 0x00800000),
-        (0x20000000, 0x00200000),
-        (0x30200000, 0x00200000),
-    ]
-
-
 def test_memory_keeps_its_contents() -> None:
     held = bytearray(range(256)) * (1 << 15)  # 8 MB
     huge_pages.use_huge_pages()
     assert held == bytearray(range(256)) * (1 << 15)
 
 
-@pytest.mark.parametrize("odd", [OSError("refused"), b"no map\n", None])
-def test_a_run_goes_on_where_it_cannot_ask(
-    odd: bytes | OSError | None, monkeypatch: pytest.MonkeyPatch
+OWN = [(0x10200000, 0x00800000), (0x20000000, 0x00200000), (0x30200000, 0x00200000)]
+
+
+@pytest.mark.parametrize("has_function", [True, False])
+@pytest.mark.parametrize(
+    ("maps", "asked"),
+    [(MAPS, OWN), (MAPS + b"no map\n", OWN), (b"no map\n" + MAPS, []), (OSError("refused"), [])],
+    ids=["usual", "odd at the end", "odd at the start", "refused"],
+)
+def test_what_cannot_be_asked_for_is_left(
+    maps: bytes | OSError, asked: object, monkeypatch: pytest.MonkeyPatch, *, has_function: bool
 ) -> None:
     def read(path: Path) -> bytes:
-        if isinstance(odd, OSError):
-            raise odd
-        return odd or MAPS
+        if isinstance(maps, OSError):
+            raise maps
+        return maps
 
+    calls: list[tuple[int, int]] = []
+
+    def madvise(begin: int, size: int, advice: int) -> int:
+        assert advice == 25  # MADV_COLLAPSE of linux/mman.h
+        calls.append((begin, size))
+        return -1
+
+    library = SimpleNamespace(madvise=madvise) if has_function else SimpleNamespace()
     monkeypatch.setattr(Path, "read_bytes", read)
-    # A library without the function, as of another system.
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: object())
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: library)
     huge_pages.use_huge_pages()
+    assert calls == (asked if has_function else [])
 
 
 @pytest.mark.parametrize(("robots", "asked_at"), [(63, []), (64, [pytest.approx(0.1)])])
