@@ -24,7 +24,7 @@ _COLOURS = {"running": "#2e7d32", "estopped": "#c62828", "faulted": "#c62828", "
 _SIDE = 320  # px of the map
 
 if TYPE_CHECKING:
-    from swarmd.security.identity import IdentityInfo
+    from swarmd.security.identity import Identity
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +34,8 @@ class Members(Mapping[str, SeenMember]):
     view: MembersView
     poses: Mapping[str, Pose] = field(default_factory=dict)  # empty if not asked for
     frame: str = "each by its own odometry"  # the frame of the poses, in words
-    asker: IdentityInfo | None = None
-    """The key with which the swarm was asked; None in a swarm without keys."""
+    asker: Identity | None = None
+    """With which the swarm was asked; None in a swarm without keys."""
 
     def __getitem__(self, name: str) -> SeenMember:
         return self.view.members[name]

@@ -78,7 +78,7 @@ class Swarm(Closing):
         """
         if not poses:
             view, identity = self._look(timeout)
-            return Members(view, asker=identity and identity.info)
+            return Members(view, asker=identity)
         timeout = check_time("timeout", timeout)
 
         def look() -> Members:
@@ -88,7 +88,7 @@ class Swarm(Closing):
                     return Members(view, self._places(), "true positions")
                 identity = session.operator.identity
                 places = read_poses(session.operator, view.answered)
-                return Members(view, places, asker=identity and identity.info)
+                return Members(view, places, asker=identity)
 
         return self._pool.looks.share(("poses", timeout), look, timeout)
 
