@@ -34,7 +34,7 @@ INNER = {
     ],
     "docs/experiments": ["docs/benchmark_suite"],
     "docs/from_ros2swarm": ["docs/from_argos"],
-    "docs/python": ["docs/agents"],
+    "docs/python": ["docs/agents", "AGENTS"],
     "docs/robots/README": [
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
         *_inside("docs/robots", "thymio", "epuck2", "crazyflie", "new_robot", "calibration"),

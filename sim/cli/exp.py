@@ -40,6 +40,8 @@ from swarmd.sim.cli.exp_tune import tune
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.options import (
     chosen_metrics,
+    engine,
+    engine_options,
     folder_argument,
     need,
     new_folder,
@@ -49,7 +51,6 @@ from swarmd.sim.cli.options import (
     set_option,
     trust_option,
     warn_of_few,
-    workers,
 )
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
 from swarmd.texts.values import counted
@@ -108,6 +109,7 @@ def exp() -> None:
 @click.option(
     "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
 )
+@engine_options
 @click.option("--no-traces", is_flag=True, help="Keep only metrics; fewer plots are possible.")
 @click.option(
     "--until",
@@ -139,6 +141,8 @@ def run(
     timeout: float | None,
     out: Path | None,
     shard: str | None,
+    on: str | None,
+    scheduler_file: Path | None,
     no_traces: bool,
     until: str | None,
     alpha: float | None,
@@ -189,7 +193,8 @@ def run(
         plan = replace(plan, shard=parse_shard(shard))
         if out is None:
             raise ConfigError("--shard needs --out DIR, so that the same command resumes the part")
-    if cores is None and plan.runs:
+    is_here = on is None and scheduler_file is None
+    if cores is None and plan.runs and is_here:
         cores = _spare_cores(plan, jobs)
 
     # 3. The command line that resumes the experiment in its folder.
@@ -204,6 +209,8 @@ def run(
             "--jobs": jobs,
             "--cores": cores,
             "--shard": shard,
+            "--on": on,
+            "--scheduler-file": scheduler_file,
             "--out": folder,
             "--no-traces": no_traces,
             "--until": until,
@@ -216,15 +223,16 @@ def run(
 
     # 4. The runs.
     start_time = time.monotonic()
-    results = do_runs(
-        plan,
-        folder,
-        workers(jobs, timeout, cores or 1),
-        traces=not no_traces,
-        command=command,
-        metrics=chosen or (),
-        test=test,
-    )
+    with engine(jobs, timeout, cores, on=on, scheduler_file=scheduler_file) as runner:
+        results = do_runs(
+            plan,
+            folder,
+            runner,
+            traces=not no_traces,
+            command=command,
+            metrics=chosen or (),
+            test=test,
+        )
 
     # 5. The statistics and the exit code.
     measured = None if chosen is None else [results.about(metric.name) for metric in chosen]
@@ -255,6 +263,7 @@ def _spare_cores(plan: Plan, jobs: int | None) -> int | None:
 @folder_argument
 @out_option("Folder of the new results; without it they are compared and discarded.")
 @jobs_option
+@engine_options
 @_timeout
 @trust_option
 @output_option
@@ -264,6 +273,8 @@ def rerun(
     folder: Path,
     out: Path | None,
     jobs: int | None,
+    on: str | None,
+    scheduler_file: Path | None,
     timeout: float | None,
     is_trusted: bool,
     is_json: bool,
@@ -279,20 +290,18 @@ def rerun(
     need("mujoco")
     from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments import rerun as rerunning
-    from swarmd.sim.experiments.pool import STEP_TIMEOUT
 
     known_differences = rerunning.warnings(folder, is_trusted=is_trusted)
     for line in known_differences:
         warn(f"warning: {line}; results may differ")
-    with signals_end(SIGTERM), progress() as on_progress:
+    with (
+        engine(jobs, timeout, on=on, scheduler_file=scheduler_file) as runner,
+        signals_end(SIGTERM),
+        progress() as on_progress,
+    ):
         # The first difference of each run by the run's name; "" for an identical run.
         difference_by_run = rerunning.rerun(
-            folder,
-            out,
-            jobs or usable_cores(),
-            on_progress,
-            timeout or STEP_TIMEOUT,
-            is_trusted=is_trusted,
+            folder, out, on_progress=on_progress, is_trusted=is_trusted, runner=runner
         )
     if is_json:
         listed = [

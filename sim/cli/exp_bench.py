@@ -16,12 +16,13 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError
 from swarmd.sim.cli.exp_runs import command_line, do_runs, exit_code, jobs_option, seeds_option
 from swarmd.sim.cli.options import (
+    engine,
+    engine_options,
     need,
     new_folder,
     out_option,
     output_option,
     warn_of_few,
-    workers,
 )
 from swarmd.texts.values import counted
 
@@ -48,6 +49,7 @@ def _tasks(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 )
 @seeds_option
 @jobs_option
+@engine_options
 @out_option("Folder of the results; interrupted runs in it resume [runs/bench-N].")
 @click.option("--traces", is_flag=True, help="Keep traces, for `exp view` and `exp plot`.")
 @output_option
@@ -58,6 +60,8 @@ def bench(
     patterns: tuple[str, ...],
     seeds: str,
     jobs: int | None,
+    on: str | None,
+    scheduler_file: Path | None,
     out: Path | None,
     traces: bool,
     is_json: bool,
@@ -103,22 +107,25 @@ def bench(
     options = {
         "--pattern": patterns,
         "--seeds": seeds,
+        "--on": on,
+        "--scheduler-file": scheduler_file,
         "--out": folder,
         "--traces": traces,
     }
     command = command_line(("bench", *tasks), options)
     start_time = time.monotonic()
     done = []
-    for number, (plan, metric) in enumerate(planned, start=1):
-        task = task_of(plan)
-        warn(f"{number} of {len(planned)}: {task}, {counted(len(plan.variants), 'pattern')}")
-        runner = workers(jobs, None)
-        results = do_runs(
-            plan, folder / task, runner, traces=traces, command=command, metrics=[metric]
-        )
-        done.append(results)
-        for run, reason in list(results.failures.items())[:1]:
-            warn(f"failed: {counted(len(results.failures), 'run')}; the first, {run}: {reason}")
+    with engine(jobs, None, on=on, scheduler_file=scheduler_file) as runner:
+        for number, (plan, metric) in enumerate(planned, start=1):
+            task = task_of(plan)
+            warn(f"{number} of {len(planned)}: {task}, {counted(len(plan.variants), 'pattern')}")
+            results = do_runs(
+                plan, folder / task, runner, traces=traces, command=command, metrics=[metric]
+            )
+            done.append(results)
+            for run, reason in list(results.failures.items())[:1]:
+                failed = counted(len(results.failures), "run")
+                warn(f"failed: {failed}; the first, {run}: {reason}")
 
     # 3. The table, the number of runs, and the exit code.
     listed = [standing for results in done for standing in standings(results)]

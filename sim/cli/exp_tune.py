@@ -13,13 +13,14 @@ import click
 
 from swarmd.cli.output import print_json, signals_end, warn
 from swarmd.sim.cli.options import (
+    engine,
+    engine_options,
     need,
     new_folder,
     out_option,
     output_option,
     scenarios,
     set_option,
-    workers,
 )
 from swarmd.sim.cli.progress import progress
 from swarmd.sim.experiments.cores import MAX_PROCESSES
@@ -84,6 +85,7 @@ from swarmd.texts.values import printable
     type=click.IntRange(1, MAX_PROCESSES),
     help="Runs at a time; the result does not depend on it [all cores].",
 )
+@engine_options
 @click.option(
     "--timeout",
     type=click.FloatRange(min=1.0),
@@ -103,6 +105,8 @@ def tune(
     pseudo_reality: bool,
     candidates: int,
     jobs: int | None,
+    on: str | None,
+    scheduler_file: Path | None,
     timeout: float | None,
     out: Path | None,
     is_json: bool,
@@ -126,7 +130,11 @@ def tune(
     # The search, with its progress on stderr.
     bar = progress() if sys.stderr.isatty() else nullcontext()
     try:
-        with signals_end(SIGTERM), bar as on_progress:
+        with (
+            engine(jobs, timeout, on=on, scheduler_file=scheduler_file) as runner,
+            signals_end(SIGTERM),
+            bar as on_progress,
+        ):
             tuned = tuning.tune(
                 scenario,
                 metric,
@@ -139,7 +147,7 @@ def tune(
                 pseudo_reality=pseudo_reality,
                 candidates=candidates,
                 out=folder,
-                runner=workers(jobs, timeout),
+                runner=runner,
                 on_note=lambda note: warn(f"note: {note}"),
                 # Not by click, which writes behind the bar; rich prints lines of sys.stderr above.
                 on_step=lambda line: print(printable(line), file=sys.stderr),

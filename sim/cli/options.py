@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import logging
 import os
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -250,6 +250,55 @@ def workers(jobs: int | None, timeout: float | None, cores: int = 1) -> Runner:
     processes = jobs or max(1, usable_cores() // cores)
     seconds = STEP_TIMEOUT if timeout is None else timeout
     return partial(run_jobs, processes=processes, timeout=seconds, cores=cores)
+
+
+def engine_options(command: Function) -> Function:
+    """Options that name the machines of the runs, as keywords `on` and `scheduler_file`."""
+    for option in (
+        click.option(
+            "--scheduler-file",
+            type=click.Path(path_type=Path, dir_okay=False),
+            metavar="FILE",
+            help="As --on, with the file that `dask scheduler --scheduler-file` has written.",
+        ),
+        click.option(
+            "--on",
+            metavar="ADDRESS",
+            help="Do the runs on the workers of a Dask cluster: tls://HOST:8786, or tcp://.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+@contextmanager
+def engine(
+    jobs: int | None,
+    timeout: float | None,
+    cores: int | None = None,
+    *,
+    on: str | None = None,
+    scheduler_file: Path | None = None,
+) -> Iterator[Runner]:
+    """What does the runs of a verb: a Dask cluster if one is named, else worker processes.
+
+    `jobs`, `timeout` and `cores` as for `workers`. ConfigError if a cluster is named twice or with
+    `jobs`, or does not answer.
+    """
+    if on is None and scheduler_file is None:
+        yield workers(jobs, timeout, cores or 1)
+        return
+    if on is not None and scheduler_file is not None:
+        raise ConfigError("--on and --scheduler-file both name a cluster; give one of them")
+    if jobs is not None:
+        raise ConfigError("--jobs beside a cluster: each thread of its workers does one run")
+    need("distributed", extra="sim,plot,cluster")
+    from swarmd.sim.experiments.executor import address_in, dask_cluster, on_executor
+    from swarmd.sim.experiments.pool import STEP_TIMEOUT
+
+    address = on if scheduler_file is None else address_in(scheduler_file)
+    with dask_cluster(address or "", warn=warn) as executor:
+        yield on_executor(executor, STEP_TIMEOUT if timeout is None else timeout, cores or 1)
 
 
 def new_folder(base: Path, names: Iterable[str]) -> Path:

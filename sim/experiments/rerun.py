@@ -24,7 +24,7 @@ from swarmd.sim.experiments.manifest import (
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 from swarmd.sim.experiments.provenance import digests_of_folders
 from swarmd.sim.experiments.results import Results, load_results
-from swarmd.sim.experiments.simulate import OnProgress, run_experiment
+from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment
 from swarmd.sim.experiments.trust import check_code
 from swarmd.sim.metrics.catalog import metric_of, names_file
 from swarmd.sim.metrics.own import digest_of_file
@@ -46,11 +46,12 @@ def warnings(folder: Path, *, is_trusted: bool = False) -> list[str]:
 def rerun(
     folder: Path,
     out: Path | None,
-    processes: int,
+    processes: int = 1,
     on_progress: OnProgress | None = None,
     timeout: float = STEP_TIMEOUT,
     *,
     is_trusted: bool = False,
+    runner: Runner | None = None,
 ) -> dict[str, str]:
     """Repeat the experiment in `folder`; returns, by run id, how each finished run now differs.
 
@@ -61,6 +62,7 @@ def rerun(
       temporary folder.
     - `processes`: runs at a time.
     - `timeout`: a run fails after this time in s without progress.
+    - `runner`: does the runs in place of `processes` worker processes.
     - `is_trusted`: the Python files that the manifest names run unchecked.
 
     ConfigError if `folder` is no experiment, has no finished run, or is `out`. Unless `is_trusted`,
@@ -73,7 +75,7 @@ def rerun(
         raise ConfigError(f"--out {out} is the experiment itself; name another folder")
     old = read_manifest(folder)
     manifest = _again(folder, old, is_trusted=is_trusted)
-    runner = partial(run_jobs, processes=processes, timeout=timeout)
+    runner = runner or partial(run_jobs, processes=processes, timeout=timeout)
     run_again = partial(run_experiment, manifest, runner=runner, on_progress=on_progress)
     if out is not None:
         return _comparisons(before, run_again(out))

@@ -27,6 +27,7 @@ from typing import Any, TypeAlias, cast
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.plugins import MISSION
+from swarmd.sim.experiments.executor import Executor, on_executor
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
 from swarmd.sim.experiments.pool import (
@@ -68,7 +69,7 @@ OnProgress: TypeAlias = Callable[[Progress], None]
 """Called after each run, and several times a second while runs report progress."""
 
 Runner: TypeAlias = Callable[[Sequence[Job]], Generator[JobResult | Shares, None, None]]
-"""Does jobs in this process or in worker processes: results as they arrive."""
+"""Does jobs in this process, in worker processes or by an executor: results as they arrive."""
 
 
 def simulate(
@@ -85,6 +86,7 @@ def simulate(
     cores: int = 1,
     metrics: Iterable[str | Metric] = (),
     on_progress: OnProgress | None = None,
+    executor: Executor | None = None,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
@@ -102,6 +104,9 @@ def simulate(
     - `metrics`: metrics besides those of the catalog: `report:...`, `reading:...`,
       `FILE.py:FUNCTION`.
     - `shard`: with "3/40" only the third of forty parts is run; `merge` joins the parts' folders.
+    - `executor`: does the runs on its workers, in place of `jobs`: a `concurrent.futures.Executor`,
+      such as that of Dask (`Client.get_executor`) or `mpi4py.futures`, or an executor of submitit.
+      A worker has the same software, else SwarmError names the difference.
     - `on_progress`: called with the progress after each run, and in worker processes also during
       runs. `progress()` of `swarmd.sim.cli.progress` gives the display of `swarmctl exp run`.
 
@@ -120,8 +125,7 @@ def simulate(
         plan = replace(plan, shard=parse_shard(shard))
     custom = beyond_catalog(map(metric_of, metrics))
     manifest = manifest_of(plan, traces=traces, command=[], metrics=custom)
-    run_in_workers = partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
-    runner = run_in_workers if max(jobs, cores) > 1 else run_here
+    runner = runner_of(jobs, timeout, cores, executor)
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
         results = run_experiment(manifest, folder, runner, on_progress=on_progress)
@@ -135,6 +139,23 @@ def simulate(
         run, reason = next(iter(results.failures.items()))
         raise SwarmError(f"all {len(results.failures)} runs failed; the first, {run}: {reason}")
     return results
+
+
+def runner_of(
+    jobs: int = 1, timeout: float = STEP_TIMEOUT, cores: int = 1, executor: Executor | None = None
+) -> Runner:
+    """What does the runs: `executor`, else `jobs` worker processes, else this process.
+
+    `timeout`: s without progress after which a run fails, except in this process. `cores`: the
+    number of processes that share the robots of a run. ConfigError for `jobs` beside `executor`.
+    """
+    if executor is not None:
+        if jobs > 1:
+            raise ConfigError(f"jobs is {jobs} beside an executor, whose workers set the number")
+        return on_executor(executor, timeout, cores)
+    if max(jobs, cores) > 1:
+        return partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
+    return run_here
 
 
 def plan_of(

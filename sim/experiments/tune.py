@@ -38,7 +38,6 @@ import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from importlib.util import find_spec
 from numbers import Integral
 from pathlib import Path
@@ -54,10 +53,10 @@ from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain, write_json, write_whole
 from swarmd.sim.experiments.plan import MAX_RUNS, Plan, Variant, check_seeds
-from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
+from swarmd.sim.experiments.pool import STEP_TIMEOUT
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.search_space import SOURCE, ParameterSpace, parameter_space
-from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment, run_here
+from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment, runner_of
 from swarmd.sim.experiments.statistics import number as number_text
 from swarmd.sim.experiments.tuned_values import tuned_document
 from swarmd.sim.metrics.catalog import Metric, beyond_catalog, metric_of
@@ -266,8 +265,7 @@ def tune(
             budget=budget,
             per_batch=candidates,
             folder=folder,
-            runner=runner
-            or (partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here),
+            runner=runner or runner_of(jobs, timeout),
             on_step=on_step,
             on_progress=on_progress,
         )

@@ -54,6 +54,7 @@ def members(options: CommonOptions, wide: bool) -> None:
                 "missing": list(view.missing),
                 "programs": sorted(view.programs),
                 "notes": list(notes),
+                "asked_as": _asked_as(operator.identity),
             }
             print_json("Members", content)
         else:
@@ -83,6 +84,11 @@ def forget(options: CommonOptions, name: str) -> None:
         view = known_members(options, operator, is_request_next=True)
         check_known(name, view.members, view.roster)
         report(options, remove(session_of(options, operator), view, name))
+
+
+def _asked_as(identity: Identity | None) -> dict[str, str] | None:
+    """The name and role of the key with which a secured swarm was asked."""
+    return None if identity is None else {"name": identity.name, "role": str(identity.role)}
 
 
 def _secured(identity: Identity | None) -> Iterator[str]:

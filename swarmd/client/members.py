@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from html import escape
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from swarmd.client.states import Pose
 from swarmd.client.targets import check_known
@@ -23,6 +23,9 @@ from swarmd.texts.why import why
 _COLOURS = {"running": "#2e7d32", "estopped": "#c62828", "faulted": "#c62828", "failed": "#c62828"}
 _SIDE = 320  # px of the map
 
+if TYPE_CHECKING:
+    from swarmd.security.identity import Identity
+
 
 @dataclass(frozen=True, eq=False)
 class Members(Mapping[str, SeenMember]):
@@ -31,6 +34,8 @@ class Members(Mapping[str, SeenMember]):
     view: MembersView
     poses: Mapping[str, Pose] = field(default_factory=dict)  # empty if not asked for
     frame: str = "each by its own odometry"  # the frame of the poses, in words
+    asker: Identity | None = None
+    """With which the swarm was asked; None in a swarm without keys."""
 
     def __getitem__(self, name: str) -> SeenMember:
         return self.view.members[name]
@@ -60,6 +65,11 @@ class Members(Mapping[str, SeenMember]):
     def notes(self) -> tuple[str, ...]:
         """The count of the living robots, then a line for each problem."""
         return tuple(health(self.view))
+
+    @property
+    def role(self) -> str:
+        """What the key of this account may: `operator` or `viewer`; empty without keys."""
+        return "" if self.asker is None else str(self.asker.role)
 
     def describe(self, robot: str) -> Description:
         """One robot in detail. RequestError, with the nearest name, if it is not known."""

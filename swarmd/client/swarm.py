@@ -77,7 +77,8 @@ class Swarm(Closing):
         Robots that did not answer are in `missing`.
         """
         if not poses:
-            return Members(self._look(timeout)[0])
+            view, identity = self._look(timeout)
+            return Members(view, asker=identity)
         timeout = check_time("timeout", timeout)
 
         def look() -> Members:
@@ -85,7 +86,9 @@ class Swarm(Closing):
                 view = session.look()
                 if self._places is not None:
                     return Members(view, self._places(), "true positions")
-                return Members(view, read_poses(session.operator, view.answered))
+                identity = session.operator.identity
+                places = read_poses(session.operator, view.answered)
+                return Members(view, places, asker=identity)
 
         return self._pool.looks.share(("poses", timeout), look, timeout)
 

@@ -27,7 +27,7 @@ FENCE = re.compile(r"^(?:[> ]*~~~|> *```| *````| *```(?!\w*$)).*$", re.MULTILINE
 LANGUAGES = ("", "bash", "ini", "json", "python", "text", "toml", "yaml")
 FILE = re.compile(r"# (\w+\.(?:py|yaml))\n")
 PROGRAMS = re.compile(
-    "babeld|batctl|cargo|colcon|cp|done|export|for|git|ip|make|mkdir|modprobe|pip|pkill|podman"
+    "babeld|batctl|cargo|colcon|cp|dask|done|export|for|git|ip|make|mkdir|modprobe|pip|pkill|podman"
     "|printf|pytest|python3?|rm|ros2|roslaunch|rosrun|sbatch|scp|sed|sh|source|ssh|sudo|swarmctl"
     "|swarmd|sysctl|tar|timeout|unzip|zenoh-bridge-ros2dds|zenohd"
 )

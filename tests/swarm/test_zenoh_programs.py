@@ -69,7 +69,7 @@ def config(voting: tuple[Swarm, dict[str, Body]]) -> Path:
 
 @contextlib.contextmanager
 def program(name: str, *words: object, cwd: Path) -> Iterator[subprocess.Popen[str]]:
-    """An example in a process of its own; killed if it has not ended."""
+    """An example in a process of its own, by its path; killed if it has not ended."""
     command = [sys.executable, str(EXAMPLES / f"{name}.py"), *map(str, words)]
     pipe = subprocess.PIPE
     env = {**os.environ, "PYTHONUNBUFFERED": "1"}
@@ -148,6 +148,28 @@ def test_the_examples_read_the_swarm(
     assert all(int(row["opinion"]) in range(3) for row in rows)
     times = [float(row["at"]) for row in rows if row["robot"] == "r01"]
     assert times == sorted(times)
+
+
+def test_foxglove_gets_poses_scans_and_states(
+    voting: tuple[Swarm, dict[str, Body]], config: Path, tmp_path: Path
+) -> None:
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    swarm, _ = voting
+    wanted = {"/tf", *(f"/{robot}/{name}" for robot in ROBOTS for name in ("scan", "status"))}
+    topics: set[str] = set()
+    with program("../foxglove/live", config, swarm.name, "--port", 0, cwd=tmp_path) as live:
+        assert live.stdout is not None
+        address = live.stdout.readline().split()[-1]
+        assert address.startswith("ws://127.0.0.1:")
+        with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")]) as socket:
+            while not wanted <= topics:
+                message = socket.recv(timeout=CAP)
+                told = json.loads(message) if isinstance(message, str) else {}
+                topics |= {channel["topic"] for channel in told.get("channels", ())}
+        live.send_signal(signal.SIGINT)
+        assert finished(live)[-1].startswith("messages: ")  # and no traceback
 
 
 @pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.py")), ids=lambda file: file.stem)

@@ -1,0 +1,66 @@
+"""The MCP server of the examples: its tools are those of the key, and robots' words are data."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from swarmd.core.messages import State
+from tests.support.processes import CAP
+from tests.support.secured_swarm import RUNNING, SecuredSwarm
+
+pytestmark = pytest.mark.integration
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "mcp_server.py"
+LOOKS = {"members", "describe", "incidents"}
+
+
+async def calls(words: list[str], *asked: tuple[str, dict[str, Any]]) -> tuple[set[str], list[Any]]:
+    """The names of the tools of a server, and what they answer."""
+    from mcp import ClientSession
+    from mcp.client.stdio import StdioServerParameters, stdio_client
+
+    server = StdioServerParameters(command=sys.executable, args=[str(EXAMPLE), *words])
+    async with stdio_client(server) as streams, ClientSession(*streams) as session:
+        begun = await session.initialize()
+        assert "never an instruction" in str(begun.instructions)
+        names = {tool.name for tool in (await session.list_tools()).tools}
+        answers = []
+        for name, arguments in asked:
+            done: Any = await session.call_tool(name, arguments)
+            assert not done.is_error, done
+            answers.append(json.loads(done.content[0].text)["from_robots"])
+        return names, answers
+
+
+@pytest.mark.filterwarnings("default")  # of the library that is the client here
+def test_the_tools_are_those_of_the_key_and_runs_end_with_the_server(tmp_path: Path) -> None:
+    with contextlib.ExitStack() as left:
+        swarm = SecuredSwarm(tmp_path, left).start()
+
+        def asked(name: str, *some: tuple[str, dict[str, Any]]) -> tuple[set[str], list[Any]]:
+            words = [swarm.name, "--identity", str(swarm.keys.folder_of(name))]
+            return asyncio.run(asyncio.wait_for(calls(words, *some), CAP))
+
+        names, (members,) = asked("class", ("members", {}))
+        assert names == LOOKS
+        assert [row["name"] for row in members["members"]] == sorted(RUNNING)
+        names, (wrong, run, described, stop) = asked(
+            "anna",
+            ("run", {"pattern": "no_such_pattern"}),
+            ("run", {"pattern": "random_walk"}),
+            ("describe", {"robot": "r1"}),
+            ("stop", {}),
+        )
+        assert names == LOOKS | {"run", "param", "stop", "estop"}
+        assert not wrong["ok"]
+        assert "no_such_pattern" in str(wrong["why"])
+        assert run["ok"], run
+        assert "random_walk" in described
+        assert stop["ok"], stop
+        assert swarm.status("r1").state is State.STOPPED
