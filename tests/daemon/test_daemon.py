@@ -160,9 +160,7 @@ class GatheringDriver(RecordingDriver):
         super().__init__()
         self.take_late: TakeLate | None = None
 
-    def gather(self, take_late: TakeLate | None) -> None:
-        if take_late is None:
-            self.read()
+    def gather(self, take_late: TakeLate) -> None:
         self.take_late = take_late
 
     def read(self) -> None:
