@@ -77,7 +77,8 @@ class SimulatedDriver:
         self._link: RobotClient | None = None
         self._gate = CommandGate()
         self._last_sample = -math.inf  # s on the loop's clock
-        self._take_late: TakeLate | None = None
+        self._gatherer: TakeLate | None = None  # of the daemon, for gathered odometry
+        self._take_late: TakeLate | None = None  # the same while odometry waits in the socket
         self._scan_size = 0  # bytes of the smallest frame of a scan
         self._kinds: set[str] = set()  # kinds of sensor inputs that have come
         self._lag = -math.inf  # s, arrival minus stamp of the last gathered reading
@@ -114,18 +115,13 @@ class SimulatedDriver:
         if command is not None:
             self._put(command, scan_seq, requested_scan_seq)
 
-    def gather(self, take_late: TakeLate | None) -> None:
-        """Leave odometry in the socket, if the world sends scans and odometry alone.
+    def gather(self, take_late: TakeLate) -> None:
+        """Leave odometry in the socket, as soon and as long as scans and odometry alone arrive.
 
         A scan still wakes the daemon: the socket becomes readable with the bytes of a scan.
         """
-        if self._kinds != {_SCAN, _ODOMETRY}:
-            take_late = None
-        if take_late is None and self._take_late is not None:
-            self.read()
-        self._take_late = take_late
-        if self._link is not None:
-            self._link.wait_for(1 if take_late is None else self._scan_size)
+        self._gatherer = take_late
+        self._settle_gathering()
 
     def read(self) -> None:
         """Hand over the frames that have arrived, unless frames are being handed over now."""
@@ -200,6 +196,14 @@ class SimulatedDriver:
                 self._take(sink, frame, batch)
         finally:
             self._is_taking = False
+        self._settle_gathering()
+
+    def _settle_gathering(self) -> None:
+        """Begin or end to leave odometry in the socket, also of a new connection."""
+        is_gathering = self._gatherer is not None and self._kinds == {_SCAN, _ODOMETRY}
+        self._take_late = self._gatherer if is_gathering else None
+        if self._link is not None:
+            self._link.wait_for(self._scan_size if is_gathering else 1)
 
     def _chosen(self, sink: Sink, frames: Sequence[Frame], *, is_gathered: bool) -> Iterable[Frame]:
         """The newest frame of each kind of input, and before these all odometry if `is_gathered`.

@@ -8,13 +8,14 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.support.processes import stop_process, wait_until
-from tests.support.stalls import LONG, SHORT, _keep, _stall, _state, kinds
+from tests.support.stalls import LONG, SHORT, Stalls, _keep, _locked, _stall, _state, kinds
 
 pytestmark = pytest.mark.integration
 
@@ -80,3 +81,17 @@ def test_what_stands_still_when_the_stalls_end_goes_on(worker: subprocess.Popen[
     os.close(writer)
     _keep(reader)
     wait_until(lambda: _state(worker.pid) != "T", "it goes on")
+
+
+def test_the_end_waits_for_a_stall_that_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stall writes to its folder until it ends; the folder is removed after that."""
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: None)  # no process makes stalls
+    monkeypatch.setattr(os, "kill", os.kill)
+    stalls = Stalls("1")
+    stopping = threading.Thread(target=stalls.stop)
+    with _locked(stalls.lock):
+        stopping.start()
+        stopping.join(0.2)
+        assert (stopping.is_alive(), stalls.log.exists()) == (True, True)
+    stopping.join()
+    assert not stalls.lock.parent.exists()

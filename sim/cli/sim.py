@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
     from swarmd.sim.live.demo_run import LiveTimeline
     from swarmd.sim.live.fleet import Fleet, FleetSpec
-    from swarmd.sim.world.faults import ProcessFault
+    from swarmd.sim.world.faults import FaultKind, ProcessFault
 
 CHECK_PERIOD = 1.0  # s between two checks of the processes
 
@@ -128,10 +129,23 @@ def fault(
             view = ends.enter_context(WorldView(name, world.endpoint))
             change = partial(view.change_fault, kind.plain, names)
         change(is_on=not end)
-        click.echo(f"{', '.join(names)}: {kind.text} {'has ended' if end else 'is on'}")
+        words = [*robots, *(() if swarm is None else ("--swarm", swarm))]
+        state = "has ended" if end else f"is on; {how_it_ends(kind, words, seconds)}"
+        click.echo(f"{', '.join(names)}: {kind.text} {state}")
         if seconds is not None:
             ends.callback(change, is_on=False)
             time.sleep(seconds)
+
+
+def how_it_ends(kind: FaultKind, words: Sequence[str], seconds: float | None) -> str:
+    """How a fault ends that `sim fault` has begun with `words`, and for `seconds` s."""
+    from swarmd.sim.world.faults import KilledProcess
+
+    if isinstance(kind, KilledProcess):
+        return "the daemon stays off; `sim up` prints how to start it again"
+    if seconds is not None:
+        return f"it ends in {seconds:g} s"
+    return f"to end it: swarmctl sim fault {shlex.join(words)} --end"
 
 
 def signal_daemons(

@@ -40,6 +40,7 @@ from swarmd.core.events import (
     HazardsInput,
     Input,
     NeighborsInput,
+    OdometryInput,
     PeersInput,
     ProvisionalInput,
     RangesInput,
@@ -88,6 +89,9 @@ _LASTING = frozenset(
     {DriverInput, HazardsInput, NeighborsInput, PeersInput, ProvisionalInput, ReadingsInput}
 )
 """Kinds of input that hold until the next one: a recording begins with the last of each."""
+_PERIODIC = frozenset({OdometryInput, NeighborsInput, PeersInput})
+"""Kinds of input that come again and again: without a decision the ring gets them with the next
+tick. To write each of them takes as many system calls as all else that a robot at rest does."""
 log = logging.getLogger(__name__)
 
 MAX_FILES = 500  # the newest files, which the answer to an operator lists
@@ -233,6 +237,7 @@ class Recorder:
         except Exception:  # the daemon ends: the black box keeps what ended it
             self._steps.append(_Step(input, now, None))
             self.settle(robot)
+            self.write_ring()
             raise
         self._steps.append(_Step(input, now, actions, robot.state))
         return actions
@@ -264,7 +269,8 @@ class Recorder:
                     self._status(statuses[-1], now)
             if type(input) is TickInput:
                 self.flush_if_due(now)
-            if type(input) is TickInput or actions is None or not actions.is_quiet:
+            is_quiet = actions.is_quiet if actions is not None else type(input) in _PERIODIC
+            if type(input) is TickInput or not is_quiet:
                 self.write_ring()
         for status in statuses:
             self.on_status(status)

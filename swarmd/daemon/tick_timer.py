@@ -6,6 +6,7 @@ There are 20 ticks a second, and 10 while the timer rests.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import deque
 from collections.abc import Callable
 
@@ -31,6 +32,7 @@ class TickTimer:
         self._step = 1  # periods until the next tick
         self._is_resting = False
         self._slack = 0.0
+        self._early_at = -math.inf  # s; the last tick that came with a scan
         self._handle = loop.call_at(self._next, self._on_time)
         self._wake_at: float | None = None
         self._wake: asyncio.TimerHandle | None = None
@@ -58,15 +60,22 @@ class TickTimer:
             self._handle = self._loop.call_at(at, self._on_time)
 
     def tick_early(self) -> None:
-        """At rest: if the next tick is due within 50 ms, tick now in its place.
+        """At rest: tick now in place of the next tick, with a scan that has woken the loop.
 
-        For a caller that is awake in any case: one wake-up of the processor is saved.
+        A tick that is due within 50 ms comes with this scan. So does a tick that is due later, if
+        the scan before came without a tick: from then on, each scan brings a tick with it. One
+        wake-up of the processor is saved for each scan.
         """
-        left = self._next - self._loop.time()
-        if self._is_resting and self._step > 1 and left < TICK:
+        if not self._is_resting or self._step == 1:
+            return
+        now = self._loop.time()
+        left = max(self._next - now, 0.0)
+        is_out_of_phase = now - self._early_at > RESTING_PERIODS * TICK + _SLACK
+        if left < TICK or is_out_of_phase:
             self._handle.cancel()
-            self._next -= max(left, 0.0)
+            self._next -= left
             self._slack = _SLACK
+            self._early_at = now
             self._handle = self._loop.call_at(self._next, self._on_time)
 
     def wake_in(self, seconds: float | None) -> None:

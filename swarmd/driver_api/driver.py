@@ -166,12 +166,12 @@ class GatheringDriver(Protocol):
     A reading that wakes the daemon costs 300 us of processor time, 20 times a second.
     """
 
-    def gather(self, take_late: TakeLate | None) -> None:
+    def gather(self, take_late: TakeLate) -> None:
         """Leave odometry in the socket until `read` or a scan, then hand it to `take_late`.
 
-        Each reading is handed over, in order, and before a scan that was read with it. The daemon
-        calls this method at each tick, and with None when a recording begins and while it lasts.
-        With None the driver hands over now what has arrived, and each later reading at once.
+        The daemon calls this once, before `run`, when nothing has arrived. So the driver decides
+        with each input whether readings may wait. Each reading that has waited is handed over, in
+        order, and before a scan that was read with it.
         """
 
     def read(self) -> None:

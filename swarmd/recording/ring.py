@@ -4,9 +4,14 @@ The ring outlives its process, also one that was killed: the file is on a file s
 After a power cut nothing is left. A frame is a batch of entries, see `recording/frames.py`.
 
 The file has a header, then `capacity` bytes, which are written in a circle, then the texts on the
-robot. The header has the counts of all bytes written (`head`) and dropped (`tail`) so far. The ring
-writes a frame before the header that counts it, and the header before it writes over dropped bytes.
-So the bytes between `tail` and `head` are whole frames at every instant.
+robot. The header has the counts of all bytes written (`head`) and dropped (`tail`) when the header
+was written. The place of a frame is the count of bytes before it. A frame is preceded by its size
+and by a checksum of its place and content. So one write adds a frame, and a reader finds the frames
+that no header counts: it reads on from `tail` while checksums are right. An old frame, whose bytes
+are not written over yet, has another place, and so a checksum that is wrong for this one.
+
+The ring writes the header before it writes over dropped bytes, and with the next frame after a
+change of `revision` or of the clocks. So whole frames begin at `tail` at every instant.
 
 Frames are dropped in segments. A segment begins with the memory of the robot, so that a replay can
 begin there. The calls are `write`, not a mapping: if the memory of the file system is used up, a
@@ -19,6 +24,7 @@ import fcntl
 import os
 import stat
 import struct
+import zlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -31,9 +37,13 @@ from swarmd.core.errors import CodecError
 from swarmd.recording.frames import Begin, Entry, decode_batch
 from swarmd.settings.file_limits import FileLimits
 
-_MAGIC = b"swarmd1\0"
+_MAGIC = b"swarmd2\0"
+_MAGIC_1 = b"swarmd1\0"
+"""Of a ring whose frames have no checksum: its header counts each frame."""
 _HEADER = struct.Struct("<8sQQddQI")  # magic, tail, head, boot, wall, revision, capacity
 _SIZE = struct.Struct("<I")
+_FRAME = struct.Struct("<II")  # size of a frame, and its checksum
+_PLACE = struct.Struct("<Q")
 _HEADER_SIZE = 64
 OLD = 86400.0
 """Seconds after which the ring of a process that does not come back is removed."""
@@ -85,14 +95,17 @@ class Ring:
             raise
         self._capacity, self._seconds = capacity, seconds
         self._tail = self._head = 0
-        self._segments = deque[tuple[int, float]]()  # begin of each: count of bytes, and s
+        self._segments = deque[tuple[int, float]]()  # begin of each: its place, and s
         self.revision = 0
+        self._written_revision = 0  # the one in the header
+        self._is_header_old = True
         self.set_clock(boot, wall)
         self._write_header()
 
     def set_clock(self, boot: float, wall: float) -> None:
         """Note, with the next frame, what the wall clock shows at `boot` s on the robot's clock."""
         self._boot, self._wall = boot, wall
+        self._is_header_old = True
 
     @property
     def begin(self) -> float | None:
@@ -109,29 +122,29 @@ class Ring:
         self._segments.append((self._head, now))
         while len(self._segments) > 1 and self._segments[1][1] <= now - self._seconds:
             self._segments.popleft()
-        self._tail = self._segments[0][0]
+        self._drop_to(self._segments[0][0])
 
     def write(self, frame: bytes) -> None:
         """Add a frame; without room, drop the oldest segments. OSError if the write fails.
 
         A frame without a segment is ignored.
         """
-        data = _SIZE.pack(len(frame)) + frame
-        end = self._head + len(data)
-        if end - self._tail > self._capacity:
-            while self._segments and end - self._segments[0][0] > self._capacity:
-                self._segments.popleft()
-            self._tail = self._segments[0][0] if self._segments else self._head
+        size = _FRAME.size + len(frame)
+        end = self._head + size
+        while self._segments and end - self._segments[0][0] > self._capacity:
+            self._segments.popleft()
+        self._drop_to(self._segments[0][0] if self._segments else self._head)
+        if self._is_header_old or self.revision != self._written_revision:
             self._write_header()
         if not self._segments:
             return
+        data = _FRAME.pack(len(frame), _checksum(frame, self._head)) + frame
         at = self._head % self._capacity
         room = self._capacity - at
         os.pwrite(self._file, data[:room], _HEADER_SIZE + at)
-        if len(data) > room:
+        if size > room:
             os.pwrite(self._file, data[room:], _HEADER_SIZE)
         self._head = end
-        self._write_header()
 
     def left(self) -> Left:
         """A copy of all frames; OSError, CodecError."""
@@ -148,11 +161,18 @@ class Ring:
                 self._path.unlink()
         os.close(self._file)
 
+    def _drop_to(self, place: int) -> None:
+        """Let the frames begin at `place`, as the header says before the next frame is written."""
+        self._is_header_old |= place != self._tail
+        self._tail = place
+
     def _write_header(self) -> None:
         header = _HEADER.pack(
             _MAGIC, self._tail, self._head, self._boot, self._wall, self.revision, self._capacity
         )
         os.pwrite(self._file, header, 0)
+        self._written_revision = self.revision
+        self._is_header_old = False
 
 
 def read_left(path: Path) -> Left | None:
@@ -245,11 +265,35 @@ def _left(file: int) -> Left:
         about = msgspec.msgpack.decode(data[about_at : about_at + size], type=dict[str, str])
     except (struct.error, msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise CodecError(f"the black box cannot be read: {error}") from error
-    if magic != _MAGIC or not 0 <= head - tail <= capacity:
+    if magic not in (_MAGIC, _MAGIC_1) or not 0 <= head - tail <= capacity:
         raise CodecError("the black box is of another version, or damaged")
     if _HEADER.unpack(os.pread(file, _HEADER.size, 0))[1] != tail:
         return _left(file)  # frames were written over meanwhile
-    ring = memoryview(data)[_HEADER_SIZE : _HEADER_SIZE + capacity]
-    begin, length = tail % max(capacity, 1), head - tail
-    frames = bytes(ring[begin : begin + length]) + bytes(ring[: max(begin + length - capacity, 0)])
+    circle = memoryview(data)[_HEADER_SIZE : _HEADER_SIZE + capacity]
+    begin = tail % max(capacity, 1)
+    line = memoryview(b"".join((circle[begin:], circle[:begin])))  # the place of its begin: `tail`
+    frames = _whole_frames(line, tail) if magic == _MAGIC else bytes(line[: head - tail])
     return Left(about, frames, boot, wall, revision)
+
+
+def _whole_frames(line: memoryview, place: int) -> bytes:
+    """The frames from the begin of `line` on, up to the first one that is not whole.
+
+    `place`: that of the first byte. In the result each frame has its size before it.
+    """
+    frames = bytearray()
+    at = 0
+    while at + _FRAME.size <= len(line):
+        size, checksum = _FRAME.unpack_from(line, at)
+        frame = line[at + _FRAME.size : at + _FRAME.size + size]
+        if len(frame) < size or _checksum(frame, place + at) != checksum:
+            break
+        frames += _SIZE.pack(size)
+        frames += frame
+        at += _FRAME.size + size
+    return bytes(frames)
+
+
+def _checksum(frame: bytes | memoryview, place: int) -> int:
+    """A checksum of a frame and its place: equal frames at two places have two checksums."""
+    return zlib.crc32(frame, zlib.crc32(_PLACE.pack(place)))

@@ -40,16 +40,19 @@ from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import EstopRequest, LabelRequest, ParamRequest, StopRequest
 from swarmd.daemon import store
 from swarmd.daemon.daemon import Daemon
+from swarmd.daemon.driver import make_driver
 from swarmd.daemon.goal_service import STORE_TIME
 from swarmd.daemon.store import LatchFile
 from swarmd.driver_api.driver import Sink, TakeLate
+from swarmd.driver_api.hw_codec import encode_odometry, encode_scan
 from swarmd.network.datagram import Stop, pack, tag_of
 from swarmd.network.peer import PeerActions, Summary
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from swarmd.settings.swarmfile import BlackboxSection
-from tests.support.processes import unique_swarm, wait_until
+from swarmd.sim.live.link import WorldLink
+from tests.support.processes import free_endpoint, unique_swarm, wait_until
 from tests.support.viewer import Viewer
 
 pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("forked_starts")]
@@ -160,9 +163,7 @@ class GatheringDriver(RecordingDriver):
         super().__init__()
         self.take_late: TakeLate | None = None
 
-    def gather(self, take_late: TakeLate | None) -> None:
-        if take_late is None:
-            self.read()
+    def gather(self, take_late: TakeLate) -> None:
         self.take_late = take_late
 
     def read(self) -> None:
@@ -225,6 +226,61 @@ async def test_a_stop_waits_for_no_odometry(
 ) -> None:
     taken = await inputs_of(settings, monkeypatch, lambda daemon: daemon.step(input))
     assert [kind for kind, _ in taken] == [type(input)]
+
+
+async def test_odometry_of_a_simulated_robot_is_taken_with_a_scan_or_a_tick_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swarm, endpoint = unique_swarm(), free_endpoint()
+    values: dict[str, object] = {
+        "id": "tb3-01",
+        "swarm": swarm,
+        "state_dir": str(tmp_path),
+        "driver": "simulated",
+        "driver_options": {"endpoint": endpoint},
+        "blackbox": {"seconds": 0},
+    }
+    settings, stop = load_daemon_settings(None, values), asyncio.Event()
+    daemon, link = Daemon(settings, make_driver(settings)), WorldLink(swarm, ("tb3-01",), endpoint)
+    taken: list[type[Input]] = []
+    original, spec = daemon._robot.step, settings.platform.scan
+
+    def step(input: Input, now: float) -> Actions | None:
+        taken.append(type(input))
+        return original(input, now)
+
+    def publish_odometry(stamp: float) -> None:
+        link.receive()  # the driver may have connected meanwhile
+        link.publish("tb3-01", "odometry", encode_odometry(Odometry(stamp, Pose(), Twist())))
+
+    async def feed() -> list[list[type[Input]]]:
+        """What the robot takes in the turns of the loop after each of some readings."""
+        while taken.count(ScanInput) < 2 or OdometryInput not in taken:
+            publish_odometry(1.0)
+            ranges = np.full(len(spec.bearings), 1.5)
+            scan = Scan(len(taken), 1.0, ranges, spec.bearings, spec.range_min, spec.range_max)
+            link.publish("tb3-01", "scan", encode_scan(scan))
+            await asyncio.sleep(0.1)
+        taken.clear()
+        after: list[list[type[Input]]] = []
+        while taken.count(OdometryInput) < 10:
+            before = len(taken)
+            publish_odometry(2.0 + 0.01 * len(after))
+            for _ in range(5):
+                await asyncio.sleep(0.0)
+            after.append(taken[before:])
+            await asyncio.sleep(0.03)
+        return after
+
+    monkeypatch.setattr(daemon._robot, "step", step)
+    feeding = asyncio.create_task(feed())
+    feeding.add_done_callback(lambda _: stop.set())
+    try:
+        await run(daemon, stop)
+    finally:
+        feeding.cancel()
+        link.close()
+    assert not [inputs for inputs in await feeding if set(inputs) == {OdometryInput}]
 
 
 async def test_every_second_tick_looks_at_the_network_and_each_tick_after_an_event(

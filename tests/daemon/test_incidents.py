@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import struct
 import time
 from pathlib import Path
 from unittest.mock import MagicMock
@@ -175,14 +176,19 @@ class Answers(list[Reply]):
 @given(
     sizes=st.lists(st.integers(0, 300), min_size=1, max_size=60),
     dies_at=st.integers(1, 400),
+    share=st.floats(0.0, 1.0),
     every=st.integers(1, 9),
 )
 def test_a_writer_that_dies_at_any_write_leaves_whole_frames(
-    tmp_path_factory: pytest.TempPathFactory, sizes: list[int], dies_at: int, every: int
+    tmp_path_factory: pytest.TempPathFactory,
+    sizes: list[int],
+    dies_at: int,
+    share: float,
+    every: int,
 ) -> None:
     path = tmp_path_factory.mktemp("ring") / "ring"
     calls = 0
-    written = 0
+    written = -1
 
     class Dead(BaseException):
         pass
@@ -190,8 +196,9 @@ def test_a_writer_that_dies_at_any_write_leaves_whole_frames(
     def pwrite(file: int, data: bytes, at: int) -> int:
         nonlocal calls
         calls += 1
-        if calls == dies_at:
-            _pwrite(file, data[: len(data) // 2], at)  # the kernel has copied a part
+        if calls == dies_at:  # the kernel has copied a part; a header lies in a single page
+            cut = round(share) if at == 0 else share
+            _pwrite(file, data[: round(cut * len(data))], at)
             raise Dead
         return _pwrite(file, data, at)
 
@@ -214,11 +221,110 @@ def test_a_writer_that_dies_at_any_write_leaves_whole_frames(
     made.close()
     left = read_left(path)
     assert left is not None
-    times = [entry.at for entry in entries_of(left)]
+    entries = entries_of(left)
+    times = [entry.at for entry in entries]
     assert times == [float(n) for n in range(int(times[0]), int(times[-1]) + 1)] if times else True
+    assert all(one == frames.EventEntry(one.at, "x" * sizes[int(one.at)]) for one in entries)
     if times:
         assert times[-1] in (written, written + 1)
         assert times[0] % every == 0
+
+
+def test_a_frame_is_one_write_and_a_header_comes_only_with_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places: list[int] = []
+    _pwrite = os.pwrite
+
+    def pwrite(file: int, data: bytes, at: int) -> int:
+        places.append(at)
+        return _pwrite(file, data, at)
+
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    made = Ring(tmp_path / "ring", {}, capacity=10_000, seconds=9.0, boot=1.0, wall=2.0)
+    made.begin_segment(0.0)
+    places.clear()
+    frame = frames.batch([frames.encode(frames.EventEntry(1.0, "x" * 40))])
+    for _ in range(100):
+        made.write(frame)
+    assert (len(places), places.count(0)) == (100, 0)  # 100 frames fit into the ring
+    made.revision = 3
+    made.write(frame)
+    made.set_clock(2.0, 3.0)
+    made.write(frame)
+    made.begin_segment(20.0)
+    made.begin_segment(30.0)  # drops the first one, which ended 10 s before
+    made.write(frame)
+    assert places[100:].count(0) == 3
+    left = made.left()
+    made.close()
+    assert (left.revision, left.boot, left.wall) == (3, 2.0, 3.0)
+    assert len(entries_of(left)) == 1
+
+
+def test_an_equal_frame_of_the_round_before_is_not_believed(tmp_path: Path) -> None:
+    frame = frames.batch([frames.encode(frames.EventEntry(1.0, "x" * 81))])
+    capacity = 10 * (8 + len(frame))  # so frames of the next round lie exactly over these
+    made = Ring(tmp_path / "ring", {}, capacity=capacity, seconds=9.0, boot=1.0, wall=2.0)
+    for _ in range(5):
+        made.begin_segment(1.0)
+        for _ in range(3):
+            made.write(frame)
+    left = made.left()
+    made.close()
+    assert len(entries_of(left)) == 9  # of 15: three segments of three, of room for ten
+
+
+@pytest.mark.parametrize("cut", [0, 1, 7, 8, 9, 20, 60, 109])
+def test_a_frame_that_was_written_in_part_over_an_old_one_is_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int
+) -> None:
+    """The rest of the old frame would complete it, but for the checksum."""
+    old, new = (
+        frames.batch([frames.encode(frames.EventEntry(1.0, letter * 81))]) for letter in "xy"
+    )
+    _pwrite = os.pwrite
+
+    def pwrite(file: int, data: bytes, at: int) -> int:
+        return _pwrite(file, data if at == 0 else data[:cut], at)
+
+    made = Ring(tmp_path / "ring", {}, capacity=3 * 110, seconds=9.0, boot=1.0, wall=2.0)
+    for _ in range(4):
+        made.begin_segment(1.0)
+        made.write(old)
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    made.begin_segment(1.0)
+    made.write(new)
+    left = made.left()
+    made.close()
+    assert [one.text for one in entries_of(left) if isinstance(one, frames.EventEntry)] == [
+        "x" * 81,
+        "x" * 81,
+    ]
+
+
+def test_the_ring_of_the_version_before_is_read(tmp_path: Path) -> None:
+    """Its header counts the frames, which have no checksums; bytes as 0.2.0 wrote them."""
+    entries = [frames.EventEntry(float(number), "x" * 20) for number in range(5)]
+    packed = [frames.batch([frames.encode(one)]) for one in entries]
+    content = b"".join(struct.pack("<I", len(one)) + one for one in packed)
+    capacity, tail = 4 * len(content) // 3, len(content)  # the frames go beyond the end
+    begin = tail % capacity
+    circle = bytearray(capacity)
+    for number, byte in enumerate(content):
+        circle[(begin + number) % capacity] = byte
+    header = struct.pack(
+        "<8sQQddQI", b"swarmd1\0", tail, tail + len(content), 1.0, 2.0, 7, capacity
+    )
+    about = msgspec.msgpack.encode({"robot": "a"})
+    path = tmp_path / "ring"
+    path.write_bytes(
+        header.ljust(64, b"\0") + bytes(circle) + struct.pack("<I", len(about)) + about
+    )
+    left = read_left(path)
+    assert left is not None
+    assert (left.about, left.revision) == ({"robot": "a"}, 7)
+    assert entries_of(left) == entries
 
 
 def test_a_ring_that_a_process_writes_is_left_alone(tmp_path: Path) -> None:

@@ -10,7 +10,10 @@ from typing import cast
 import pytest
 
 from swarmd.core.clock import TICK
+from swarmd.core.events import TICK_INPUT, OdometryInput
+from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.daemon.tick_timer import RESTING_PERIODS, TickTimer
+from tests.support.robot_harness import RobotHarness
 
 
 class HandLoop:
@@ -111,8 +114,6 @@ def test_scans_bring_the_ticks_of_a_resting_timer_forward() -> None:
     timer.tick_early()  # not at rest: nothing
     timer.rest(True)
     for scan in (4.5, 8.5, 12.5):  # at 5 Hz
-        loop.run_until((scan - 1.1) * TICK)
-        timer.tick_early()  # of a tick that is not due within a period: nothing
         loop.run_until(scan * TICK)
         timer.tick_early()
         loop.run_until((scan + 0.01) * TICK)
@@ -123,6 +124,19 @@ def test_scans_bring_the_ticks_of_a_resting_timer_forward() -> None:
     assert times[7:] == pytest.approx([13.51, 14.51])
 
 
+def test_one_tick_that_is_not_due_soon_brings_later_ticks_in_phase_with_scans() -> None:
+    loop, times = HandLoop(), list[float]()
+    timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), lambda: times.append(loop.now / TICK))
+    timer.rest(True)
+    for scan in (5.4, 9.4, 13.4):  # at 5 Hz; the tick after the first one is due at 7.0
+        loop.run_until(scan * TICK)
+        timer.tick_early()
+        loop.run_until((scan + 0.4) * TICK)
+        timer.tick_early()  # of a tick that is due 1.8 periods later, after one in phase: nothing
+    loop.run_until(14.0 * TICK)
+    assert times == pytest.approx([1.0, 3.0, 5.0, 5.4, 7.6, 9.4, 11.6, 13.4])
+
+
 def test_a_resting_timer_keeps_its_wake_up() -> None:
     loop, times = HandLoop(), list[float]()
     timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), lambda: times.append(loop.now / TICK))
@@ -131,3 +145,39 @@ def test_a_resting_timer_keeps_its_wake_up() -> None:
     timer.wake_in(0.5 * TICK)
     loop.run_until(3.1 * TICK)
     assert times == pytest.approx([1.0, 1.6, 1.0 + RESTING_PERIODS])
+
+
+@pytest.mark.parametrize("scan_phase", [0.0, 0.03, 0.06, 0.11, 0.17])
+def test_a_resting_robot_with_a_lidar_wakes_the_loop_ten_times_a_second(scan_phase: float) -> None:
+    """In 0.2 s one scan, which brings a tick forward, and one more tick: 600 in 60 s.
+
+    Odometry comes 20 times a second and wakes nothing: it waits for a scan or a tick.
+    """
+    loop, wakes, harness = HandLoop(), list[float](), RobotHarness("burger")
+    epoch, begin = harness.now, 2.0
+
+    def wake() -> None:
+        harness.now = epoch + loop.now
+        if loop.now >= begin:
+            wakes.append(loop.now)
+        odometry = Odometry(harness.now, Pose(), Twist())  # the last one of those that waited
+        harness.step(OdometryInput(odometry))
+
+    def tick() -> None:
+        wake()
+        harness.step(TICK_INPUT)
+        timer.rest(harness.robot.is_at_rest)
+        wake_at = harness.robot.wake_at(harness.now)
+        timer.wake_in(None if wake_at is None else wake_at - harness.now)
+
+    def scan() -> None:
+        wake()
+        harness.scan(harness.scans(round(5.0 * loop.now), harness.now))
+        timer.tick_early()
+        loop.call_at(loop.now + 0.2, scan)
+
+    timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), tick)
+    loop.call_at(1.0 + scan_phase, scan)
+    loop.run_until(begin + 60.0)
+    assert harness.robot.is_at_rest
+    assert len(set(wakes)) == pytest.approx(600, abs=2)

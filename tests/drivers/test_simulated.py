@@ -363,6 +363,7 @@ async def test_odometry_waits_in_the_socket_for_a_scan_or_a_decision(
         assert sent[0] - inaccuracy <= late[-1][1]
         return late[-1][1] <= sent[1] + inaccuracy
 
+    driver.gather(take_late)  # once, before anything has arrived, as the daemon calls it
     async with asyncio.timeout(TIMEOUT):
         while not (sink.scans and sink.odometries):
             robot.publish()
@@ -370,7 +371,9 @@ async def test_odometry_waits_in_the_socket_for_a_scan_or_a_decision(
         robot.publish_scan(scan(500))
         while sink.scans[-1].seq != 500:
             await asyncio.sleep(POLL_PERIOD)
-        driver.gather(take_late)
+        driver.read()
+        late.clear()
+        scans_before.clear()
         publish_at(1.0)
         sent = publish_at(1.05)
         await asyncio.sleep(0.1)
@@ -397,20 +400,46 @@ async def test_odometry_waits_in_the_socket_for_a_scan_or_a_decision(
         assert scans_before[-2:] == [500, 500]
         by_stamps = late[-3][1] + late[-2][0] - late[-3][0]
         assert min(by_stamps, last_read - 0.005) <= late[-2][1] <= max(by_stamps, last_read) + 0.005
-        sent = publish_at(1.22)
-        await asyncio.sleep(0.05)
-        # As at an event of the robot: nothing waits from now on.
-        is_in_time(1.22, sent, lambda: driver.gather(None))
-        count = len(late)
-        publish_at(1.25)
-        while sink.odometries[-1].stamp != 1.25:
-            await asyncio.sleep(POLL_PERIOD)
         robot.send("neighbors", encode_input(NeighborsInput(())))
+        robot.publish_scan(scan(502))
         while not sink.taken["neighbors"]:
             await asyncio.sleep(POLL_PERIOD)
-        driver.gather(take_late)  # without effect: the time of arrival of neighbours would be lost
+        count = len(late)
+        # Nothing waits from now on: the time of arrival of neighbours would be lost.
         publish_at(1.3)
-        while sink.odometries[-1].stamp != 1.3:
+        while not (sink.odometries and sink.odometries[-1].stamp == 1.3):
             await asyncio.sleep(POLL_PERIOD)
     assert len(late) == count
     assert not any("overtaken" in kind for kind in sink.lost)
+
+
+@story(Body)
+async def test_odometry_waits_again_in_the_socket_of_a_new_connection(
+    harness: DriverHarness, robot: Body
+) -> None:
+    driver, sink = harness.driver, harness.sink
+    assert isinstance(driver, SimulatedDriver)
+    late: list[float] = []
+    driver.gather(lambda input, age: late.append(input.odometry.stamp))
+
+    async def publish_until_scans_grow() -> None:
+        count = len(sink.scans)
+        while len(sink.scans) < count + 3:
+            robot.publish()
+            await asyncio.sleep(POLL_PERIOD)
+
+    async with asyncio.timeout(TIMEOUT):
+        await publish_until_scans_grow()
+        robot.disconnect()
+        await harness.until(lambda: not sink.states[-1][0])
+        robot.reconnect()
+        await publish_until_scans_grow()
+        robot.publish_scan(scan(700))
+        await harness.until(lambda: sink.scans[-1].seq == 700)
+        driver.read()
+        late.clear()
+        robot.send("odometry", encode_odometry(Odometry(900.0, Pose(), Twist())))
+        await asyncio.sleep(0.1)
+        assert not late
+        await harness.until(lambda: bool(driver.read() or late))
+    assert late == [900.0]

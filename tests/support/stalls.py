@@ -60,9 +60,10 @@ class Stalls:
         os.kill = self._kill_between_stalls
 
     def stop(self) -> None:
-        """No stall from now on."""
+        """No stall from now on; a stall that goes on ends first, since it writes to the folder."""
         os.kill = self._kill
-        self._folder.cleanup()
+        with _locked(self.lock):
+            self._folder.cleanup()
 
     def said(self) -> str:
         """The last stalls, one a line, with the CLOCK_MONOTONIC of their begin."""
@@ -151,6 +152,8 @@ def _stall(root: int, draw: random.Random, folder: Path, notes: TextIO) -> None:
         chosen = [pid for pid, one in found.items() if one == length]
     seconds = draw.uniform(*length)
     with _locked(folder / "lock"), contextlib.ExitStack() as opened:
+        if not (folder / "log").exists():  # removed while this process waited for the lock
+            raise FileNotFoundError(folder)
         stopped = dict[int, int]()
         for pid in chosen:
             with contextlib.suppress(OSError):

@@ -18,11 +18,17 @@ from swarmd.core.messages import State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_daemon_settings
-from swarmd.sim.cli.sim import signal_daemons
+from swarmd.sim.cli.sim import how_it_ends, signal_daemons
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_options
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.starting import await_robots, statuses_of
-from swarmd.sim.world.faults import FrozenProcess, KilledProcess, ProcessFault
+from swarmd.sim.world.faults import (
+    FaultKind,
+    FrozenProcess,
+    KilledProcess,
+    NoisyScan,
+    ProcessFault,
+)
 from tests.support.processes import (
     assert_keeps_nothing_of_its_daemon,
     children,
@@ -179,6 +185,23 @@ def test_a_process_that_has_the_id_of_an_ended_daemon_gets_no_signal(
         with pytest.raises(SwarmError, match=robot) if is_on else nullcontext():
             signal_daemons(pids, "default", kind, [robot], is_on=is_on)
     assert sent == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds", "subject"),
+    [
+        (KilledProcess(), None, "sim up"),
+        (KilledProcess(), 10.0, "sim up"),
+        (FrozenProcess(), None, "sim fault tb3-02 KIND --swarm lab --end"),
+        (NoisyScan(), None, "sim fault tb3-02 KIND --swarm lab --end"),
+        (NoisyScan(), 10.0, "10 s"),
+    ],
+)
+def test_a_fault_by_command_says_how_it_ends(
+    kind: FaultKind, seconds: float | None, subject: str
+) -> None:
+    words = ["tb3-02", "KIND", "--swarm", "lab"]
+    assert subject in how_it_ends(kind, words, seconds)
 
 
 @pytest.mark.integration
