@@ -53,9 +53,9 @@ class RecordingWriter:
     """Writes `<folder>/<name>-<number>.mcap`; not for several threads.
 
     `about`: texts on the robot, which each file repeats. `latched`: topics whose last message is
-    repeated at the start of each file. `chunk_time`: s of the messages. `limits` apply to the files of this name in the folder: the
-    oldest files are removed when a new file begins. After an OSError (the disk fails) the caller
-    must call `abandon`.
+    repeated at the start of each file. `chunk_time`: s of the messages. `limits` apply to the files
+    of this name in the folder: the oldest files are removed when a new file begins. After an
+    OSError (the disk fails) the caller must call `abandon`.
     """
 
     def __init__(
