@@ -20,10 +20,10 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import Count, Line, Seconds, Stamp
+from swarmd.core.bounds import Count, Line, Seconds, Stamp, Word
 from swarmd.core.errors import CodecError
 from swarmd.core.files import read_regular
-from swarmd.core.incident import Incident, Wall
+from swarmd.core.incident import Incident, OperatorName, Wall
 from swarmd.recording import frames
 from swarmd.recording.reader import MAX_RATIO, MAX_SPARE
 from swarmd.recording.ring import MAX_FILE, Left, batches_of, begin_of
@@ -44,7 +44,7 @@ class IncidentHead(Struct, frozen=True, kw_only=True):
       machine has booted since.
     - `begin`, `end`: s on that clock between which it has entries. `missing`: why it has no others.
     - `size`: bytes of the frames before compression.
-    - `about`, `boot`, `wall`, `revision`: as in `Left`.
+    - `about`, `boot`, `wall`, `revision`: as in `Left`. `operator`, `source`: as in `KeptIncident`.
     """
 
     incident: Incident
@@ -58,6 +58,8 @@ class IncidentHead(Struct, frozen=True, kw_only=True):
     boot: Seconds
     wall: Wall
     revision: Count = 0
+    operator: OperatorName = ""
+    source: Word = ""
 
 
 _DAMAGED = (ArithmeticError, IndexError, TypeError, ValueError, struct.error)

@@ -128,17 +128,15 @@ class Incidents(IncidentService):
 
     def _tell(self, told: Any) -> None:
         super()._tell(told)
-        self._box.took(told.incident, told.at)
+        self._box.took(told.incident, told.at, told.source)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         super()._note_kept(head, size, crc)
         self._box.wrote()
 
-    def _write(
-        self, incident: Incident, at: float, source: Any, *more: Any, **options: Any
-    ) -> None:
+    def _write(self, told: Any, source: Any, *more: Any, **options: Any) -> None:
         left = source()  # now: the descriptor of a virtual thread would outlive a kill
-        super()._write(incident, at, lambda: left, *more, **options)
+        super()._write(told, lambda: left, *more, **options)
 
     def _end(self, error: Exception) -> None:
         raise error  # a fault of the black box, or of its judge
@@ -281,10 +279,10 @@ class BlackBox:
         """The number of its files."""
         return sum(name.endswith(SUFFIX) for name in os.listdir(self.files))
 
-    def took(self, incident: Incident, at: float) -> None:
-        """It has begun to keep an incident."""
+    def took(self, incident: Incident, at: float, source: str) -> None:
+        """It has begun to keep an incident, which the peer `source` handed on for another one."""
         if self.daemon.swarm.judge is not None:
-            self.daemon.swarm.judge.on_incident(self.daemon, incident, at)
+            self.daemon.swarm.judge.on_incident(self.daemon, incident, at, source)
 
     def wrote(self) -> None:
         """It has written a file."""

@@ -148,7 +148,7 @@ class Invariants:
         self._issued = swarm.issued
         self._taken: dict[tuple[str, int, str], list[float]] = {}
         # By robot and origin, then by id: the life and s in which it was taken, and s of it.
-        self._incidents: dict[tuple[str, str, str], dict[str, tuple[int, float, float]]] = {}
+        self._incidents: dict[tuple[str, str, str, str], dict[str, tuple[int, float, float]]] = {}
         self._latches: set[str] = set()  # all that were held
         self._deaths: dict[str, Death] = {}  # by robot, the last one
         self._died_at: dict[str, float] = {}
@@ -340,12 +340,14 @@ class Invariants:
                 "unmoved", f"the black box of {daemon.name} changes {before} to {after}"
             )
 
-    def on_incident(self, daemon: VirtualDaemon, incident: Incident, at: float) -> None:
+    def on_incident(
+        self, daemon: VirtualDaemon, incident: Incident, at: float, source: str
+    ) -> None:
         """The rule `few`, in all lives that have the same disk."""
         now, name, life = self._swarm.now, daemon.name, daemon.lives
         is_silent = incident.kind == IncidentKind.SILENT and incident.by == name
         is_death = is_silent and incident.robot == name
-        taken = self._incidents.setdefault((name, *_origin_of(incident)), {})
+        taken = self._incidents.setdefault((name, *_origin_of(incident), source), {})
         # A daemon knows of earlier lives when the incidents were, not when it heard of them. One
         # that was killed within a tick may take the same incident again.
         others = [times for id, times in taken.items() if id != incident.id]
@@ -386,7 +388,7 @@ class Invariants:
         name, box, death = daemon.name, daemon.black_box, self._deaths.get(daemon.name)
         if death is None or box.was_frozen or self._swarm.now < box.writes_at:
             return
-        if len(self._incidents.get((name, name, "death"), ())) >= INCIDENTS_AN_HOUR:
+        if self._count_taken(name, name, "death") >= INCIDENTS_AN_HOUR:
             return
         found = [
             id
@@ -405,6 +407,11 @@ class Invariants:
             if at >= death.last and id not in (*found, *death.known):
                 raise BrokenRuleError("death", f"{name} keeps {death} as {found}, a peer as {id}")
 
+    def _count_taken(self, name: str, by: str, among: str) -> int:
+        """How many incidents of one robot a robot has taken, from whichever peer."""
+        keys = [key for key in self._incidents if key[:3] == (name, by, among)]
+        return sum(len(self._incidents[key]) for key in keys)
+
     def unheard(self) -> list[tuple[VirtualDaemon, Incident]]:
         """The incidents that robots tell and others do not keep, which were up then."""
         now = self._swarm.now
@@ -416,7 +423,7 @@ class Invariants:
             for incident, at in told
             if max(now - WINDOW, one.black_box.began + 1.0) < at
             and not one.black_box.has_file(incident.id)
-            and len(self._incidents.get((one.name, *_origin_of(incident)), ())) < INCIDENTS_AN_HOUR
+            and self._count_taken(one.name, *_origin_of(incident)) < INCIDENTS_AN_HOUR
         ]
 
     def check_incidents(self, unheard: list[tuple[VirtualDaemon, Incident]]) -> None:

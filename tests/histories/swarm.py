@@ -177,7 +177,9 @@ class Judge(Protocol):
     def check_motion(self, daemon: VirtualDaemon, before: object) -> None:
         """The black box of a robot has worked."""
 
-    def on_incident(self, daemon: VirtualDaemon, incident: Incident, at: float) -> None:
+    def on_incident(
+        self, daemon: VirtualDaemon, incident: Incident, at: float, source: str
+    ) -> None:
         """A robot begins to keep an incident, which was at `at` s."""
 
     def on_file(self, daemon: VirtualDaemon) -> None:

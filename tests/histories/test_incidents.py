@@ -10,7 +10,7 @@ import pytest
 from swarmd.core import incident as core_incident
 from swarmd.core.events import DriverInput, Input, NoteInput
 from swarmd.core.incident import IncidentKind
-from swarmd.daemon import incidents
+from swarmd.daemon import incident_budget, incidents
 from swarmd.daemon.incidents import IncidentService
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
@@ -111,7 +111,7 @@ def test_a_death_is_kept_also_if_the_clock_is_set_by_days_before_the_start() -> 
 def test_incidents_that_are_heard_at_once_leave_no_more_files_than_may_be(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(incidents, "MAX_KEPT", 3)
+    monkeypatch.setattr(incident_budget, "MAX_KEPT", 3)
     monkeypatch.setattr(invariants, "INCIDENT_FILES", 3)
     names = ("r1", "r2", "r3", "r4")
     history = History(5)
