@@ -8,6 +8,7 @@ import time
 import zlib
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
@@ -16,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.client.incidents import mark_fields
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, mark_part
@@ -31,6 +33,7 @@ from swarmd.recording.incident_file import IncidentHead, read, read_head
 from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left, remove_old
 from swarmd.robot.setup import RobotIdentity, RobotSetup
 from swarmd.security.content_signature import Purpose, sign
+from swarmd.security.identity import Identity
 from swarmd.security.private_keys import load_private_key
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import BlackboxSection
@@ -372,10 +375,12 @@ class Service:
         self.answers: list[Reply] = []
         self.recorder = Recorder(asyncio.get_running_loop(), self.events.append)
         self.folder = folder / "state"
+        self.identity: Identity | None = None
         self.service = IncidentService(
             "r1", self.folder, BlackboxSection(folder=str(folder / "memory")),
             recorder=self.recorder, puller=MagicMock(), head=lambda: HEAD,
-            identity=lambda: None, is_member=lambda name: True, on_event=self.events.append,
+            identity=lambda: self.identity, is_member=lambda name: True,
+            on_event=self.events.append,
         )  # fmt: skip
         self.service.open()
 
@@ -821,6 +826,25 @@ def test_the_mark_of_an_operator_is_known_by_the_signature(keys: SwarmKeys) -> N
     assert operators_of(keys, *false) == [""] * len(false)
     # A clock that was never set tells nothing of the age.
     assert operators_of(keys, marked(keys, marked=0.0)) == ["anna"]
+
+
+async def test_a_mark_as_swarmctl_sends_it_is_that_of_the_operator_also_at_second_hand(
+    tmp_path: Path, keys: SwarmKeys
+) -> None:
+    service, id = Service(tmp_path), "a" * 12
+    service.identity = keys["r1"]
+    service.keep(frames.EventEntry(boottime(), "x"))
+    operator: Any = SimpleNamespace(name="anna", identity=keys["anna"])
+    fields = mark_fields(operator, "it fell " * 30, id)
+    request = encode(MarkRequest(id="m", operator="anna", targets={"r1": None}, **fields))
+    service.service.on_mark(Decoder(MarkRequest)(request), service.answer)
+    await service.threads()
+    found = _checked(service.service._list(), keys["r3"], ())
+    assert not isinstance(found, str), found
+    assert [(one.incident.by, one.operator) for one in found] == [("r1", "anna")]
+    assert mark_fields(SimpleNamespace(name="anna", identity=None), "w", id).keys() == {  # type: ignore[arg-type]
+        *("words", "incident"),
+    }
 
 
 def test_a_mark_with_the_longest_words_and_names_fits_into_what_is_told(keys: SwarmKeys) -> None:
