@@ -6,7 +6,7 @@ A robot that tells many incidents, also false ones, displaces only what it told 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from swarmd.core.incident import Incident, IncidentKind
 from swarmd.core.verbs import KeptIncident
@@ -16,25 +16,35 @@ MAX_KEPT, MAX_BYTES = 20, 64 * 2**20
 another mark of an operator displaces one that an operator has made."""
 
 
-def rate_of(incident: Incident, source: str) -> tuple[str, str, str]:
+SECOND_HAND = ""
+"""The origin of what a peer hands on for another robot: no name of a robot."""
+
+
+def rate_of(incident: Incident, source: str) -> tuple[str, bool, str]:
     """What begins at most so many incidents: a robot by itself, its deaths, lost peers, marks.
 
     Daemons that die again and again, and words on an incident, which follow it at once, must not
     hide what befalls the robot itself. `source`: the peer that handed it on for `incident.by`; old
-    tales that a peer tells again use up nothing of the robot that they are of.
+    tales that a peer tells again use up nothing of what their robot tells itself.
     """
     is_own = incident.robot == incident.by
     if incident.kind not in (IncidentKind.SILENT, IncidentKind.MARK):
-        return incident.by, source, "" if is_own else "peers"
-    return incident.by, source, f"{incident.kind} {'itself' if is_own else 'peers'}"
+        return incident.by, bool(source), "" if is_own else "peers"
+    return incident.by, bool(source), f"{incident.kind} {'itself' if is_own else 'peers'}"
+
+
+def teller_of(incident: Incident, source: str) -> str:
+    """Whose budget an incident uses: that of the robot that told it itself, else SECOND_HAND.
+
+    What is handed on has one budget in all: its age is not signed, and neither the robot that it is
+    of nor the one that hands it on answers for it.
+    """
+    return SECOND_HAND if source else incident.by
 
 
 def origin_of(one: KeptIncident) -> str:
-    """Whose budget a file uses: a mark that of its operator, another one that of its teller.
-
-    The teller is the peer that handed it on for another robot, or the robot that told it itself.
-    """
-    return one.operator or one.source or one.incident.by
+    """Whose budget a file uses: a mark that of its operator, another one that of its teller."""
+    return one.operator or teller_of(one.incident, one.source)
 
 
 def to_remove(kept: Sequence[KeptIncident], new: KeptIncident) -> list[str]:
@@ -45,14 +55,13 @@ def to_remove(kept: Sequence[KeptIncident], new: KeptIncident) -> list[str]:
     2. No other file displaces a mark of an operator.
     3. Beyond the limits of all files, one of the robot with most files gives way, by `origin_of`;
        of equal ones that of `new`.
-    4. Of its files the oldest goes first; the first file of each kind goes last.
+    4. Of its files the oldest goes first; the first file of each kind goes last. At second hand
+       those go first whose robot has most.
     """
     left = [one for one in kept if one.incident.id != new.incident.id]
     removed: list[str] = []
     while (pool := _pool(left, new)) is not None:
-        victim = _victim(
-            pool, origin_of(new), is_among=bool(pool[0].operator) is bool(new.operator)
-        )
+        victim = _victim(pool, new)
         left.remove(victim)
         removed.append(victim.incident.id)
     return removed
@@ -76,7 +85,7 @@ def _pool(left: Sequence[KeptIncident], new: KeptIncident) -> list[KeptIncident]
 def teller_to_give_way(tellers: Mapping[str, str], new: str, own: str) -> str | None:
     """The id of the incident that gives way in a full list; None: the new one is not taken.
 
-    `tellers`: by id the robot that answers for it, the oldest first. `new`: that of the new one.
+    `tellers`: by id its `teller_of`, the oldest first. `new`: that of the new one.
     Those of the robot itself, `own`, give way to its own ones alone, and last.
     """
     counts = Counter(tellers.values())
@@ -87,16 +96,30 @@ def teller_to_give_way(tellers: Mapping[str, str], new: str, own: str) -> str | 
     return next(id for id, teller in tellers.items() if teller == worst)
 
 
-def _victim(files: Sequence[KeptIncident], new: str, *, is_among: bool) -> KeptIncident:
-    """The file that gives way to one of the origin `new`; `is_among`: which will be among them."""
-    counts = Counter(origin_of(one) for one in files)
-    most = max(counts.values())
-    is_own = is_among and new in counts and counts[new] + 1 >= most
-    origin = new if is_own else next(one for one in counts if counts[one] == most)
+def _victim(files: Sequence[KeptIncident], new: KeptIncident) -> KeptIncident:
+    """The file that gives way."""
+    is_among = bool(files[0].operator) is bool(new.operator)
+    its = _of_most(files, origin_of, origin_of(new) if is_among else None)
+    if not its[0].operator and origin_of(its[0]) == SECOND_HAND:
+        its = _of_most(its, _told_by, new.incident.by if new.source else None)
     firsts = {one.incident.kind: one.incident.id for one in reversed(files)}
     kept_last = {firsts[kind] for kind in IncidentKind if kind in firsts}
-    its = [one for one in files if origin_of(one) == origin]
     return next((one for one in its if one.incident.id not in kept_last), its[0])
+
+
+def _told_by(one: KeptIncident) -> str:
+    return one.incident.by
+
+
+def _of_most(
+    files: Sequence[KeptIncident], group_of: Callable[[KeptIncident], str], new: str | None
+) -> list[KeptIncident]:
+    """The files of the group with most of them; `new`: that of the new file, if it is in one."""
+    counts = Counter(map(group_of, files))
+    most = max(counts.values())
+    is_own = new in counts and counts[new] + 1 >= most
+    group = new if is_own else next(one for one in counts if counts[one] == most)
+    return [one for one in files if group_of(one) == group]
 
 
 def _is_full(files: Sequence[KeptIncident], size: int, part: int) -> bool:

@@ -10,9 +10,9 @@ it before.
 After a daemon that was killed the next one finds the ring, and writes it. It tells again what the
 daemon before may not have had the time to tell. A file that the disk refused waits in memory.
 
-The age of a tale is not signed: the robot that hands it on states it. So a tale counts to the
-budget of that robot (`incident_budget.py`), the file names it, and the age that the teller itself
-states replaces it.
+The age of a tale is not signed: the robot that hands it on states it. So a tale at second hand uses
+a budget of its own (`incident_budget.py`), the file names who handed it on, and the age that the
+teller itself states replaces it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from swarmd.core.record import DIGEST_BYTES
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import KeptIncident, mark_text, shortened
 from swarmd.daemon.audit import printable
-from swarmd.daemon.incident_budget import rate_of, teller_to_give_way, to_remove
+from swarmd.daemon.incident_budget import rate_of, teller_of, teller_to_give_way, to_remove
 from swarmd.daemon.recorder import Recorder, piece_of
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
@@ -116,8 +116,8 @@ class _Told(msgspec.Struct):
 
     @property
     def teller(self) -> str:
-        """The robot that answers for it."""
-        return self.source or self.incident.by
+        """Whose budget it uses."""
+        return teller_of(self.incident, self.source)
 
 
 class _Written(NamedTuple):
@@ -187,7 +187,7 @@ class IncidentService:
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
         self._times: dict[str, float | None] = {}  # by id; None: s on the clock of an earlier boot
         # By origin (see `rate_of`): s of its last incidents.
-        self._origins: dict[tuple[str, str, str], deque[float]] = {}
+        self._origins: dict[tuple[str, bool, str], deque[float]] = {}
         self._waiting: dict[str, _Refused] = {}  # by id: files that the disk refused
         self._retry_at = 0.0  # s
         self._keeps_left = False  # the ring waits for the file of what the daemon before left
@@ -445,7 +445,7 @@ class IncidentService:
 
         self._in_thread(work, on_done)
 
-    def _may_begin(self, origin: tuple[str, str, str], now: float, gap: float = GAP) -> bool:
+    def _may_begin(self, origin: tuple[str, bool, str], now: float, gap: float = GAP) -> bool:
         """True unless this origin began an incident within `gap` s, or HOURLY in the last hour."""
         times = self._origins.get(origin, deque(maxlen=HOURLY))
         keep_newest(self._origins, origin, times, MAX_RATES)
@@ -465,7 +465,7 @@ class IncidentService:
         self._on_event(printable(f"incident {incident.id} of {incident.robot}: {incident.text}"))
 
     def _has_room(self, teller: str) -> bool:
-        """True if the list takes another incident that `teller` answers for."""
+        """True if the list takes another incident of `teller`."""
         return len(self._told) < MAX_TOLD or self._gives_way(teller) is not None
 
     def _gives_way(self, teller: str) -> str | None:

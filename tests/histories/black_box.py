@@ -12,7 +12,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -21,14 +21,16 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmd.core import verbs
+from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import clock_id
 from swarmd.core.events import TICK_INPUT, Input, TickInput
 from swarmd.core.incident import Incident
 from swarmd.core.messages import Status
 from swarmd.core.record import RecordKind
 from swarmd.core.token_bucket import TokenBucket
+from swarmd.core.verbs import KeptIncident
 from swarmd.daemon import incidents, recorder
-from swarmd.daemon.incidents import IncidentService
+from swarmd.daemon.incidents import IncidentService, _signed, _Told
 from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.requests import SendReply
 from swarmd.network.datagram import Address, Beacon
@@ -133,6 +135,11 @@ class Incidents(IncidentService):
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         super()._note_kept(head, size, crc)
         self._box.wrote()
+
+    def _on_written(self, id: str, written: Any) -> None:
+        kept = {gone: self._kept[gone] for gone in written.removed}
+        self._box.displaced(tuple(self._kept.values()), kept, written.head)
+        super()._on_written(id, written)
 
     def _write(self, told: Any, source: Any, *more: Any, **options: Any) -> None:
         left = source()  # now: the descriptor of a virtual thread would outlive a kill
@@ -288,6 +295,20 @@ class BlackBox:
         """It has written a file."""
         if self.daemon.swarm.judge is not None:
             self.daemon.swarm.judge.on_file(self.daemon)
+
+    def displaced(
+        self, before: Sequence[KeptIncident], gone: Mapping[str, KeptIncident], new: IncidentHead
+    ) -> None:
+        """The files `gone` give way to a new one."""
+        if self.daemon.swarm.judge is not None:
+            self.daemon.swarm.judge.on_displaced(self.daemon, before, gone, new)
+
+    def cry(self, incidents_told: Sequence[Incident]) -> None:
+        """Tell peers of these as the robot's own, though it has none of them."""
+        with self._virtual_time():
+            for one in incidents_told:
+                told = _Told(one, self.daemon.swarm.now, _signed(one, None))
+                keep_newest(self.service._told, one.id, told, incidents.MAX_TOLD)
 
     # Time
 
