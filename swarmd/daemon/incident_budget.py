@@ -117,8 +117,10 @@ def _of_most(
     """The files of the group with most of them; `new`: that of the new file, if it is in one."""
     counts = Counter(map(group_of, files))
     most = max(counts.values())
-    is_own = new in counts and counts[new] + 1 >= most
-    group = new if is_own else next(one for one in counts if counts[one] == most)
+    if new is not None and new in counts and counts[new] + 1 >= most:
+        group = new
+    else:
+        group = next(one for one in counts if counts[one] == most)
     return [one for one in files if group_of(one) == group]
 
 

@@ -36,7 +36,8 @@ leave open:
 - `unmoved`: the state, the epoch, latches, goal and pattern of the robot and its command are the
   same before and after its black box has worked.
 - `heard`: judged on the incidents of the last WINDOW s that a robot tells when all is healed,
-  unless six of the same origin came before, or their robot has told some that never happened.
+  unless six of the same origin came before. A robot that told some which never happened is not
+  judged, and neither are its true ones: they share the budget of its lies.
 - `fair`: a mark of an operator is one that the robot got from the operator itself: the swarm of
   incidents has no signatures.
 - `few`: the death of the own daemon may follow an incident at once.
@@ -452,6 +453,7 @@ class Invariants:
         return [
             (one, incident)
             for one in alive
+            if one.name not in self._wolves
             for incident, at in told
             if max(now - WINDOW, one.black_box.began + 1.0) < at
             and not one.black_box.has_file(incident.id)
