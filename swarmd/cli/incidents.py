@@ -1,19 +1,22 @@
-"""`swarmctl incidents`: lists, fetches and marks the incidents of which robots keep the minute."""
+"""`swarmctl incidents`: lists, shows, fetches and marks what went wrong on robots."""
 
 from __future__ import annotations
 
 import secrets
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.options import FOLDER, CommonOptions, Failure, VerbGroup, common_options
-from swarmd.cli.output import line_width, print_json, print_table, warn
+from swarmd.cli.output import line_width, print_json, print_table, printable, warn
 from swarmd.cli.record import fetch_files
 from swarmd.cli.send import asking, session_of
 from swarmd.cli.targets import takes_targets
-from swarmd.client.incidents import Incidents, SwarmIncident, ask_incidents
+from swarmd.client.incidents import Account, Incidents, SwarmIncident, ask_incidents, mark_fields
 from swarmd.client.targets import Targets
 from swarmd.core.bounds import MAX_REASON
 from swarmd.core.verbs import KeptIncident, MarkRequest, RecordingFile, shortened
@@ -24,29 +27,90 @@ from swarmd.texts.values import NOTHING, counted, megabytes, seconds
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
 
-HEADER = ("INCIDENT", "WHEN", "ROBOT", "KIND", "KEPT BY", "SECONDS", "SIZE", "MISSING", "WHY")
+HEADER = ("INCIDENT", "WHEN", "ROBOT", "KIND", "KEPT BY", "WHY")
+DETAILS = ("KEPT BY", "SECONDS", "SIZE", "MISSING", "TOLD BY", "ROBOT", "KIND", "WHY")
 
 
-@click.group(cls=VerbGroup, invoke_without_command=True)
+class _IncidentGroup(VerbGroup):
+    """The verbs; a first word that is none names a robot or an incident, as of `show`."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The verb, else `show` with all words."""
+        if args[0].startswith("-") or self.get_command(ctx, args[0]) is not None:
+            return super().resolve_command(ctx, args)
+        return "show", self.get_command(ctx, "show"), args
+
+
+@click.group(cls=_IncidentGroup, invoke_without_command=True)
 @common_options
 def incidents(options: CommonOptions) -> None:
     """List incidents: what went wrong on a robot, and which robots keep their last minute of it.
 
     Each robot keeps its last minute in memory, and writes it to its disk when an incident begins on
-    any robot. SECONDS: from how long before the incident to how long after it; `awaited`: the robot
-    writes its file 10 s after the incident.
+    any robot. `swarmctl incidents tb3-02` lists those of a robot, `swarmctl incidents 3fa2` shows
+    what each robot keeps of the one whose id begins so. The newest is the last. A row `as tb3-05
+    says` has words of a robot that contradict those of the others.
     """
-    if click.get_current_context().invoked_subcommand is not None:
-        return
+    if click.get_current_context().invoked_subcommand is None:
+        _show(options, ())
+
+
+@incidents.command(epilog="Example: swarmctl incidents show tb3-02")
+@click.argument("words", nargs=-1, metavar="[TARGET|ID]...", shell_complete=completion.robots)
+@common_options
+def show(options: CommonOptions, words: tuple[str, ...]) -> None:
+    """List the incidents of robots, or show what each robot keeps of an incident.
+
+    TARGET: a name or a glob such as 'tb3-*'. ID: an id, or its beginning. SECONDS: from how long
+    before the incident to how long after it; `awaited`: the robot writes its file 10 s after the
+    incident.
+    """
+    _show(options, words)
+
+
+def _show(options: CommonOptions, words: Sequence[str]) -> None:
     with options.operator() as operator:
         found = _asked(options, operator)
+        chosen, is_by_id = _named(found, words)
         if options.is_json:
-            print_json("Incidents", found.as_json())
+            print_json("Incidents", found._replace(incidents=chosen).as_json())
+        elif is_by_id and len(chosen) == 1:
+            _print_details(chosen[0])
         else:
-            rows = [row for one in found.incidents for row in _rows(one)]
+            rows = [row for one in chosen for row in _rows(one, found)]
             print_table(HEADER, rows, width=line_width())
-            click.echo(counted(len(found.incidents), "incident"))
+            click.echo(counted(len(chosen), "incident"))
         click.get_current_context().exit(found.exit_code)
+
+
+def _named(found: Incidents, words: Sequence[str]) -> tuple[tuple[SwarmIncident, ...], bool]:
+    """The incidents that words name, all without a word; True if only ids name them.
+
+    Failure if a word names neither a robot nor an incident. A word that is a robot is no id.
+    """
+    had = {robot for one in found.incidents for robot in one.robots}
+    robots = had.union(found.answered, found.missing)
+    ids: set[str] = set()
+    named: set[str] = set()
+    for word in words:
+        matching = {robot for robot in robots if fnmatchcase(robot, word)}
+        begun = {one.incident.id for one in found.incidents if one.incident.id.startswith(word)}
+        if not matching and not begun:
+            raise Failure(
+                f"{word!r} is no robot that is there, and no incident that a robot keeps; see"
+                " `swarmctl incidents`, and `swarmctl incidents --help` for its verbs",
+                NO_TARGET,
+            )
+        named |= matching
+        ids |= set() if matching else begun
+    chosen = tuple(
+        one
+        for one in found.incidents
+        if not words or one.incident.id in ids or named.intersection(one.robots)
+    )
+    return chosen, bool(words) and not named
 
 
 @incidents.command(epilog="Example: swarmctl incidents fetch 3fa2 -d crash")
@@ -100,7 +164,8 @@ def mark(options: CommonOptions, targets: Targets, words: str) -> None:
         raise click.UsageError(f"{wanted}, such as 'it hit the chair'")
     id = secrets.token_hex(6)
     with asking(options, targets, needs_status=False) as asked:
-        outcome = asked.targeted.request(MarkRequest, words=words, incident=id)
+        fields = mark_fields(asked.targeted.operator, words, id)
+        outcome = asked.targeted.request(MarkRequest, **fields)
         if outcome.applied:
             warn(f"incident {id}; after 10 s: swarmctl incidents fetch {id}")
         asked.report(outcome, {"incident": id})
@@ -127,19 +192,64 @@ def _chosen(found: Incidents, prefix: str) -> SwarmIncident:
     return matching[0]
 
 
-def _rows(one: SwarmIncident) -> list[tuple[str, ...]]:
-    """A row for each robot that keeps the incident."""
-    incident = one.incident
-    robot_text = incident.robot if len(one.robots) == 1 else counted(len(one.robots), "robot")
+def _rows(one: SwarmIncident, found: Incidents) -> list[tuple[str, ...]]:
+    """The row of an incident, and one for each account that contradicts it."""
     when = NOTHING if one.age is None else f"{seconds(one.age)} ago"
-    return [
-        (
-            incident.id, when, robot_text, incident.kind, robot, _span(kept),
-            megabytes(kept.size, 2) if kept.size else NOTHING,
-            shortened(kept.missing) or NOTHING, incident.text,
-        )
-        for robot, kept in one.kept.items()
-    ]  # fmt: skip
+    rows = [_row(one, account, when) for account in one.accounts]
+    first = rows[0]
+    return [(*first[:4], _kept_by(one, found.answered), first[-1]), *rows[1:]]
+
+
+def _row(one: SwarmIncident, account: Account, when: str) -> tuple[str, ...]:
+    incident = account.incident
+    return one.incident.id, when, _had_by(account), incident.kind, _says(account), incident.text
+
+
+def _had_by(account: Account) -> str:
+    """The robot that had the incident, or how many had it."""
+    robots = account.robots
+    return robots[0] if len(robots) == 1 else counted(len(robots), "robot")
+
+
+def _says(account: Account) -> str:
+    """Whose words these are."""
+    verb = "says" if len(account.tellers) == 1 else "say"
+    return f"as {shortened(', '.join(account.tellers))} {verb}"
+
+
+def _kept_by(one: SwarmIncident, answered: Sequence[str]) -> str:
+    """Which robots keep their minute, of those that answered: `6 of 7, not tb3-02`."""
+    keepers = [robot for robot, kept in one.kept.items() if kept.size]
+    awaited = [robot for robot, kept in one.kept.items() if not kept.size]
+    others = sorted(set(answered) - one.kept.keys())
+    count = len(keepers) + len(awaited) + len(others)
+    text = f"all {count}" if len(keepers) == count else f"{len(keepers)} of {count}"
+    if others and len(keepers) < len(others):
+        text += f": {shortened(', '.join(keepers))}" if keepers else ""
+    elif others:
+        text += f", not {shortened(', '.join(others))}"
+    return text + (f", {len(awaited)} awaited" if awaited else "")
+
+
+def _print_details(one: SwarmIncident) -> None:
+    """What each robot keeps of an incident, and its own words."""
+    when = "" if one.age is None else f", {seconds(one.age)} ago"
+    for account in one.accounts:
+        incident = account.incident
+        head = f"{incident.id} {incident.kind} of {_had_by(account)}{when}"
+        click.echo(printable(f"{head}, {_says(account)}: {incident.text}"))
+    rows = []
+    for robot, kept in one.kept.items():
+        told = kept.incident
+        through = f" through {kept.source}" if kept.source else ""
+        by = f"{told.by}{through}" if not kept.operator else f"{told.by}{through}, {kept.operator}"
+        rows.append(
+            (
+                robot, _span(kept), megabytes(kept.size, 2) if kept.size else NOTHING,
+                shortened(kept.missing) or NOTHING, by, told.robot, told.kind, told.text,
+            )
+        )  # fmt: skip
+    print_table(DETAILS, rows, width=line_width())
 
 
 def _span(kept: KeptIncident) -> str:

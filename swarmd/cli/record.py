@@ -153,11 +153,12 @@ def _copied(
     ask: Ask, robot: str, files: Sequence[RecordingFile], folder: Path, source: Source | None
 ) -> tuple[list[Copy], bool]:
     """Copy files of a robot into `folder`; the copies, and True if no file is missing."""
-    from swarmd.recording.fetch import RECORDING, note_clock
+    from swarmd.recording.fetch import RECORDING, check_sizes, note_clock
     from swarmd.recording.fetch import fetch as copy_file
 
     copies: list[Copy] = []
     try:
+        check_sizes(robot, files, folder, source or RECORDING)
         note_clock(ask, robot, folder)  # the offset of its clock, for `record merge`
         for file in files:
             progress = partial(_tell, robot, file.name)

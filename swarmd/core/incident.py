@@ -5,6 +5,9 @@ list begins none: an operator's stop, a finished run, an obstacle, a hold by des
 
 Robots that meet one incident give it one id without asking each other: the id of an emergency stop
 follows from its latch, that of a robot that is no longer heard from its instance and revision.
+
+In a secured swarm the robot that tells an incident signs it, and an operator signs a mark, so
+that a robot that hands it on cannot put words into a mouth.
 """
 
 from __future__ import annotations
@@ -14,12 +17,17 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Annotated
 
+import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import IncidentId, Line, Name, Seconds, Word
 from swarmd.core.messages import Reason, State, Status
 
 Wall = Annotated[float, Meta(ge=0.0, le=1e11)]
+Signature = Annotated[bytes, Meta(max_length=64)]
+OperatorName = Annotated[str, Meta(max_length=128)]
+MAX_TEXT = 300
+"""Characters of the words of an incident."""
 
 
 class IncidentKind(StrEnum):
@@ -65,6 +73,9 @@ class Incident(Struct, frozen=True, kw_only=True):
 
     - `robot`: the robot that had it. `by`: the robot that tells it first.
     - `text`: why, in a line. `wall`: s since 1970 by the clock of `by`; 0: not set.
+    - Of a mark, `operator`: who marked it, as `by` says. `marked`: s since 1970 by the clock of the
+      operator. `signature`: the operator's, of `mark_part`; empty in a swarm without keys, and from
+      an older version.
     """
 
     id: IncidentId
@@ -73,10 +84,18 @@ class Incident(Struct, frozen=True, kw_only=True):
     text: Line
     by: Name
     wall: Wall = 0.0
+    operator: OperatorName = ""
+    marked: Wall = 0.0
+    signature: Signature = b""
 
     def line(self, at: float) -> str:
         """The incident in a line; `at`: its time in s on the timeline of a recording."""
         return f"incident {self.id} of {self.robot} at {at:.3f} s: {self.kind}: {self.text}"
+
+
+def mark_part(id: str, operator: str, text: str, marked: float) -> bytes:
+    """The bytes of a mark that its operator signs."""
+    return msgspec.msgpack.encode((id, operator, text, marked))
 
 
 class ToldIncident(Struct, frozen=True, kw_only=True):
@@ -88,7 +107,7 @@ class ToldIncident(Struct, frozen=True, kw_only=True):
 
     content: Annotated[bytes, Meta(max_length=2048)]
     age: Seconds
-    signature: Annotated[bytes, Meta(max_length=64)] = b""
+    signature: Signature = b""
     certificate: Annotated[bytes, Meta(max_length=2048)] = b""
 
 

@@ -36,7 +36,7 @@ from swarmd.core.bounds import (
 )
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_LABELS, Goal
-from swarmd.core.incident import Incident
+from swarmd.core.incident import MAX_TEXT, Incident, OperatorName, Signature, Wall
 from swarmd.core.messages import Epochs, PeerView, Reply, Sandbox
 
 MAX_LATE = 0.5
@@ -209,11 +209,15 @@ class RecordRequest(_EpochRequest, frozen=True, kw_only=True, tag="record"):
 class MarkRequest(_EpochRequest, frozen=True, kw_only=True, tag="mark"):
     """Begin an incident with these words: all robots keep their last minute. It moves nothing.
 
-    `incident`: its id, which all targets get.
+    `incident`: its id, which all targets get. `marked`: s since 1970 by the operator's clock.
+    `signature`: the operator's, of `mark_part`, so that all robots know whose words they are; empty
+    in a swarm without keys, and from an older version.
     """
 
     words: ReasonText
     incident: IncidentId
+    marked: Wall = 0.0
+    signature: Signature = b""
 
 
 class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
@@ -352,6 +356,9 @@ class KeptIncident(Struct, frozen=True, kw_only=True):
     - `begin`, `end`: s after the incident (negative: before) between which the file has entries;
       None while the minute after it is not over. `missing`: why seconds are missing; empty if none.
     - `file`, `size`, `crc`: of the file; size 0 without one.
+    - `operator`: who marked it, which this robot knows: from the operator, or by its signature;
+      empty else. `source`: the peer that handed it on, and says how long ago it was, if that is not
+      the robot that told it.
     """
 
     incident: Incident
@@ -362,6 +369,8 @@ class KeptIncident(Struct, frozen=True, kw_only=True):
     file: FileName
     size: Count = 0
     crc: Count = 0
+    operator: OperatorName = ""
+    source: Word = ""
 
 
 class IncidentsReply(Struct, frozen=True, kw_only=True):
@@ -422,8 +431,6 @@ LOG_PAGE = 200
 MAX_LOG_LINE = 500
 """Characters of a record."""
 
-Wall = Annotated[float, Meta(ge=0.0, le=1e11)]
-OperatorName = Annotated[str, Meta(max_length=128)]
 LogLine = Annotated[str, Meta(max_length=MAX_LOG_LINE)]
 
 
@@ -631,6 +638,11 @@ def shortened(text: str, length: int = MAX_PART) -> str:
     words, blank, _ = kept.rpartition(" ")
     is_whole = text[len(kept)] == " " or not blank
     return f"{kept if is_whole else words.rstrip(' ,;:')}..."
+
+
+def mark_text(operator: str, words: str) -> str:
+    """The words of an incident that an operator marks."""
+    return shortened(f"{operator}: {words}", MAX_TEXT)
 
 
 def _assignments(values: Mapping[str, object]) -> str:

@@ -4,9 +4,15 @@ An incident is found by the robot itself (`core/incident.py`), told by a peer, o
 operator. TAIL s after it the service writes the ring of the recorder to a file, in a thread. The
 incidents of the last minutes spread like pushed patterns: beacons show a digest of their ids, and a
 robot that lacks some pulls the list of the peer. So each robot keeps its own last minute of each
-incident, under one id.
+incident, under one id. A robot that has an incident itself notes its own words, also if a peer told
+it before.
 
-After a daemon that was killed the next one finds the ring, and writes it.
+After a daemon that was killed the next one finds the ring, and writes it. It tells again what the
+daemon before may not have had the time to tell. A file that the disk refused waits in memory.
+
+The age of a tale is not signed: the robot that hands it on states it. So a tale at second hand uses
+a budget of its own (`incident_budget.py`), the file names who handed it on, and the age that the
+teller itself states replaces it.
 """
 
 from __future__ import annotations
@@ -18,7 +24,7 @@ import math
 import os
 import time
 import zlib
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from functools import partial, wraps
@@ -34,19 +40,22 @@ from swarmd.core.clock import FIRST_WALL, STALL_TIMEOUT, boottime, clock_id
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import read_regular, write_whole
 from swarmd.core.incident import (
+    MAX_TEXT,
     Found,
     Incident,
     IncidentKind,
     ToldIncident,
     found,
     id_of,
+    mark_part,
     silent_id,
 )
 from swarmd.core.messages import Code, Reply, State, Status
 from swarmd.core.record import DIGEST_BYTES
 from swarmd.core.refusal import Refusal
-from swarmd.core.verbs import KeptIncident, shortened
+from swarmd.core.verbs import KeptIncident, mark_text, shortened
 from swarmd.daemon.audit import printable
+from swarmd.daemon.incident_budget import rate_of, teller_of, teller_to_give_way, to_remove
 from swarmd.daemon.recorder import Recorder, piece_of
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
@@ -55,7 +64,7 @@ from swarmd.network.spread.asks import Asks
 from swarmd.network.spread.pull import Blob, Puller, serve_shared
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead, head_of
-from swarmd.recording.incident_file import SUFFIX, IncidentHead, pack, read_head
+from swarmd.recording.incident_file import SUFFIX, IncidentHead, pack, read, read_head
 from swarmd.recording.ring import (
     MAX_FILE,
     Left,
@@ -75,16 +84,20 @@ TAIL = 10.0
 """Seconds after an incident that its file has, too."""
 GAP, HOURLY = 10.0, 6
 """At most one incident in GAP s, and HOURLY an hour, of one origin."""
-MAX_KEPT, MAX_BYTES = 20, 64 * 2**20
-"""Files that a robot keeps, and their bytes; marked ones take at most half."""
 RATE = 40_000
 """Bytes of the ring for each second that it keeps: 4 MB for 60 s. A robot with 360 rays at 10 Hz
 takes some 22 kB a second."""
 MARGIN = 40.0  # s that the ring keeps beyond `seconds`: a segment, and TAIL
 MAX_TOLD = 32
+MAX_RATES = 1024
+"""Origins whose last incidents are known: more than a swarm of 100 robots has."""
+RETRY = 10.0  # s until a file is written again that the disk refused
+MAX_WAITING = 16 * 2**20  # bytes of files that wait for the disk
+MARK_AGE = 3600.0
+"""S between the operator's clock at a mark and the robot's, beyond which a mark that a peer tells
+counts as the words of the peer: it may be an old one that is told again."""
 LIST_PERIOD = 10.0  # s until the same list is pulled from the same robot again
 LIST = "incidents"  # the name of the list among the pulled blobs
-MAX_LINE = 300  # characters
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -98,6 +111,13 @@ class _Told(msgspec.Struct):
     incident: Incident
     at: float
     told: ToldIncident | None = None  # None until it is signed
+    operator: str = ""  # as in `KeptIncident`
+    source: str = ""  # as in `KeptIncident`
+
+    @property
+    def teller(self) -> str:
+        """Whose budget it uses."""
+        return teller_of(self.incident, self.source)
 
 
 class _Written(NamedTuple):
@@ -107,6 +127,14 @@ class _Written(NamedTuple):
     size: int
     crc: int
     removed: Sequence[str]
+
+
+class _Refused(NamedTuple):
+    """A file that the disk refused: its bytes, and why. No bytes: the frames could not be read."""
+
+    head: IncidentHead | None
+    data: bytes
+    fault: str
 
 
 def _contained(
@@ -158,8 +186,11 @@ class IncidentService:
         self._told: dict[str, _Told] = {}  # by id
         self._kept: dict[str, KeptIncident] = {}  # by id, the oldest first
         self._times: dict[str, float | None] = {}  # by id; None: s on the clock of an earlier boot
-        # By origin (see `_origin_of`): s of its last incidents.
-        self._origins: dict[tuple[str, str], deque[float]] = {}
+        # By origin (see `rate_of`): s of its last incidents.
+        self._origins: dict[tuple[str, bool, str], deque[float]] = {}
+        self._waiting: dict[str, _Refused] = {}  # by id: files that the disk refused
+        self._retry_at = 0.0  # s
+        self._keeps_left = False  # the ring waits for the file of what the daemon before left
         self._due: dict[str, float] = {}  # by id: s at which its file is written
         self._asks = Asks(LIST_PERIOD)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -177,27 +208,53 @@ class IncidentService:
             return
         try:
             folder = memory_folder(self._section.folder, os.environ)
-            path = folder / self._ring_name
             try:  # before the ring begins again: a second kill must not lose it
-                left = read_left(path)
+                left = read_left(folder / self._ring_name)
                 if left is not None and left.frames:
                     self._on_left(left)
-                    if self.fault:  # the minute stays in memory, for a start with room on the disk
-                        return
             except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
                 log.warning("what the daemon before left is lost: %s", error)
-            head, now = self._head(), boottime()
-            self._recorder.ring = Ring(
-                path,
-                head.texts(),
-                capacity=int(RATE * (self._seconds + MARGIN)),
-                seconds=self._seconds + TAIL,
-                boot=now,
-                wall=time.time(),
-            )
-            remove_old(folder, time.time())  # its own, which may be old as well, has been read
+            self._tell_again()
+            if self._waiting:  # the minute stays in memory until there is room on the disk
+                self._keeps_left = True
+                return
+            self._begin_ring(folder)
         except Exception as error:  # it ends the black box, and not the daemon
             self._end(error)
+
+    def _begin_ring(self, folder: Path) -> None:
+        """Keep the last minute from now on."""
+        self._keeps_left = False
+        head, now = self._head(), boottime()
+        self._recorder.ring = Ring(
+            folder / self._ring_name,
+            head.texts(),
+            capacity=int(RATE * (self._seconds + MARGIN)),
+            seconds=self._seconds + TAIL,
+            boot=now,
+            wall=time.time(),
+        )
+        remove_old(folder, time.time())  # its own, which may be old as well, has been read
+
+    def _tell_again(self) -> None:
+        """Tell the robot's own incidents of the last minutes, which its peers may not know.
+
+        The daemon before may have died before a peer had pulled them.
+        """
+        oldest = boottime() - self._seconds - MARGIN
+        for id, one in self._kept.items():
+            at = self._times[id]
+            is_recent = at is not None and at >= oldest
+            if is_recent and one.incident.by == self._robot and id not in self._told:
+                assert at is not None
+                told = _Told(one.incident, at, operator=one.operator)
+                keep_newest(self._told, id, told, MAX_TOLD)
+                self._sign(told)
+
+    def _sign(self, told: _Told) -> None:
+        """Sign an incident of this robot, in a thread; it is handed on from then on."""
+        work = partial(_signed, told.incident, self._identity())
+        self._in_thread(work, partial(_set_told, told))
 
     def _read_kept(self) -> None:
         """Read the heads of the files that earlier daemons wrote."""
@@ -215,7 +272,7 @@ class IncidentService:
             self._note_kept(head, size, crc)
             if head.clock == clock_id():
                 # A daemon that dies again and again begins no more incidents than one that lives.
-                self._may_begin(_origin_of(head.incident), head.at, gap=0.0)
+                self._may_begin(rate_of(head.incident, head.source), head.at, gap=0.0)
 
     def _on_left(self, left: Left) -> None:
         """Write what an earlier daemon has left; it was killed, or has crashed."""
@@ -230,8 +287,9 @@ class IncidentService:
             if isinstance(one, frames.TextEntry) and one.topic == "/incident":
                 incident = msgspec.json.decode(one.json, type=Incident)
                 if incident.id not in self._kept and end - one.at <= MARGIN:
-                    self._may_begin(_origin_of(incident), one.at, gap=0.0)
-                    self._write(incident, one.at, *source, is_waiting=True)
+                    self._may_begin(rate_of(incident, ""), one.at, gap=0.0)
+                    told = _Told(incident, one.at, operator=self._operator_of(incident))
+                    self._write(told, *source, is_waiting=True)
         instance = ""
         with suppress(ConfigError):  # another version: peers have another id of it
             instance = head_of(left.about, "the black box").identity.instance
@@ -246,6 +304,8 @@ class IncidentService:
         """
         for id in list(self._due):
             self._write_due(id, is_waiting=True)
+        for id in list(self._waiting):
+            self._write_again(id, is_waiting=True)
         if self._recorder.ring is not None:
             self._recorder.ring.close(keeps_file=has_crashed)
             self._recorder.ring = None
@@ -287,8 +347,8 @@ class IncidentService:
 
     def on_mark(self, request: verbs.MarkRequest, answer: SendReply) -> None:
         """Begin an incident with the words of an operator."""
-        text = f"{request.operator}: {request.words}"
-        is_begun = self._begin(Found(IncidentKind.MARK, text, request.incident))
+        text = mark_text(request.operator, request.words)
+        is_begun = self._begin(Found(IncidentKind.MARK, text, request.incident), request=request)
         limit = f"at most one in {GAP:.0f} s and {HOURLY} an hour"
         fault = self._problem or limit
         answer(
@@ -308,36 +368,87 @@ class IncidentService:
         robot: str = "",
         at: float | None = None,
         left: tuple[Callable[[], Left], float, float] | None = None,
+        request: verbs.MarkRequest | None = None,
     ) -> bool:
-        """Begin an incident of this robot's own, unless it is known or too many began."""
-        if what.id in self._told or what.id in self._kept:
-            return True
+        """Begin an incident of this robot's own, unless it is known or too many began.
+
+        `request`: of the operator that marks it.
+        """
         at = boottime() if at is None else at
         wall = time.time() - (boottime() - at)
         incident = Incident(
             id=what.id or os.urandom(6).hex(),
             robot=robot or self._robot,
             kind=what.kind,
-            text=shortened(what.text, MAX_LINE),
+            text=shortened(what.text, MAX_TEXT),
             by=self._robot,
             wall=wall if wall > FIRST_WALL else 0.0,
+            operator="" if request is None else request.operator,
+            marked=0.0 if request is None else request.marked,
+            signature=b"" if request is None else request.signature,
         )
+        told = _Told(incident, at, operator=incident.operator)
+        if incident.id in self._told or incident.id in self._kept:
+            self._say_itself(told)
+            return True
         is_on = left is not None or self._recorder.ring is not None
-        if not is_on or not self._may_begin(_origin_of(incident), at):
+        if not is_on or not self._may_begin(rate_of(incident, ""), at):
             return False
-        told = _Told(incident, at)
         self._tell(told)
-        self._in_thread(partial(_signed, incident, self._identity()), partial(_set_told, told))
+        self._sign(told)
         if left is None:
             self._await_tail(incident, at)
         else:
-            self._write(incident, at, *left, is_waiting=True)
+            self._write(told, *left, is_waiting=True)
         return True
 
-    def _may_begin(self, origin: tuple[str, str], now: float, gap: float = GAP) -> bool:
+    def _say_itself(self, own: _Told) -> None:
+        """Note the robot's own words on an incident that it had, and that a peer has told before.
+
+        An operator's mark replaces no words but those of the same mark.
+        """
+        id = own.incident.id
+        told, kept = self._told.get(id), self._kept.get(id)
+        known = told.incident if told is not None else kept.incident if kept is not None else None
+        if known is None or own.incident.robot != self._robot or known.by == self._robot:
+            return
+        if (own.incident.kind == IncidentKind.MARK) is not (known.kind == IncidentKind.MARK):
+            return
+        if told is not None:
+            self._told[id] = own
+            self._sign(own)
+        if kept is not None:
+            self._write_head(own)
+
+    def _write_head(self, own: _Told) -> None:
+        """Write the robot's own words into a file that it has written with those of a peer."""
+        path = self._folder / (own.incident.id + SUFFIX)
+
+        def work() -> _Written | str:
+            """In a thread: the frames stay as they are."""
+            try:
+                head, left = read(path)
+                head = msgspec.structs.replace(
+                    head, incident=own.incident, operator=own.operator, source=""
+                )
+                data = pack(head, left.frames)
+                write_whole(path, data, 0o600)
+            except (OSError, CodecError) as error:
+                return getattr(error, "strerror", None) or str(error)
+            return _Written(head, len(data), zlib.crc32(data), ())
+
+        def on_done(written: _Written | str) -> None:
+            if isinstance(written, str):
+                self._on_event(f"incident {own.incident.id} has the words of a peer: {written}")
+            elif own.incident.id in self._kept:  # it has not given way meanwhile
+                self._note_kept(written.head, written.size, written.crc)
+
+        self._in_thread(work, on_done)
+
+    def _may_begin(self, origin: tuple[str, bool, str], now: float, gap: float = GAP) -> bool:
         """True unless this origin began an incident within `gap` s, or HOURLY in the last hour."""
         times = self._origins.get(origin, deque(maxlen=HOURLY))
-        keep_newest(self._origins, origin, times, MAX_TOLD)
+        keep_newest(self._origins, origin, times, MAX_RATES)
         is_soon = bool(times) and now - times[-1] < gap
         is_many = len(times) == HOURLY and now - times[0] < 3600.0
         if not (is_soon or is_many):
@@ -347,8 +458,27 @@ class IncidentService:
     def _tell(self, told: _Told) -> None:
         """Tell an incident to peers from now on, and to the log."""
         incident = told.incident
+        if len(self._told) >= MAX_TOLD and (id := self._gives_way(told.teller)) is not None:
+            del self._told[id]
+            self._due.pop(id, None)
         keep_newest(self._told, incident.id, told, MAX_TOLD)
         self._on_event(printable(f"incident {incident.id} of {incident.robot}: {incident.text}"))
+
+    def _has_room(self, teller: str) -> bool:
+        """True if the list takes another incident of `teller`."""
+        return len(self._told) < MAX_TOLD or self._gives_way(teller) is not None
+
+    def _gives_way(self, teller: str) -> str | None:
+        """The id of the incident in a full list that gives way to one of `teller`."""
+        tellers = {id: told.teller for id, told in self._told.items()}
+        return teller_to_give_way(tellers, teller, self._robot)
+
+    def _operator_of(self, incident: Incident) -> str:
+        """The operator whose mark an incident in the ring is; empty if that is not known."""
+        if incident.by == self._robot:
+            return incident.operator
+        identity = self._identity()
+        return "" if identity is None else _marked_by(incident, identity)
 
     def _await_tail(self, incident: Incident, at: float) -> None:
         """Note the incident in the ring at once; its file is written TAIL s after it."""
@@ -392,7 +522,9 @@ class IncidentService:
             log.info("the incidents of %s are not known: %s", robot, reason)
             return
         received = boottime()
-        check = partial(_checked, blob, self._identity(), frozenset(self._told))
+        # A tale at second hand is read again, since the age is better known at first hand.
+        known = frozenset(id for id, told in self._told.items() if not told.source)
+        check = partial(_checked, blob, self._identity(), known)
         self._in_thread(check, partial(self._on_checked, robot, received))
 
     def _on_checked(self, robot: str, received: float, checked: list[_Told] | str) -> None:
@@ -403,17 +535,30 @@ class IncidentService:
         for told in checked:
             incident = told.incident
             told.at += received
-            is_known = incident.id in self._told or incident.id in self._kept
+            told.source = "" if incident.by == robot else robot
+            if (known := self._told.get(incident.id)) is not None:
+                self._correct(known, told)
+                continue
             # Its own ones are known to this robot: a forged one must not use up its rate.
             is_ours = self._is_member(incident.robot) and self._is_member(incident.by)
             is_ours = is_ours and incident.by != self._robot
             is_late = received - told.at > self._seconds + MARGIN
-            # One more would end the oldest, whose file may be due; the list is pulled again.
-            is_full = len(self._told) >= MAX_TOLD
-            is_wanted = is_ours and not (is_known or is_late or is_full)
-            if is_wanted and self._may_begin(_origin_of(incident), boottime()):
+            if not is_ours or is_late or incident.id in self._kept:
+                continue
+            # Without room the list is pulled again.
+            if self._has_room(told.teller) and self._may_begin(
+                rate_of(incident, told.source), boottime()
+            ):
                 self._tell(told)
                 self._await_tail(incident, told.at)
+
+    def _correct(self, known: _Told, told: _Told) -> None:
+        """Take the time of a known incident from the robot that told it, if a peer stated it."""
+        if not known.source or told.source or known.incident != told.incident:
+            return
+        known.at, known.told, known.source = told.at, told.told, ""
+        if told.incident.id in self._due:
+            self._due[told.incident.id] = max(told.at + TAIL, boottime())
 
     # Files
 
@@ -436,6 +581,8 @@ class IncidentService:
         due = next((id for id, due in self._due.items() if now >= due), None)
         if due is not None and not self._is_writing:
             self._write_due(due)
+        elif self._waiting and now >= self._retry_at and not self._is_writing:
+            self._write_again(next(iter(self._waiting)))
 
     def _write_due(self, id: str, *, is_waiting: bool = False) -> None:
         del self._due[id]
@@ -451,12 +598,11 @@ class IncidentService:
         except OSError as error:
             self._fail(f"incident {id} is not on disk: {error.strerror}")
             return
-        self._write(told.incident, told.at, reader, begin, end, is_waiting=is_waiting)
+        self._write(told, reader, begin, end, is_waiting=is_waiting)
 
     def _write(
         self,
-        incident: Incident,
-        at: float,
+        told: _Told,
         source: Callable[[], Left],
         begin: float,
         end: float,
@@ -464,48 +610,89 @@ class IncidentService:
         is_waiting: bool = False,
     ) -> None:
         """Write a file with the frames of `source`, from `begin` to `end` s; note it as kept."""
+        incident, at, operator, handed_on = told.incident, told.at, told.operator, told.source
         missing = f"nothing before {begin - at:+.0f} s" if begin > at - self._seconds else ""
         if end < at + TAIL - 1.0:
             missing = "; ".join(filter(None, (missing, f"nothing after {end - at:+.0f} s")))
         kept = tuple(self._kept.values())
 
-        def work() -> _Written | str:
+        def work() -> _Written | _Refused:
             """In a thread: the frames are copied, packed and written."""
             try:
                 left = source()
-                head = IncidentHead(
-                    incident=incident,
-                    at=at,
-                    clock=clock_id(),
-                    begin=begin,
-                    end=end,
-                    missing=missing,
-                    size=len(left.frames),
-                    about=left.about,
-                    boot=left.boot,
-                    wall=left.wall,
-                    revision=left.revision,
-                )
-                return _write_file(self._folder, head, left.frames, kept)
             except (OSError, CodecError) as error:
-                return getattr(error, "strerror", None) or str(error)
+                return _Refused(None, b"", getattr(error, "strerror", None) or str(error))
+            head = IncidentHead(
+                incident=incident,
+                at=at,
+                clock=clock_id(),
+                begin=begin,
+                end=end,
+                missing=missing,
+                size=len(left.frames),
+                about=left.about,
+                boot=left.boot,
+                wall=left.wall,
+                revision=left.revision,
+                operator=operator,
+                source=handed_on,
+            )
+            return _write_file(self._folder, head, pack(head, left.frames), kept)
 
-        def on_done(written: _Written | str) -> None:
+        self._do(work, incident.id, is_waiting=is_waiting)
+
+    def _write_again(self, id: str, *, is_waiting: bool = False) -> None:
+        """Write a file that the disk has refused before."""
+        refused, kept = self._waiting[id], tuple(self._kept.values())
+        assert refused.head is not None
+        work = partial(_write_file, self._folder, refused.head, refused.data, kept)
+        self._do(work, id, is_waiting=is_waiting)
+
+    def _do(
+        self, work: Callable[[], _Written | _Refused], id: str, *, is_waiting: bool = False
+    ) -> None:
+        """Write the file of the incident `id`, in a thread or at once; note it as kept."""
+
+        def on_done(written: _Written | _Refused) -> None:
             self._is_writing &= is_waiting  # the end may write beside a thread
-            if isinstance(written, str):
-                self._fail(f"incident {incident.id} is not on disk: {written}")
-                return
-            self.fault = ""
-            for id in written.removed:
-                self._kept.pop(id, None)
-                self._times.pop(id, None)
-            self._note_kept(written.head, written.size, written.crc)
+            if isinstance(written, _Refused):
+                self._wait_for_disk(id, written)
+            else:
+                self._on_written(id, written)
 
         if is_waiting:
             on_done(work())
         else:
             self._is_writing = True
             self._in_thread(work, on_done)
+
+    def _on_written(self, id: str, written: _Written) -> None:
+        self._waiting.pop(id, None)
+        if not self._waiting:
+            self.fault = ""
+        for gone in written.removed:
+            self._kept.pop(gone, None)
+            self._times.pop(gone, None)
+        self._note_kept(written.head, written.size, written.crc)
+        told = self._told.get(id)
+        if told is not None and told.incident != written.head.incident:
+            self._write_head(told)  # the robot found it while the file was written
+        if self._keeps_left and not self._waiting:
+            self._begin_ring(memory_folder(self._section.folder, os.environ))
+
+    def _wait_for_disk(self, id: str, refused: _Refused) -> None:
+        """Keep a file that the disk refused, for the next try; the oldest is lost without room."""
+        is_new = id not in self._waiting
+        fault = f"incident {id} is not on disk: {refused.fault}"
+        self._retry_at = boottime() + RETRY
+        if refused.head is not None:
+            self._waiting[id] = refused
+        while sum(len(one.data) for one in self._waiting.values()) > MAX_WAITING:
+            lost = next(iter(self._waiting))
+            del self._waiting[lost]
+            self._on_event(f"incident {lost} is lost: too many files wait for the disk")
+        if is_new:
+            self._fail(fault)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         id, at = head.incident.id, head.at
@@ -519,6 +706,8 @@ class IncidentService:
             file=id + SUFFIX,
             size=size,
             crc=crc,
+            operator=head.operator,
+            source=head.source,
         )
 
     @property
@@ -541,7 +730,7 @@ class IncidentService:
         self._recorder.end_ring(getattr(error, "strerror", None) or repr(error))
 
     def _fail(self, fault: str) -> None:
-        self.fault = fault[:MAX_LINE]
+        self.fault = fault[:MAX_TEXT]
         self._on_event(f"black box: {self.fault}")
 
     # Questions
@@ -550,11 +739,21 @@ class IncidentService:
         """The incidents of which this robot keeps its last minute, and those that are awaited."""
         now, ring = boottime(), self._recorder.ring
         awaited = {
-            id: KeptIncident(incident=told.incident, age=None, file=id + SUFFIX)
+            id: KeptIncident(
+                incident=told.incident, age=None, file=id + SUFFIX, operator=told.operator,
+                source=told.source,
+            )
             for id in self._due
             if (told := self._told.get(id)) is not None
-        }
+        }  # fmt: skip
         times = self._times | {id: self._told[id].at for id in awaited}
+        for id, refused in self._waiting.items():
+            if (head := refused.head) is not None:
+                missing = f"not on disk: {refused.fault}"[:MAX_TEXT]
+                awaited[id] = KeptIncident(
+                    incident=head.incident, age=None, file=id + SUFFIX, missing=missing
+                )
+                times[id] = head.at
         kept = [
             msgspec.structs.replace(one, age=_age(times[id], one.incident.wall, now))
             for id, one in (*self._kept.items(), *awaited.items())
@@ -593,18 +792,6 @@ def _place_of(head: IncidentHead) -> tuple[bool, float]:
     return is_here, head.at if is_here else head.wall + head.at - head.boot
 
 
-def _origin_of(incident: Incident) -> tuple[str, str]:
-    """What begins at most so many incidents: a robot by itself, its deaths, lost peers, marks.
-
-    Daemons that die again and again, and words on an incident, which follow it at once, must not
-    hide what befalls the robot itself.
-    """
-    is_own = incident.robot == incident.by
-    if incident.kind not in (IncidentKind.SILENT, IncidentKind.MARK):
-        return incident.by, "" if is_own else "peers"
-    return incident.by, f"{incident.kind} {'itself' if is_own else 'peers'}"
-
-
 def _age(at: float | None, wall: float, now: float) -> float | None:
     """S since an incident at `at` s, else at `wall` s since 1970; None if a clock was not set."""
     if at is None and min(wall, time.time()) < FIRST_WALL:
@@ -612,50 +799,22 @@ def _age(at: float | None, wall: float, now: float) -> float | None:
     return max(time.time() - wall if at is None else now - at, 0.0)
 
 
-def to_remove(kept: Sequence[KeptIncident], new: Incident, size: int) -> list[str]:
-    """The ids of the files that give way to a new one of `size` bytes. Pure.
-
-    `kept`: the oldest first. Marked files take at most half. The first file of each kind stays, and
-    the oldest file of the origin with most of them goes first: so an origin that tells too much
-    hides what it told itself.
-    """
-    left = list(kept)
-    removed: list[str] = []
-    while True:
-        marks = [one for one in left if one.incident.kind == IncidentKind.MARK]
-        if new.kind == IncidentKind.MARK and _is_full(marks, size, 2):
-            victim = marks[0]
-        elif _is_full(left, size, 1):
-            firsts = {one.incident.kind: one for one in reversed(left)}
-            kinds = [firsts[kind] for kind in IncidentKind if kind in firsts]
-            others = [one for one in left if one not in kinds] or left
-            counts = Counter(one.incident.by for one in others) + Counter([new.by])
-            victim = max(others, key=lambda one: counts[one.incident.by])
-        else:
-            return removed
-        left.remove(victim)
-        removed.append(victim.incident.id)
-
-
-def _is_full(files: Sequence[KeptIncident], size: int, part: int) -> bool:
-    """True if another file of `size` bytes exceeds one `part`-th of the limits."""
-    total = sum(one.size for one in files) + size
-    return bool(files) and (len(files) >= MAX_KEPT // part or total > MAX_BYTES // part)
-
-
 def _write_file(
-    folder: Path, head: IncidentHead, content: bytes, kept: Sequence[KeptIncident]
-) -> _Written | str:
-    """Write a file, then remove those that give way to it; or the fault of the disk."""
-    data = pack(head, content)
-    removed = to_remove(kept, head.incident, len(data))
+    folder: Path, head: IncidentHead, data: bytes, kept: Sequence[KeptIncident]
+) -> _Written | _Refused:
+    """Write a file, then remove those that give way to it; or what the disk says."""
+    new = KeptIncident(
+        incident=head.incident, age=None, file=head.incident.id + SUFFIX, size=len(data),
+        operator=head.operator, source=head.source,
+    )  # fmt: skip
+    removed = to_remove(kept, new)
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_whole(folder / (head.incident.id + SUFFIX), data, 0o600)
+        write_whole(folder / new.file, data, 0o600)
         for id in removed:
             (folder / (id + SUFFIX)).unlink(missing_ok=True)
-    except (OSError, CodecError) as error:
-        return getattr(error, "strerror", None) or str(error)
+    except OSError as error:
+        return _Refused(head, data, error.strerror or str(error))
     return _Written(head, len(data), zlib.crc32(data), removed)
 
 
@@ -690,7 +849,8 @@ def _checked(blob: bytes, identity: Identity | None, known: Collection[str]) -> 
             if identity is not None and not _is_signed(told, incident, identity):
                 log.warning("incident %s is not signed by %s", incident.id, incident.by)
                 continue
-            new.append(_Told(incident, -told.age, told))
+            operator = "" if identity is None else _marked_by(incident, identity)
+            new.append(_Told(incident, -told.age, told, operator))
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         return f"a list that cannot be read: {error}"
     return new
@@ -704,6 +864,21 @@ def _is_signed(told: ToldIncident, incident: Incident, identity: Identity) -> bo
     name, key = holder_of(told.certificate, identity.info.authority)
     is_robot = name == incident.by and identity.roster.role_of(name) is Role.ROBOT
     return is_robot and is_signed_by(key, Purpose.INCIDENT, told.content, told.signature)
+
+
+def _marked_by(incident: Incident, identity: Identity) -> str:
+    """The operator of the roster who has signed these words as a mark; empty if none has."""
+    from swarmd.security.content_signature import Purpose, is_signed_by
+
+    name, now = incident.operator, time.time()
+    if incident.kind != IncidentKind.MARK or not incident.text.startswith(f"{name}: "):
+        return ""
+    has_clocks = min(now, incident.marked) >= FIRST_WALL
+    if has_clocks and abs(now - incident.marked) > MARK_AGE:
+        return ""
+    key = identity.roster.operators.get(name)
+    part = mark_part(incident.id, name, incident.text, incident.marked)
+    return name if is_signed_by(key, Purpose.MARK, part, incident.signature) else ""
 
 
 def _set_told(told: _Told, signed: ToldIncident | None) -> None:

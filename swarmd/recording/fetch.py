@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
 from itertools import count
@@ -19,7 +20,8 @@ from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.files import read_regular
 from swarmd.recording.clock_offset import Exchange
 from swarmd.recording.incident_file import SUFFIX
-from swarmd.recording.reader import crc_of
+from swarmd.recording.reader import MAX_RECORDING, crc_of
+from swarmd.recording.ring import MAX_FILE
 
 CLOCKS_FILE = "clocks.jsonl"
 """Beside fetched recordings: exchanges between the operator and the robots."""
@@ -36,14 +38,18 @@ AskPiece = Callable[[int, int], verbs.FetchReply]
 
 
 class Source(NamedTuple):
-    """A kind of file on robots: the verb that gives pieces of it, and how its names end."""
+    """A kind of file on robots: the verb that gives pieces of it, and how its names end.
+
+    `most`: bytes of a file at most; a robot that states more is not believed.
+    """
 
     verb: str
     suffix: str
+    most: int
 
 
-RECORDING = Source(verbs.FETCH.name, ".mcap")
-INCIDENT = Source(verbs.INCIDENT.name, SUFFIX)
+RECORDING = Source(verbs.FETCH.name, ".mcap", MAX_RECORDING)
+INCIDENT = Source(verbs.INCIDENT.name, SUFFIX, MAX_FILE)
 
 _recordings = Decoder(verbs.RecordingsReply, 256 * 1024)
 _fetched = Decoder(verbs.FetchReply, 2 * PIECE)
@@ -68,6 +74,44 @@ def recordings_of(ask: Ask, robot: str) -> verbs.RecordingsReply:
         return _recordings(answer)
     except CodecError as error:
         raise NetworkError(f"{robot} lists its recordings in another way: {error}") from error
+
+
+def check_sizes(
+    robot: str, files: Iterable[verbs.RecordingFile], folder: Path, source: Source = RECORDING
+) -> None:
+    """NetworkError if a robot states a size that no file of this kind has, or the disk lacks room.
+
+    What `folder` has of the files already needs no further room.
+    """
+    needed = 0
+    for file in files:
+        if file.size > source.most:
+            raise NetworkError(
+                f"{robot} states {file.size} bytes for {file.name}; expected {source.most} or"
+                " less; nothing of it is fetched"
+            )
+        needed += max(file.size - _present(folder / robot, file.name), 0)
+    room = shutil.disk_usage(_existing(folder)).free
+    if needed > room:
+        raise NetworkError(
+            f"{robot} states files of {needed} bytes; the disk of {folder} has room for {room};"
+            " nothing of it is fetched; make room, or name another --folder"
+        )
+
+
+def _present(folder: Path, name: str) -> int:
+    """The bytes that a file or its incomplete copy has in a folder."""
+    sizes = [0]
+    for path in (folder / name, folder / f"{name}.partial"):
+        with suppress(OSError, ValueError):  # a name with a zero byte
+            sizes.append(path.stat().st_size)
+    return max(sizes)
+
+
+def _existing(folder: Path) -> Path:
+    """The folder, or the nearest one above it that exists."""
+    absolute = folder.absolute()
+    return next(one for one in (absolute, *absolute.parents) if one.is_dir())
 
 
 def note_clock(ask: Ask, robot: str, folder: Path) -> None:
@@ -107,11 +151,13 @@ def fetch(
 
     `ask` queries the robot. `source`: the kind of file. `on_progress` gets the copied bytes and the
     size. An incomplete copy ends in `.partial`, and can be read like a truncated file. A file that
-    the robot still writes is copied up to its present end. NetworkError if the robot does not
-    answer or sends damaged pieces, OSError if the disk fails; received bytes are kept.
+    the robot still writes is copied up to the size that the robot listed. NetworkError if the robot
+    does not answer, sends damaged pieces or states a size that is not possible (`check_sizes`);
+    OSError if the disk fails; received bytes are kept.
     """
     if not _is_name(file.name, source.suffix):
         raise NetworkError(f"{robot} lists {file.name!r}; expected the name of a recording")
+    check_sizes(robot, [file], folder, source)
     ask_piece = partial(_piece, ask, source.verb, robot, file.name)
     path = folder / robot / file.name
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -148,10 +194,11 @@ def _append(
     received_bytes, fault = 0, ""
     with incomplete.open("ab") as copy:
         while copy.tell() < file.size and not fault:
-            reply = ask_piece(copy.tell(), PIECE)
+            length = min(PIECE, file.size - copy.tell())
+            reply = ask_piece(copy.tell(), length)
             if reply.text:
                 fault = reply.text
-            elif not reply.data:
+            elif len(reply.data) < length:  # also one byte an answer, which would never end
                 fault = "it has become shorter"
             copy.write(reply.data)
             received_bytes += len(reply.data)
@@ -198,6 +245,7 @@ def _piece(
         reply = _fetched(answer)
     except CodecError as error:
         raise NetworkError(f"{robot} sent a damaged piece of {name}: {error}") from error
-    if (reply.file, reply.offset) != (name, offset) or zlib.crc32(reply.data) != reply.crc:
+    is_asked = (reply.file, reply.offset) == (name, offset) and len(reply.data) <= length
+    if not is_asked or zlib.crc32(reply.data) != reply.crc:
         raise NetworkError(f"{robot} sent a damaged piece of {name}; fetch again")
     return reply

@@ -6,11 +6,11 @@ handled the entry. Numpy arrays are encoded as bytes.
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from swarmd.core.codec import decode
@@ -25,6 +25,8 @@ MAX_ENTRY = 130_000
 
 MAX_BATCH = 65_535
 """Entries of a frame."""
+MAX_PARTS = 64
+"""Parts of the memory of a robot; the recorder writes ten at most (`MAX_MEMORY` there)."""
 
 
 class Begin(Struct, frozen=True, array_like=True, tag="begin"):
@@ -137,7 +139,7 @@ _reports = msgspec.msgpack.Decoder(RecorderReport)
 
 encode = msgspec.msgpack.Encoder().encode
 """The bytes of one entry of a batch, or the frame of a report."""
-decode_batch = msgspec.msgpack.Decoder(list[Entry]).decode
+decode_batch = msgspec.msgpack.Decoder(Annotated[list[Entry], Meta(max_length=MAX_BATCH)]).decode
 """The entries of a frame."""
 as_json = msgspec.json.encode
 """A struct as JSON; NaN and infinities become null."""

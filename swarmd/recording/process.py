@@ -36,9 +36,10 @@ class Converter:
 
     A robot may get an input with an earlier time than the input before. Its message gets the time
     of the message before, so that readers keep the order; a replay takes the time in the input.
+    `chunk_time`: s after which a chunk is forced to the disk although it is not full.
     """
 
-    def __init__(self, begin: frames.Begin) -> None:
+    def __init__(self, begin: frames.Begin, *, chunk_time: float = CHUNK_TIME) -> None:
         self._begin = begin
         wall, boot = round(begin.wall * 1e9), round(begin.at * 1e9)
         self._offset = wall - boot
@@ -52,6 +53,7 @@ class Converter:
             {**begin.about, "wall_ns": str(wall), "boot_ns": str(boot)},
             limits=begin.limits,
             latched=frozenset({f"/scan{GEOMETRY}", f"/ranges{GEOMETRY}"}),
+            chunk_time=chunk_time,
         )
 
     def ns(self, at: float) -> int:
@@ -87,12 +89,16 @@ class Converter:
         """Keep a part of the robot's memory (its serialised state); write the memory once complete.
 
         Of the parts kept so far, those of another memory (with another time `at`) are dropped, and
-        those that do not precede this part. `stamp`: s since 1970.
+        those that do not precede this part. A part of more than MAX_PARTS is dropped: no robot
+        writes it, and the work for each part rises with their number. `stamp`: s since 1970.
         """
+        if entry.parts > frames.MAX_PARTS:
+            return
         earlier = (part for part in self._memory if part.at == entry.at and part.part < entry.part)
         self._memory = [*earlier, entry]
         if len(self._memory) == entry.parts:
             data = b"".join(part.data for part in self._memory)
+            self._memory = []  # a part that follows is of another memory
             self._write(entry, MEMORY, messages.bytes_message(data, stamp))
 
     def _write(self, entry: frames.Entry, topic: str, message: Message, sequence: int = 0) -> None:

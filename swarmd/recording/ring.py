@@ -26,7 +26,7 @@ import stat
 import struct
 import zlib
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -47,6 +47,8 @@ _PLACE = struct.Struct("<Q")
 _HEADER_SIZE = 64
 OLD = 86400.0
 """Seconds after which the ring of a process that does not come back is removed."""
+FOREVER = 1e11
+"""Seconds: more than the times of messages have, which are ns since 1970 in 64 bits."""
 MAX_FILE = 1 << 26
 """Bytes of a file that are read, at most."""
 
@@ -189,20 +191,23 @@ def read_left(path: Path) -> Left | None:
 
 def entries_of(left: Left) -> list[Entry]:
     """The entries of all frames, up to the first one that is damaged."""
-    entries: list[Entry] = []
+    return [entry for batch in batches_of(left) for entry in batch]
+
+
+def batches_of(left: Left) -> Iterator[list[Entry]]:
+    """The entries of each frame, up to the first one that is damaged."""
     data, at = left.frames, 0
     with suppress(msgspec.MsgspecError, ValueError, RecursionError, struct.error):
         while at < len(data):
             (size,) = _SIZE.unpack_from(data, at)
             at += _SIZE.size + size
-            entries += decode_batch(data[at - size : at])
-    return entries
+            yield decode_batch(data[at - size : at])
 
 
 def begin_of(left: Left, at: float, folder: Path, name: str) -> Begin:
-    """The begin of a recording of these frames, whose first entry is at `at` s."""
+    """The begin of a recording of these frames in one file, whose first entry is at `at` s."""
     wall = left.wall + at - left.boot
-    return Begin(at, str(folder), name, left.about, wall, FileLimits(file_seconds=86400.0))
+    return Begin(at, str(folder), name, left.about, wall, FileLimits(file_seconds=FOREVER))
 
 
 def memory_folder(given: str | None, environ: Mapping[str, str]) -> Path:

@@ -1,7 +1,7 @@
 """Writes the recording of one robot: MCAP files that survive a kill and a power cut.
 
 A file has chunks of CHUNK bytes. The writer writes a chunk to disk (fsync) as soon as the chunk is
-full or CHUNK_TIME old, so that a power cut loses at most one chunk. The writer begins a new file
+full or `chunk_time` old, so that a power cut loses at most one chunk. The writer begins a new file
 after a size or an age, and writes an index beside each finished file. Each file can be read alone.
 """
 
@@ -53,9 +53,9 @@ class RecordingWriter:
     """Writes `<folder>/<name>-<number>.mcap`; not for several threads.
 
     `about`: texts on the robot, which each file repeats. `latched`: topics whose last message is
-    repeated at the start of each file. `limits` apply to the files of this name in the folder: the
-    oldest files are removed when a new file begins. After an OSError (the disk fails) the caller
-    must call `abandon`.
+    repeated at the start of each file. `chunk_time`: s of the messages. `limits` apply to the files
+    of this name in the folder: the oldest files are removed when a new file begins. After an
+    OSError (the disk fails) the caller must call `abandon`.
     """
 
     def __init__(
@@ -66,12 +66,14 @@ class RecordingWriter:
         *,
         limits: FileLimits = FileLimits(),  # noqa: B008
         latched: frozenset[str] = frozenset(),
+        chunk_time: float = CHUNK_TIME,
     ) -> None:
         self._folder = folder
         self._name = name
         self._about = dict(about)
         self._limits, self._max_age = limits, round(limits.file_seconds * 1e9)
         self._latched_topics = latched
+        self._chunk_time = chunk_time
         self._latched: dict[str, Message] = {}
         self._number = 0
         self._file: IO[bytes] | None = None
@@ -92,10 +94,10 @@ class RecordingWriter:
         self.flush_if_due(at)
 
     def flush_if_due(self, at: int) -> None:
-        """Write the added messages if the chunk is full or CHUNK_TIME old."""
+        """Write the added messages if the chunk is full or `chunk_time` old."""
         if self._file is None or not self._pending:
             return
-        if at - self._written_at >= CHUNK_TIME * 1e9 or self._pending >= CHUNK:
+        if at - self._written_at >= self._chunk_time * 1e9 or self._pending >= CHUNK:
             self.flush(at)
 
     def flush(self, at: int) -> None:

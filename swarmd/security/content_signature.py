@@ -1,4 +1,4 @@
-"""Signatures of goals, manifests, rosters and incidents: ECDSA with P-256 and SHA-256.
+"""Signatures of goals, manifests, rosters, incidents and marks: ECDSA with P-256 and SHA-256.
 
 FIPS 186-5. A signature has 64 bytes, `r || s`, big endian.
 
@@ -29,6 +29,7 @@ class Purpose(Enum):
     MANIFEST = b"swarmd pattern\0"
     ROSTER = b"swarmd roster\0"
     INCIDENT = b"swarmd incident\0"
+    MARK = b"swarmd mark\0"
 
 
 def sign(key: EllipticCurvePrivateKey, purpose: Purpose, content: bytes) -> bytes:

@@ -14,8 +14,9 @@ from msgspec import structs
 from swarmd.cli import incidents, record
 from swarmd.cli.options import CommonOptions
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
-from swarmd.client.incidents import Incidents, gathered
+from swarmd.client.incidents import Incidents, accounts_of, gathered
 from swarmd.core.codec import Decoder, encode
+from swarmd.core.incident import Incident
 from swarmd.core.verbs import (
     FetchQuery,
     FetchReply,
@@ -56,7 +57,8 @@ class Robots:
 
     def _incidents(self, session: object) -> Incidents:
         faults = {robot: one.fault for robot, one in self.replies.items() if one.fault}
-        return Incidents(gathered(self.replies), faults, self.missing, self.code)
+        found = gathered(self.replies)
+        return Incidents(found, faults, self.missing, self.code, tuple(self.replies))
 
     def _ask(self, options: object, operator: object, robot: str, name: str, payload: bytes) -> Any:
         if name == "recordings":
@@ -112,21 +114,29 @@ def keep_files(robots: Robots, files: dict[str, bytes]) -> None:
     }
 
 
-def test_an_incident_has_a_row_for_each_robot_that_keeps_it(robots: Robots) -> None:
+def by(robot: str, text: str, kind: str, *, had: str | None = None) -> Incident:
+    """An incident in the words of a robot, which had it itself unless `had` names another one."""
+    return Incident(id=ID, robot=had or robot, kind=kind, text=text, by=robot)
+
+
+def keeps(incident: Incident, **more: Any) -> KeptIncident:
+    more = {"age": 5.0, "size": 9, "begin": -60.0, "end": 10.0, **more}
+    return KeptIncident(incident=incident, file=f"{ID}.incident", **more)
+
+
+def test_an_incident_has_one_row_with_who_keeps_it_and_the_newest_is_the_last(
+    robots: Robots,
+) -> None:
     early = kept(id=OTHER, age=500.0, begin=-60.0, end=10.0, size=420_000)
-    late = kept(missing="the daemon began 12 s before")
+    late = kept(missing="the daemon began 12 s before", size=1)
     robots.replies = {"tb3-01": reply("tb3-01", early, late), "tb3-02": reply("tb3-02", kept())}
     robots.missing, robots.code = ("tb3-03",), 3
     code, out, err = robots.swarmctl("incidents")
-    rows = [line.split() for line in out.splitlines()[1:4]]
-    assert [(row[0], row[4], row[6]) for row in rows] == [
-        (OTHER, "tb3-02", "tb3-01"),
-        (ID, "tb3-02", "tb3-01"),
-        (ID, "tb3-02", "tb3-02"),
-    ]
-    assert "-60 to +10" in out
-    assert "0.42 MB" in out
-    assert "2 incidents" in out
+    rows = [line.split("  ")[0] for line in out.splitlines()]
+    assert rows[1:] == [OTHER, ID, "2 incidents"]
+    column = out.splitlines()[0].index("KEPT BY")
+    assert out.splitlines()[1][column:].startswith("1 of 2, not tb3-02")
+    assert out.splitlines()[2][column:].startswith("1 of 2, 1 awaited")
     assert code == 3
     assert "tb3-03" in err
     found = robots.json("incident")  # the same verb
@@ -134,15 +144,158 @@ def test_an_incident_has_a_row_for_each_robot_that_keeps_it(robots: Robots) -> N
     assert [one["robot"] for one in found["incidents"][1]["kept"]] == ["tb3-01", "tb3-02"]
     assert found["incidents"][1]["kept"][0]["missing"] == "the daemon began 12 s before"
     assert (found["kind"], found["missing"]) == ("Incidents", ["tb3-03"])
+    # The keys of earlier versions.
+    assert found["incidents"][0].keys() >= {
+        *("id", "robot", "kind", "text", "by", "wall", "robots", "age", "kept"),
+    }
+    assert found["incidents"][0]["kept"][0].keys() >= {
+        *("robot", "incident", "age", "begin", "end", "missing", "file", "size", "crc"),
+    }
+    assert found["incidents"][0]["kept"][0]["incident"] == OTHER
+
+
+@pytest.mark.parametrize(
+    ("keepers", "text"),
+    [
+        (7, "all 7"),
+        (6, "6 of 7, not tb3-07"),
+        (2, "2 of 7: tb3-01, tb3-02"),
+    ],
+)
+def test_of_whom_an_incident_is_kept_is_said_by_the_shorter_list(
+    robots: Robots, keepers: int, text: str
+) -> None:
+    names = [f"tb3-{n:02}" for n in range(1, 8)]
+    robots.replies = {
+        name: reply(name, *([keeps(by("tb3-01", "cliff", "hazard"))] if n < keepers else []))
+        for n, name in enumerate(names)
+    }
+    head, line, _ = robots.swarmctl("incidents")[1].splitlines()
+    assert line[head.index("KEPT BY") : head.index("WHY")].strip() == text
 
 
 def test_an_incident_that_several_robots_had_names_how_many(robots: Robots) -> None:
     """Each robot of an emergency stop or a mark has it, and notes it as its own."""
-    own = structs.replace(kept(), incident=structs.replace(kept().incident, robot="tb3-01"))
-    robots.replies = {"tb3-01": reply("tb3-01", own), "tb3-02": reply("tb3-02", kept())}
-    out = robots.swarmctl("incidents")[1]
-    assert [line.split()[4:6] for line in out.splitlines()[1:3]] == [["2", "robots"]] * 2
-    assert robots.json("incidents")["incidents"][0]["robots"] == ["tb3-01", "tb3-02"]
+    names = [f"tb3-{n:02}" for n in range(1, 13)]
+    robots.replies = {name: reply(name, keeps(by(name, "anna: x", "mark"))) for name in names}
+    assert "12 robots" in robots.swarmctl("incidents")[1]
+    assert robots.json("incidents")["incidents"][0]["robots"] == names
+
+
+def test_words_of_a_robot_hide_those_of_no_other(robots: Robots) -> None:
+    lie = by("tb3-05", "all is well, a test of anna", "mark")
+    stop = "emergency stop by anna (a child)"
+    names = [f"tb3-{n:02}" for n in range(1, 8)]
+    robots.replies = {
+        name: reply(name, keeps(lie if name == "tb3-05" else by(name, stop, "estop")))
+        for name in names
+    }
+    rows = robots.swarmctl("incidents")[1].splitlines()[1:-1]
+    assert [("6 robots" in row, "estop" in row, stop in row) for row in rows] == [
+        (True, True, True), (False, False, False),
+    ]  # fmt: skip
+    assert "as tb3-05 says" in rows[1]
+    assert "all is well" in rows[1]
+    (found,) = robots.json("incidents")["incidents"]
+    assert (found["kind"], found["text"]) == ("estop", stop)
+    assert "tb3-05" not in found["robots"]
+    told = {one["robot"]: one["told"]["text"] for one in found["kept"]}
+    assert told["tb3-05"] == lie.text
+    assert {told[name] for name in names if name != "tb3-05"} == {stop}
+
+
+HAZARD = by("tb3-02", "stopped (hazard) cliff", "hazard")
+LIE = by("tb3-05", "all is well", "mark")
+FALSE = by("tb3-02", "all is well", "mark")
+
+
+@pytest.mark.parametrize(
+    ("held", "first", "others"),
+    [
+        # A robot speaks for itself, whatever others keep in its name.
+        ({"tb3-02": HAZARD, "tb3-05": FALSE, "tb3-06": FALSE}, HAZARD, []),
+        # If it does not answer, what most keep in its name counts.
+        ({"tb3-01": HAZARD, "tb3-03": HAZARD, "tb3-05": FALSE}, HAZARD, []),
+        # One teller each: first what most robots keep.
+        ({"tb3-01": HAZARD, "tb3-03": HAZARD, "tb3-05": LIE}, HAZARD, [LIE]),
+        ({"tb3-02": HAZARD, "tb3-03": HAZARD, "tb3-05": LIE}, HAZARD, [LIE]),
+        # Witnesses that found a robot silent do not contradict what it says itself.
+        (
+            {
+                "tb3-01": by("tb3-01", "not heard", "silent", had="tb3-02"),
+                "tb3-03": by("tb3-03", "not heard", "silent", had="tb3-02"),
+                "tb3-02": by("tb3-02", "stopped (loop_stalled)", "loop_stalled"),
+            },
+            by("tb3-02", "stopped (loop_stalled)", "loop_stalled"),
+            [],
+        ),
+        # But a robot that was silent does not make it an incident of another kind.
+        (
+            {
+                "tb3-01": by("tb3-01", "not heard", "silent", had="tb3-05"),
+                "tb3-03": by("tb3-03", "not heard", "silent", had="tb3-05"),
+                "tb3-05": LIE,
+            },
+            by("tb3-01", "not heard", "silent", had="tb3-05"),
+            [LIE],
+        ),
+    ],
+)
+def test_what_most_say_comes_first_and_a_contradiction_is_a_row_of_its_own(
+    held: dict[str, Incident], first: Incident, others: list[Incident]
+) -> None:
+    accounts = accounts_of(held)
+    assert [one.incident for one in accounts] == [first, *others]
+
+
+@pytest.mark.parametrize(
+    ("words", "ids"),
+    [
+        (("tb3-02",), [ID]),
+        (("tb3-0[12]",), [OTHER, ID]),
+        ((OTHER[:4],), [OTHER]),
+        (("tb3-02", OTHER[:4]), [OTHER, ID]),
+        (("0",), [OTHER, ID]),
+        (("show", "tb3-01"), [OTHER]),
+    ],
+)
+def test_words_choose_incidents_by_robot_or_id(
+    robots: Robots, words: tuple[str, ...], ids: list[str]
+) -> None:
+    other = structs.replace(by("tb3-01", "x", "fault"), id=OTHER)
+    robots.replies = {
+        "tb3-01": reply("tb3-01", keeps(other, age=99.0), keeps(HAZARD)),
+        "tb3-02": reply("tb3-02", keeps(HAZARD)),
+    }
+    found = robots.json("incidents", *words)
+    assert [one["id"] for one in found["incidents"]] == ids
+
+
+def test_an_id_shows_what_each_robot_keeps_with_its_own_words(robots: Robots) -> None:
+    robots.replies = {
+        "tb3-01": reply("tb3-01", keeps(HAZARD, source="tb3-03", missing="nothing before -9 s")),
+        "tb3-02": reply("tb3-02", keeps(HAZARD, size=420_000)),
+        "tb3-05": reply("tb3-05", keeps(LIE, size=0, begin=None, end=None)),
+    }
+    code, out, _ = robots.swarmctl("incidents", ID[:3])
+    lines = out.splitlines()
+    assert code == 0
+    assert lines[0].startswith(f"{ID} hazard of tb3-02")
+    assert "as tb3-05 says: all is well" in lines[1]
+    rows = {line.split()[0]: line for line in lines[3:]}
+    assert rows.keys() == {"tb3-01", "tb3-02", "tb3-05"}
+    assert "tb3-02 through tb3-03" in rows["tb3-01"]
+    assert "nothing before -9 s" in rows["tb3-01"]
+    assert {"-60 to +10" in rows["tb3-02"], "0.42 MB" in rows["tb3-02"]} == {True}
+    assert "awaited" in rows["tb3-05"]
+    assert "all is well" in rows["tb3-05"]
+
+
+@pytest.mark.parametrize("word", ["tb3-09", "fecth", "ffff"])
+def test_a_word_that_names_nothing_is_refused_in_one_line(robots: Robots, word: str) -> None:
+    robots.replies = {"tb3-01": reply("tb3-01", kept())}
+    code, out, err = robots.swarmctl("incidents", word)
+    assert (code, out, word in err, err.count("\n")) == (4, "", True, 1)
 
 
 def test_the_robot_that_told_an_incident_first_describes_it() -> None:

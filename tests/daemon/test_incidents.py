@@ -6,7 +6,11 @@ import asyncio
 import os
 import struct
 import time
+import zlib
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from unittest.mock import MagicMock
 
 import msgspec
@@ -14,27 +18,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.client.incidents import mark_fields
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident
+from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, mark_part
 from swarmd.core.messages import Code, Reply, State
 from swarmd.core.verbs import FetchQuery, IncidentsReply, KeptIncident, MarkRequest, Nothing
-from swarmd.daemon.incidents import (
-    MAX_BYTES,
-    MAX_KEPT,
-    IncidentService,
-    _checked,
-    _signed,
-    _Told,
-    to_remove,
-)
+from swarmd.daemon.incident_budget import MAX_BYTES, MAX_KEPT, teller_to_give_way, to_remove
+from swarmd.daemon.incidents import IncidentService, _checked, _signed, _Told
 from swarmd.daemon.recorder import Recorder
 from swarmd.network.datagram import STATES, Beacon
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
-from swarmd.recording.incident_file import IncidentHead
+from swarmd.recording.incident_file import IncidentHead, read, read_head
 from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left, remove_old
 from swarmd.robot.setup import RobotIdentity, RobotSetup
+from swarmd.security.content_signature import Purpose, sign
+from swarmd.security.identity import Identity
+from swarmd.security.private_keys import load_private_key
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import BlackboxSection
 from tests.support.examples import examples
@@ -47,46 +48,157 @@ def incident(id: str, by: str = "r1", kind: str = IncidentKind.ESTOP) -> Inciden
     return Incident(id=id, robot=by, kind=kind, text="a cat", by=by)
 
 
-def kept(*told: Incident, size: int = MEGABYTE) -> list[KeptIncident]:
+def kept(
+    *told: Incident, size: int = MEGABYTE, operator: str = "", source: str = ""
+) -> list[KeptIncident]:
     return [
-        KeptIncident(incident=one, age=None, file=f"{one.id}.incident", size=size) for one in told
-    ]
+        KeptIncident(
+            incident=one, age=None, file=f"{one.id}.incident", size=size, operator=operator,
+            source=source,
+        )
+        for one in told
+    ]  # fmt: skip
+
+
+def file(id: str, by: str = "r1", kind: str = IncidentKind.ESTOP, **more: Any) -> KeptIncident:
+    (one,) = kept(incident(id, by, kind), **more)
+    return one
+
+
+def with_new(files: list[KeptIncident], *new: KeptIncident) -> list[KeptIncident]:
+    """The files that a robot keeps after it has written further ones."""
+    for one in new:
+        gone = to_remove(files, one)
+        files = [*(old for old in files if old.incident.id not in gone), one]
+        assert len(files) <= MAX_KEPT
+    return files
+
+
+def ids(files: list[KeptIncident]) -> set[str]:
+    return {one.incident.id for one in files}
+
+
+WOLF_KINDS = list(IncidentKind)  # it tells each kind, so that some are the first of theirs
 
 
 def test_a_robot_that_tells_too_much_hides_only_what_it_told() -> None:
-    honest = [incident(f"h{n}", f"r{n}", IncidentKind.HAZARD) for n in range(6)]
-    files = kept(*honest)
-    for number in range(200):
-        new = incident(f"w{number}", "wolf", IncidentKind.FAULT)
-        gone = to_remove(files, new, MEGABYTE)
-        files = [*(one for one in files if one.incident.id not in gone), *kept(new)]
-        assert len(files) <= MAX_KEPT
-    assert {one.incident.id for one in files} >= {one.id for one in honest}
+    honest = [file(f"h{n}", f"r{n}", IncidentKind.HAZARD) for n in range(6)]
+    wolf = [file(f"w{n}", "wolf", WOLF_KINDS[n % len(WOLF_KINDS)]) for n in range(200)]
+    assert ids(with_new(honest, *wolf)) >= ids(honest)
+
+
+@pytest.mark.parametrize("kind", list(IncidentKind))
+def test_no_robot_takes_the_share_of_the_marks_of_operators(kind: str) -> None:
+    marks = [file(f"m{n}", f"r{n % 3}", IncidentKind.MARK, operator="anna") for n in range(10)]
+    wolf = [file(f"w{n}", "wolf", kind) for n in range(60)]
+    relays = [file(f"x{n}", f"r{n % 3}", kind, source="wolf") for n in range(60)]
+    assert ids(with_new(marks, *wolf, *relays)) >= ids(marks)
+
+
+def test_words_that_no_operator_has_signed_are_those_of_the_robot() -> None:
+    """Of marks that a robot tells in the name of others, its own give way, and theirs stay."""
+    heard = [file(f"m{n}", f"r{n}", IncidentKind.MARK) for n in range(8)]
+    wolf = [file(f"w{n}", "wolf", IncidentKind.MARK) for n in range(60)]
+    assert ids(with_new(heard, *wolf)) >= ids(heard)
+
+
+def test_an_operator_displaces_the_marks_of_that_operator() -> None:
+    marks = [file(f"b{n}", kind=IncidentKind.MARK, operator="bob") for n in range(4)]
+    more = [file(f"a{n}", kind=IncidentKind.MARK, operator="anna") for n in range(30)]
+    left = ids(with_new(marks, *more))
+    assert left >= ids(marks)
+    assert {f"a{n}" for n in range(24, 30)} == left - ids(marks)
+
+
+def test_old_tales_that_a_peer_tells_again_displace_nothing_of_their_robot() -> None:
+    own = [file(f"o{n}", "r2", IncidentKind.HAZARD) for n in range(9)]
+    again = [file(f"x{n}", "r2", IncidentKind.HAZARD, source="wolf") for n in range(60)]
+    assert ids(with_new(own, *again)) >= ids(own)
+
+
+def test_a_robot_with_few_incidents_takes_room_from_one_with_many() -> None:
+    many = [file(f"m{n}", "r1") for n in range(MAX_KEPT)]
+    assert to_remove(many, file("new", "r2", IncidentKind.HAZARD)) == ["m1"]  # m0: first of a kind
+
+
+def test_a_file_that_is_written_again_displaces_none() -> None:
+    files = [file(f"i{n}", f"r{n}") for n in range(MAX_KEPT)]
+    assert to_remove(files, files[3]) == []
 
 
 def test_the_first_of_each_kind_stays_and_the_oldest_of_the_rest_goes() -> None:
     kinds = list(IncidentKind)[:4]
-    files = kept(*(incident(f"i{n}", "r1", kinds[n % 4]) for n in range(MAX_KEPT)))
-    assert to_remove(files, incident("new"), MEGABYTE) == ["i4"]
+    files = [file(f"i{n}", kind=kinds[n % 4]) for n in range(MAX_KEPT)]
+    assert to_remove(files, file("new")) == ["i4"]
 
 
 def test_unknown_kinds_of_a_stranger_are_not_firsts() -> None:
-    files = kept(*(incident(f"i{n}", "r1", f"kind{n}") for n in range(MAX_KEPT)))
-    assert to_remove(files, incident("new"), MEGABYTE) == ["i0"]
+    files = [file(f"i{n}", kind=f"kind{n}") for n in range(MAX_KEPT)]
+    assert to_remove(files, file("new")) == ["i0"]
 
 
-def test_marks_take_at_most_half() -> None:
-    estops = [incident(f"e{n}") for n in range(5)]
-    marks = [incident(f"m{n}", kind=IncidentKind.MARK) for n in range(MAX_KEPT // 2)]
-    new = incident("new", kind=IncidentKind.MARK)
-    assert to_remove(kept(*estops, *marks), new, MEGABYTE) == ["m0"]
-    large = kept(*estops, size=1000) + kept(*marks[:1], size=MAX_BYTES // 2 - 10)
-    assert to_remove(large, new, 11) == ["m0"]
+def test_marks_of_operators_take_at_most_half() -> None:
+    estops = [file(f"e{n}") for n in range(5)]
+    mark = partial(file, kind=IncidentKind.MARK, operator="anna")
+    marks = [mark(f"m{n}") for n in range(MAX_KEPT // 2)]
+    # The first file of a kind goes last.
+    assert to_remove([*estops, *marks], mark("new")) == ["m1"]
+    large = [*(file(f"e{n}", size=1000) for n in range(5)), mark("m0", size=MAX_BYTES // 2 - 10)]
+    assert to_remove(large, mark("new", size=11)) == ["m0"]
+
+
+def test_claimed_marks_give_way_to_those_of_operators_and_take_at_most_half_with_them() -> None:
+    claim = partial(file, kind=IncidentKind.MARK)
+    estops = [file(f"e{n}") for n in range(5)]
+    claims = [claim(f"c{n}", f"r{n}") for n in range(MAX_KEPT // 2)]
+    mark = claim("m0", operator="anna")
+    assert to_remove([*estops, *claims], mark) == ["c0"]
+    assert to_remove([*estops, mark, *claims[1:]], claim("new", "r3")) == ["c3"]
 
 
 def test_files_are_limited_by_their_bytes() -> None:
-    files = kept(*(incident(f"i{n}") for n in range(4)), size=MAX_BYTES // 4)
-    assert to_remove(files, incident("new"), MAX_BYTES // 2) == ["i1", "i2"]
+    files = [file(f"i{n}", size=MAX_BYTES // 4) for n in range(4)]
+    assert to_remove(files, file("new", size=MAX_BYTES // 2)) == ["i1", "i2"]
+
+
+@settings(max_examples=examples(200))
+@given(st.data())
+def test_whoever_tells_what_stays_within_the_limits_and_no_mark_gives_way_to_a_robot(
+    data: st.DataObject,
+) -> None:
+    names, kinds = st.sampled_from(["r1", "r2", "wolf"]), st.sampled_from([*IncidentKind, "new"])
+    files: list[KeptIncident] = []
+    for number in range(data.draw(st.integers(0, 60))):
+        new = file(
+            f"{number}", data.draw(names), data.draw(kinds),
+            operator=data.draw(st.sampled_from(["", "", "anna", "bob"])),
+            source=data.draw(st.sampled_from(["", "r3"])),
+            size=data.draw(st.sampled_from([0, MEGABYTE, MAX_BYTES // 4])),
+        )  # fmt: skip
+        gone = to_remove(files, new)
+        left = [one for one in files if one.incident.id not in gone]
+        assert len(gone) == len(set(gone)) == len(files) - len(left)
+        assert new.operator or not any(one.operator for one in files if one not in left)
+        files = [*left, new]
+        marks = [one for one in files if one.operator]
+        assert len(files) <= MAX_KEPT
+        assert len(marks) <= MAX_KEPT // 2
+        assert sum(one.size for one in marks) <= MAX_BYTES // 2
+
+
+@pytest.mark.parametrize(
+    ("tellers", "new", "gone"),
+    [
+        ({"a": "wolf", "b": "wolf", "c": "r2"}, "r3", "a"),
+        ({"a": "wolf", "b": "wolf", "c": "r2"}, "wolf", None),
+        ({"a": "r2", "b": "wolf", "c": "r3"}, "r4", None),  # nobody has more than a fair share
+        ({"a": "me", "b": "wolf", "c": "r2"}, "me", "b"),
+        ({"a": "me", "b": "me"}, "me", "a"),
+        ({"a": "me", "b": "me"}, "wolf", None),
+    ],
+)
+def test_who_gives_way_in_a_full_list(tellers: dict[str, str], new: str, gone: str | None) -> None:
+    assert teller_to_give_way(tellers, new, "me") == gone
 
 
 # What peers tell
@@ -369,10 +481,12 @@ class Service:
         self.answers: list[Reply] = []
         self.recorder = Recorder(asyncio.get_running_loop(), self.events.append)
         self.folder = folder / "state"
+        self.identity: Identity | None = None
         self.service = IncidentService(
             "r1", self.folder, BlackboxSection(folder=str(folder / "memory")),
             recorder=self.recorder, puller=MagicMock(), head=lambda: HEAD,
-            identity=lambda: None, is_member=lambda name: True, on_event=self.events.append,
+            identity=lambda: self.identity, is_member=lambda name: True,
+            on_event=self.events.append,
         )  # fmt: skip
         self.service.open()
 
@@ -388,9 +502,10 @@ class Service:
         assert self.recorder.ring is not None
         self.recorder.ring.close()
 
-    def tell(self, *incidents: Incident) -> None:
-        told = [_Told(one, 0.0, _signed(one, None)) for one in incidents]
-        self.service._on_checked("r9", boottime(), told)
+    def tell(self, *incidents: Incident, giver: str = "r9", age: float = 0.0) -> None:
+        """A peer hands these on, as being `age` s old."""
+        told = [_Told(one, -age, _signed(one, None)) for one in incidents]
+        self.service._on_checked(giver, boottime(), told)
 
     def mark(self, id: str) -> None:
         request = MarkRequest(id="m", operator="anna", targets={"r1": None}, words="w", incident=id)
@@ -398,6 +513,22 @@ class Service:
 
     def answer(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
         self.answers.append(reply)
+
+    async def advance(self, seconds: float) -> None:
+        """What is due after these seconds; waits for the threads."""
+        self.service.advance(boottime() + seconds)
+        await self.threads()
+
+    async def threads(self) -> None:
+        """Wait for the threads, also for those that they begin."""
+        while self.service._tasks:
+            await asyncio.gather(*self.service._tasks)
+            await asyncio.sleep(0)  # the callbacks of the tasks
+
+    def heads(self) -> dict[str, IncidentHead]:
+        """The heads of its files by id."""
+        paths = (self.folder / "incidents").glob("*.incident")
+        return {path.stem: read_head(path.read_bytes()) for path in paths}
 
     def files(self) -> set[str]:
         return {path.stem for path in (self.folder / "incidents").glob("*.incident")}
@@ -660,3 +791,293 @@ async def test_robots_of_two_working_folders_have_rings_of_their_own(
         )  # fmt: skip
         names.add(service._ring_name)
     assert len(names) == 2
+
+
+# Who says so
+
+
+async def test_a_mark_that_a_peer_told_first_is_noted_as_the_robot_s_own(tmp_path: Path) -> None:
+    service, id = Service(tmp_path), "a" * 12
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.tell(incident(id, "r2", IncidentKind.MARK), giver="r2")
+    service.mark(id)
+    assert service.answers[-1].code is Code.APPLIED
+    await service.advance(20.0)
+    (one,) = service.reply().incidents
+    assert (one.incident.robot, one.incident.by, one.operator) == ("r1", "r1", "anna")
+    head = service.heads()[id]
+    assert (head.incident.robot, head.operator) == ("r1", "anna")
+    (told,) = msgspec.msgpack.decode(service.service._list(), type=list[ToldIncident])
+    assert msgspec.msgpack.decode(told.content, type=Incident).by == "r1"
+
+
+async def test_a_mark_whose_file_is_written_with_the_words_of_a_peer_gets_its_own(
+    tmp_path: Path,
+) -> None:
+    service, id = Service(tmp_path), "a" * 12
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.tell(incident(id, "r2", IncidentKind.MARK), giver="r2")
+    await service.advance(20.0)
+    before = service.reply().incidents[0]
+    assert before.incident.robot == "r2"
+    service.mark(id)
+    await service.threads()
+    (one,) = service.reply().incidents
+    assert (one.incident.robot, one.incident.by, one.operator) == ("r1", "r1", "anna")
+    path = service.folder / "incidents" / one.file
+    assert (one.size, one.crc) == (path.stat().st_size, zlib.crc32(path.read_bytes()))
+    head, left = read(path)
+    assert head.incident.robot == "r1"
+    assert entries_of(left), "its frames are as they were"
+
+
+async def test_an_estop_that_a_peer_told_first_has_the_robot_s_own_words(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    service.keep(frames.EventEntry(boottime(), "x"))
+    lie = msgspec.structs.replace(incident("a" * 12, "r2", IncidentKind.FAULT), text="all is well")
+    service.tell(lie, giver="r2")
+    service.service._begin(Found(IncidentKind.ESTOP, "emergency stop by anna", "a" * 12))
+    (one,) = service.reply().incidents
+    assert (one.incident.text, one.incident.by) == ("emergency stop by anna", "r1")
+
+
+async def test_a_mark_with_the_id_of_another_incident_replaces_no_words(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.tell(incident("a" * 12, "r2", IncidentKind.HAZARD), giver="r2")
+    service.mark("a" * 12)
+    (one,) = service.reply().incidents
+    assert (one.incident.by, one.incident.kind) == ("r2", IncidentKind.HAZARD)
+
+
+async def test_the_age_that_the_teller_states_replaces_that_of_a_peer(tmp_path: Path) -> None:
+    service, told = Service(tmp_path), incident("a" * 12, "r2", IncidentKind.HAZARD)
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.tell(told, giver="r3", age=90.0)
+    (one,) = service.reply().incidents
+    assert one.source == "r3"
+    service.tell(msgspec.structs.replace(told, text="a lie"), giver="r2", age=50.0)
+    service.tell(told, giver="r4", age=50.0)
+    assert service.reply().incidents[0].source == "r3"
+    service.tell(told, giver="r2", age=4.0)
+    (one,) = service.reply().incidents
+    assert (one.source, one.age) == ("", pytest.approx(4.0, abs=3.0))
+    await service.advance(20.0)
+    head = service.heads()["a" * 12]
+    assert head.source == ""
+    service.tell(told, giver="r3", age=90.0)
+    assert service.reply().incidents[0].age < 60.0  # type: ignore[operator]
+
+
+async def test_tales_at_second_hand_use_up_nothing_of_the_robot_that_they_are_of(
+    tmp_path: Path,
+) -> None:
+    service = Service(tmp_path)
+    service.tell(*(incident(f"{n:012x}", "r2", IncidentKind.HAZARD) for n in range(9)), giver="r3")
+    assert len(service.reply().incidents) == 1, "one in ten seconds"
+    assert service.reply().incidents[0].source == "r3"
+    service.tell(incident("a" * 12, "r2", IncidentKind.HAZARD), giver="r2")
+    assert {one.incident.id for one in service.reply().incidents} >= {"a" * 12}
+
+
+async def test_a_flood_of_a_robot_keeps_no_tale_of_another_one_out(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    kinds = list(IncidentKind)
+    for number in range(60):  # beyond its rate, as a list that it has filled
+        told = _Told(incident(f"{number:012x}", "wolf", kinds[number % 9]), boottime())
+        service.service._tell(told)
+    service.tell(incident("a" * 12, "r2"), giver="r2")
+    service.mark("b" * 12)
+    assert {"a" * 12, "b" * 12} <= service.service._told.keys()
+    assert len(service.service._told) <= 32
+
+
+def marked(
+    keys: SwarmKeys, id: str = "a" * 12, text: str = "anna: it fell", **more: Any
+) -> Incident:
+    """A mark of r1 with the signature of anna."""
+    fields: dict[str, Any] = {"marked": time.time(), **more}
+    part = mark_part(id, "anna", "anna: it fell", fields["marked"])
+    signature = sign(load_private_key(keys["anna"].key), Purpose.MARK, part)
+    return Incident(
+        id=id, robot="r1", kind=IncidentKind.MARK, text=text, by="r1", operator="anna",
+        signature=signature, **fields,
+    )  # fmt: skip
+
+
+def operators_of(keys: SwarmKeys, *incidents: Incident) -> list[str]:
+    """The operators that r3 takes these for, as r1 tells them."""
+    found = _checked(listed(*(_signed(one, keys["r1"]) for one in incidents)), keys["r3"], ())
+    assert not isinstance(found, str), found
+    assert len(found) == len(incidents), "they are kept as words of r1"
+    return [one.operator for one in found]
+
+
+def test_the_mark_of_an_operator_is_known_by_the_signature(keys: SwarmKeys) -> None:
+    true = marked(keys)
+    assert operators_of(keys, true) == ["anna"]
+    old = marked(keys, marked=time.time() - 7200.0)
+    false = [
+        msgspec.structs.replace(true, text="anna: all is well"),
+        msgspec.structs.replace(true, id="b" * 12),
+        msgspec.structs.replace(true, operator="bob"),
+        msgspec.structs.replace(true, operator="r1"),
+        msgspec.structs.replace(true, operator=""),
+        msgspec.structs.replace(true, kind=IncidentKind.HAZARD),
+        msgspec.structs.replace(true, marked=true.marked + 1.0),
+        msgspec.structs.replace(true, signature=b""),
+        msgspec.structs.replace(true, signature=b"\1" * 64),
+        old,
+    ]
+    assert operators_of(keys, *false) == [""] * len(false)
+    # A clock that was never set tells nothing of the age.
+    assert operators_of(keys, marked(keys, marked=0.0)) == ["anna"]
+
+
+async def test_a_mark_as_swarmctl_sends_it_is_that_of_the_operator_also_at_second_hand(
+    tmp_path: Path, keys: SwarmKeys
+) -> None:
+    service, id = Service(tmp_path), "a" * 12
+    service.identity = keys["r1"]
+    service.keep(frames.EventEntry(boottime(), "x"))
+    operator: Any = SimpleNamespace(name="anna", identity=keys["anna"])
+    fields = mark_fields(operator, "it fell " * 30, id)
+    request = encode(MarkRequest(id="m", operator="anna", targets={"r1": None}, **fields))
+    service.service.on_mark(Decoder(MarkRequest)(request), service.answer)
+    await service.threads()
+    found = _checked(service.service._list(), keys["r3"], ())
+    assert not isinstance(found, str), found
+    assert [(one.incident.by, one.operator) for one in found] == [("r1", "anna")]
+    assert mark_fields(SimpleNamespace(name="anna", identity=None), "w", id).keys() == {  # type: ignore[arg-type]
+        *("words", "incident"),
+    }
+
+
+def test_a_mark_with_the_longest_words_and_names_fits_into_what_is_told(keys: SwarmKeys) -> None:
+    name = "x" * 63
+    told = Incident(
+        id="a" * 12, robot=name, kind=IncidentKind.ASSUMPTION, text="\U0001f600" * 300, by=name,
+        wall=1.7e9, operator="\U0001f600" * 128, marked=1.7e9, signature=bytes(64),
+    )  # fmt: skip
+    (found,) = _checked(listed(_signed(told, None)), None, ())
+    assert isinstance(found, _Told)
+
+
+class OldIncident(msgspec.Struct, frozen=True, kw_only=True):
+    """An incident as version e0319367 reads it."""
+
+    id: str
+    robot: str
+    kind: str
+    text: str
+    by: str
+    wall: float = 0.0
+
+
+def test_an_older_version_reads_what_is_told_and_this_one_reads_its(keys: SwarmKeys) -> None:
+    told = _signed(marked(keys), keys["r1"])
+    assert told is not None
+    old = msgspec.msgpack.decode(told.content, type=OldIncident)
+    assert (old.id, old.text, old.by) == ("a" * 12, "anna: it fell", "r1")
+    content = msgspec.msgpack.encode(old)
+    key = load_private_key(keys["r1"].key)
+    by_old = msgspec.structs.replace(
+        told, content=content, signature=sign(key, Purpose.INCIDENT, content)
+    )
+    (found,) = _checked(listed(by_old), keys["r3"], ())
+    assert isinstance(found, _Told)
+    assert (found.incident.text, found.operator) == ("anna: it fell", "")
+
+
+# After a crash, and a disk that refuses
+
+
+async def test_a_daemon_that_crashes_again_within_seconds_tells_its_peers_of_the_first_crash(
+    tmp_path: Path,
+) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.die()
+    second = Service(tmp_path)  # it finds the death, and is killed before a peer has asked
+    (death,) = second.files()
+    second.keep(frames.EventEntry(boottime(), "x"))
+    second.die()
+    third = Service(tmp_path)
+    await third.threads()
+    told = msgspec.msgpack.decode(third.service._list(), type=list[ToldIncident])
+    found = [msgspec.msgpack.decode(one.content, type=Incident).id for one in told]
+    assert death in found
+    assert third.service.digest
+
+
+async def test_only_own_incidents_of_the_last_minutes_are_told_again(tmp_path: Path) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.tell(incident("b" * 12, "r2"), giver="r2")
+    first.mark("a" * 12)
+    first.service._told["a" * 12].at -= 200.0
+    first.service.close(has_crashed=False)
+    assert Service(tmp_path).service.digest == b""
+
+
+async def test_a_file_that_the_disk_refused_is_written_once_there_is_room(tmp_path: Path) -> None:
+    service, id = Service(tmp_path), "c" * 12
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.mark(id)
+    service.folder.write_text("in the way")
+    await service.advance(20.0)
+    assert "not on disk" in service.reply().fault
+    (one,) = service.reply().incidents
+    assert (one.incident.id, one.size, bool(one.missing)) == (id, 0, True)
+    await service.advance(40.0)
+    assert sum("not on disk" in text for text in service.events) == 1, "said once"
+    service.folder.unlink()
+    await service.advance(1.0)
+    assert service.files() == set(), "not at each tick"
+    await service.advance(60.0)
+    assert service.files() == {id}
+    (one,) = service.reply().incidents
+    assert (one.size > 0, service.reply().fault) == (True, "")
+
+
+async def test_a_file_that_the_disk_refused_is_written_at_the_end(tmp_path: Path) -> None:
+    service = Service(tmp_path)
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.mark("c" * 12)
+    service.folder.write_text("in the way")
+    await service.advance(20.0)
+    service.folder.unlink()
+    service.service.close(has_crashed=False)
+    assert service.files() == {"c" * 12}
+
+
+async def test_files_that_wait_for_the_disk_take_a_bounded_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = Service(tmp_path)
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.folder.write_text("in the way")
+    service.tell(incident("a" * 12, "r2"), giver="r2")
+    service.tell(incident("b" * 12, "r3"), giver="r3")
+    await service.advance(20.0)
+    size = len(service.service._waiting["a" * 12].data)
+    monkeypatch.setattr("swarmd.daemon.incidents.MAX_WAITING", 2 * size - 1)
+    await service.advance(20.0)
+    assert list(service.service._waiting) == ["b" * 12]
+    assert any("lost" in text and "a" * 12 in text for text in service.events)
+
+
+async def test_the_black_box_begins_once_what_a_killed_daemon_left_is_on_disk(
+    tmp_path: Path,
+) -> None:
+    first = Service(tmp_path)
+    first.keep(frames.EventEntry(boottime(), "x"))
+    first.die()
+    first.folder.write_text("in the way")
+    second = Service(tmp_path)
+    assert second.recorder.ring is None
+    first.folder.unlink()
+    await second.advance(20.0)
+    assert len(second.files()) == 1
+    assert second.recorder.ring is not None
+    assert second.reply().fault == ""

@@ -12,7 +12,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -21,14 +21,16 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from swarmd.core import verbs
+from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import clock_id
 from swarmd.core.events import TICK_INPUT, Input, TickInput
 from swarmd.core.incident import Incident
 from swarmd.core.messages import Status
 from swarmd.core.record import RecordKind
 from swarmd.core.token_bucket import TokenBucket
+from swarmd.core.verbs import KeptIncident
 from swarmd.daemon import incidents, recorder
-from swarmd.daemon.incidents import IncidentService
+from swarmd.daemon.incidents import IncidentService, _signed, _Told
 from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.requests import SendReply
 from swarmd.network.datagram import Address, Beacon
@@ -128,17 +130,20 @@ class Incidents(IncidentService):
 
     def _tell(self, told: Any) -> None:
         super()._tell(told)
-        self._box.took(told.incident, told.at)
+        self._box.took(told.incident, told.at, told.source)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
         super()._note_kept(head, size, crc)
         self._box.wrote()
 
-    def _write(
-        self, incident: Incident, at: float, source: Any, *more: Any, **options: Any
-    ) -> None:
+    def _on_written(self, id: str, written: Any) -> None:
+        kept = {gone: self._kept[gone] for gone in written.removed}
+        self._box.displaced(tuple(self._kept.values()), kept, written.head)
+        super()._on_written(id, written)
+
+    def _write(self, told: Any, source: Any, *more: Any, **options: Any) -> None:
         left = source()  # now: the descriptor of a virtual thread would outlive a kill
-        super()._write(incident, at, lambda: left, *more, **options)
+        super()._write(told, lambda: left, *more, **options)
 
     def _end(self, error: Exception) -> None:
         raise error  # a fault of the black box, or of its judge
@@ -281,15 +286,29 @@ class BlackBox:
         """The number of its files."""
         return sum(name.endswith(SUFFIX) for name in os.listdir(self.files))
 
-    def took(self, incident: Incident, at: float) -> None:
-        """It has begun to keep an incident."""
+    def took(self, incident: Incident, at: float, source: str) -> None:
+        """It has begun to keep an incident, which the peer `source` handed on for another one."""
         if self.daemon.swarm.judge is not None:
-            self.daemon.swarm.judge.on_incident(self.daemon, incident, at)
+            self.daemon.swarm.judge.on_incident(self.daemon, incident, at, source)
 
     def wrote(self) -> None:
         """It has written a file."""
         if self.daemon.swarm.judge is not None:
             self.daemon.swarm.judge.on_file(self.daemon)
+
+    def displaced(
+        self, before: Sequence[KeptIncident], gone: Mapping[str, KeptIncident], new: IncidentHead
+    ) -> None:
+        """The files `gone` give way to a new one."""
+        if self.daemon.swarm.judge is not None:
+            self.daemon.swarm.judge.on_displaced(self.daemon, before, gone, new)
+
+    def cry(self, incidents_told: Sequence[Incident]) -> None:
+        """Tell peers of these as the robot's own, though it has none of them."""
+        with self._virtual_time():
+            for one in incidents_told:
+                told = _Told(one, self.daemon.swarm.now, _signed(one, None))
+                keep_newest(self.service._told, one.id, told, incidents.MAX_TOLD)
 
     # Time
 

@@ -22,6 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from swarmd.core.incident import Incident, IncidentKind
 from tests.histories.invariants import (
     HEAL_TIME,
     TELL_TIME,
@@ -150,6 +151,25 @@ class History:
     def incident(self, by: str, targets: tuple[str, ...] = ()) -> None:
         """An operator marks that something has happened to these robots."""
         self._begin(by, "mark", lambda one: one.mark(targets))
+
+    def wolf(
+        self, robot: str, kind: str = "mark", count: int = 30, teller: str | None = None
+    ) -> None:
+        """A robot tells incidents that never happened, of itself or in the name of another one."""
+        daemon = self.swarm.robots.get(robot)
+        if daemon is None or not daemon.is_up or daemon.is_frozen:
+            return
+        draw = self.swarm.chance_of_ids
+        by = teller or robot
+        told = [
+            Incident(
+                id=draw.randbytes(6).hex(), robot=by, kind=kind, text="anna: all is well", by=by,
+                operator="anna" if kind == IncidentKind.MARK else "",
+            )
+            for _ in range(count)
+        ]  # fmt: skip
+        self.judge.on_wolf(robot, (one.id for one in told))
+        daemon.black_box.cry(told)
 
     def push(self, by: str, pattern: str = "pushed", targets: tuple[str, ...] = ()) -> None:
         self._begin(by, "push", lambda one: one.push(pattern, targets))
@@ -564,6 +584,14 @@ def _lose_base(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
     return step(0.0, "lose_base", robot=chance.choice(robots), seconds=seconds)
 
 
+def _wolf(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    """A robot cries wolf, now and then in the name of another one."""
+    more = {"teller": chance.choice(robots)} if chance.random() < 0.3 else {}
+    kind = chance.choice(("mark", "mark", "estop", "hazard", "silent", "fault"))
+    count = chance.choice((3, 30))
+    return step(0.0, "wolf", robot=chance.choice(robots), kind=kind, count=count, **more)
+
+
 _Made = HistoryStep | Steps
 _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], ...] = (
     (_run, 5.0),
@@ -603,6 +631,7 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_late_run, 1.2),
     (_other_clock, 1.2),
     (_dead_script, 0.4),
+    (_wolf, 0.8),
 )
 
 

@@ -36,7 +36,10 @@ leave open:
 - `unmoved`: the state, the epoch, latches, goal and pattern of the robot and its command are the
   same before and after its black box has worked.
 - `heard`: judged on the incidents of the last WINDOW s that a robot tells when all is healed,
-  unless six of the same origin came before.
+  unless six of the same origin came before. A robot that told some which never happened is not
+  judged, and neither are its true ones: they share the budget of its lies.
+- `fair`: a mark of an operator is one that the robot got from the operator itself: the swarm of
+  incidents has no signatures.
 - `few`: the death of the own daemon may follow an incident at once.
 - `death`: the minute before the death is in the file. Judged if the daemon had worked for a second,
   and if the next one works long enough to write it.
@@ -58,7 +61,8 @@ from __future__ import annotations
 import logging
 import math
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -71,6 +75,7 @@ from swarmd.core.messages import Code, Reason, Reply, State
 from swarmd.core.verbs import (
     EstopRequest,
     GoalRequest,
+    KeptIncident,
     LabelRequest,
     Request,
     ResetRequest,
@@ -81,6 +86,7 @@ from swarmd.core.verbs import (
 from swarmd.network.datagram import Datagram, Stop
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_relay import LIFETIME
+from swarmd.recording.incident_file import IncidentHead
 
 if TYPE_CHECKING:  # the sequences of one robot need no network
     from tests.histories.black_box import Death
@@ -148,7 +154,9 @@ class Invariants:
         self._issued = swarm.issued
         self._taken: dict[tuple[str, int, str], list[float]] = {}
         # By robot and origin, then by id: the life and s in which it was taken, and s of it.
-        self._incidents: dict[tuple[str, str, str], dict[str, tuple[int, float, float]]] = {}
+        self._incidents: dict[tuple[str, str, str, bool], dict[str, tuple[int, float, float]]] = {}
+        self._lies: set[str] = set()  # ids of incidents that have not happened
+        self._wolves: set[str] = set()  # robots that told some
         self._latches: set[str] = set()  # all that were held
         self._deaths: dict[str, Death] = {}  # by robot, the last one
         self._died_at: dict[str, float] = {}
@@ -340,12 +348,14 @@ class Invariants:
                 "unmoved", f"the black box of {daemon.name} changes {before} to {after}"
             )
 
-    def on_incident(self, daemon: VirtualDaemon, incident: Incident, at: float) -> None:
+    def on_incident(
+        self, daemon: VirtualDaemon, incident: Incident, at: float, source: str
+    ) -> None:
         """The rule `few`, in all lives that have the same disk."""
         now, name, life = self._swarm.now, daemon.name, daemon.lives
         is_silent = incident.kind == IncidentKind.SILENT and incident.by == name
         is_death = is_silent and incident.robot == name
-        taken = self._incidents.setdefault((name, *_origin_of(incident)), {})
+        taken = self._incidents.setdefault((name, *_origin_of(incident), bool(source)), {})
         # A daemon knows of earlier lives when the incidents were, not when it heard of them. One
         # that was killed within a tick may take the same incident again.
         others = [times for id, times in taken.items() if id != incident.id]
@@ -370,6 +380,31 @@ class Invariants:
         if (count := daemon.black_box.count()) > INCIDENT_FILES:
             raise BrokenRuleError("few", f"{daemon.name} keeps {count} files of incidents")
 
+    def on_wolf(self, robot: str, ids: Iterable[str]) -> None:
+        """A robot tells these incidents, none of which has happened."""
+        self._wolves.add(robot)
+        self._lies.update(ids)
+
+    def on_displaced(
+        self,
+        daemon: VirtualDaemon,
+        before: Sequence[KeptIncident],
+        gone: Mapping[str, KeptIncident],
+        new: IncidentHead,
+    ) -> None:
+        """The rule `fair`."""
+        teller = (new.incident.by, bool(new.source))
+        counts = Counter((one.incident.by, bool(one.source)) for one in before if not one.operator)
+        for id, one in gone.items():
+            loser = (one.incident.by, bool(one.source))
+            if one.operator and not new.operator:
+                text = f"{new.incident} displaces the mark {id} of {one.operator}"
+                raise BrokenRuleError("fair", f"on {daemon.name} {text}")
+            is_lie = new.incident.id in self._lies
+            if is_lie and loser != teller and counts[loser] <= counts[teller]:
+                text = f"the lie {new.incident} of {teller} displaces {one.incident}"
+                raise BrokenRuleError("fair", f"on {daemon.name} {text}")
+
     def on_death(self, daemon: VirtualDaemon, death: Death | None) -> None:
         """The rule `death`, of the death before the one that is noted now."""
         self._check_death(daemon)
@@ -386,7 +421,7 @@ class Invariants:
         name, box, death = daemon.name, daemon.black_box, self._deaths.get(daemon.name)
         if death is None or box.was_frozen or self._swarm.now < box.writes_at:
             return
-        if len(self._incidents.get((name, name, "death"), ())) >= INCIDENTS_AN_HOUR:
+        if self._count_taken(name, name, "death") >= INCIDENTS_AN_HOUR:
             return
         found = [
             id
@@ -405,6 +440,11 @@ class Invariants:
             if at >= death.last and id not in (*found, *death.known):
                 raise BrokenRuleError("death", f"{name} keeps {death} as {found}, a peer as {id}")
 
+    def _count_taken(self, name: str, by: str, among: str) -> int:
+        """How many incidents of one robot a robot has taken, from whichever peer."""
+        keys = [key for key in self._incidents if key[:3] == (name, by, among)]
+        return sum(len(self._incidents[key]) for key in keys)
+
     def unheard(self) -> list[tuple[VirtualDaemon, Incident]]:
         """The incidents that robots tell and others do not keep, which were up then."""
         now = self._swarm.now
@@ -413,10 +453,13 @@ class Invariants:
         return [
             (one, incident)
             for one in alive
+            if one.name not in self._wolves
             for incident, at in told
             if max(now - WINDOW, one.black_box.began + 1.0) < at
             and not one.black_box.has_file(incident.id)
-            and len(self._incidents.get((one.name, *_origin_of(incident)), ())) < INCIDENTS_AN_HOUR
+            and incident.id not in self._lies
+            and incident.by not in self._wolves
+            and self._count_taken(one.name, *_origin_of(incident)) < INCIDENTS_AN_HOUR
         ]
 
     def check_incidents(self, unheard: list[tuple[VirtualDaemon, Incident]]) -> None:
@@ -426,6 +469,7 @@ class Invariants:
             self._check_death(one)
             heads = one.black_box.heads().items()
             estops |= {id for id, head in heads if head.incident.kind == IncidentKind.ESTOP}
+        estops -= self._lies
         for one, incident in unheard:
             if not one.black_box.has_file(incident.id):
                 raise BrokenRuleError("heard", f"{one.name} does not keep {incident}")
@@ -811,6 +855,12 @@ _ROWS = (
         "A robot takes at most one incident of an origin in 10 s and six an hour, of itself, its"
         " deaths, lost peers and marks, and keeps at most 20 files.",
         (Invariants.on_incident, Invariants.on_file),
+    ),
+    Rule(
+        "fair",
+        "A robot that tells incidents which never happened displaces no mark of an operator, and"
+        " nothing of a robot that has fewer.",
+        (Invariants.on_displaced,),
     ),
     Rule(
         "death",

@@ -18,7 +18,7 @@ import random
 import shutil
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -82,6 +82,7 @@ from swarmd.core.values import (
 )
 from swarmd.core.verbs import (
     ForgetRequest,
+    KeptIncident,
     MarkRequest,
     PushRequest,
     RecordRequest,
@@ -101,6 +102,7 @@ from swarmd.network.signature import Author
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_freshness import REPLAYED
 from swarmd.protection.fence.fence_settings import FenceSettings
+from swarmd.recording.incident_file import IncidentHead
 from swarmd.recording.ring import Ring
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
@@ -177,11 +179,22 @@ class Judge(Protocol):
     def check_motion(self, daemon: VirtualDaemon, before: object) -> None:
         """The black box of a robot has worked."""
 
-    def on_incident(self, daemon: VirtualDaemon, incident: Incident, at: float) -> None:
+    def on_incident(
+        self, daemon: VirtualDaemon, incident: Incident, at: float, source: str
+    ) -> None:
         """A robot begins to keep an incident, which was at `at` s."""
 
     def on_file(self, daemon: VirtualDaemon) -> None:
         """A robot has written the file of an incident."""
+
+    def on_displaced(
+        self,
+        daemon: VirtualDaemon,
+        before: Sequence[KeptIncident],
+        gone: Mapping[str, KeptIncident],
+        new: IncidentHead,
+    ) -> None:
+        """Of the files `before` those in `gone` give way to the file of another incident."""
 
     def on_death(self, daemon: VirtualDaemon, death: Death | None) -> None:
         """A daemon has ended; `death`: if it was killed."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
@@ -10,7 +10,8 @@ import pytest
 from swarmd.core import incident as core_incident
 from swarmd.core.events import DriverInput, Input, NoteInput
 from swarmd.core.incident import IncidentKind
-from swarmd.daemon import incidents
+from swarmd.core.verbs import KeptIncident
+from swarmd.daemon import incident_budget, incidents
 from swarmd.daemon.incidents import IncidentService
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
@@ -111,7 +112,7 @@ def test_a_death_is_kept_also_if_the_clock_is_set_by_days_before_the_start() -> 
 def test_incidents_that_are_heard_at_once_leave_no_more_files_than_may_be(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(incidents, "MAX_KEPT", 3)
+    monkeypatch.setattr(incident_budget, "MAX_KEPT", 3)
     monkeypatch.setattr(invariants, "INCIDENT_FILES", 3)
     names = ("r1", "r2", "r3", "r4")
     history = History(5)
@@ -129,6 +130,64 @@ def test_restarts_begin_no_more_incidents_than_the_limits_allow() -> None:
     assert len(marks) == 2
     deaths = kept(tuple(step(12.0, "start", robot="r1") for _ in range(9)), 2)["r1"]
     assert len(deaths) == 6  # an hour
+
+
+WOLF = (
+    step(0.0, "incident", by="anna"),
+    step(11.0, "incident", by="bob"),
+    *(step(11.0, "wolf", robot="r3", kind="mark") for _ in range(3)),
+    *(step(11.0, "wolf", robot="r3", kind=kind) for kind in ("hazard", "estop", "fault", "silent")),
+    step(30.0, "heal"),
+)
+
+
+def few_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot keeps four files, two of them marks."""
+    monkeypatch.setattr(incident_budget, "MAX_KEPT", 4)
+    monkeypatch.setattr(invariants, "INCIDENT_FILES", 4)
+
+
+def test_a_robot_that_cries_wolf_removes_no_mark_of_an_operator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    few_files(monkeypatch)
+    history = replay(3, WOLF)
+    for name in ("r1", "r2"):
+        heads = history.swarm.robots[name].black_box.heads().values()
+        assert len(heads) == 4, "the wolf has taken what is free"
+        marks = {one.operator for one in heads if one.operator}
+        assert marks == {"anna", "bob"}
+
+
+def test_lies_in_the_name_of_a_robot_displace_none_of_its_true_incidents(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    few_files(monkeypatch)
+    lies = tuple(step(11.0, "wolf", robot="r3", kind="fault", teller="r2") for _ in range(5))
+    files = kept((step(0.0, "estop", by="anna", targets=("r2",)), *lies, step(30.0, "heal")))
+    assert (IncidentKind.ESTOP, "r2") in files["r1"].values()
+
+
+def oldest(kept: Sequence[KeptIncident], new: KeptIncident) -> list[str]:
+    """The file that gives way is the oldest, whoever told it."""
+    return [one.incident.id for one in kept[: max(len(kept) - 3, 0)]]
+
+
+def test_the_oldest_file_that_gives_way_breaks_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    few_files(monkeypatch)
+    monkeypatch.setattr(incidents, "to_remove", oldest)
+    fault = fault_of(3, WOLF)
+    assert fault is not None
+    assert fault.rule == "fair"
+
+
+def test_a_mark_of_all_robots_is_noted_by_each_as_its_own() -> None:
+    """Some have heard of it from a peer before the request of the operator came."""
+    late = step(0.0, "cut", senders=("anna",), receivers=("r3", "r4", "r5"))
+    files = kept((late, step(0.1, "incident", by="anna"), step(3.0, "heal")), 5)
+    assert {name: {robot for _, robot in found.values()} for name, found in files.items()} == {
+        f"r{n}": {f"r{n}"} for n in range(1, 6)
+    }
 
 
 # Faults

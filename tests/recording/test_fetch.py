@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import subprocess
 import sys
 import zlib
@@ -12,6 +13,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from swarmd.cli import record
 from swarmd.cli.options import CommonOptions
@@ -20,7 +22,16 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import NetworkError
 from swarmd.core.verbs import FetchQuery, FetchReply, RecordingFile, RecordingsReply
-from swarmd.recording.fetch import PIECE, fetch, note_clock, read_exchanges
+from swarmd.recording.fetch import (
+    INCIDENT,
+    PIECE,
+    RECORDING,
+    Source,
+    check_sizes,
+    fetch,
+    note_clock,
+    read_exchanges,
+)
 
 CONTENT = bytes(range(256)) * 500  # 128 kB
 
@@ -200,3 +211,85 @@ def test_a_robot_that_refuses_a_file_and_falls_silent_is_missing_once(
     fetched = json.loads(capsys.readouterr().out)
     assert [file["state"] for file in fetched["files"]] == ["there is no such recording"]
     assert fetched["missing"] == ["r"]
+
+
+# What a robot may state
+
+
+class Liar(Robots):
+    """A robot that answers each question with `length` bytes, or with as many as asked for."""
+
+    def __init__(self, length: int | None = None) -> None:
+        super().__init__({})
+        self.length = length
+
+    def ask(self, robot: str, name: str, payload: bytes) -> bytes | None:
+        """As a robot whose file never ends."""
+        query = Decoder(FetchQuery)(payload)
+        self.pieces.append(query.offset)
+        data = bytes(query.length if self.length is None else self.length)
+        return encode(
+            FetchReply(
+                robot=robot, file=query.file, offset=query.offset, size=2**50, data=data,
+                crc=zlib.crc32(data),
+            )
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("source", "size"),
+    [(INCIDENT, 2**26 + 1), (INCIDENT, 2**45), (RECORDING, 2**32 + 1), (RECORDING, 2**45)],
+)
+def test_a_size_that_no_file_of_the_kind_has_is_not_believed(
+    tmp_path: Path, source: Source, size: int
+) -> None:
+    robot, name = Liar(), f"a-00001{source.suffix}"
+    file = RecordingFile(name=name, size=size, is_open=False, crc=0)
+    with pytest.raises(NetworkError, match=str(size)) as caught:
+        fetch(robot.ask, "r", file, tmp_path, source=source)
+    assert "\n" not in str(caught.value)
+    assert robot.pieces == [], "nothing was asked for"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_leaves_no_room_on_the_disk_is_not_fetched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = shutil.disk_usage(tmp_path)._replace(free=2 * PIECE)
+    monkeypatch.setattr("shutil.disk_usage", lambda path: free)
+    robots = Robots({("r", "a-00001.mcap"): CONTENT})
+    with pytest.raises(NetworkError, match=str(2 * PIECE)):
+        fetch(robots.ask, "r", listed(CONTENT), tmp_path / "new")
+    assert robots.pieces == []
+    half = tmp_path / "new" / "r" / "a-00001.mcap.partial"
+    half.parent.mkdir(parents=True)
+    half.write_bytes(CONTENT[: 2 * PIECE + 1000])  # what is here already needs no room
+    assert fetch(robots.ask, "r", listed(CONTENT), tmp_path / "new").is_whole
+
+
+def test_files_that_together_exceed_the_disk_are_refused_before_the_first(tmp_path: Path) -> None:
+    one = listed(CONTENT)
+    check_sizes("r", [one], tmp_path)
+    many = [structs.replace(one, name=f"{n}.mcap", size=2**32) for n in range(10_000)]  # 43 TB
+    with pytest.raises(NetworkError, match=str(10_000 * 2**32)):
+        check_sizes("r", many, tmp_path)
+
+
+@pytest.mark.parametrize("length", [0, 1, PIECE - 1])
+def test_an_answer_shorter_than_asked_for_ends_the_copy(tmp_path: Path, length: int) -> None:
+    robot = Liar(length)
+    copy = fetch(robot.ask, "r", listed(CONTENT), tmp_path)
+    assert (copy.is_whole, copy.size, len(robot.pieces)) == (False, length, 1)
+    assert "shorter" in copy.fault
+
+
+def test_an_answer_longer_than_asked_for_is_damaged(tmp_path: Path) -> None:
+    robot = Liar(200)
+    with pytest.raises(NetworkError, match="damaged"):
+        fetch(robot.ask, "r", listed(CONTENT[:100]), tmp_path)
+
+
+def test_a_file_that_grows_is_copied_up_to_the_size_that_was_listed(tmp_path: Path) -> None:
+    robot = Liar()
+    copy = fetch(robot.ask, "r", listed(CONTENT, is_open=True), tmp_path)
+    assert (copy.size, copy.fault) == (len(CONTENT), "")

@@ -13,6 +13,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from msgspec import structs
 
 from swarmd.core.errors import CodecError
@@ -20,8 +22,9 @@ from swarmd.core.events import ScanInput
 from swarmd.core.values import Scan
 from swarmd.recording import frames
 from swarmd.recording.incident_file import IncidentHead, pack, read, read_head, to_recording
-from swarmd.recording.reader import read_file
+from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.recording.ring import MAX_FILE, Left, Ring, entries_of, read_left
+from tests.support.examples import examples
 from tests.support.incidents import ID, WALL, incident_of, keep
 from tests.support.recorded_stories import ORIGINS, Story, repeat
 
@@ -243,3 +246,105 @@ def test_an_incident_from_before_the_boot_of_a_robot_is_read_and_converted(tmp_p
     path.write_bytes(pack(structs.replace(head_of_frames(data), at=-30.0), data))
     assert read(path)[0].at == -30.0
     assert to_recording(path).exists()
+
+
+# What a file may state
+
+
+def recording_of(tmp_path: Path, *entries: frames.Entry) -> RecordedFile:
+    """The recording that a file with these entries becomes; one file, with its index."""
+    path = tmp_path / f"{ID}.incident"
+    data = frames_of(*entries)
+    path.write_bytes(pack(head_of_frames(data), data))
+    made = to_recording(path)
+    names = {one.name for one in tmp_path.iterdir()}
+    assert names == {path.name, made.name, f"{made.stem}.index.json"}
+    return read_file(made)
+
+
+def test_a_memory_in_more_parts_than_a_robot_writes_is_left_out(tmp_path: Path) -> None:
+    many = [frames.MemoryEntry(1.0, b"x", n, 400) for n in range(400)]
+    found = recording_of(tmp_path, frames.EventEntry(1.0, ""), *many)
+    assert [one.topic for one in found.messages] == ["/event", "/incident"]
+
+
+def test_a_memory_that_each_part_calls_whole_is_written_once(tmp_path: Path) -> None:
+    growing = [frames.MemoryEntry(1.0, bytes(100), n, n + 1) for n in range(60)]
+    found = recording_of(tmp_path, *growing)
+    assert [one.topic for one in found.messages].count("/memory") == 1
+
+
+@pytest.mark.parametrize("step", [3.0, 90_000.0])  # s: beyond a chunk, and beyond a day
+def test_entries_far_apart_become_one_file_without_a_write_to_disk_for_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr("os.fsync", synced.append)
+    found = recording_of(tmp_path, *(frames.EventEntry(1.0 + step * n, "") for n in range(50)))
+    assert len(found.messages) == 51
+    assert len(synced) < 6
+
+
+def test_more_entries_than_a_robot_writes_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("swarmd.recording.incident_file.MAX_ENTRIES", 50)
+    recording_of(tmp_path, *(frames.EventEntry(1.0, "") for _ in range(50)))
+    with pytest.raises(CodecError, match="50"):
+        recording_of(tmp_path, *(frames.EventEntry(1.0, "") for _ in range(51)))
+    assert not list(tmp_path.glob("*00002*"))
+
+
+def test_a_file_that_unpacks_to_fifty_times_its_size_and_more_is_refused(tmp_path: Path) -> None:
+    data = frames_of(*(frames.EventEntry(1.0, "x" * 900) for _ in range(4000)))
+    path = tmp_path / f"{ID}.incident"
+    path.write_bytes(pack(head_of_frames(data), data))
+    assert len(data) > 100 * path.stat().st_size, "within what zlib gives back"
+    with pytest.raises(CodecError, match=str(len(data))):
+        read(path)
+
+
+def test_a_head_that_states_more_bytes_than_a_robot_writes_is_refused() -> None:
+    head = structs.replace(head_of_frames(b""), about={"a": "x" * (1 << 20)})
+    with pytest.raises(CodecError, match="head"):
+        read_head(pack(head, b""))
+
+
+_at = st.floats(0.0, 1e5)
+_ENTRIES = st.one_of(
+    st.builds(frames.EventEntry, _at, st.text(max_size=9)),
+    st.builds(
+        frames.TextEntry, _at, st.sampled_from(["/status", "/incident", "/x", ""]),
+        st.binary(max_size=9),
+    ),
+    st.builds(
+        frames.MemoryEntry, _at, st.binary(max_size=9), st.integers(-9, 99), st.integers(-9, 99)
+    ),
+    st.builds(frames.InputEntry, _at, st.binary(max_size=30)),
+    st.builds(frames.DroppedEntry, _at, st.integers(-9, 2**70)),
+    st.builds(frames.SentEntry, _at, st.text(max_size=5), st.floats()),
+    st.builds(
+        frames.ClockEntry, _at, st.text(max_size=5), st.text(max_size=5), st.floats(), st.floats(),
+        st.floats(),
+    ),
+)  # fmt: skip
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(entries=st.lists(_ENTRIES, max_size=12), noise=st.binary(max_size=9))
+def test_any_entries_become_one_recording_or_an_error_of_the_file(
+    tmp_path_factory: pytest.TempPathFactory, entries: list[frames.Entry], noise: bytes
+) -> None:
+    folder = tmp_path_factory.mktemp("any")
+    path = folder / f"{ID}.incident"
+    try:
+        data = frames_of(*entries) + noise
+    except (OverflowError, UnicodeEncodeError):
+        return  # no bytes of MessagePack either
+    path.write_bytes(pack(head_of_frames(data), data))
+    try:
+        made = to_recording(path)
+    except CodecError:
+        assert [one.name for one in folder.iterdir()] == [path.name]
+        return
+    assert len(read_file(made).messages) <= 4 * len(entries) + 1
