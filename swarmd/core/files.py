@@ -37,6 +37,12 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))  # before Python 3.13 Path.resolve raises RuntimeError
 
 
+def leads_nowhere(path: Path) -> bool:
+    """True if the path, or a folder above it, is a link without a target, such as to a drive that
+    is not mounted: what is missing there may exist. OSError if a folder cannot be read."""
+    return any(one.is_symlink() and not one.exists() for one in (path, *path.parents))
+
+
 def open_regular(path: str | Path, flags: int = 0) -> BinaryIO:
     """Open a regular file to read. OSError for a device, a pipe, a socket or a folder.
 
