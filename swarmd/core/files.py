@@ -151,6 +151,28 @@ def open_folder(path: str | Path, within: int | None = None) -> Iterator[int]:
         os.close(handle)
 
 
+def lock_file(handle: int, *, waits: bool) -> bool:
+    """Lock an open file or folder exclusively, until its descriptor is closed.
+
+    False if the file system has no locks, as NFS without a lock daemon and some Lustre: then
+    nothing is locked, and the caller decides whether that is safe. BlockingIOError if another
+    process has the lock, unless `waits`.
+    """
+    import fcntl  # not on Windows, where results can be read
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _NO_LOCKS:
+            return False
+        raise
+    return True
+
+
+_NO_LOCKS = frozenset({errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP})
+"""What flock(2) gives on a file system without locks."""
+
+
 def remove_whole(path: Path) -> None:
     """Remove a folder with its content, or the link in its place; errors are ignored.
 
