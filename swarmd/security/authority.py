@@ -347,8 +347,8 @@ class Authority:
             else:
                 raise ConfigError(
                     f"authority {self.folder}: its file system has no locks, and two changes at"
-                    " once would lose one; move the folder of your settings to a local disk and name it"
-                    " by XDG_CONFIG_HOME"
+                    " once would lose one; move the folder of your settings to a local disk and"
+                    " name it by XDG_CONFIG_HOME"
                 )
             yield
 
