@@ -165,5 +165,6 @@ def tune(
     if find_spec("matplotlib") is not None:
         from swarmd.sim.plots.tuning import draw_landscape
 
+        need("matplotlib")
         draw_landscape(tuned, folder / "plots" / "landscape.png")
     warn(f"results: {folder}/ (the file: {folder / tuning.RESULT})")

@@ -201,6 +201,9 @@ def need(*modules: str, extra: str = "sim,plot") -> None:
             )
     if "matplotlib" in modules:  # where the home cannot be written, it tells of its own cache
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
+        from swarmd.sim.plots.theme import ignore_settings_of_user
+
+        ignore_settings_of_user()
     if "mujoco" in modules:  # no picture is made with OpenGL, and a wrong value stops the import
         os.environ.pop("MUJOCO_GL", None)
 

@@ -18,6 +18,7 @@ from msgspec import structs
 from swarmd.cli.options import CommonOptions, Duration, VerbGroup
 from swarmd.cli.output import print_section, signals_end, warn
 from swarmd.client.network_options import DEFAULT_SWARM
+from swarmd.core.errors import ConfigError
 from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.sim.cli.world_page import page_option, world_page
@@ -261,14 +262,18 @@ def _report_ends(fleet: Fleet, timeline: LiveTimeline | None = None) -> NoReturn
 
 
 def _print_usage(spec: FleetSpec) -> None:
-    from swarmd.security.identity import find_identity
+    from swarmd.security.identity import Installed, installed_identity
 
-    has_context = context_in_use() is not None
+    try:
+        has_context = context_in_use() is not None
+    except ConfigError as error:  # the robots are up; a line with $SWARM does without contexts
+        has_context = True
+        warn(str(error))
     is_default = spec.swarm == DEFAULT_SWARM and not has_context
     swarmctl = "swarmctl" if is_default else f"SWARM={spec.swarm} swarmctl"
     if has_context:  # its profile may be another one
         swarmctl += " --profile dev"
-    if find_identity(spec.swarm) is not None:
+    if installed_identity(spec.swarm) != Installed():
         warn(f"the simulated robots have no keys; a secured swarm {spec.swarm} ignores them")
         swarmctl += " --insecure"
     names = list(spec.robots)

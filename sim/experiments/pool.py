@@ -33,6 +33,7 @@ from swarmd.core.processes import (
     limit_files,
     limit_growth,
 )
+from swarmd.core.python_path import replaced_text
 from swarmd.pattern_host.sandbox import confine
 from swarmd.sim.experiments.cores import core_share
 from swarmd.sim.lockstep.lockstep import simulate_run
@@ -293,6 +294,8 @@ class _Worker:
             self._end_group()
             code = self._process.returncode
             hint = " (out of memory, or killed by hand)" if code == -signal.SIGKILL else ""
+            if not self._has_started and (replaced := replaced_text()):  # it imports before that
+                hint = f" ({replaced} swarmctl)"
             return self._failed(f"its process {how_it_ended(code)}{hint}")
         for report in reports:
             if isinstance(report, JobResult):

@@ -17,6 +17,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import logging
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,10 +29,12 @@ from typing import Any
 import msgspec
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.files import read_regular
+from swarmd.core.files import lock_file, read_regular
 from swarmd.sim.experiments import manifest as manifests
 from swarmd.sim.experiments.manifest import Manifest, read_manifest, write_json, write_whole
 from swarmd.sim.experiments.plan import Plan, Run, shown
+
+log = logging.getLogger(__name__)
 
 TABLE = "runs.csv"
 _FORMULA_STARTS = tuple("=+-@\t\r\n")
@@ -344,16 +347,25 @@ def _refuse_other_files(folder: Path) -> None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Hold an exclusive lock of the folder; ConfigError if another process holds it."""
-    import fcntl  # not on Windows, where results can be read
+    """Hold an exclusive lock of the folder; ConfigError if another process holds it.
 
+    Where the file system has no locks the folder is used without one, and the log says so.
+    """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+            is_locked = lock_file(descriptor, waits=False)
+        except BlockingIOError as error:
             text = f"{folder}: another swarmctl is using it"
             raise ConfigError(f"{text}; wait for it, or name another folder") from error
+        except OSError as error:
+            raise ConfigError(
+                f"{folder}: cannot be locked: {error.strerror}; name another folder with --out"
+            ) from error
+        if not is_locked:
+            log.warning(
+                "%s: its file system has no locks; let no second swarmctl use this folder", folder
+            )
         yield
     finally:
         os.close(descriptor)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,13 +43,45 @@ PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
 """The box behind a text in the data."""
 
 
+def ignore_settings_of_user() -> None:
+    """For a verb, which only writes files: matplotlib without the user's backend and style.
+
+    `$MPLBACKEND` may name a backend that is not installed, and the user's `matplotlibrc` may ask
+    for LaTeX; both ended in a traceback. Equal figures have equal bytes for all users. SwarmError
+    if matplotlib cannot be imported, such as with a `matplotlibrc` in this folder that is no text.
+    """
+    os.environ["MPLBACKEND"] = "agg"
+    found = find_spec("matplotlib")
+    if found is not None and found.origin is not None:
+        own = Path(found.origin).parent / "mpl-data" / "matplotlibrc"
+        os.environ["MATPLOTLIBRC"] = str(own)
+    matplotlib = _imported()
+    matplotlib.rcdefaults()  # a matplotlibrc of the working directory counts more than the variable
+    matplotlib.use("agg")
+
+
+def _imported() -> Any:
+    """matplotlib; SwarmError if it cannot be imported."""
+    try:
+        import matplotlib  # takes most of a second
+    except ImportError as error:
+        raise SwarmError("pictures need matplotlib: pip install 'swarmd[plot]'") from error
+    except (ValueError, OSError) as error:  # of $MPLBACKEND, or of a file of the user
+        why = " ".join(str(error).split())
+        raise SwarmError(
+            f"matplotlib cannot be imported: {why}; see $MPLBACKEND, $MATPLOTLIBRC and"
+            f" {Path.cwd() / 'matplotlibrc'}"
+        ) from error
+    return matplotlib
+
+
 def new_figure(width: float, height: float, *, is_map: bool = False) -> Figure:
     """An empty figure of about that size in inches, with matplotlib's constrained layout.
 
     `is_map`: its axes keep their aspect, and stand close together. SwarmError without matplotlib.
     """
+    _imported()
     try:
-        # Imported here because it takes most of a second.
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
         from matplotlib.layout_engine import ConstrainedLayoutEngine

@@ -8,7 +8,6 @@ for named jobs their sources and which of them have changed.
 from __future__ import annotations
 
 import argparse
-import fcntl
 import os
 import resource
 import signal
@@ -23,6 +22,7 @@ from studies.night.pages import write_parts
 from studies.night.sources import ROOT, changed_since, commit_of, forget
 from studies.outcomes.outcome import software
 from swarmd.core.errors import SwarmError, unknown
+from swarmd.core.files import lock_file
 
 LOGS = ROOT / "build" / "night"
 OVERVIEW = "night"
@@ -151,8 +151,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     lock = os.open(LOGS / "lock", os.O_RDWR | os.O_CREAT)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
+        if not lock_file(lock, waits=False):
+            print(f"{LOGS}: its file system has no locks; begin no second night here", flush=True)
+    except BlockingIOError as error:
         text = "another night, or a job of an ended one, runs here: wait, or use another checkout"
         raise SwarmError(f"{ROOT}: {text}") from error
     bad = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +10,16 @@ import click
 import msgspec
 
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options, local_options
-from swarmd.cli.output import print_json, print_table
+from swarmd.cli.output import print_json, print_table, warn
 from swarmd.settings.contexts import (
+    ENVIRONMENT,
     Context,
     add_context,
     context_in_use,
     contexts_path,
     load_contexts,
+    read_contexts,
+    remedy,
     save_contexts,
 )
 from swarmd.texts.values import NOTHING
@@ -55,18 +59,31 @@ def use(options: CommonOptions, name: str) -> None:
 @context.command("list")
 @local_options
 def list_contexts(options: CommonOptions) -> None:
-    """List the contexts; `*` marks the one in use."""
-    contexts, chosen = load_contexts(contexts_path()).contexts, context_in_use()
-    current = chosen[0] if chosen else None
+    """List the contexts; `*` marks the one in use.
+
+    If the file has faults: lists the contexts that can be read, names the faults, and ends with 2.
+    """
+    path = contexts_path()
+    found, faults = read_contexts(path)
+    contexts = found.contexts
+    if faults:
+        current = os.environ.get(ENVIRONMENT) or found.use
+    else:
+        chosen = context_in_use()
+        current = chosen[0] if chosen else None
     if options.is_json:
         rows = {name: msgspec.to_builtins(one) for name, one in contexts.items()}
-        print_json("Contexts", {"use": current, "contexts": rows})
-        return
-    cells = [
-        ("*" if name == current else "", name, *(_cell(getattr(one, key)) for key in FIELDS))
-        for name, one in sorted(contexts.items())
-    ]
-    print_table(("", "NAME", *(key.upper() for key in FIELDS)), cells)
+        print_json("Contexts", {"use": current, "contexts": rows, "faults": list(faults)})
+    else:
+        cells = [
+            ("*" if name == current else "", name, *(_cell(getattr(one, key)) for key in FIELDS))
+            for name, one in sorted(contexts.items())
+        ]
+        print_table(("", "NAME", *(key.upper() for key in FIELDS)), cells)
+    if faults:
+        assert path is not None
+        warn(f"error: {'; '.join(faults)}; {remedy(path)}")
+        click.get_current_context().exit(2)
 
 
 @context.command()

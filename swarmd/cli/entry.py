@@ -21,6 +21,19 @@ def _keep_docstrings() -> None:
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
+def _exit_with(error: Exception) -> None:
+    """End with one line for an error of a module of PYTHONPATH; returns for any other error."""
+    import os
+
+    if not os.environ.get("PYTHONPATH"):
+        return
+    from swarmd.core.python_path import import_fault
+
+    if fault := import_fault(error):
+        print(f"error: {fault} {os.path.basename(sys.argv[0])}", file=sys.stderr)
+        sys.exit(2)
+
+
 def swarmctl() -> None:
     """Run swarmctl and exit with its code."""
     try:
@@ -33,6 +46,9 @@ def swarmctl() -> None:
         main()
     except KeyboardInterrupt:
         _exit_interrupted()
+    except Exception as error:
+        _exit_with(error)
+        raise
 
 
 def swarmd() -> None:
@@ -49,3 +65,6 @@ def swarmd() -> None:
         main()
     except KeyboardInterrupt:
         _exit_interrupted()
+    except Exception as error:
+        _exit_with(error)
+        raise

@@ -306,6 +306,7 @@ def install_reader(
     from swarmd.settings.installed import SWARM_YAML, checked_settings, write_yaml
 
     info = opened.bundle.info
+    is_first = context_in_use() is None  # ConfigError before anything is installed
     given = {key: value for key, value in overrides.items() if value}
     settings = checked_settings("the bundle", info.swarm, {**opened.bundle.settings, **given})
     folder = configuration() / "identities" / info.swarm
@@ -316,7 +317,7 @@ def install_reader(
     if interface is not None and interface not in (name for _, name in socket.if_nameindex()):
         warn(f"this machine has no interface {interface}: write its own to {folder / SWARM_YAML}")
     context = Context(swarm=info.swarm, config=str(folder / SWARM_YAML))
-    add_context(info.swarm, context, use=context_in_use() is None)
+    add_context(info.swarm, context, use=is_first)
     return identity
 
 

@@ -43,7 +43,7 @@ def members(options: CommonOptions, wide: bool) -> None:
     """
     if click.get_current_context().invoked_subcommand is not None:
         return
-    with options.operator() as operator:
+    with options.operator(needs_file=False) as operator:
         view = known_members(options, operator)
         notes = (*health(view), *_secured(operator.identity), *operator.trust_notes())
         listed = list(view.members.values())

@@ -257,11 +257,13 @@ class CommonOptions(NetworkOptions):
         """True if the answer must be JSON."""
         return self.output == "json"
 
-    def operator(self, tell: Callable[[str], object] | None = None) -> Operator:
+    def operator(
+        self, tell: Callable[[str], object] | None = None, *, needs_file: bool = True
+    ) -> Operator:
         """A session in the swarm's network; lines for the user are warnings without `tell`."""
         from swarmd.cli.output import warn
 
-        return NetworkOptions.operator(self, tell or warn)
+        return NetworkOptions.operator(self, tell or warn, needs_file=needs_file)
 
 
 def common_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:

@@ -290,7 +290,11 @@ def _inspect(
             hangs = str(error) or late
         how = hangs or how_it_ended(child.returncode)
         if open_item is None:
-            raise PluginError(f"the process that inspects patterns {how}")
+            from swarmd.core.python_path import replaced_text
+
+            replaced = replaced_text()
+            cause = f"; {replaced} swarmctl" if replaced else ""
+            raise PluginError(f"the process that inspects patterns {how}{cause}")
         if hangs:
             # From its first item on, the child prints its stack on SIGUSR1.
             code_place = code_place or _place_of_hang(child, folder)

@@ -18,7 +18,7 @@ from swarmd.client.targets import Targets
 @common_options
 def stop(options: CommonOptions, targets: Targets) -> None:
     """Stop TARGETS, or all robots; they need a `run` to move again."""
-    with options.operator() as operator:
+    with options.operator(needs_file=False) as operator:
         report(options, send_stop(session_of(options, operator), "stop", targets))
 
 
@@ -37,7 +37,7 @@ def estop(options: CommonOptions, targets: Targets, reason: str, until_all: bool
     The stop is latched: it survives restarts, and robots that join adopt a stop of the whole
     swarm, until `swarmctl reset`.
     """
-    with options.operator() as operator:
+    with options.operator(needs_file=False) as operator:
         session = session_of(options, operator)
         report(options, send_stop(session, "estop", targets, reason, until_all=until_all))
 

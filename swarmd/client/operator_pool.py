@@ -90,7 +90,25 @@ class OperatorPool:
         self.looks = LookTurns()
         self._is_closed = False
         self._process = os.getpid()
+        self._of_forks: dict[int, OperatorPool] = {}
         atexit.register(self._end)
+
+    def here(self) -> OperatorPool:
+        """The pool for this process: a process that was forked has operators of its own.
+
+        The fork has the sockets of its parent's operators without their threads, perhaps with a
+        lock that a thread held. What the parent holds stays the parent's: its leases are neither
+        renewed nor ended here, and its operators are not closed.
+        """
+        process = os.getpid()
+        if process == self._process:
+            return self
+        pool = self._of_forks.get(process)
+        if pool is None:
+            pool = self._of_forks.setdefault(process, OperatorPool(self._make))
+            if self._is_closed:
+                pool.close()
+        return pool
 
     def close(self) -> None:
         """End leases and close idle operators, within 0.2 s each; then no operator is lent.
@@ -137,7 +155,7 @@ class OperatorPool:
                 if is_kept:
                     self._idle.append(operator)
         finally:
-            if not is_kept:
+            if not is_kept and os.getpid() == self._process:
                 operator.close()
 
     def keep_lease(self, robots: Collection[str], lease: ExitStack) -> None:

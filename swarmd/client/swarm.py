@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -14,7 +15,7 @@ from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.clock import boottime
 from swarmd.core.closing import Closing, is_program_ended
-from swarmd.core.errors import ConfigError, RequestError, SwarmError
+from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.network.operator.exit_codes import TIMEOUT
 
@@ -47,7 +48,8 @@ class Swarm(Closing):
     method raises RequestError (with the exit code of swarmctl) because no robot is targeted,
     NetworkError because no daemon is reached, or ConfigError because a value is wrong. A method
     raises SwarmError, the base of these errors, if the connection is closed or 8 requests are under
-    way. Several threads may use one object; a stop waits for no other method.
+    way. Several threads may use one object; a stop waits for no other method. A process that was
+    forked after a method of its parent used Zenoh may stop robots; other methods raise ForkedError.
     """
 
     def __init__(
@@ -59,10 +61,15 @@ class Swarm(Closing):
         places: Places | None = None,
         cancelled: threading.Event | None = None,
     ) -> None:
-        self._pool, self._timeout, self._tell, self._places = pool, timeout, tell, places
+        self._pool_of_parent = pool  # its own, unless this process was forked
+        self._timeout, self._tell, self._places = timeout, tell, places
         self._cancelled = cancelled or threading.Event()
         self._parents: tuple[threading.Event, ...] = ()
         self._began: float | None = None  # when the call began; None: when it takes an operator
+
+    @property
+    def _pool(self) -> OperatorPool:
+        return self._pool_of_parent.here()
 
     def close(self) -> None:
         """Leave the network, within a second; robots go on, except those of runs with a lease."""
@@ -434,7 +441,7 @@ class Swarm(Closing):
         `began`: when the call was made, in s on the clock since boot; None: now.
         """
         one = Swarm(
-            self._pool,
+            self._pool_of_parent,
             timeout=self._timeout,
             tell=self._tell,
             places=self._places,
@@ -451,16 +458,24 @@ class Swarm(Closing):
         """A session for one call; the end of the main thread cancels it, unless it `is_stop`."""
         timeout = check_time("timeout", timeout)
         began = boottime() if self._began is None else self._began
-        events = (self._cancelled, *self._parents)
+        events, process = (self._cancelled, *self._parents), os.getpid()
+
+        def is_cancelled() -> bool:
+            if os.getpid() != process:
+                raise ForkedError(
+                    f"this iterator began in process {process}, of which this process is a fork;"
+                    " call the method again here"
+                )
+            is_unowned = is_program_ended() and not is_stop
+            return is_unowned or any(event.is_set() for event in events)
+
         lend = self._pool.lend_for_request if is_request else self._pool.lend
         with lend() as operator:
             yield Session(
                 operator,
                 self._timeout if timeout is None else timeout,
                 self._tell,
-                lambda: (
-                    any(event.is_set() for event in events) or (is_program_ended() and not is_stop)
-                ),
+                is_cancelled,
                 began,
             )
 

@@ -12,7 +12,8 @@
     │   └── MissingSensorError   the platform lacks what a pattern or condition needs
     ├── DriverError      the robot's base cannot be reached or does not answer as it should
     ├── NetworkError     no session, no peers, no answer
-    │   └── IdHeldError  the robot's id belongs to another daemon of the swarm
+    │   ├── IdHeldError  the robot's id belongs to another daemon of the swarm
+    │   └── ForkedError  this process was forked from one whose connection it cannot use
     └── RequestError     an operator's request or query of all robots failed as a whole
 
 Every message names what is wrong, where, what was expected and what to do, in one line.
@@ -77,6 +78,10 @@ class NetworkError(SwarmError):
 
 class IdHeldError(NetworkError):
     """The robot's id belongs to another daemon of this swarm."""
+
+
+class ForkedError(NetworkError):
+    """A process that was forked lacks the threads of the connection that its parent opened."""
 
 
 class RequestError(SwarmError):

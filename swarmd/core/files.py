@@ -37,6 +37,12 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))  # before Python 3.13 Path.resolve raises RuntimeError
 
 
+def leads_nowhere(path: Path) -> bool:
+    """True if the path, or a folder above it, is a link without a target, such as to a drive that
+    is not mounted: what is missing there may exist. OSError if a folder cannot be read."""
+    return any(one.is_symlink() and not one.exists() for one in (path, *path.parents))
+
+
 def open_regular(path: str | Path, flags: int = 0) -> BinaryIO:
     """Open a regular file to read. OSError for a device, a pipe, a socket or a folder.
 
@@ -143,6 +149,28 @@ def open_folder(path: str | Path, within: int | None = None) -> Iterator[int]:
         yield handle
     finally:
         os.close(handle)
+
+
+def lock_file(handle: int, *, waits: bool) -> bool:
+    """Lock an open file or folder exclusively, until its descriptor is closed.
+
+    False if the file system has no locks, as NFS without a lock daemon and some Lustre: then
+    nothing is locked, and the caller decides whether that is safe. BlockingIOError if another
+    process has the lock, unless `waits`.
+    """
+    import fcntl  # not on Windows, where results can be read
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _NO_LOCKS:
+            return False
+        raise
+    return True
+
+
+_NO_LOCKS = frozenset({errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP})
+"""What flock(2) gives on a file system without locks."""
 
 
 def remove_whole(path: Path) -> None:

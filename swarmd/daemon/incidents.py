@@ -727,7 +727,9 @@ class IncidentService:
         """End the black box after an error."""
         log.info("the black box ends", exc_info=error)
         self._due.clear()
-        self._recorder.end_ring(getattr(error, "strerror", None) or repr(error))
+        cause = getattr(error, "strerror", None) or repr(error)
+        place = getattr(error, "filename", None)
+        self._recorder.end_ring(f"{place}: {cause}" if place else cause)
 
     def _fail(self, fault: str) -> None:
         self.fault = fault[:MAX_TEXT]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import socket
 from collections.abc import Mapping
 from contextlib import suppress
@@ -15,6 +16,8 @@ from pathlib import Path
 from typing import IO
 
 from swarmd.core.clock import TICK
+from swarmd.core.errors import ConfigError
+from swarmd.core.files import as_text
 
 DECISION_TIMEOUT = 4 * TICK
 """Seconds without a decision of protection after which systemd's watchdog is not fed."""
@@ -84,12 +87,39 @@ m {USER} {SERIAL_GROUP}
 
 
 def unit_text(program: Path, config: Path = CONFIG_FILE) -> str:
-    """The unit `swarmd.service` of this package, for the absolute path `program` of `swarmd`."""
+    """The unit `swarmd.service` of this package, for the absolute path `program` of `swarmd`.
+
+    ConfigError if systemd starts no program at such a path.
+    """
     text = (files("swarmd.daemon") / "swarmd.service").read_text()
-    return text.replace("@PROGRAM@", _quoted(program)).replace(str(CONFIG_FILE), _quoted(config))
+    text = text.replace("@PROGRAM@", _program(program))
+    return text.replace(str(CONFIG_FILE), _argument(config))
 
 
-def _quoted(path: Path) -> str:
-    """The path quoted for systemd, in which `%` begins a specifier and a space ends a word."""
-    text = str(path).replace("%", "%%")
-    return f'"{text}"' if " " in text else text
+_REFUSED = re.compile(r"""['"\\\x00-\x1f\x7f]""")
+"""What systemd refuses in the path of a program, quoted or not ("special characters")."""
+_PLAIN = re.compile(r"[\w/.,:=+@-]+", re.ASCII)
+"""What means itself in a unit. A `%` begins a specifier, a `;` alone ends a command."""
+
+
+def _program(path: Path) -> str:
+    """The path of a program as the first word of a line of a unit; `$` means itself there."""
+    text = as_text(path)
+    if found := _REFUSED.search(text):
+        raise ConfigError(
+            f"{text!r}: systemd starts no program with {found[0]!r} in its path; make a link to its"
+            " folder at another path, such as ln -s FOLDER /opt/swarmd-bin, and give --program"
+            " /opt/swarmd-bin/swarmd"
+        )
+    text = text.replace("%", "%%")
+    return text if _PLAIN.fullmatch(text) else f'"{text}"'
+
+
+def _argument(path: Path) -> str:
+    """The path as a further word of a line that starts a program (systemd.service(5))."""
+    text = as_text(path)
+    if _PLAIN.fullmatch(text):
+        return text
+    text = re.sub(r"""(["\\])""", r"\\\1", text.replace("%", "%%").replace("$", "$$"))
+    text = re.sub(r"[\x01-\x1f\x7f]", lambda sign: f"\\x{ord(sign[0]):02x}", text)
+    return f'"{text}"'

@@ -20,7 +20,7 @@ write fails, while a mapping would end the process.
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import os
 import stat
 import struct
@@ -34,6 +34,7 @@ from pathlib import Path
 import msgspec
 
 from swarmd.core.errors import CodecError
+from swarmd.core.files import lock_file
 from swarmd.recording.frames import Begin, Entry, decode_batch
 from swarmd.settings.file_limits import FileLimits
 
@@ -243,11 +244,15 @@ def remove_old(folder: Path, wall: float) -> None:
 
 
 def _open(path: Path, flags: int = os.O_RDWR | os.O_CREAT) -> int:
-    """A locked file; OSError if another process has locked it."""
+    """A locked file; OSError with its path if another process has locked it, or without locks."""
     # A pipe in its place is refused later, and not waited for.
     file = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not lock_file(file, waits=False):
+            raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK), str(path))
+    except BlockingIOError as error:
+        os.close(file)
+        raise BlockingIOError(error.errno, "another process uses it", str(path)) from error
     except OSError:
         os.close(file)
         raise

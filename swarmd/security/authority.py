@@ -8,10 +8,9 @@ valid from 1970 on: the clock of a robot without a battery is in the past after 
 from __future__ import annotations
 
 import datetime
-import fcntl
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import msgspec
@@ -23,7 +22,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.files import read_regular
+from swarmd.core.files import lock_file, read_regular
 from swarmd.core.keys import check_id
 from swarmd.security import datagram_keys
 from swarmd.security.content_signature import Purpose, sign
@@ -328,13 +327,30 @@ class Authority:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Lock the authority in the block against changes by other processes."""
-        handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX)
+        """Lock the authority in the block against changes by other processes.
+
+        A home on NFS may have no locks of files; its folder then locks out the processes of this
+        machine. ConfigError if neither can be locked: two changes at once would lose one.
+        """
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
+        folder_flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+        with ExitStack() as opened:
+            for path, how in ((self.folder / LOCK, flags), (self.folder, folder_flags)):
+                try:
+                    handle = os.open(path, how, 0o600)
+                    opened.callback(os.close, handle)
+                    is_locked = lock_file(handle, waits=True)
+                except OSError as error:
+                    raise ConfigError(f"authority {path}: {error.strerror}") from error
+                if is_locked:
+                    break
+            else:
+                raise ConfigError(
+                    f"authority {self.folder}: its file system has no locks, and two changes at"
+                    " once would lose one; move the folder of your settings to a local disk and"
+                    " name it by XDG_CONFIG_HOME"
+                )
             yield
-        finally:
-            os.close(handle)
 
     def _read_state(self) -> tuple[AuthorityState, Roster]:
         """The present state on disk and its roster. ConfigError if it cannot be read."""

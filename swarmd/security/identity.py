@@ -18,7 +18,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Id
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.files import read_regular, write_whole
+from swarmd.core.files import leads_nowhere, read_regular, write_whole
 from swarmd.security.datagram_keys import DatagramKeys
 from swarmd.security.roster import PublicKey, Role, Roster, read_roster, stored_roster
 
@@ -123,11 +123,62 @@ def identity_folders(swarm: str, environ: Mapping[str, str] = os.environ) -> tup
     return (system,) if user is None else (user / "identities" / swarm, system)
 
 
-def find_identity(swarm: str, environ: Mapping[str, str] = os.environ) -> Identity | None:
-    """The identity of this user or machine for a swarm, or None; errors as `load_identity`."""
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """What is known of the installed identity for a swarm; all None: there is none.
+
+    `folder`: the folder of the identity, which may be damaged. `hidden`: why a folder that may
+    contain one cannot be looked into, in one line.
+    """
+
+    folder: Path | None = None
+    hidden: str | None = None
+
+
+def installed_identity(swarm: str, environ: Mapping[str, str] = os.environ) -> Installed:
+    """Where the identity of this user or machine for a swarm is installed."""
+    hidden = None
     for folder in identity_folders(swarm, environ):
-        if (folder / INFO).exists():
-            return load_identity(folder)
+        try:
+            if _holds_identity(folder):
+                return Installed(folder, hidden)
+        except OSError as error:
+            hidden = hidden or f"{folder}: {error.strerror}"
+    return Installed(hidden=hidden)
+
+
+def _holds_identity(folder: Path) -> bool:
+    """True if an identity is in a folder, or was: also one whose files cannot be read, or lack.
+
+    OSError if it cannot be known.
+    """
+    try:
+        found = os.lstat(folder)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        if leads_nowhere(folder.parent):
+            raise FileNotFoundError(error.errno, "a link above it leads nowhere") from error
+        return False
+    if not stat.S_ISDIR(found.st_mode) and not folder.is_dir():
+        return True  # a file, or a link that leads nowhere, such as to a drive that is not there
+    try:
+        return not {INFO, CERTIFICATE, KEY, ROSTER}.isdisjoint(os.listdir(folder))
+    except PermissionError:
+        return True
+
+
+def find_identity(swarm: str, environ: Mapping[str, str] = os.environ) -> Identity | None:
+    """The identity of this user or machine for a swarm, or None; errors as `load_identity`.
+
+    ConfigError also if it cannot be known whether there is one.
+    """
+    installed = installed_identity(swarm, environ)
+    if installed.folder is not None:
+        return load_identity(installed.folder)
+    if installed.hidden is not None:
+        raise ConfigError(
+            f"{installed.hidden}: there may be an identity for swarm {swarm}; make the folder"
+            " readable, or give --identity, or --insecure if the swarm has no keys"
+        )
     return None
 
 

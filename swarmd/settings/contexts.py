@@ -13,13 +13,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.files import whole_file
+from swarmd.core.files import leads_nowhere, read_regular, write_whole
 from swarmd.core.keys import check_id
 from swarmd.network.settings import Profile, parse_endpoint
 from swarmd.security.identity import user_folder
@@ -83,24 +83,77 @@ def contexts_path(environ: Mapping[str, str] = os.environ) -> Path | None:
 
 
 def load_contexts(path: Path | None) -> Contexts:
-    """The contexts in a file, empty without one. ConfigError names the first fault."""
-    if path is None or not path.exists():
-        return Contexts()
-    from swarmd.settings.layered import Layered  # imported late: most commands need no YAML
+    """The contexts in a file, empty without one. ConfigError names the first fault, and a remedy.
+
+    An empty file is a fault: `save_contexts` writes none, so it is what a full disk has left.
+    """
+    contexts, faults = read_contexts(path)
+    if faults:
+        assert path is not None
+        raise ConfigError(f"{faults[0]}; {remedy(path)}")
+    return contexts
+
+
+def read_contexts(path: Path | None) -> tuple[Contexts, tuple[str, ...]]:
+    """The contexts in a file that can be read, and a line for each fault of the file."""
+    if path is None or not _is_there(path):
+        return Contexts(), ()
+    from swarmd.settings.layered import Layered, read  # imported late: most commands need no YAML
+
+    try:
+        name, data = _content(path)
+    except ConfigError as error:
+        return Contexts(), (str(error),)
+    contexts, faults = read(data, Contexts, _check)
+    source = Layered((name, data))
+    return contexts or Contexts(), tuple(str(source.error(*fault)) for fault in faults)
+
+
+def remedy(path: Path) -> str:
+    """What a user does about a contexts file that cannot be read."""
+    import shlex  # 2 ms, only for errors
+
+    try:
+        read_regular(path)
+    except PermissionError:
+        return f"make it yours: sudo chown -R $USER {shlex.quote(str(path.parent))}"
+    except OSError:
+        pass
+    return "correct it, or move it away and add the contexts again"
+
+
+def _is_there(path: Path) -> bool:
+    """False if there is no such file; True also if the file or its folder cannot be read.
+
+    True also for a link that leads nowhere, such as to a drive that is not mounted.
+    """
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return leads_nowhere(path.parent)
+    except OSError:
+        pass
+    return True
+
+
+def _content(path: Path) -> tuple[str, dict[str, Any]]:
+    """The name of a contexts file in errors, and what it holds. ConfigError if it is not YAML."""
     from swarmd.settings.yamlfile import read, shown
 
-    return Layered((shown(path), read(path))).build(Contexts, _check)
+    name, data = shown(path), read(path)
+    if not data and path.stat().st_size == 0:
+        raise ConfigError(f"{name}: is empty, such as after a full disk; expected contexts")
+    return name, data
 
 
 def save_contexts(path: Path | None, contexts: Contexts) -> None:
-    """Write the contexts, whole or not at all. ConfigError without a home."""
+    """Write the contexts to disk, whole or not at all. ConfigError without a home."""
     from swarmd.settings.yamlfile import text_of
 
     if path is None:
         raise ConfigError("contexts are kept in $HOME/.config/swarmd; set HOME")
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    with whole_file(path) as partial:
-        partial.write_text(text_of(msgspec.to_builtins(contexts)), "utf-8")
+    write_whole(path, text_of(msgspec.to_builtins(contexts)).encode())
 
 
 def context_in_use(environ: Mapping[str, str] = os.environ) -> tuple[str, Context] | None:
@@ -110,11 +163,35 @@ def context_in_use(environ: Mapping[str, str] = os.environ) -> tuple[str, Contex
     """
     path = contexts_path(environ)
     named = environ.get(ENVIRONMENT)
-    if not named and (path is None or not path.exists()):
+    if not named and (path is None or not _is_there(path)):
         return None
     contexts = load_contexts(path)
     name = named or contexts.use
     return (name, contexts.get(name)) if name else None
+
+
+def readable_part(swarm: str, environ: Mapping[str, str] = os.environ) -> Context | None:
+    """The valid options of the context in use of a file with faults, if the context is of `swarm`.
+
+    For instance a newer version has written a key that this one does not know. None if it is not
+    known that the context is of `swarm`, and if its identity or another path is wrong.
+    """
+    from swarmd.settings.layered import read
+
+    path = contexts_path(environ)
+    try:
+        data = {} if path is None or not _is_there(path) else _content(path)[1]
+    except ConfigError:
+        return None
+    contexts, name = data.get("contexts"), environ.get(ENVIRONMENT) or data.get("use")
+    options = contexts.get(name) if isinstance(contexts, dict) else None
+    if not isinstance(options, dict) or options.get("swarm") != swarm:
+        return None
+    context, faults = read(options, Context)
+    is_secret_wrong = any(keys[0] in ("identity", "insecure") for keys, _ in faults)
+    if is_secret_wrong or any(_faults_of(context, ())):
+        return None
+    return cast(Context, context)
 
 
 def add_context(

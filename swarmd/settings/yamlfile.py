@@ -122,7 +122,10 @@ def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
 
 def shown(path: Path) -> str:
     """The path as errors show it: relative if it is below the working directory, else absolute."""
-    real, here = real_path(path), Path.cwd()
+    try:
+        real, here = real_path(path), Path.cwd()
+    except OSError:  # the working directory was removed
+        return str(path)
     return str(real.relative_to(here)) if real.is_relative_to(here) else str(real)
 
 

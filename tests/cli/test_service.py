@@ -130,10 +130,65 @@ def test_a_program_that_is_absent_is_refused(
     assert not within(root, UNIT_FILE).exists()
 
 
+@pytest.mark.parametrize(
+    "folder", ["o'neil", 'a"b', "back\\slash", "tab\tx", "new\nline", "bell\x07", "no\udcffutf8"]
+)
+def test_a_program_that_systemd_never_starts_is_refused_before_anything_is_written(
+    folder: str, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """systemd.exec refuses quotes, backslashes and control characters in the name of a program."""
+    program = Path("/home") / folder / "swarmd"
+    within(root, program).parent.mkdir(parents=True)
+    within(root, program).write_text("")
+    assert service("install", "--root", str(root), "--program", str(program)) == 2
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert repr(str(program)) in told.err
+    assert not within(root, UNIT_FILE).exists()
+    assert not within(root, SYSUSERS_FILE).exists()
+
+
+@pytest.mark.parametrize(
+    ("path", "word"),
+    [
+        ("/opt/swarmd/bin/swarmd", "/opt/swarmd/bin/swarmd"),
+        ("/home/my user/swarmd", '"/home/my user/swarmd"'),
+        ("/home/100%/swarmd", '"/home/100%%/swarmd"'),
+        ("/home/%h/swarmd", '"/home/%%h/swarmd"'),
+        ("/home/x$HOME/swarmd", '"/home/x$HOME/swarmd"'),
+        ("/home/a ; b/swarmd", '"/home/a ; b/swarmd"'),
+        ("/home/ümlaut/swarmd", '"/home/ümlaut/swarmd"'),
+    ],
+)
+def test_a_path_is_one_word_of_the_unit(path: str, word: str) -> None:
+    unit = settings_of(unit_text(Path(path)))
+    assert unit["ExecStart"] == [f"{word} --config {CONFIG_FILE}"]
+    assert unit["ExecStopPost"] == [f"-{word} stop-base --config {CONFIG_FILE}"]
+
+
+@pytest.mark.parametrize(
+    ("path", "word"),
+    [
+        ("/etc/my swarm.yaml", '"/etc/my swarm.yaml"'),
+        ("/etc/100%.yaml", '"/etc/100%%.yaml"'),
+        ("/etc/$A.yaml", '"/etc/$$A.yaml"'),
+        ("/etc/o'neil.yaml", '"/etc/o\'neil.yaml"'),
+        ('/etc/a"b\\c.yaml', '"/etc/a\\"b\\\\c.yaml"'),
+        ("/etc/tab\tx.yaml", '"/etc/tab\\x09x.yaml"'),
+    ],
+)
+def test_the_path_of_the_settings_is_one_word_of_the_unit(path: str, word: str) -> None:
+    unit = settings_of(unit_text(PROGRAM, Path(path)))
+    assert unit["ExecStart"] == [f"{PROGRAM} --config {word}"]
+
+
 @pytest.mark.integration
 def test_the_status_names_what_is_there_and_what_is_wrong(
     root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert service("status", "--root", str(root)) == 3
+    assert "identity.json" in capsys.readouterr().out  # an identity without all its files
+    (within(root, CONFIG_FILE).parent / "identities/meadow/key.pem").unlink()
     assert service("status", "--root", str(root)) == 3
     said = capsys.readouterr().out
     assert "absent" in said
@@ -178,8 +233,9 @@ def test_systemd_finds_no_fault_in_the_unit_and_little_exposure(tmp_path: Path) 
 
 @pytest.mark.integration
 @needs_systemd
-def test_systemd_reads_paths_with_spaces_and_percent_signs(tmp_path: Path) -> None:
-    program = tmp_path / "a folder %h" / "swarmd"
+@pytest.mark.parametrize("folder", ["a folder %h", "x$HOME ; ${HOME}", "-ümlaut @at #1 [2]*"])
+def test_systemd_reads_paths_with_odd_characters(tmp_path: Path, folder: str) -> None:
+    program = tmp_path / folder / "swarmd"
     program.parent.mkdir()
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 import queue
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import pytest
+import zenoh
 
 import swarmd
 from swarmd.client.arguments import check_words, plain_params
@@ -30,8 +32,10 @@ from swarmd.client.session import Session
 from swarmd.client.states import RobotState, _put
 from swarmd.client.swarm import Swarm, _targets
 from swarmd.client.targets import Targets
-from swarmd.core.errors import ConfigError, RequestError, SwarmError
+from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmError
 from swarmd.core.messages import Code, Motion, Reply, State
+from swarmd.network.carriers import forked
+from swarmd.network.carriers.session import open_with
 from swarmd.network.datagram import RunLease
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
@@ -240,6 +244,79 @@ def test_no_lease_outlives_the_connection_or_a_later_run_of_its_robots() -> None
     assert sorted(ended) == ["one", "three", "two"]
     pool.keep_lease(["r1"], lease("late"))  # of a run that was under way as the pool closed
     assert ended[-1] == "late"
+
+
+def test_a_fork_has_operators_of_its_own_and_leaves_what_its_parent_holds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made, ended = Counted(), list[str]()
+    pool = OperatorPool(made)
+    with pool.here().lend() as of_parent:
+        pass
+    lease = ExitStack()
+    lease.callback(ended.append, "lease")
+    pool.keep_lease(["r1"], lease)
+    assert pool.here() is pool
+    pool._lock.acquire()  # as another thread of the parent may at the moment of the fork
+    parent = os.getpid()
+    with monkeypatch.context() as fork:
+        fork.setattr(os, "getpid", lambda: parent + 1)
+        child = pool.here()
+        assert child is pool.here() is not pool
+        with child.lend() as own:
+            assert own is not of_parent
+        child.close()
+        with pytest.raises(SwarmError, match="closed"), pool.here().lend():
+            pass
+    pool._lock.release()
+    assert (made.made, made.open, ended) == (2, 1, [])
+    with pool.here().lend() as again:
+        assert again is of_parent
+    pool.close()
+    assert ended == ["lease"]
+    with monkeypatch.context() as fork:
+        fork.setattr(os, "getpid", lambda: parent + 2)
+        with pytest.raises(SwarmError, match="closed"), pool.here().lend():
+            pass
+
+
+def test_an_operator_that_a_fork_has_from_its_parent_is_not_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made, parent = Counted(), os.getpid()
+    pool = OperatorPool(made)
+    with monkeypatch.context() as fork:
+        with suppress(RequestError), pool.lend():
+            fork.setattr(os, "getpid", lambda: parent + 1)
+            raise RequestError("no robot", NO_TARGET)
+        assert made.open == 1
+    pool.close()
+
+
+def test_a_fork_of_a_process_that_uses_zenoh_opens_no_session(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    forked._process_of_zenoh.cache_clear()
+    forked.check_not_forked("nothing")
+    parent = os.getpid()
+    with monkeypatch.context() as fork:
+        fork.setattr(os, "getpid", lambda: parent + 1)
+        fork.setattr(zenoh, "open", lambda config: pytest.fail("Zenoh hangs in a fork"))
+        with pytest.raises(ForkedError, match=str(parent)) as refused:
+            open_with({}, "swarm 'meadow'")
+        assert "spawn" in str(refused.value)
+    forked.check_not_forked("nothing")
+
+
+def test_an_iterator_of_the_parent_ends_in_a_fork_with_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    swarm, parent = Swarm(OperatorPool(Counted())), os.getpid()
+    with swarm._session(None) as session, monkeypatch.context() as fork:
+        assert not session.is_cancelled()
+        fork.setattr(os, "getpid", lambda: parent + 1)
+        with pytest.raises(ForkedError, match=str(parent)):
+            session.is_cancelled()
 
 
 def test_a_lease_is_renewed_only_while_it_is_owned() -> None:

@@ -220,6 +220,66 @@ assert swarm.stop("r1").applied
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
+FORKED = """
+import os, sys, time, swarmd
+from swarmd.core.errors import ForkedError, NetworkError, RequestError
+swarm = swarmd.connect().open()
+parent = os.getpid()
+def in_time(ask):
+    while True:  # a machine that stalls may have robots heard late
+        try:
+            if answer := ask():
+                return answer
+        except ForkedError as error:
+            assert str(parent) in str(error), error
+            return "forked"
+        except (NetworkError, RequestError):
+            time.sleep(0.1)
+assert in_time(lambda: swarm.run("drive", "r1", lease=60.0).applied) == ("r1",)
+states = swarm.states()
+next(states)
+assert in_time(swarm.members)  # its operator waits for the next call
+def work():
+    assert in_time(swarm.members) == "forked"
+    assert in_time(lambda: list(swarm.states(seconds=1.0))) == "forked"
+    assert in_time(lambda: list(states)) == "forked"
+    assert in_time(lambda: swarm.run("drive", "r1", lease=1.0)) == "forked"
+    assert in_time(lambda: swarm.stop("r2").applied) == ("r2",)
+    assert in_time(lambda: swarm.estop("r2").applied) == ("r2",)
+    swarm.close()
+    sys.exit(5)
+"""
+FORK = "child = os.fork()\nif not child: work()\nstatus = os.waitpid(child, 0)[1]\n"
+WORKER_PROCESS = """
+import multiprocessing
+child = multiprocessing.get_context("fork").Process(target=work)
+child.start()
+child.join()
+status = child.exitcode << 8
+"""
+AFTERWARDS = """
+assert os.waitstatus_to_exitcode(status) == 5
+assert swarm.wait("state=running", "r1", timeout=60.0) == ("r1",)
+assert swarm.wait("state=estopped", "r2", timeout=60.0) == ("r2",)
+assert in_time(lambda: swarm.stop("r1").applied) == ("r1",)
+"""
+
+
+@pytest.mark.parametrize("fork", [FORK, WORKER_PROCESS], ids=["fork", "multiprocessing"])
+def test_a_fork_stops_robots_and_is_told_what_it_cannot_do(
+    shared_swarm: Swarm, name: str, fork: str
+) -> None:
+    """The robots of its parent go on under their lease, also once the fork has ended."""
+    ended = subprocess.run(
+        [sys.executable, "-c", f"{FORKED}{fork}{AFTERWARDS}"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=CAP,
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def test_a_stop_is_sent_at_exit(name: str, shared_swarm: Swarm) -> None:
     script = f"{OPENED}import atexit; atexit.register(swarm.stop)"
     ended = subprocess.run(

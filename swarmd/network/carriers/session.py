@@ -32,6 +32,7 @@ from zenoh.handlers import Callback
 from swarmd.core.closing import is_program_ended
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.network.access import asker_access, robot_access
+from swarmd.network.carriers.forked import check_not_forked
 from swarmd.network.carriers.interface_watch import flags_of, index_of
 from swarmd.network.settings import FIELD_PORT, NetworkSettings, parse_endpoint
 
@@ -148,9 +149,11 @@ PROMPT_OPTIONS: Mapping[str, object] = {
 def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
     """Open a session with Zenoh's options, path to value.
 
-    Raises NetworkError, whose text names `what` the session is for. Raises SwarmError once the main
-    thread has ended: nothing would close the session before Python ends.
+    Raises NetworkError, whose text names `what` the session is for. Raises ForkedError in a process
+    that was forked after its parent opened a session. Raises SwarmError once the main thread has
+    ended: nothing would close the session before Python ends.
     """
+    check_not_forked(f"no session for {what}")
     if is_program_ended():
         raise SwarmError(f"no session for {what}: the main thread of this program has ended")
     config = zenoh.Config()

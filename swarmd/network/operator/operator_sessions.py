@@ -11,8 +11,9 @@ from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING
 
 from swarmd.core.closing import is_program_ended
-from swarmd.core.errors import CodecError, NetworkError
+from swarmd.core.errors import CodecError, ForkedError, NetworkError
 from swarmd.core.keys import ANY, ANYONE, CONTROL, build, parse
+from swarmd.network.carriers.forked import check_not_forked
 from swarmd.network.carriers.query_links import QueryLinks
 from swarmd.network.datagram import Address
 from swarmd.network.operator.arrivals import Arrivals
@@ -109,8 +110,10 @@ class OperatorSessions:
         """Close all sessions, each on a thread; robots are dialled anew afterwards.
 
         Once the main thread has ended, at which Python starts no more threads, they are closed at
-        the return.
+        the return. A child process of `os.fork` closes none: they are its parent's.
         """
+        if os.getpid() != self._process:
+            return []
         if is_program_ended():
             from swarmd.network.carriers.session import end_dials
 
@@ -207,6 +210,8 @@ class OperatorSessions:
 
         try:
             return [open_operator_session(self._settings, endpoints, self._identity)]
+        except ForkedError:
+            raise
         except NetworkError:
             if len(endpoints) < 2:
                 return []
@@ -294,7 +299,11 @@ class OperatorSessions:
     # Subscriptions
 
     def watch(self, name: str, handler: Handler, robot: str) -> None:
-        """Hand what robots publish on `state/<name>` to `handler`, in later sessions as well."""
+        """Hand what robots publish on `state/<name>` to `handler`, in later sessions as well.
+
+        ForkedError in a process to which no session would bring anything.
+        """
+        check_not_forked(f"nothing is heard of swarm {self._settings.swarm!r}")
         self._watched[name, robot] = handler
         with self._calls:
             for session in self._opened:
@@ -303,6 +312,8 @@ class OperatorSessions:
     def unwatch(self, name: str, robot: str) -> None:
         """End the subscriptions that `watch` has made."""
         if sys.is_finalizing():  # an iterator that was left; the session is closed
+            return
+        if os.getpid() != self._process:  # a fork closes nothing of its parent
             return
         from swarmd.network.carriers.session import undeclare
 

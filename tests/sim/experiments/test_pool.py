@@ -146,6 +146,18 @@ def test_the_start_of_a_worker_does_not_count_as_a_step(duo: Path) -> None:
         worker.kill()
 
 
+@pytest.mark.usefixtures("real_starts")
+def test_a_worker_that_a_module_of_python_path_ends_names_it(
+    duo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scipy").mkdir()
+    (tmp_path / "scipy" / "__init__.py").write_text('raise ImportError("of another Python")\n')
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (result,) = done([job(duo, 0)], 1).values()
+    assert f"scipy ({tmp_path})" in result.reason
+    assert "of another Python" in result.reason
+
+
 def test_a_slow_run_reports_progress_and_may_take_longer_than_the_limit(duo: Path) -> None:
     slow = job(duo, 0, None, {END: "slow", "duration": 1.2})
     with closing(run_jobs([slow], 1, timeout=3.0)) as found:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import builtins
+import os
+import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,6 +64,52 @@ def test_without_matplotlib_the_error_names_what_to_install(
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(SwarmError, match=r"pip install 'swarmd\[plot\]'"):
         new_figure(3.0, 2.0)
+
+
+@pytest.mark.parametrize("error", [ValueError("no backend 'nonsense'"), PermissionError("rc")])
+def test_settings_of_the_user_that_stop_the_import_are_one_line(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """`$MPLBACKEND` of a user counts in a program of the user; a verb ignores it."""
+
+    def fail(name: str, *more: Any) -> Any:
+        if name == "matplotlib":
+            raise error
+        return real_import(name, *more)
+
+    real_import = builtins.__import__
+    monkeypatch.setattr(builtins, "__import__", fail)
+    with pytest.raises(SwarmError, match="MPLBACKEND") as refused:
+        new_figure(3.0, 2.0)
+    assert "\n" not in str(refused.value)
+
+
+VERB = """
+import sys
+from pathlib import Path
+from swarmd.sim.cli.options import need
+need("matplotlib")
+from swarmd.sim.plots.theme import new_figure, save
+figure = new_figure(3.0, 2.0)
+figure.add_subplot().set_title("title")
+save(figure, Path(sys.argv[1]))
+"""
+
+
+@pytest.mark.integration
+@pytest.mark.long
+def test_a_verb_draws_without_backend_and_style_of_the_user(tmp_path: Path) -> None:
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
+    of_user = {"MPLBACKEND": "nonsense", "MATPLOTLIBRC": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", VERB, tmp_path / "x.png"],
+        env={**os.environ, **of_user},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "x.png").exists()
 
 
 @pytest.mark.parametrize("in_the_way", ["taken", "taken/x.png/folder"])
