@@ -94,7 +94,7 @@ from swarmd.daemon.goal_service import STORE_TIME
 from swarmd.daemon.requests import RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.programs import MAX_TAKEN, Programs
-from swarmd.network.datagram import Ack, Address, Datagram, Stop
+from swarmd.network.datagram import Ack, Address, Datagram, RunLease, Stop
 from swarmd.network.members.admission import Admission
 from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import Author
@@ -280,6 +280,9 @@ class VirtualSwarm:
         self.judge: Judge | None = None
         self.issued: dict[str, float] = {}  # when stops, goals and requests were made, by id
         self.worked: dict[str, float] = {}  # s of an operator's work, and until a start, by id
+        self.renewed: dict[str, float] = {}  # when an operator last renewed a lease, by goal
+        # What an attacker has recorded: the leases that operators sent, with their senders.
+        self.recorded: list[tuple[RunLease, Node]] = []
         self.robots: dict[str, VirtualDaemon] = {}
         self.nodes: dict[str, Node] = {}
         self._by_address: dict[Address, Node] = {}
@@ -343,6 +346,8 @@ class VirtualSwarm:
             receivers = [one for one in self.nodes.values() if one is not sender]
         else:
             receivers = [self._by_address[to]] if to in self._by_address else []
+        if isinstance(body, RunLease):
+            self.recorded.append((body, sender))
         delay = self.delay + self.slow.get(sender.name, 0.0)
         self.slowest = max(self.slowest, delay + max(self.copies, default=0.0))
         for one in receivers:
@@ -353,6 +358,15 @@ class VirtualSwarm:
             when = self.now + delay * (1.0 + (MOST_DELAY - 1.0) * self.random.random())
             for later in self._arrivals(sender.name, one.name, body, self.copies):
                 self.at(when + later, partial(one.receive, body, sender))
+
+    def play_back(self, robot: str, period: float, newest: int) -> None:
+        """An attacker sends a robot the `newest` leases that were recorded, one each `period` s.
+
+        In the order in which they were sent. The signatures hold, and the source is forged.
+        """
+        for number, (lease, sender) in enumerate(self.recorded[-newest:]):
+            when = self.now + period * number
+            self.at(when, partial(self.nodes[robot].receive, lease, sender))
 
     def name_of(self, address: Address) -> str:
         """The robot or operator at an address."""
@@ -730,8 +744,8 @@ class VirtualDaemon(Node):
         for robot in effects.changed:
             if (lost := self.peer.membership.lost_beacon(robot)) is not None:
                 self.black_box.on_lost(lost)
-        for lease in effects.leases:
-            self._step(LeaseInput(lease.id, lease.count))
+        for heard in effects.leases:
+            self._step(LeaseInput(heard.lease.id, heard.lease.count, heard.age))
         if effects.duplicate:
             self._step(DuplicateInput(effects.duplicate))
 

@@ -29,7 +29,7 @@ from swarmd.network.datagram import (
     unpack,
 )
 from swarmd.network.members.admission import Admission
-from swarmd.network.peer import CheckGoal, Peer, PeerActions, PeerSettings, Summary
+from swarmd.network.peer import CheckGoal, HeardLease, Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
 from swarmd.robot.goals import Found, Goals
 from tests.network.keyring import Keyring
@@ -54,6 +54,7 @@ class Robot:
     clocks: list[ClockSample] = field(default_factory=list)
     places: list[PeerPlace] = field(default_factory=list)
     kin: list[KinReport] = field(default_factory=list)
+    leases: list[HeardLease] = field(default_factory=list)
     goals: Goals = field(default_factory=lambda: Goals("robot", (), None, 0.0))
     wished: float = -math.inf
     reset_at: float = -math.inf
@@ -297,6 +298,7 @@ class VirtualNetwork:
         robot.clocks.extend(effects.clocks)
         robot.places.extend(effects.places)
         robot.kin.extend(effects.kin)
+        robot.leases.extend(effects.leases)
         robot.invalid_goals += effects.invalid_goals
         for found in effects.goals:
             robot.find(found.goal, found.age, self.now)
