@@ -6,7 +6,8 @@ peers before requests are served. The driver, the pattern host and the links of 
 reduced to what they deliver, and when. Datagrams are not packed: their codec has tests of its own.
 
 An event is due at its time; a daemon ticks when its robot or peer is due, and at least each
-`LONGEST_TICK`. A run of the same events with the same seed is the same run.
+`LONGEST_TICK`. A run of the same events with the same seed is the same run: a read of a clock of
+this machine is an error.
 """
 
 from __future__ import annotations
@@ -111,6 +112,7 @@ from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from tests.histories.black_box import BlackBox, Death, memory_folder
 from tests.support.fake_services import fake_services
+from tests.support.no_real_clock import no_real_clock
 
 STEERING = load_kernel("swarmd.steering.steering").Steering
 LEASE, SETTLE = 3.0, 1.0  # of profile field
@@ -304,7 +306,8 @@ class VirtualSwarm:
         daemon = VirtualDaemon(self, name)
         daemon.join_tick = join_tick
         self.add(daemon)
-        daemon.start()
+        with no_real_clock():
+            daemon.start()
         return daemon
 
     def at(self, when: float, call: Callable[[], object]) -> None:
@@ -315,10 +318,11 @@ class VirtualSwarm:
         """Let time pass."""
         end = self.now + seconds
         events = self._events
-        while events and events[0][0] <= end:
-            when, _, call = heapq.heappop(events)
-            self.now = max(when, self.now)
-            call()
+        with no_real_clock():
+            while events and events[0][0] <= end:
+                when, _, call = heapq.heappop(events)
+                self.now = max(when, self.now)
+                call()
         self.now = end
 
     def until(self, holds: Callable[[], bool], cap: float = 30.0) -> None:
@@ -530,6 +534,7 @@ class VirtualDaemon(Node):
             replace(fake_services(), incidents=self.black_box.service),
             drops=StrictDrops(),
             is_secured=swarm.is_secured,
+            clock=lambda: swarm.now,
         )
         self.black_box.open()
         self._observe()

@@ -29,7 +29,7 @@ from tests.histories import swarm
 from tests.histories.history import History, Steps, draw, fault_of, replay, script, shrink, step
 from tests.histories.invariants import HISTORIES, BrokenRuleError, Invariants
 
-BLOCK = 50
+BLOCK = 25
 IN_SUITE, IN_EVIDENCE = range(0, 100, BLOCK), range(100, HISTORIES, BLOCK)
 
 

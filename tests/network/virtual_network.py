@@ -33,6 +33,7 @@ from swarmd.network.peer import CheckGoal, HeardLease, Peer, PeerActions, PeerSe
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
 from swarmd.robot.goals import Found, Goals
 from tests.network.keyring import Keyring
+from tests.support.no_real_clock import no_real_clock
 
 TAG = tag_of("field", "lab")
 OPERATOR: Address = ("10.0.0.250", 5000)
@@ -208,7 +209,11 @@ class VirtualNetwork:
             self.run(0.1)
 
     def run(self, seconds: float) -> None:
-        """Let virtual time pass."""
+        """Let virtual time pass; a read of a clock of this machine is an error."""
+        with no_real_clock():
+            self._run(seconds)
+
+    def _run(self, seconds: float) -> None:
         end = self.now + seconds
         while self.now < end - 1e-9:
             self.now += TICK
