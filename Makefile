@@ -99,18 +99,21 @@ release: $(VENV)/tools
 test test-long test-robot: export PYTHONDONTWRITEBYTECODE =
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
 test test-long test-robot: export OPENBLAS_NUM_THREADS = 1
-# $(call tested,JOBS,MORE): pytest with so many files at a time. ARGS of test-all may pick no test of a
-# lane, with which pytest exits with 5.
-tested = $(COMPILE) tests && { $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --dist loadfile --no-loadscope-reorder $(2) \
-  $(if $(ARGS),$(if $(filter test-all,$(MAKECMDGOALS)),|| [ $$? -eq 5 ])); }
+# $(call tested,JOBS,MORE,BEFORE): pytest with so many files at a time. ARGS of test-all (ALL) may pick no
+# test of a lane, with which pytest exits with 5.
+tested = $(COMPILE) tests && { $(3) $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --dist loadfile --no-loadscope-reorder $(2) \
+  $(if $(ARGS),$(if $(ALL),|| [ $$? -eq 5 ])); }
 
+# YOUNG=1: as on a machine that booted 5 s ago, as .ci/run does.
 test: kernels
-	@$(call tested,2,--durations 20 -m "$(SHORT)" $(ARGS))
+	@$(call tested,2,--durations 20 -m "$(SHORT)" $(ARGS),$(if $(YOUNG),.ci/young))
 
-test-all: test test-long
+# All lanes, also behind a red one; the last line of its output sums them up.
+test-all: $(VENV)/tools
+	@$(BIN)/python .ci/lanes $(MAKE) test test-long
 
-# The rest alone, for .ci/run. Behind test, also with `make -j`.
-test-long: $(if $(filter test-all,$(MAKECMDGOALS)),test) kernels
+# The rest alone.
+test-long: kernels
 	@$(call tested,6,--durations 50 -m "not ($(SHORT))" $(ARGS))
 
 # The folders of the robot wing in tests/support/wings.py.
