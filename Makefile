@@ -105,6 +105,8 @@ earlier: $(VENV)/tools
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else). 50: the
 # slowest tests that are shown.
 test test-long test-robot: export PYTHONDONTWRITEBYTECODE =
+# Pages and files of the tests are UTF-8, whatever the locale of the shell is.
+test test-long test-robot: export PYTHONUTF8 = 1
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
 test test-long test-robot: export OPENBLAS_NUM_THREADS = 1
 # $(call tested,JOBS,MORE,BEFORE): pytest with so many files at a time. ARGS of test-all (ALL) may pick no
