@@ -32,7 +32,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
+.PHONY: help demo kernels wheels archive release earlier test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
 .DELETE_ON_ERROR:
 
 help:
@@ -44,6 +44,7 @@ help:
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
 	@echo "make archive   archives from which robots install without a network, in dist"
 	@echo "make release   sdist, wheels, notes and checksums of the tag at HEAD, in dist; uploads nothing (URL=https://...)"
+	@echo "make earlier   the wheel of an earlier version, for the tests in which two versions meet; some seconds, once"
 	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
 	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
 	@echo "make reference writes the parts of pages that are made from the code: short ones where they stand, all in build/pages"
@@ -93,24 +94,36 @@ archive: wheels
 release: $(VENV)/tools
 	@$(BIN)/python .ci/release $(URL)
 
+# The version that tests/swarm/test_versions.py lets meet this one: the last one before leases, permits,
+# drive and kin changed on the wire. In the user's cache, for all checkouts.
+EARLIER := e0319367a12844bbbe2596d5a6d8cb891c0a4f2c
+
+earlier: $(VENV)/tools
+	@.ci/build-earlier $(BIN)/python $(EARLIER)
+
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else). 50: the
 # slowest tests that are shown.
 test test-long test-robot: export PYTHONDONTWRITEBYTECODE =
+# Pages and files of the tests are UTF-8, whatever the locale of the shell is.
+test test-long test-robot: export PYTHONUTF8 = 1
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
 test test-long test-robot: export OPENBLAS_NUM_THREADS = 1
-# $(call tested,JOBS,MORE): pytest with so many files at a time. ARGS of test-all may pick no test of a
-# lane, with which pytest exits with 5.
-tested = $(COMPILE) tests && { $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --dist loadfile --no-loadscope-reorder $(2) \
-  $(if $(ARGS),$(if $(filter test-all,$(MAKECMDGOALS)),|| [ $$? -eq 5 ])); }
+# $(call tested,JOBS,MORE,BEFORE): pytest with so many files at a time. ARGS of test-all (ALL) may pick no
+# test of a lane, with which pytest exits with 5.
+tested = $(COMPILE) tests && { $(3) $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --dist loadfile --no-loadscope-reorder $(2) \
+  $(if $(ARGS),$(if $(ALL),|| [ $$? -eq 5 ])); }
 
+# YOUNG=1: as on a machine that booted 5 s ago, as .ci/run does.
 test: kernels
-	@$(call tested,2,--durations 20 -m "$(SHORT)" $(ARGS))
+	@$(call tested,2,--durations 20 -m "$(SHORT)" $(ARGS),$(if $(YOUNG),.ci/young))
 
-test-all: test test-long
+# All lanes, also behind a red one; the last line of its output sums them up.
+test-all: $(VENV)/tools
+	@$(BIN)/python .ci/lanes $(MAKE) test test-long
 
-# The rest alone, for .ci/run. Behind test, also with `make -j`.
-test-long: $(if $(filter test-all,$(MAKECMDGOALS)),test) kernels
+# The rest alone.
+test-long: kernels
 	@$(call tested,6,--durations 50 -m "not ($(SHORT))" $(ARGS))
 
 # The folders of the robot wing in tests/support/wings.py.

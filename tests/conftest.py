@@ -6,6 +6,7 @@ import asyncio
 import faulthandler
 import gc
 import inspect
+import json
 import os
 import signal
 import subprocess
@@ -19,6 +20,7 @@ import pytest
 from hypothesis import settings
 from xdist.workermanage import WorkerController
 
+from swarmd.core.clock import boottime
 from swarmd.core.kernels import describe_kernels
 from swarmd.sim.live import fleet
 from swarmd.testing.pattern_contract import PatternContract
@@ -72,14 +74,16 @@ def pytest_configure(config: pytest.Config) -> None:
             signal.signal(number, usual)
     for name in OF_A_SHELL:
         os.environ.pop(name, None)
+    # Not for a pytest that a test starts.
+    config.stash[COUNTS] = os.environ.pop("LANE_COUNTS", "")
     worker = getattr(config, "workerinput", {}).get("workerid", "")
     if (seed := os.environ.get("STALLS")) and (worker or not config.getoption("numprocesses", 0)):
         config.stash[STALLS] = Stalls(f"{seed} {worker}")
         config.add_cleanup(config.stash[STALLS].stop)
 
 
-def pytest_report_header() -> str:
-    return f"kernels: {describe_kernels()}"
+def pytest_report_header() -> list[str]:
+    return [f"kernels: {describe_kernels()}", f"booted: {boottime():.0f} s ago"]
 
 
 def pytest_unconfigure() -> None:
@@ -178,6 +182,8 @@ def pytest_runtest_setup() -> None:
 CPU_TIME = pytest.StashKey[float]()
 CPU_SPENT = pytest.StashKey[dict[str, float]]()
 STALLS = pytest.StashKey[Stalls]()
+COUNTS = pytest.StashKey[str]()
+"""The file for the counts of tests; empty without one."""
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -234,8 +240,13 @@ def pytest_runtest_makereport(
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Show what runs the blocks of the pages, and the CPU time of each folder with --durations.
 
-    Processes of the tests are included.
+    Processes of the tests are included. `.ci/lanes` reads the counts of tests.
     """
+    if counts := terminalreporter.config.stash[COUNTS]:
+        stats = {kind: len(some) for kind, some in terminalreporter.stats.items()}
+        failed = stats.get("failed", 0) + stats.get("error", 0)
+        kept = {"passed": stats.get("passed", 0), "skipped": stats.get("skipped", 0)}
+        Path(counts).write_text(json.dumps({"failed": failed, **kept}))
     seconds: Counter[str] = Counter()
     for reports in terminalreporter.stats.values():
         for report in reports:

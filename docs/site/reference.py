@@ -102,7 +102,7 @@ from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
 from swarmd.sim.world.scalar_fields import Field
 from swarmd.texts.values import short_number
 from swarmd.texts.why import SENTENCES
-from tests.histories.invariants import HISTORIES, RULES
+from tests.histories.invariants import RULES
 from tests.sequences.figures import read_figures
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -349,7 +349,7 @@ def rules() -> Iterator[str]:
     rows = []
     for rule in RULES.values():
         count = sum(found.judged.get(rule.name, 0) for _, _, found in searches)
-        histories = f"{HISTORIES:,}" if rule.functions else "-"
+        histories = f"{rule.histories:,}" if rule.functions else "-"
         rows.append((f"`{rule.name}`", rule.sentence, f"{count:,}" if count else "-", histories))
     yield _table(("rule", "what holds", "sequences", "histories"), rows)
     found_rows = [

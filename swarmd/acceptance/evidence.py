@@ -82,7 +82,7 @@ class Samples:
     @property
     def leases(self) -> list[float]:
         """When the operator of the run was heard."""
-        return [at for at, _ in self.of(LeaseInput)]
+        return [at for at, lease in self.of(LeaseInput) if lease.age is not None]
 
     def of(self, kind: type[K]) -> Iterator[tuple[float, K]]:
         """The inputs of a kind, with their times."""

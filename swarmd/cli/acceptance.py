@@ -146,7 +146,7 @@ def _keep_platform(name: str, path: Path) -> None:
 
     if name in platform_names() and not path.exists():
         _, content = platform_sources(name)[0]
-        path.write_text(text_of(content))
+        path.write_text(text_of(content), encoding="utf-8")
 
 
 def _new_record(tested: TestedRobot) -> AcceptanceRecord:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection
-from functools import partial
 from typing import TYPE_CHECKING
 
 from swarmd.client.ask_robots import next_status, statuses_of
 from swarmd.core.clock import boottime
 from swarmd.core.closing import is_program_ended
 from swarmd.core.goal import GoalState
-from swarmd.network.datagram import RunLease
 from swarmd.texts.values import seconds
 
 if TYPE_CHECKING:
@@ -91,11 +89,8 @@ class LeaseKeeper(threading.Thread):
         operator, count = self._operator, 0
         while self._is_owned() and not self._ending.is_set():
             count += 1
-            operator.send_to_robots(partial(self._lease, count), self._names)
+            operator.send_lease(self._goal_id, count, self._names)
             self._ending.wait(self._period)
-
-    def _lease(self, count: int) -> RunLease:
-        return RunLease(id=self._goal_id, operator=self._operator.name[:128], count=count)
 
     def close(self) -> None:
         """Renew no longer."""

@@ -165,10 +165,14 @@ class GoalInput(Struct, frozen=True, array_like=True, tag="goal"):
 
 
 class LeaseInput(Struct, frozen=True, array_like=True, tag="lease"):
-    """The operator of the goal with the id `goal` was heard; `count` rises with each message."""
+    """The operator of the goal with the id `goal` was heard; `count` rises with each message.
+
+    `age`: s since the operator sent the message, at most; None: the message may be a replayed one.
+    """
 
     goal: Name
     count: Count
+    age: Seconds | None = 0.0  # a swarm without keys takes each message as new
 
 
 class DuplicateInput(Struct, frozen=True, array_like=True, tag="duplicate"):

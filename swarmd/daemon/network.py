@@ -556,8 +556,10 @@ class Network:
             self._owner.on_input(LatchesInput(dict(actions.latches)))
         for received in actions.goals:
             self._owner.on_input(GoalInput(received.goal, received.age, received.may_join))
-        for lease in actions.leases:
-            self._owner.on_input(LeaseInput(lease.id, lease.count))
+        for heard in actions.leases:
+            if heard.age is None:
+                self.drops.add("lease:unproven")
+            self._owner.on_input(LeaseInput(heard.lease.id, heard.lease.count, heard.age))
         for _ in range(actions.invalid_goals):
             self.drops.add("goal:invalid")
         for message in actions.messages:

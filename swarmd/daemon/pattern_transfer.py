@@ -25,7 +25,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from swarmd.core.bounds import keep_newest
-from swarmd.core.clock import boottime
+from swarmd.core.clock import Clock, boottime
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Reply
@@ -391,7 +391,7 @@ class PatternPull:
 
     `puller` fetches the manifests and code that `state` lacks, and `store` takes the code.
     `on_taken(robot, entry)` is called when code from a peer goes into its trial. `drops` counts
-    unreadable tables.
+    unreadable tables. `clock` gives the time at which a check has ended, as `now` of `on_beacon`.
     """
 
     def __init__(
@@ -401,11 +401,13 @@ class PatternPull:
         puller: Puller,
         on_taken: Callable[[str, Entry], None],
         drops: DropCounter,
+        clock: Clock = boottime,
     ) -> None:
         self._drops = drops
         self._state = state
         self._store = store
         self._on_taken = on_taken
+        self._clock = clock
         self._puller = puller
         self._asks = Asks(CODE_PERIOD)
         # (changes of `state`, labels) at which no code was missing.
@@ -502,7 +504,7 @@ class PatternPull:
             finally:
                 self._checking = None  # the next table may be checked
             if checked.has_false_signature:
-                self._asks.wait(robot, boottime() + FALSE_PERIOD)
+                self._asks.wait(robot, self._clock() + FALSE_PERIOD)
             has_untrusted = len(checked.trusted) < checked.new_count
             if has_untrusted:
                 log.warning(
@@ -511,7 +513,7 @@ class PatternPull:
                 )
             if checked.trusted:
                 self._store.merge(checked.trusted)
-                self._pull_code(robot, address, boottime())
+                self._pull_code(robot, address, self._clock())
 
     def _checked(
         self, blob: bytes, known: Collection[Entry], operators: Mapping[str, bytes] | None

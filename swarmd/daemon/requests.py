@@ -18,7 +18,7 @@ import msgspec
 
 from swarmd.core import codec, verbs
 from swarmd.core.bounds import MAX_SECONDS, keep_newest
-from swarmd.core.clock import boottime
+from swarmd.core.clock import Clock, boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import CONTROL
@@ -117,11 +117,13 @@ class RequestServer:
         *,
         drops: DropCounter,
         is_secured: bool = False,
+        clock: Clock = boottime,
     ) -> None:
         """Look up the handler of each verb: a method of a service, or else `on_request`.
 
         `audit` takes each answered request. `drops` counts requests whose handler failed.
         """
+        self._clock = clock
         self._drops = drops
         self._is_secured = is_secured
         self._robot = robot
@@ -187,7 +189,7 @@ class RequestServer:
             request.operator,
             pending.source(),
             reply,
-            boottime(),
+            self._clock(),
             targets=None if request.targets is None else len(request.targets),
             is_relayed=pending.is_relayed,
         )
@@ -329,7 +331,7 @@ class RequestServer:
         if not is_repeat:
             operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
             count = len(_names_of(header.targets))
-            self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
+            self._audit.record(verb, operator, query.source, reply, self._clock(), targets=count)
 
     def _is_addressed(self, verb: str, targets: Any) -> bool:
         """True if a request with these targets is for this robot; only a stop may omit targets."""

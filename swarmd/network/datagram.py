@@ -288,12 +288,17 @@ class RunLease(_Datagram, frozen=True, kw_only=True):
 
     The operator sends a `RunLease` at least each third of the time of the lease. `id`: of the goal
     that is run. `count` rises with each `RunLease`. A robot ignores a count that is not greater
-    than the last count, so that a replayed datagram cannot keep a run going.
+    than the last count.
     """
 
     id: Name
     operator: Short
     count: Number
+    # The robot for which the lease is, and what its clock showed at the least when the lease was
+    # sent (`Beacon.clock`): in a secured swarm a lease without these counts as a replayed one
+    # (`lease_freshness.py`). Empty from an older version.
+    instance: Annotated[bytes, Meta(max_length=6)] = b""
+    clock: Milliseconds = 0
 
 
 class Message(_Datagram, frozen=True, kw_only=True):

@@ -12,6 +12,7 @@ import random
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -48,6 +49,7 @@ from swarmd.network.members.admission import Admission
 from swarmd.network.members.answer_budget import AnswerBudget
 from swarmd.network.members.beacon_times import BEACON_PERIOD, BeaconTimes
 from swarmd.network.members.claim import Claim
+from swarmd.network.members.lease_freshness import lease_age
 from swarmd.network.members.link_quality import LinkQualities
 from swarmd.network.members.membership import Membership
 from swarmd.network.members.message_windows import MessageWindows
@@ -95,6 +97,16 @@ class Summary:
         return tuple(by_kind.get(kind, b"") for kind in RecordKind)
 
 
+class HeardLease(NamedTuple):
+    """A lease of an operator.
+
+    `age`: s since it was sent, at most; None: it may be a replayed one. 0 in a swarm without keys.
+    """
+
+    lease: RunLease
+    age: float | None
+
+
 @dataclass(slots=True)
 class PeerActions:
     """What the daemon must do after a datagram, or after time has passed."""
@@ -125,7 +137,7 @@ class PeerActions:
     """In a secured swarm: an earlier copy of the stop was heard."""
     goals: list[FoundGoal] = field(default_factory=list)  # goals that peers have shown
     invalid_goals: int = 0  # goals that their issuer has not signed
-    leases: list[RunLease] = field(default_factory=list)
+    leases: list[HeardLease] = field(default_factory=list)  # leases of operators
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -291,7 +303,7 @@ class Peer:
             case GoalReport():
                 self._on_goal(body, now, actions)
             case RunLease():
-                actions.leases.append(body)
+                self._on_lease(body, now, actions)
             case Message():
                 self._on_message(body, actions)
             case ClockQuery():
@@ -443,6 +455,11 @@ class Peer:
             self._times.on_latches(latches.digest)
             self._sync.on_latches(latches)
             actions.latches = dict(latches.held)
+
+    def _on_lease(self, lease: RunLease, now: float, actions: PeerActions) -> None:
+        """Take a lease of an operator; in a secured swarm with the time at which it was sent."""
+        age = 0.0 if self._admission is None else lease_age(lease, self._instance, now)
+        actions.leases.append(HeardLease(lease, age))
 
     def _on_message(self, message: Message, actions: PeerActions) -> None:
         """Take the message of a peer's pattern, unless its number shows that it is no new one."""

@@ -6,6 +6,7 @@ exception: a goal with `on_join: run` (the rules are in goals.py).
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmd.core import verbs
@@ -20,6 +21,7 @@ from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
+    from swarmd.core.events import LeaseInput
     from swarmd.robot.effects import Effects
 
 
@@ -44,6 +46,7 @@ class GoalHandler:
         self._peer_goal: _PeerGoal | None = None
         # True once the goals of all other peers are known, after the own goal came from a peer.
         self._is_settled = False
+        self._settled_at = -math.inf  # s, own clock
 
     def on_goal(self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool) -> None:
         """Take in a goal that a peer holds.
@@ -72,8 +75,23 @@ class GoalHandler:
         elif relation is Found.AGED or goals.is_held(goal):
             goals.learn_age(age, now)
         if may_join:
-            self._is_settled = True
+            self._is_settled, self._settled_at = True, now
             self.join_if_settled(effects)
+
+    def on_lease(self, lease: LeaseInput, now: float) -> bool:
+        """Take a message of the operator of a run lease; True: call `join_if_settled` for it.
+
+        A robot that has started often hears the goals of its peers before it hears the operator of
+        the lease. So it waits for the operator, from the time at which all goals are known, for the
+        time of the lease: a run that begins later would surprise people beside the robot.
+        """
+        goals = self._goals
+        was_heard = goals.is_heard(now)
+        goals.on_lease(lease.goal, lease.count, now, lease.age)
+        own = goals.own
+        if own is None or own.goal.lease is None or was_heard or not goals.is_heard(now):
+            return False
+        return now - self._settled_at <= own.goal.lease
 
     def has_goal_by_peer(self, request: verbs.Request, quoted: Epoch | None) -> bool:
         """True if the epoch has risen only because a peer handed over the goal of this request.

@@ -12,7 +12,8 @@ of a goal, without wall clocks. After a restart the age is unknown until a peer 
    goal came, and no run may have ended since.
 3. If a load failed because the robot lacks the pattern of the goal, the robot may join again, once,
    after the pattern has come by a push or from a peer, and has passed its trial.
-4. The robot joins a goal with a lease only while the operator of that goal is heard.
+4. The robot joins a goal with a lease only while the operator of that goal is heard. Once the goals
+   of all peers are known, it waits for the operator for the time of the lease.
 5. The robot joins no goal that was set before its last stop, emergency stop or reset.
 6. A stop or emergency stop of all robots makes a goal without a pattern, one generation greater
    than the held goal, so that no robot joins the held goal later. Two exceptions:
@@ -91,6 +92,8 @@ class Goals:
         # clock; None without a run lease.
         self.lease_until: float | None = None
         self._lease_count = -1  # the sequence number of the operator's newest lease message
+        # When a lease message came last that was too old, or may have been replayed; s, own clock.
+        self._old_lease_at = -math.inf
         self._stops: dict[str, None] = {}  # ids of the last stops of all robots, oldest first
         # By id: stops that may be older than the held goal (rule 6b).
         self._undecided: dict[str, _Undecided] = {}
@@ -209,6 +212,7 @@ class Goals:
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
             self._lease_count, self.lease_until = -1, None
+            self._old_lease_at = -math.inf
             self._has_retried = self._ended_during_run = False
             self._offer("", may_join=may_join)
         self.is_changed = True
@@ -343,9 +347,10 @@ class Goals:
         own = self.own
         if own is None or own.goal.lease is None:
             return ""
-        if self.lease_until is not None and now < self.lease_until:
+        if self.is_heard(now):
             return ""
-        return f"the operator of its run lease was not heard for {own.goal.lease:g} s"
+        silence = f"the operator of its run lease was not heard for {own.goal.lease:g} s"
+        return silence + self.old_leases(now)
 
     def on_running(
         self, goal: Goal | None, what: str, age: float, now: float, *, is_resumed: bool = False
@@ -369,18 +374,35 @@ class Goals:
             self.lease_until = None if goal.lease is None else now + goal.lease
         self.is_changed = True
 
-    def on_lease(self, goal: str, count: int, now: float) -> None:
-        """Renew the run lease: the operator of the goal with id `goal` was heard at `now`.
+    def on_lease(self, goal: str, count: int, now: float, age: float | None = 0.0) -> None:
+        """Renew the run lease: a message of the operator of the goal with id `goal` came at `now`.
 
         A run lease ends the run once the operator is silent for longer than the lease. `count`
-        rises with each message of the operator; an old or repeated count is ignored.
+        rises with each message of the operator; an old or repeated count is ignored. `age`: s since
+        the operator sent the message, at most: the lease counts from then. A message with the age
+        None may be a replayed one, and renews nothing.
         """
         own = self.own
         if own is None or own.goal.id != goal or own.goal.lease is None:
             return
-        if count > self._lease_count:
+        if age is None or age >= own.goal.lease:
+            self._old_lease_at = now
+        elif count > self._lease_count:
             self._lease_count = count
-            self.lease_until = now + own.goal.lease
+            renewed = now - age + own.goal.lease
+            self.lease_until = max(renewed, self.lease_until or renewed)
+
+    def old_leases(self, now: float) -> str:
+        """What to add to "was not heard for the lease": lease messages that did not count."""
+        own = self.own
+        lease = 0.0 if own is None else own.goal.lease or 0.0
+        if now - self._old_lease_at > lease:
+            return ""
+        return "; leases in that name came, but were old, replayed, or of an older swarmctl"
+
+    def is_heard(self, now: float) -> bool:
+        """True while the own goal has a lease, and the operator of the lease is heard."""
+        return self.lease_until is not None and now < self.lease_until
 
     def bar(self, now: float) -> None:
         """After a stop or reset: join no goal that was set before `now`."""

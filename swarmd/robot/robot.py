@@ -258,6 +258,13 @@ class Robot(Ticker):
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
         return self._sensors.peers.pose_to_tell(now)
 
+    def _on_lease(self, one: events.LeaseInput, now: float) -> Actions | None:
+        if not self._goals.on_lease(one, now):
+            return None
+        effects = self._begin(now)
+        self._goals.join_if_settled(effects)
+        return self._settle(effects)
+
     def _on_readings(self, one: events.ReadingsInput, now: float) -> Actions | None:
         self._sensors.on_readings(one.readings)
         lifecycle, charge = self._lifecycle, self._sensors.readings.get(BATTERY)
@@ -489,9 +496,7 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
             one.goal, one.age, effects, may_join=one.may_join
         )
     ),
-    events.LeaseInput: lambda robot, one, now: robot._lifecycle.goals.on_lease(
-        one.goal, one.count, now
-    ),
+    events.LeaseInput: Robot._on_lease,
     events.DuplicateInput: _settled(
         lambda robot, one, effects: robot._lifecycle.on_duplicate(one.holder, effects)
     ),

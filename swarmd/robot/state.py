@@ -823,6 +823,7 @@ def _end_lease(lifecycle: Lifecycle, goal: Goal, effects: Effects) -> None:
     # Earlier requests become stale: their operators do not know of this end.
     lifecycle.raise_revision(f"the end of the run lease of {goal.issuer}")
     text = f"{goal.issuer} was not heard for {goal.lease:g} s"
+    text += lifecycle.goals.old_leases(effects.now)
     lifecycle.stop(Reason.LEASE_ENDED, text, effects)
 
 

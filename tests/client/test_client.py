@@ -36,7 +36,6 @@ from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmErro
 from swarmd.core.messages import Code, Motion, Reply, State
 from swarmd.network.carriers import forked
 from swarmd.network.carriers.session import open_with
-from swarmd.network.datagram import RunLease
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.outcome import Outcome
@@ -322,10 +321,10 @@ def test_an_iterator_of_the_parent_ends_in_a_fork_with_an_error(
 def test_a_lease_is_renewed_only_while_it_is_owned() -> None:
     owned, sent = iter([True, True, False]), list[int]()
 
-    def send(make: Callable[[], RunLease], robots: object) -> None:
-        sent.append(make().count)
+    def send(goal: str, count: int, robots: object) -> None:
+        sent.append(count)
 
-    operator = cast("Operator", SimpleNamespace(name="anna", send_to_robots=send))
+    operator = cast("Operator", SimpleNamespace(send_lease=send))
     keeper = LeaseKeeper(operator, "goal", 0.01, ["r1"], is_owned=lambda: next(owned))
     keeper.run()  # ends by itself
     assert sent == [1, 2]

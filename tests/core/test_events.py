@@ -34,6 +34,8 @@ INPUTS: tuple[events.Input, ...] = (
     events.LatchesInput({"e1": Latch(issuer="anna", scope="swarm")}),
     events.GoalInput(Goal(generation=1, issuer="anna", id="g", signature=b"12"), None, True),
     events.LeaseInput("g", 3),
+    events.LeaseInput("g", 3, 1.5),
+    events.LeaseInput("g", 3, None),
     events.DuplicateInput(None),
     events.HostInput(HostDied(1, "gone")),
     events.HostInput(TrialDone(1, "")),

@@ -6,6 +6,7 @@ import asyncio
 import dataclasses
 import errno
 import logging
+import math
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -46,7 +47,7 @@ from swarmd.daemon.store import LatchFile
 from swarmd.driver_api.driver import Sink, TakeLate
 from swarmd.driver_api.hw_codec import encode_odometry, encode_scan
 from swarmd.network.datagram import Stop, pack, tag_of
-from swarmd.network.peer import PeerActions, Summary
+from swarmd.network.peer import Peer, PeerActions, Summary
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
@@ -97,9 +98,17 @@ def settings(tmp_path: Path) -> DaemonSettings:
 async def run(
     daemon: Daemon, stop: asyncio.Event | None = None, later: Callable[[], object] = bool
 ) -> None:
-    """The daemon's whole life; `later` is called after half a second of it."""
-    asyncio.get_running_loop().call_later(0.5, later)
-    async with asyncio.timeout(30.0):
+    """The daemon's whole life; `later` is called once it has joined its swarm."""
+    loop = asyncio.get_running_loop()
+
+    def await_join() -> None:
+        if daemon._has_joined:
+            later()
+        else:
+            loop.call_later(0.01, await_join)
+
+    await_join()
+    async with asyncio.timeout(60.0):
         await daemon.run(stop or asyncio.Event())
 
 
@@ -312,35 +321,39 @@ async def test_every_second_tick_looks_at_the_network_and_each_tick_after_an_eve
 
 
 @pytest.mark.parametrize(
-    ("due_in", "may_wait", "is_looked_at"),
-    [(1.0, True, False), (1.0, False, True), (0.0, True, True)],
+    ("wake_at", "may_wait", "is_looked_at"),
+    [(math.inf, True, False), (math.inf, False, True), (-math.inf, True, True)],
+    ids=["later", "later, at once", "due"],
 )
 async def test_what_is_due_on_the_network_never_waits(
     settings: DaemonSettings,
     monkeypatch: pytest.MonkeyPatch,
-    due_in: float,
+    wake_at: float,
     may_wait: bool,
     is_looked_at: bool,
 ) -> None:
     daemon, stop = Daemon(settings, RecordingDriver()), asyncio.Event()
     looks: list[float] = []
+    counts: list[int] = []  # of looks by the one call below, and not by a tick after it
 
     def look() -> None:
         peer = daemon._network._peer
         assert peer is not None
-        wake_at, advance = boottime() + due_in, peer.advance
+        advance = peer.advance
 
         def noted(now: float, summary: Summary) -> PeerActions:
             looks.append(now)
             return advance(now, summary)
 
-        monkeypatch.setattr(peer, "wake_at", lambda: wake_at)
-        monkeypatch.setattr(peer, "advance", noted)
-        daemon._network.advance(may_wait=may_wait)
+        with monkeypatch.context() as here:
+            here.setattr(peer, "wake_at", lambda: wake_at)
+            here.setattr(peer, "advance", noted)
+            daemon._network.advance(may_wait=may_wait)
+        counts.append(len(looks))
         stop.set()
 
     await run(daemon, stop, look)
-    assert bool(looks) is is_looked_at
+    assert counts == [int(is_looked_at)]
 
 
 class GrippingDriver(RecordingDriver):
@@ -612,14 +625,25 @@ async def test_a_daemon_whose_driver_raised_does_not_leave_in_order(
         assert viewer.beacons["tb3-01"].flags == 0
 
 
-async def test_a_daemon_stopped_while_joining_never_serves(tmp_path: Path) -> None:
+async def test_a_daemon_stopped_while_joining_never_serves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In profile field a claim settles for 1 s."""
     driver, stop = RecordingDriver(), asyncio.Event()
     values: dict[str, object] = {"profile": "field", "interface": "lo", "insecure": True}
     values["listen"] = ["tcp/127.0.0.1:0"]
     slow = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path), **values}
     daemon = Daemon(load_daemon_settings(None, slow), driver)
-    await run(daemon, stop, stop.set)
+    claim, claimed = daemon._network._claim, list[str]()
+
+    async def stopped(peer: Peer) -> None:
+        stop.set()
+        claimed.append("begun")
+        await claim(peer)
+
+    monkeypatch.setattr(daemon._network, "_claim", stopped)
+    await run(daemon, stop)
+    assert claimed == ["begun"]
     assert not daemon._network.owns_id
     assert all(twist.is_zero for twist in driver.sent)
 

@@ -625,12 +625,14 @@ async def test_an_error_in_the_black_box_ends_no_daemon(
 
 
 async def test_a_daemon_that_is_killed_again_and_again_begins_one_incident_in_ten_seconds(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    now = boottime()
+    monkeypatch.setattr("swarmd.daemon.incidents.boottime", lambda: now)
     for number in range(4):
         service = Service(tmp_path)
         service.recorder.ring.revision = number  # type: ignore[union-attr]
-        service.keep(frames.EventEntry(boottime(), "x"))
+        service.keep(frames.EventEntry(now, "x"))
         service.die()
     assert len(Service(tmp_path).files()) == 1
 
@@ -645,10 +647,13 @@ async def test_lost_peers_do_not_use_up_the_incidents_of_the_robot_itself(tmp_pa
 
 
 @pytest.mark.parametrize("gap", [0.05, 6.0])
-async def test_a_daemon_that_stood_still_tells_of_no_lost_peers(tmp_path: Path, gap: float) -> None:
-    service = Service(tmp_path)
-    service.service.advance(boottime() - gap)
-    service.service.advance(boottime())  # a tick may come before the look at the network
+async def test_a_daemon_that_stood_still_tells_of_no_lost_peers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gap: float
+) -> None:
+    service, now = Service(tmp_path), boottime()
+    monkeypatch.setattr("swarmd.daemon.incidents.boottime", lambda: now)
+    service.service.advance(now - gap)
+    service.service.advance(now)  # a tick may come before the look at the network
     service.service.on_lost(RUNNING)
     assert bool(service.events) is (gap < 1.0)
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.clock import boottime
 from swarmd.core.pattern_manifest import (
     Entry,
     PatternManifest,
@@ -27,6 +26,7 @@ from swarmd.robot.pushed_pattern import PushedPattern, Version
 from tests.daemon.test_pattern_transfer import Rig
 
 ADDRESS = ("10.0.0.7", 7440)
+CHECKED = 100.2  # s: the end of each check of a table
 
 
 def entry(name: str, generation: int = 1, code: bytes = b"x = 1\n") -> Entry:
@@ -81,6 +81,7 @@ def sync_of(rig: Rig) -> tuple[PatternPull, Pulls]:
         pulls,  # type: ignore[arg-type]
         lambda robot, entry: None,
         DropCounter(),
+        clock=lambda: CHECKED,
     ), pulls
 
 
@@ -126,9 +127,9 @@ async def test_a_table_of_strangers_is_left_out_and_not_asked_for_again_at_once(
     assert rig.state.table == ()
     sync.on_beacon("r2", digest, ADDRESS, 100.0 + TABLE_PERIOD - 1.0)
     assert len(pulls.asked) == 1
-    sync.on_beacon("r2", digest, ADDRESS, boottime() + FALSE_PERIOD - 1.0)
+    sync.on_beacon("r2", digest, ADDRESS, CHECKED + FALSE_PERIOD - 0.1)
     assert len(pulls.asked) == 1
-    sync.on_beacon("r2", digest, ADDRESS, boottime() + FALSE_PERIOD)
+    sync.on_beacon("r2", digest, ADDRESS, CHECKED + FALSE_PERIOD)
     assert len(pulls.asked) == 2
 
 

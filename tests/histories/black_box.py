@@ -175,21 +175,26 @@ class BlackBox:
         system = SimpleNamespace(environ=os.environ, urandom=chance.randbytes)
         self._fakes: dict[Any, dict[str, Any]] = {
             incidents: {"boottime": lambda: swarm.now, "time": wall, "os": system, "RATE": RATE},
-            recorder: {"boottime": lambda: swarm.now, "remember": lambda *_: b""},
+            recorder: {
+                "boottime": lambda: swarm.now,
+                "time": wall,
+                "remember": lambda *_: b"",
+            },
         }
         self.recorder = _Recorder(None, daemon.note)  # type: ignore[arg-type]  # no process
-        self.service = Incidents(
-            self,
-            daemon.name,
-            folder,
-            BlackboxSection(folder=str(self._memory)),
-            recorder=self.recorder,
-            puller=_Puller(self),  # has what the service calls
-            head=self._head,
-            identity=lambda: None,  # signatures have tests of their own
-            is_member=daemon.knows,
-            on_event=daemon.note,
-        )
+        with self._virtual_time():
+            self.service = Incidents(
+                self,
+                daemon.name,
+                folder,
+                BlackboxSection(folder=str(self._memory)),
+                recorder=self.recorder,
+                puller=_Puller(self),  # has what the service calls
+                head=self._head,
+                identity=lambda: None,  # signatures have tests of their own
+                is_member=daemon.knows,
+                on_event=daemon.note,
+            )
 
     def _head(self) -> RecordingHead:
         identity = self.daemon.robot.identity
@@ -240,6 +245,8 @@ class BlackBox:
             if self.digest:
                 with self.at_work():
                     self.service.advance(now)
+            else:  # notes that the loop turns, and has nothing to write
+                self.service.advance(now)
 
     def on_lost(self, beacon: Beacon) -> None:
         """A robot has failed since this beacon."""

@@ -190,6 +190,10 @@ class History:
         self.operators[by].die()
         self.operators[by].shift -= seconds
 
+    def jump(self, by: str, seconds: float) -> None:
+        """The clock since boot of an operator's machine jumps, as that of a virtual machine."""
+        self.operators[by].shift += seconds
+
     def clone(self, by: str, shift: float) -> None:
         """The operator's computer is a clone of the other one's, `shift` s ahead of it."""
         [other] = [one for name, one in self.operators.items() if name != by]
@@ -280,6 +284,14 @@ class History:
     def disturb(self, loss: float = 0.0, delay: float = DELAY) -> None:
         """`loss`: the share of datagrams that is lost; `delay` in s, of datagrams and links."""
         self.swarm.loss, self.swarm.delay = loss, delay
+
+    def play_back(self, robot: str, period: float = 0.3, newest: int = 100) -> None:
+        """In a secured swarm an attacker sends a robot the leases that it recorded last.
+
+        In a swarm without keys an attacker needs no recording, and nothing is sent.
+        """
+        if robot in self.swarm.robots and self.swarm.is_secured:
+            self.swarm.play_back(robot, period, newest)
 
     def wall(self, robot: str, shift: float) -> None:
         """The wall clock of a robot or an operator jumps."""

@@ -33,6 +33,8 @@ leave open:
   channel within a second than the limits allow.
 - `still_pose`: at most STANDING_WAY by one request of an operator, in one life of the daemon.
 - `lost_base`: after a loss of more than LOSS_TIME only a run that began after it moves the robot.
+- `lease`: the time counts from the last renewal that the operator has sent, or from the arrival of
+  its own request of the run, and the way of a datagram beside it.
 - `unmoved`: the state, the epoch, latches, goal and pattern of the robot and its command are the
   same before and after its black box has worked.
 - `heard`: judged on the incidents of the last WINDOW s that a robot tells when all is healed,
@@ -98,9 +100,13 @@ LATE = 25.0  # s for which an operator repeats a stop
 HEAL_TIME = 10.0  # s
 STANDING_WAY = 0.25  # m
 ROUNDING = 0.005  # s: a stop counts its age in ms, rounded by each robot that hands it on
+LEASE_SHIFT = 0.5  # s: a command that is sent at a tick, and the load of the pattern of a run
+MOST_WAYS = 1.5  # of a lease, in greatest delays: a datagram takes up to 1.2 of them
 LOSS_TIME = 3.5  # s: a hold ends a run after 2 s, and the daemon may stall for 1 s meanwhile
 HISTORIES = 10_200
 """Random histories: 100 in `make test`, the others in `make evidence`."""
+LEASE_HISTORIES = 60
+"""Those that the rule `lease`, which is newer, has judged so far."""
 TELL_TIME = 50.0  # s: a pull over a cut link takes 20 s, the next one may wait 10 s, a file 10 s
 WINDOW = 50.0  # s: a robot takes an incident that is up to 100 s old
 INCIDENT_GAP, INCIDENTS_AN_HOUR, INCIDENT_FILES = 10.0, 6, 20
@@ -202,7 +208,7 @@ class Invariants:
         known.was_running, known.state = is_running, robot.state
 
     def on_twist(self, daemon: VirtualDaemon) -> None:
-        """Rules `zero`, `still_pose` and `lost_base`."""
+        """Rules `zero`, `still_pose`, `lost_base` and `lease`."""
         known = self._of(daemon)
         if not daemon.robot.is_running:
             raise BrokenRuleError(
@@ -218,6 +224,25 @@ class Invariants:
             raise BrokenRuleError(
                 "lost_base",
                 f"{daemon.name} moves by a run of before the loss of its base {ago:.1f} s ago",
+            )
+        self.check_lease(daemon)
+
+    def check_lease(self, daemon: VirtualDaemon) -> None:
+        """The rule `lease`: who has renewed the run that moves a robot, and when."""
+        status = daemon.robot.status(self._swarm.now).goal
+        own = None if status is None else status.own
+        if own is None or own.goal.lease is None or daemon.cause is None:
+            return
+        if daemon.cause.goal_id != own.goal.id:
+            return
+        renewed = self._swarm.renewed.get(own.goal.id, -math.inf)
+        if isinstance(daemon.cause.request, RunRequest):  # the run itself counts as a renewal
+            renewed = max(renewed, daemon.cause.at)
+        late = self._swarm.now - renewed - own.goal.lease
+        if late > LEASE_SHIFT + MOST_WAYS * self._swarm.slowest:
+            raise BrokenRuleError(
+                "lease",
+                f"{daemon.name} moves by {own.goal.text}, whose lease ended {late:.1f} s ago",
             )
 
     def on_base(self, daemon: VirtualDaemon) -> None:
@@ -736,11 +761,13 @@ class Rule:
     """A row of `RULES`. `sentence`: for people, in docs/safety.md.
 
     `functions`: those that judge histories; empty: only sequences (`tests/sequences`) are judged.
+    `histories`: how many random histories were judged, for the page.
     """
 
     name: str
     sentence: str
     functions: tuple[Callable[..., object], ...] = ()
+    histories: int = HISTORIES
 
 
 _ROWS = (
@@ -838,6 +865,13 @@ _ROWS = (
         "A pose that stands still moves no fenced robot farther than 25 cm in one life of its"
         " daemon.",
         (Invariants.on_twist,),
+    ),
+    Rule(
+        "lease",
+        "No run goes on for longer than its lease after its operator has ended, also if an attacker"
+        " replays leases in a secured swarm.",
+        (Invariants.on_twist, Invariants.check_lease),
+        histories=LEASE_HISTORIES,
     ),
     Rule(
         "unmoved",

@@ -6,6 +6,7 @@ A command is a generator that looks at what has come each POLL s, as the loops o
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping
 from dataclasses import dataclass
@@ -43,10 +44,12 @@ from swarmd.network.datagram import (
 from swarmd.network.operator.discovery import Discovery
 from swarmd.network.operator.loop_watch import LoopWatch
 from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.operator import CLOCK_PERIOD
 from swarmd.network.operator.operator_goals import next_goal
 from swarmd.network.operator.outcome import Acks, Outcome, joined
 from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
 from swarmd.network.operator.request_sender import REPEAT_PERIOD, request_timeout
+from swarmd.network.operator.robot_clocks import RobotClocks
 from swarmd.network.operator.stop_request import PendingStop
 from swarmd.network.operator.stop_sender import STOP_PACE
 from swarmd.network.signature import Author
@@ -99,6 +102,9 @@ class VirtualOperator(Node):
         self._origin, self._counter = self._random.randbytes(4), 0
         self._discoveries: list[Discovery] = []
         self._pending: list[PendingStop] = []
+        self._clocks = RobotClocks()
+        self._clocks_asked_at = -math.inf
+        self._instances: dict[str, bytes] = {}  # by robot, of its newest beacon
         self._program_stop: dict[str, Any] = {}
         swarm.add(self)
 
@@ -162,6 +168,8 @@ class VirtualOperator(Node):
             for pending in self._pending:
                 pending.on_ack(body, now)
         elif isinstance(body, Beacon):
+            self._clocks.on_beacon(body, now + self.shift)
+            self._instances[body.robot] = body.instance
             for discovery in self._discoveries:
                 discovery.on_beacon(body, source, now)
         elif isinstance(body, MemberList):
@@ -420,11 +428,16 @@ class VirtualOperator(Node):
         now = self.swarm.now
         if not timer.is_due(now):
             return
-        self._echo += 1
-        discovery.on_solicit(self._echo, now)
+        echo = self._new_echo()
+        discovery.on_solicit(echo, now)
         wants_members = discovery.begin_list_request(now)
         for address in (None, *discovery.to_solicit()):
-            self._send(Solicit(echo=self._echo, wants_members=wants_members), address)
+            self._send(Solicit(echo=echo, wants_members=wants_members), address)
+
+    def _new_echo(self) -> int:
+        self._echo += 1
+        self._clocks.on_solicit(self._echo, self.swarm.now + self.shift)
+        return self._echo
 
     def _keep(
         self, goal: Goal, names: tuple[str, ...], count: int, until: float, life: int
@@ -437,11 +450,23 @@ class VirtualOperator(Node):
             again = partial(self._keep, goal, names, count, until, life)
             self.swarm.at(self._wakes_at, again)
             return
-        lease = RunLease(id=goal.id, operator=self.name, count=count)
+        self.swarm.renewed[goal.id] = now = self.swarm.now
+        if self.swarm.is_secured and now - self._clocks_asked_at >= CLOCK_PERIOD:
+            self._clocks_asked_at = now
+            self._send(Solicit(echo=self._new_echo()), None)
         for name in names:
-            self._send(lease, self.swarm.nodes[name].address)
+            self._send(self._lease(goal, name, count), self.swarm.nodes[name].address)
         again = partial(self._keep, goal, names, count + 1, until, life)
         self.swarm.at(self.swarm.now + goal.lease / LEASE_PARTS, again)
+
+    def _lease(self, goal: Goal, robot: str, count: int) -> RunLease:
+        """As `Operator._lease`."""
+        lease, now = RunLease(id=goal.id, operator=self.name, count=count), self.swarm.now
+        instance = self._instances.get(robot, b"")
+        clock = self._clocks.reading(robot, instance, now + self.shift)
+        if clock is None or not self.swarm.is_secured:
+            return lease
+        return replace(lease, instance=instance, clock=clock)
 
     def _next_goal(self, view: MembersView, typed: float, **fields: Any) -> Goal | None:
         asker: Any = SimpleNamespace(name=self.name, identity=None)

@@ -6,7 +6,8 @@ peers before requests are served. The driver, the pattern host and the links of 
 reduced to what they deliver, and when. Datagrams are not packed: their codec has tests of its own.
 
 An event is due at its time; a daemon ticks when its robot or peer is due, and at least each
-`LONGEST_TICK`. A run of the same events with the same seed is the same run.
+`LONGEST_TICK`. A run of the same events with the same seed is the same run: a read of a clock of
+this machine is an error.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ from swarmd.daemon.goal_service import STORE_TIME
 from swarmd.daemon.requests import RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.programs import MAX_TAKEN, Programs
-from swarmd.network.datagram import Ack, Address, Datagram, Stop
+from swarmd.network.datagram import Ack, Address, Datagram, RunLease, Stop
 from swarmd.network.members.admission import Admission
 from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import Author
@@ -113,6 +114,7 @@ from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from tests.histories.black_box import BlackBox, Death, memory_folder
 from tests.support.fake_services import fake_services
+from tests.support.no_real_clock import no_real_clock
 
 STEERING = load_kernel("swarmd.steering.steering").Steering
 LEASE, SETTLE = 3.0, 1.0  # of profile field
@@ -293,6 +295,9 @@ class VirtualSwarm:
         self.judge: Judge | None = None
         self.issued: dict[str, float] = {}  # when stops, goals and requests were made, by id
         self.worked: dict[str, float] = {}  # s of an operator's work, and until a start, by id
+        self.renewed: dict[str, float] = {}  # when an operator last renewed a lease, by goal
+        # What an attacker has recorded: the leases that operators sent, with their senders.
+        self.recorded: list[tuple[RunLease, Node]] = []
         self.robots: dict[str, VirtualDaemon] = {}
         self.nodes: dict[str, Node] = {}
         self._by_address: dict[Address, Node] = {}
@@ -314,7 +319,8 @@ class VirtualSwarm:
         daemon = VirtualDaemon(self, name)
         daemon.join_tick = join_tick
         self.add(daemon)
-        daemon.start()
+        with no_real_clock():
+            daemon.start()
         return daemon
 
     def at(self, when: float, call: Callable[[], object]) -> None:
@@ -325,10 +331,11 @@ class VirtualSwarm:
         """Let time pass."""
         end = self.now + seconds
         events = self._events
-        while events and events[0][0] <= end:
-            when, _, call = heapq.heappop(events)
-            self.now = max(when, self.now)
-            call()
+        with no_real_clock():
+            while events and events[0][0] <= end:
+                when, _, call = heapq.heappop(events)
+                self.now = max(when, self.now)
+                call()
         self.now = end
 
     def until(self, holds: Callable[[], bool], cap: float = 30.0) -> None:
@@ -356,6 +363,8 @@ class VirtualSwarm:
             receivers = [one for one in self.nodes.values() if one is not sender]
         else:
             receivers = [self._by_address[to]] if to in self._by_address else []
+        if isinstance(body, RunLease):
+            self.recorded.append((body, sender))
         delay = self.delay + self.slow.get(sender.name, 0.0)
         self.slowest = max(self.slowest, delay + max(self.copies, default=0.0))
         for one in receivers:
@@ -366,6 +375,15 @@ class VirtualSwarm:
             when = self.now + delay * (1.0 + (MOST_DELAY - 1.0) * self.random.random())
             for later in self._arrivals(sender.name, one.name, body, self.copies):
                 self.at(when + later, partial(one.receive, body, sender))
+
+    def play_back(self, robot: str, period: float, newest: int) -> None:
+        """An attacker sends a robot the `newest` leases that were recorded, one each `period` s.
+
+        In the order in which they were sent. The signatures hold, and the source is forged.
+        """
+        for number, (lease, sender) in enumerate(self.recorded[-newest:]):
+            when = self.now + period * number
+            self.at(when, partial(self.nodes[robot].receive, lease, sender))
 
     def name_of(self, address: Address) -> str:
         """The robot or operator at an address."""
@@ -529,6 +547,7 @@ class VirtualDaemon(Node):
             replace(fake_services(), incidents=self.black_box.service),
             drops=StrictDrops(),
             is_secured=swarm.is_secured,
+            clock=lambda: swarm.now,
         )
         self.black_box.open()
         self._observe()
@@ -743,8 +762,8 @@ class VirtualDaemon(Node):
         for robot in effects.changed:
             if (lost := self.peer.membership.lost_beacon(robot)) is not None:
                 self.black_box.on_lost(lost)
-        for lease in effects.leases:
-            self._step(LeaseInput(lease.id, lease.count))
+        for heard in effects.leases:
+            self._step(LeaseInput(heard.lease.id, heard.lease.count, heard.age))
         if effects.duplicate:
             self._step(DuplicateInput(effects.duplicate))
 

@@ -18,6 +18,7 @@ from swarmd.core.goal import HeldGoal
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import Twist
+from swarmd.network.operator.robot_clocks import RobotClocks
 from swarmd.protection.fence import fence_pose
 from swarmd.robot import state
 from swarmd.robot.actions import Actions
@@ -28,7 +29,7 @@ from tests.histories import swarm
 from tests.histories.history import History, Steps, draw, fault_of, replay, script, shrink, step
 from tests.histories.invariants import HISTORIES, BrokenRuleError, Invariants
 
-BLOCK = 50
+BLOCK = 25
 IN_SUITE, IN_EVIDENCE = range(0, 100, BLOCK), range(100, HISTORIES, BLOCK)
 
 
@@ -248,6 +249,69 @@ def test_a_run_ends_with_the_program_that_renews_its_lease(end: str) -> None:
     assert all(one.robot.is_running for one in robots)
     history.swarm.advance(2.5)
     assert not any(one.robot.is_running for one in robots)
+
+
+LEASED = {"by": "anna", "lease": 2.0, "here": 8.0, "on_join": "run", "valid": 300.0}
+
+
+@pytest.mark.parametrize(
+    "victim",
+    [
+        (step(0.05, "boot", robot="r3"), step(0.0, "play_back", robot="r3")),
+        (step(0.05, "start", robot="r1", disk="empty"), step(0.0, "play_back", robot="r1")),
+        (step(0.05, "start", robot="r1"), step(0.0, "play_back", robot="r1")),
+        (step(0.05, "heal"), step(0.0, "play_back", robot="r1", period=1.0, newest=4)),
+    ],
+    ids=["joins late", "starts anew", "restarts", "after a split"],
+)
+def test_a_recorded_lease_lets_no_robot_of_a_secured_swarm_drive(victim: Steps) -> None:
+    """Counts 1, 2, 3 and so on, each with a valid signature, once the operator is dead."""
+    steps = (
+        step(0.0, "run", **LEASED),
+        step(3.0, "cut", senders=("anna",), receivers=("r1",)),
+        step(1.5, "die", by="anna"),
+        *victim,
+        step(20.0, "heal"),
+    )
+    assert fault_of(2, steps, seed=2) is None
+
+
+@pytest.mark.parametrize("seed", [1, 2], ids=["without keys", "secured"])
+@pytest.mark.parametrize(
+    "events",
+    [
+        (step(0.5, "disturb", loss=0.1), step(20.0, "heal")),
+        (step(0.5, "disturb", delay=0.3), step(20.0, "heal")),
+        (step(2.0, "start", robot="r1"), step(20.0, "heal")),
+        (step(2.0, "start", robot="r1", disk="empty"), step(20.0, "heal")),
+        (step(2.0, "jump", by="anna", seconds=3600.0), step(20.0, "heal")),
+        (step(2.0, "jump", by="anna", seconds=-3600.0), step(20.0, "heal")),
+        (step(2.0, "wall", robot="anna", shift=1e6), step(20.0, "heal")),
+        (step(2.0, "die", by="anna"), step(0.5, "run", **LEASED | {"here": 100.0})),
+        (step(2.0, "split", groups=(("anna", "r1"), ("r2",))), step(1.5, "heal")),
+    ],
+    ids=["loss", "delay", "restart", "new_disk", "ahead", "back", "wall", "operator", "split"],
+)
+def test_an_operator_that_lives_keeps_its_robots_driving(events: Steps, seed: int) -> None:
+    lease = {"lease": 5.0, "here": 100.0}
+    history = History(2, seed)
+    for one in (step(0.0, "run", **LEASED | lease), *events, step(10.0, "heal")):
+        history.carry_out(one)
+    robots = history.swarm.robots.values()
+    assert [one.robot.state for one in robots] == ["running", "running"]
+
+
+def test_a_robot_of_a_secured_swarm_tells_of_the_lease_of_an_older_operator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An older version states no time: its leases prolong nothing, and the robot says so."""
+    monkeypatch.setattr(RobotClocks, "reading", lambda *_: None)
+    history = History(1, seed=2)
+    for one in (step(0.0, "run", **LEASED | {"here": 100.0}), step(6.0, "heal")):
+        history.carry_out(one)
+    status = history.swarm.robots["r1"].robot.status(history.swarm.now)
+    assert (status.state, status.reason) == ("stopped", "lease_ended")
+    assert "older swarmctl" in status.detail
 
 
 def test_no_start_is_sent_after_a_standstill_that_is_noticed() -> None:

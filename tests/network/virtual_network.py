@@ -29,10 +29,11 @@ from swarmd.network.datagram import (
     unpack,
 )
 from swarmd.network.members.admission import Admission
-from swarmd.network.peer import CheckGoal, Peer, PeerActions, PeerSettings, Summary
+from swarmd.network.peer import CheckGoal, HeardLease, Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
 from swarmd.robot.goals import Found, Goals
 from tests.network.keyring import Keyring
+from tests.support.no_real_clock import no_real_clock
 
 TAG = tag_of("field", "lab")
 OPERATOR: Address = ("10.0.0.250", 5000)
@@ -54,6 +55,7 @@ class Robot:
     clocks: list[ClockSample] = field(default_factory=list)
     places: list[PeerPlace] = field(default_factory=list)
     kin: list[KinReport] = field(default_factory=list)
+    leases: list[HeardLease] = field(default_factory=list)
     goals: Goals = field(default_factory=lambda: Goals("robot", (), None, 0.0))
     wished: float = -math.inf
     reset_at: float = -math.inf
@@ -207,7 +209,11 @@ class VirtualNetwork:
             self.run(0.1)
 
     def run(self, seconds: float) -> None:
-        """Let virtual time pass."""
+        """Let virtual time pass; a read of a clock of this machine is an error."""
+        with no_real_clock():
+            self._run(seconds)
+
+    def _run(self, seconds: float) -> None:
         end = self.now + seconds
         while self.now < end - 1e-9:
             self.now += TICK
@@ -297,6 +303,7 @@ class VirtualNetwork:
         robot.clocks.extend(effects.clocks)
         robot.places.extend(effects.places)
         robot.kin.extend(effects.kin)
+        robot.leases.extend(effects.leases)
         robot.invalid_goals += effects.invalid_goals
         for found in effects.goals:
             robot.find(found.goal, found.age, self.now)

@@ -678,6 +678,76 @@ def test_a_robot_that_joins_a_run_with_a_lease_runs_until_its_operator_is_gone()
     assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
 
 
+@pytest.mark.parametrize("age", [None, 2.0, 300.0], ids=["unknown", "as the lease", "replayed"])
+def test_a_lease_that_is_old_or_may_be_replayed_prolongs_no_run_and_is_told(
+    age: float | None,
+) -> None:
+    """As of an operator of an older version in a secured swarm, or of an attacker."""
+    harness = ready()
+    run(harness, goal(6, lease=2.0))
+    for count in range(1, 4):
+        harness.advance(0.6)
+        harness.robot.step(LeaseInput("g6bob", count, age), harness.now)
+    assert told(harness).lease_left == pytest.approx(0.2, abs=0.1)
+    harness.advance(0.5)
+    assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
+    assert "replayed" in harness.status.detail
+    assert "replayed" in harness.refused("resume").text
+    harness.advance(2.0)
+    assert "replayed" not in harness.refused("resume").text
+
+
+def test_a_lease_counts_from_the_time_at_which_it_was_sent() -> None:
+    harness = ready()
+    run(harness, goal(6, lease=2.0))
+    harness.advance(1.0)
+    harness.robot.step(LeaseInput("g6bob", 1, 0.5), harness.now)
+    assert told(harness).lease_left == pytest.approx(1.5)
+    harness.robot.step(LeaseInput("g6bob", 2, 1.9), harness.now)  # a later one came late
+    assert told(harness).lease_left == pytest.approx(1.5)
+    harness.advance(1.6)
+    assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
+
+
+@pytest.mark.parametrize(
+    ("pause", "age", "state"),
+    [
+        (1.0, 0.0, State.RUNNING),
+        (4.9, 0.0, State.RUNNING),
+        (5.1, 0.0, State.IDLE),  # later than the lease of 5 s
+        (1.0, None, State.IDLE),
+        (1.0, 6.0, State.IDLE),
+    ],
+)
+def test_a_robot_that_joins_waits_for_the_operator_for_the_time_of_the_lease(
+    pause: float, age: float | None, state: State
+) -> None:
+    harness = ready()
+    harness.find(goal(6, **JOINED, lease=5.0), 20.0)
+    harness.advance(pause)
+    assert harness.status.state is State.IDLE
+    harness.step(LeaseInput("g6bob", 7, age))
+    harness.advance(1.0)
+    assert harness.status.state is state
+
+
+def test_a_robot_that_does_not_know_all_goals_joins_by_no_lease() -> None:
+    harness = ready()
+    harness.find(goal(6, **JOINED, lease=5.0), 20.0, may_join=False)
+    harness.step(LeaseInput("g6bob", 7))
+    harness.advance(1.0)
+    assert harness.status.state is State.IDLE
+
+
+def test_a_lease_that_comes_after_a_stop_lets_nothing_join() -> None:
+    harness = ready()
+    harness.find(goal(6, **JOINED, lease=5.0), 20.0)
+    harness.applied("stop", operator="carol")
+    harness.step(LeaseInput("g6bob", 7))
+    harness.advance(1.0)
+    assert harness.twist.is_zero
+
+
 def test_a_restarted_robot_offers_its_goal_and_tells_why_it_had_ended() -> None:
     harness = ready()
     run(harness, goal(6))

@@ -35,6 +35,7 @@ from swarmd.drivers.ros1 import driver as ros1
 from swarmd.drivers.ros1 import serialization
 from swarmd.drivers.ros1.adapter import MasterState
 from swarmd.drivers.ros2 import driver as ros2
+from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh
 from swarmd.drivers.ros2.rmw_zenoh import make_driver as make_rmw_zenoh
@@ -632,6 +633,7 @@ class Ros2Base(Base):
             (ros2, "query_kept", Mock()),
             (ros2, "subscribe_with_history", Mock()),
             (ros2, "has_subscriber", lambda publisher: self.is_booted),
+            (rmw_zenoh, "time", SimpleNamespace(time_ns=lambda: round(1e9 * self.loop.time()))),
         )
 
     def make(self) -> Driver:

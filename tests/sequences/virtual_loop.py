@@ -7,6 +7,8 @@ import selectors
 from collections.abc import Coroutine, Mapping
 from typing import Any
 
+from tests.support.no_real_clock import no_real_clock
+
 LEAST = 1e-6  # s by which the time advances at least where the loop would sleep
 
 
@@ -37,11 +39,15 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 
 def run_virtually(loop: VirtualLoop, main: Coroutine[Any, Any, None]) -> None:
-    """Run to the end, then close the loop. An error that only the loop has seen is raised, too."""
+    """Run to the end, then close the loop. An error that only the loop has seen is raised, too.
+
+    A read of a clock of this machine is an error.
+    """
     errors: list[Mapping[str, Any]] = []
     loop.set_exception_handler(lambda _, context: errors.append(context))
     try:
-        loop.run_until_complete(main)
+        with no_real_clock():
+            loop.run_until_complete(main)
     finally:
         for task in asyncio.all_tasks(loop):
             task.cancel()

@@ -8,6 +8,8 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+from tests.support.no_real_clock import no_real_clock
+
 BEGIN = 1000.0
 """What the clock says at first, in s."""
 
@@ -51,7 +53,8 @@ class HandLoop(asyncio.SelectorEventLoop):
 def run(story: Awaitable[None]) -> None:
     loop = HandLoop()
     try:
-        loop.run_until_complete(story)
+        with no_real_clock():
+            loop.run_until_complete(story)
     finally:
         loop.close()
 

@@ -1,14 +1,28 @@
-"""Robots whose requests have another version, beside one of this version."""
+"""Robots of other versions beside one of this version: of another wire, and of an earlier commit.
+
+A change of a message adds its row: it works between the versions, or is refused in a line.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import subprocess
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from swarmd.core import codec
-from tests.support.processes import DaemonProcess, free_endpoint, wait_until
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Reason, State, Status
+from swarmd.core.values import Value
+from swarmd.network.operator.exit_codes import UNREACHABLE
+from swarmd.network.operator.operator import Operator
+from tests.support import earlier_version
+from tests.support.keys import SwarmKeys
+from tests.support.processes import CAP, DaemonProcess, attempts, free_endpoint, wait_until
+from tests.support.swarmctl import STALLED, Finished, ask_in_time, heard_statuses
 from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -78,3 +92,206 @@ def test_robots_of_other_versions_are_stopped_and_shown_and_refuse_the_rest_by_n
             "r3": "estopped",
         }
         assert all(text in swarm.ctl("describe", robot).out for robot, text in speaks.items())
+
+
+THIS, EARLIER = "this", "earlier"
+ROBOTS = {"r1": THIS, "r2": EARLIER}
+LEASE = 4.0  # s: longer than stalls of the machine
+ATTEMPTS = 8  # runs that a stall of a robot may end before one goes on
+# Whether the swarm is secured, and the version of swarmctl.
+WAYS = [(False, EARLIER), (True, THIS), (True, EARLIER)]
+
+
+class Meeting:
+    """A robot of this version and one of an earlier version, and swarmctl of both."""
+
+    def __init__(self, swarm: Swarm, *, is_secured: bool) -> None:
+        self.swarm, self.is_secured = swarm, is_secured
+        self._options: tuple[str, ...] = ()
+        identities: dict[str, dict[str, Value]] = {robot: {} for robot in ROBOTS}
+        identity = None
+        if is_secured:
+            keys = SwarmKeys(swarm.folder / "keys", swarm.name, ROBOTS, operators=("anna",))
+            identities = {robot: {"identity": str(keys.folder_of(robot))} for robot in ROBOTS}
+            self._options = ("--identity", str(keys.folder_of("anna")))
+            identity = keys["anna"]
+        daemons = [
+            swarm.spawn(
+                robot,
+                swarm.body(robot),
+                identities[robot],
+                earlier_version.PREFIX if version == EARLIER else (),
+            )
+            for robot, version in ROBOTS.items()
+        ]
+        for daemon in daemons:
+            daemon.wait_ready()
+        self.left = contextlib.ExitStack()
+        self.operator = self.left.enter_context(Operator(swarm.settings, identity=identity))
+        self.statuses()
+
+    def statuses(self) -> Mapping[str, Status]:
+        """The status of each robot, as an operator of this version reads it."""
+        return heard_statuses(self.operator, ROBOTS)
+
+    def are(self, state: State) -> bool:
+        """True if both robots are in the state."""
+        return {status.state for status in self.statuses().values()} == {state}
+
+    def await_states(self, state: State) -> Mapping[str, Status]:
+        """Wait until both robots are in the state; their statuses then."""
+        wait_until(lambda: self.are(state), f"both are {state}")
+        return self.statuses()
+
+    def run(self, version: str) -> None:
+        """A swarmctl of a version runs both robots; again if a stall has ended a run."""
+        for _ in range(ATTEMPTS):
+            self.obey(version, None, "run", "drive", "--all")
+            wait_until(lambda: self.are(State.RUNNING) or has_stalled(self.statuses()), "both run")
+            if self.are(State.RUNNING):
+                return
+
+    def obey(self, version: str, state: State | None, *words: str) -> None:
+        """Both robots do what a swarmctl of a version says, and are in the state then."""
+        done = self.ctl(version, *words)
+        assert done.outcome == (0, "2 targeted, 2 applied"), done
+        if state is not None:
+            self.await_states(state)
+
+    def ctl(self, version: str, *words: str) -> Finished:
+        """A swarmctl of a version; asked again if the machine stalled."""
+        if version == THIS:
+            return self.swarm.ctl(*words, *self._options)
+        environ = self.swarm.environ()
+        whole = (*words, *self._options)
+        return ask_in_time(
+            lambda: earlier_version.earlier_swarmctl(*whole, environ=environ), late=(UNREACHABLE,)
+        )
+
+    @contextlib.contextmanager
+    def held(self, version: str) -> Iterator[None]:
+        """A swarmctl of a version runs both robots with a lease, and is killed at the end."""
+        words = ("run", "drive", "--all", "--lease", f"{LEASE:g}s", *self._options)
+
+        before = {robot: one.epoch.revision for robot, one in self.statuses().items()}
+
+        def is_begun() -> bool:
+            return all(
+                one.epoch.revision > before[robot]
+                and (one.state is State.RUNNING or one.reason is Reason.LOOP_STALLED)
+                for robot, one in self.statuses().items()
+            )
+
+        if version == THIS:
+            with self.swarm.begin_until(is_begun, "both run", *words):
+                yield
+            return
+        log, environ = self.swarm.folder / "earlier.log", self.swarm.environ()
+        for _ in attempts("both run"):
+            process = earlier_version.begin_swarmctl(*words, environ=environ, log=log)
+            try:
+                if _goes_on_until(process, is_begun):
+                    yield
+                    return
+            finally:
+                process.kill()
+                process.wait(CAP)
+            assert STALLED.search(log.read_text()), log.read_text()
+
+
+def has_stalled(statuses: Mapping[str, Status]) -> bool:
+    """True if a stall of the machine has ended the run of a robot."""
+    return any(one.reason is Reason.LOOP_STALLED for one in statuses.values())
+
+
+def _await_time(at: float) -> None:
+    """Wait until a time on the clock of this machine, in s."""
+    wait_until(lambda: boottime() > at, "the time has come")
+
+
+def _goes_on_until(process: subprocess.Popen[bytes], holds: Callable[[], bool]) -> bool:
+    """Wait until it holds or the process has ended; True if the process goes on."""
+    wait_until(lambda: holds() or process.poll() is not None, "both run")
+    return process.poll() is None
+
+
+@pytest.fixture(scope="module")
+def meetings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[bool], Meeting]]:
+    """The meeting in a swarm without keys, and that in a secured swarm, each begun once."""
+    earlier_version.need_earlier_version()
+    with contextlib.ExitStack() as left:
+
+        @cache
+        def meeting(is_secured: bool) -> Meeting:
+            swarm = Swarm(tmp_path_factory.mktemp("meeting"))
+            left.enter_context(contextlib.closing(swarm))
+            made = Meeting(swarm, is_secured=is_secured)
+            left.enter_context(made.left)
+            return made
+
+        yield meeting
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(("is_secured", "version"), WAYS)
+def test_robots_of_two_versions_obey_operators_of_both(
+    meetings: Callable[[bool], Meeting], is_secured: bool, version: str
+) -> None:
+    """Members, run, stop, emergency stop and reset: each works."""
+    meeting = meetings(is_secured)
+    listed = meeting.ctl(version, "members", "-o", "json")
+    assert listed.code == 0, listed
+    assert {one["robot"] for one in listed.json["members"]} == ROBOTS.keys()
+    meeting.run(version)
+    meeting.obey(version, State.STOPPED, "stop")
+    meeting.obey(version, State.ESTOPPED, "estop")
+    meeting.obey(version, State.IDLE, "reset", "--all", "--yes")
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    ("is_secured", "version", "others"),
+    [(*way, {"r2"} if way == (True, EARLIER) else {"r1", "r2"}) for way in WAYS],
+)
+def test_a_run_lease_holds_between_two_versions_or_ends_in_a_line(
+    meetings: Callable[[bool], Meeting], is_secured: bool, version: str, others: set[str]
+) -> None:
+    """In a secured swarm the lease of an earlier operator has no time: this version says so.
+
+    `others`: the robots that go on beyond the first lease.
+    """
+    meeting = meetings(is_secured)
+    for _ in range(ATTEMPTS):
+        with meeting.held(version):
+            _await_time(boottime() + 2.0 * LEASE)  # the first lease is long over
+            statuses = meeting.statuses()
+        ended = meeting.await_states(State.STOPPED)
+        if not has_stalled(ended):
+            break
+    assert {robot for robot, one in statuses.items() if one.state is State.RUNNING} == others
+    assert {one.reason for one in ended.values()} == {Reason.LEASE_ENDED}
+    assert all("older swarmctl" in ended[robot].detail for robot in ROBOTS.keys() - others)
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("version", [THIS, EARLIER])
+def test_a_mark_at_a_robot_of_one_version_is_kept_by_one_of_the_other(
+    meetings: Callable[[bool], Meeting], version: str
+) -> None:
+    """And swarmctl of both versions lists it of both robots."""
+    meeting = meetings(True)
+    words = f"seen by {version}"
+
+    def is_marked() -> bool:
+        """A robot takes one mark in 10 s."""
+        robot = "r1" if version == EARLIER else "r2"
+        return meeting.ctl(version, "incident", "mark", words, robot).code == 0
+
+    wait_until(is_marked, "the mark is taken")
+
+    def is_kept_by_both() -> bool:
+        listed = meeting.ctl(version, "incidents", "-o", "json").json["incidents"]
+        (found,) = (one for one in listed if words in one["text"])
+        return {kept["robot"] for kept in found["kept"] if kept["size"]} == ROBOTS.keys()
+
+    wait_until(is_kept_by_both, "both keep it", cap=2.0 * CAP)

@@ -12,6 +12,10 @@ fresh if it is
 - a member list that answers a question of this robot,
 - a stop by the rules of `stop_freshness.py`. A stop names the operator that signed it. A robot that
   relays a stop keeps the operator's name and signs with its own key.
+
+A run lease is admitted from the operator that it names. It prolongs a run only as far as the rules
+of `lease_freshness.py` permit: a lease that may be replayed is handed to the robot, which says why
+its run ends, and prolongs nothing.
 """
 
 from __future__ import annotations
@@ -111,6 +115,7 @@ class Admission:
             case Stop():
                 return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease():
+                # `Peer` judges its age.
                 return body if body.operator == author.name else Flaw.FORGED
             case Swarm():
                 return Flaw.ROLE  # no role may sign a `Swarm`

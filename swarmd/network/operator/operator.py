@@ -39,6 +39,7 @@ from swarmd.network.datagram import (
     Beacon,
     Datagram,
     MemberList,
+    RunLease,
     Solicit,
     Stop,
     Swarm,
@@ -76,6 +77,9 @@ from swarmd.security.identity import Identity, authority_of
 if TYPE_CHECKING:
     from swarmd.network.operator.operator_admission import OperatorAdmission
 
+CLOCK_PERIOD = 1.0
+"""Seconds between two questions for the clocks of robots, while a lease is renewed: a robot that
+starts meanwhile hears of the lease after that."""
 CLOSE_TIMEOUT = 0.2
 MAX_SWARMS = 256
 SWARMS_TIME = 0.3
@@ -120,6 +124,7 @@ class Operator(Closing):
             self._roster |= frozenset(identity.roster.robots)
         self._discovery: Discovery | None = None  # the last look (query of all members)
         self._last_view = MembersView({})  # the result of the last look
+        self._clocks_asked_at = -math.inf  # s; for leases, see `send_lease`
         self._swarms: set[str] = set()  # names of swarms that answered a solicit of any swarm
         # The listener of each kind of datagram.
         self._listeners: dict[type, Callable[[Any, float], object]] = {}
@@ -323,6 +328,35 @@ class Operator(Closing):
         for (robot, _), address in to_dial.items():
             if robot in robots:
                 self._datagrams.send(make(), (address,), is_to_all=False)
+
+    def send_lease(self, goal_id: str, count: int, robots: Collection[str]) -> None:
+        """Renew the lease of a goal on each robot in `robots` that is heard.
+
+        `count` rises with each call. In a secured swarm each lease states the time on the clock of
+        its robot, by which the robot knows a replayed lease; so the clocks are asked for each
+        CLOCK_PERIOD, from any robot that answers, such as one that has started meanwhile.
+        """
+        now = boottime()
+        discovery = self._discovery
+        if discovery is None:
+            return
+        is_secured = self.identity is not None
+        if is_secured and now - self._clocks_asked_at >= CLOCK_PERIOD:
+            self._clocks_asked_at = now
+            self._datagrams.ask_clocks(discovery, now)
+        with self._arrivals.lock:
+            to_dial = discovery.to_dial(now)
+        for (robot, instance), address in to_dial.items():
+            if robot in robots:
+                lease = self._lease(goal_id, count, robot, bytes.fromhex(instance))
+                self._datagrams.send(lease, (address,), is_to_all=False)
+
+    def _lease(self, goal_id: str, count: int, robot: str, instance: bytes) -> RunLease:
+        """The lease for one robot, with the time on its clock as far as it is known."""
+        lease = RunLease(id=goal_id, operator=self.name[:128], count=count)
+        with self._arrivals.lock:
+            clock = self._datagrams.clocks.reading(robot, instance, boottime())
+        return lease if clock is None else replace(lease, instance=instance, clock=clock)
 
     # Requests
 

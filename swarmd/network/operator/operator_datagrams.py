@@ -21,6 +21,7 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import Discovery
+from swarmd.network.operator.robot_clocks import RobotClocks
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator_admission import OperatorAdmission
@@ -84,6 +85,7 @@ class OperatorDatagrams:
         self._arrivals = arrivals
         self._on_body = on_body
         self._echo = int.from_bytes(os.urandom(6), "big")
+        self.clocks = RobotClocks()  # use it under the lock of `arrivals`
 
     def start(self) -> None:
         """Begin to receive."""
@@ -103,14 +105,27 @@ class OperatorDatagrams:
 
     def solicit(self, discovery: Discovery, now: float) -> None:
         """Ask robots for beacons, and for member lists if they are due."""
-        self._echo += 1
         with self._arrivals.lock:
-            if self.answers is not None:
-                self.answers.freshness.note_echo(self._echo, now)
-            discovery.on_solicit(self._echo, now)
+            echo = self._new_echo(discovery, now)
             wants_members = discovery.begin_list_request(now)
             addresses = discovery.to_solicit()
-        self.send(Solicit(echo=self._echo, wants_members=wants_members), addresses)
+        self.send(Solicit(echo=echo, wants_members=wants_members), addresses)
+
+    def ask_clocks(self, discovery: Discovery, now: float) -> None:
+        """Ask robots for beacons, which show their clocks; also robots that have just started."""
+        with self._arrivals.lock:
+            echo = self._new_echo(discovery, now)
+            addresses = discovery.to_solicit()
+        self.send(Solicit(echo=echo), addresses)
+
+    def _new_echo(self, discovery: Discovery, now: float) -> int:
+        """The number of a solicit that is sent now; call it with the lock held."""
+        self._echo += 1
+        if self.answers is not None:
+            self.answers.freshness.note_echo(self._echo, now)
+        self.clocks.on_solicit(self._echo, now)
+        discovery.on_solicit(self._echo, now)
+        return self._echo
 
     def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
         """Check a datagram and hand it to `on_body`; the carrier's thread calls it."""
@@ -128,5 +143,6 @@ class OperatorDatagrams:
                     return
                 if isinstance(body, Beacon):
                     self.carrier.confirm(source)
+                    self.clocks.on_beacon(body, now)
             if self._on_body(body, source, now):
                 self._arrivals.notify()

@@ -117,15 +117,22 @@ def playing(**options: Value) -> Callable[[Tell], Test]:
                 started.append(Adapter(*args))
                 return started[-1]
 
-            given["monkeypatch"].setattr(ros1, "AdapterProcess", start)
-            handclock.run(_played(told, started, {"master": "http://127.0.0.1:9", **options}))
+            patch: pytest.MonkeyPatch = given["monkeypatch"]
+            patch.setattr(ros1, "AdapterProcess", start)
+            given_options = {"master": "http://127.0.0.1:9", **options}
+            handclock.run(_played(told, started, given_options, patch))
 
         return as_test(tell, run, ("scene",), ("monkeypatch",))
 
     return of
 
 
-async def _played(told: Tell, started: list[Adapter], options: Mapping[str, Value]) -> None:
+async def _played(
+    told: Tell, started: list[Adapter], options: Mapping[str, Value], patch: pytest.MonkeyPatch
+) -> None:
+    loop = asyncio.get_running_loop()
+    clock = SimpleNamespace(monotonic=loop.time, time_ns=lambda: round(1e9 * loop.time()))
+    patch.setattr(ros1, "time", clock)
     driver = Ros1Driver(swarm="s", robot="r", platform=load_platform("burger"), options=options)
     scene = Scene(driver, started)
     await asyncio.sleep(0.01)
@@ -161,10 +168,8 @@ async def test_the_loss_of_the_base_ends_commands_at_once(scene: Scene, lost: An
 
 @playing()
 async def test_one_cause_of_a_loss_is_one_line_in_the_log(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    scene: Scene, caplog: pytest.LogCaptureFixture
 ) -> None:
-    loop = asyncio.get_running_loop()
-    monkeypatch.setattr(ros1, "time", SimpleNamespace(monotonic=loop.time))
     for _ in range(40):
         scene.report(replace(WELL, publishers={}))
         await asyncio.sleep(0.1)
