@@ -348,7 +348,8 @@ class IncidentService:
         """Tell an incident to peers from now on, and to the log."""
         incident = told.incident
         keep_newest(self._told, incident.id, told, MAX_TOLD)
-        self._on_event(printable(f"incident {incident.id} of {incident.robot}: {incident.text}"))
+        what = f"{incident.kind}: {incident.text}"
+        self._on_event(printable(f"incident {incident.id} of {incident.robot}: {what}"))
 
     def _await_tail(self, incident: Incident, at: float) -> None:
         """Note the incident in the ring at once; its file is written TAIL s after it."""
