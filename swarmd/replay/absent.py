@@ -103,7 +103,7 @@ class Absent:
 def absent(robot: str, lives: Sequence[Life], *, is_here: bool) -> Absent | None:
     """What the recordings `lives` of others tell of a robot; None if none names it."""
     begin = min(life.place(life.messages[0].at) for life in lives)
-    own: dict[str, ToldIncident] = {}
+    own: dict[str, tuple[tuple[bool, float], ToldIncident]] = {}
     others: dict[str, None] = {}
     words: dict[str, list[Word]] = {}
     end = 0.0
@@ -113,16 +113,16 @@ def absent(robot: str, lives: Sequence[Life], *, is_here: bool) -> Absent | None
             reader.take(message)
         for told in reader.incidents:
             if told.incident.robot == robot:
-                # The robot that told it first has its time without the delay of the way.
-                is_first = told.incident.by == reader.by
-                if is_first or told.incident.id not in own:
-                    own[told.incident.id] = told
+                # A robot that heard of it knows its time by the delay of the way: who told it counts.
+                rank = told.incident.by != reader.by, told.at
+                if told.incident.id not in own or rank < own[told.incident.id][0]:
+                    own[told.incident.id] = rank, told
             else:
                 others[told.incident.id] = None
         found = sorted(reader.last.values(), reverse=True)
         words.setdefault(reader.by, []).extend(found)
         end = max(end, reader.end)
-    incidents = sorted(own.values(), key=lambda told: told.at)
+    incidents = sorted((told for _, told in own.values()), key=lambda told: told.at)
     if not incidents and not any(words.values()):
         return None
     end = incidents[0].at if incidents else end
