@@ -367,7 +367,8 @@ def _kept(timeline: Timeline, at: float, incident: Incident, place: Path) -> str
     missing = sorted(had - timeline.tracks.keys())
     notes = [
         f'<p class="dim">What the others last knew of {escape(name)}, and when its minute comes:'
-        f" <code>swarmctl replay {escape(shlex.quote(str(place)))} --why {escape(shlex.quote(name))}</code></p>"
+        f" <code>swarmctl replay {escape(shlex.quote(str(place)))} --why"
+        f" {escape(shlex.quote(name))}</code></p>"
         for name in missing
     ]
     return table(("ROBOT", "", "RECORDED, TO THE INCIDENT"), rows, "listed") + "".join(notes)

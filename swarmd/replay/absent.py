@@ -113,7 +113,7 @@ def absent(robot: str, lives: Sequence[Life], *, is_here: bool) -> Absent | None
             reader.take(message)
         for told in reader.incidents:
             if told.incident.robot == robot:
-                # A robot that heard of it knows its time by the delay of the way: who told it counts.
+                # A robot that heard of it has its time by the delay of the way: the teller counts.
                 rank = told.incident.by != reader.by, told.at
                 if told.incident.id not in own or rank < own[told.incident.id][0]:
                     own[told.incident.id] = rank, told
