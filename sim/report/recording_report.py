@@ -359,9 +359,9 @@ def _kept(timeline: Timeline, at: float, incident: Incident, place: Path) -> str
     rows = []
     for name in sorted(had | timeline.tracks.keys(), key=lambda name: (name not in had, name)):
         what = "had it" if name in had else "told it" if name == incident.by else "kept it"
-        track = timeline.tracks.get(name)
         span = "no recording of it is here"
-        if track is not None:
+        if name in timeline.tracks:
+            track = timeline.tracks[name]
             span = f"{track.begin - at:+.1f} to {track.end - at:+.1f} s"
         rows.append(tuple(map(escape, (name, what, span))))
     missing = sorted(had - timeline.tracks.keys())
