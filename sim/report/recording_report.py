@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.incident import Incident
 from swarmd.core.values import Array
 from swarmd.recording.messages import twist_of
 from swarmd.sim.film.colours import STATES, UNKNOWN
@@ -71,12 +72,18 @@ def recording_report(paths: Sequence[Path], place: Path) -> str:
             trajectories_figure(trace, "paths"), "Paths: hollow at the start, filled at the end."
         ),
     ]
-    sections = [
+    robots = [
         ("robots", "Robots", f"{_notes(timeline)}<p>{frame_text}</p>{_robots(trace, timeline)}"),
-        ("figures", "Figures", figures_html(figures)),
+    ]
+    drawings = [("figures", "Figures", figures_html(figures))]
+    played = player_section("The whole recording", player.period)
+    listed = [
         ("stops", "Stops", _listed(stops, ("TIME", "ROBOT", "FOR", "REASON"), MAX_STOPS)),
-        ("run", "The run", player_section("The whole recording", player.period)),
+    ]
+    events = [
         ("events", "Events", _listed(_events(timeline), ("TIME", "ROBOT", "EVENT"), MAX_EVENTS)),
+    ]
+    last = [
         ("clocks", "Clocks", _clocks(timeline.about)),
         (
             "again",
@@ -86,11 +93,36 @@ def recording_report(paths: Sequence[Path], place: Path) -> str:
         ("manifest", "Made with", _made_with(timeline)),
     ]
     count = len(trace.ids)
+    of = f"ecording of {count} robot{'s' if count > 1 else ''}, {trace.duration:.0f} s"
+    if incident is None:
+        return page(
+            title=place.stem,
+            question=f"R{of}",
+            summary=place.name,
+            sections=[
+                *robots,
+                *drawings,
+                *listed,
+                ("run", "The run", played),
+                *events,
+                *last,
+            ],
+            player=player,
+        )
+    # Who reads of an incident asks for its cause, then looks at it.
+    at, what = incident
+    first = [
+        ("run", "The run", f"<p>{frame_text}</p>{played}"),
+        ("kept", "Who kept it", _kept(timeline, at, what, place)),
+    ]
     return page(
-        title=place.stem,
-        question=f"Recording of {count} robot{'s' if count > 1 else ''}, {trace.duration:.0f} s",
-        summary=f"{place.name}; {incident[1].line(incident[0])}" if incident else place.name,
-        sections=sections,
+        title=what.text if what.text.startswith(what.robot) else f"{what.robot}: {what.text}",
+        question=(
+            f"Incident {what.id} ({what.kind}) of {what.robot} at {at:.1f} s, told by {what.by};"
+            f" r{of}"
+        ),
+        summary=place.name,
+        sections=[*first, *robots, *listed, *events, *drawings, *last],
         player=player,
     )
 
@@ -313,6 +345,33 @@ def _lines_figure(trace: Trace, values: Array, label: str) -> Figure:
 def _notes(timeline: Timeline) -> str:
     notes = "; ".join(map(escape, timeline.notes))
     return f"<p><b>The file is not whole</b>: {notes}.</p>" if notes else ""
+
+
+def _kept(timeline: Timeline, at: float, incident: Incident, place: Path) -> str:
+    """An HTML table of the robots that had an incident at `at` s, told it, or kept their minute.
+
+    Several robots have an emergency stop or a mark: each says so in its own recording.
+    """
+    had = {incident.robot}
+    for name, track in timeline.tracks.items():
+        own = (one for _, one in track.incidents() if one.id == incident.id)
+        had |= {one.robot for one in own if one.robot == name}
+    rows = []
+    for name in sorted(had | timeline.tracks.keys(), key=lambda name: (name not in had, name)):
+        what = "had it" if name in had else "told it" if name == incident.by else "kept it"
+        span = "no recording of it is here"
+        if name in timeline.tracks:
+            track = timeline.tracks[name]
+            span = f"{track.begin - at:+.1f} to {track.end - at:+.1f} s"
+        rows.append(tuple(map(escape, (name, what, span))))
+    missing = sorted(had - timeline.tracks.keys())
+    notes = [
+        f'<p class="dim">What the others last knew of {escape(name)}, and when its minute comes:'
+        f" <code>swarmctl replay {escape(shlex.quote(str(place)))} --why"
+        f" {escape(shlex.quote(name))}</code></p>"
+        for name in missing
+    ]
+    return table(("ROBOT", "", "RECORDED, TO THE INCIDENT"), rows, "listed") + "".join(notes)
 
 
 def _clocks(about: Mapping[str, str]) -> str:

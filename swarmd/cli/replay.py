@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,13 +22,15 @@ from swarmd.cli.options import (
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
+from swarmd.core.verbs import shortened
 from swarmd.network.operator.exit_codes import FAILED
 from swarmd.texts.values import NOTHING, printable
 
 if TYPE_CHECKING:
     from swarmd.core.values import Platform
     from swarmd.recording.reader import RecordedFile
-    from swarmd.replay.replay import Difference, Life, Parity
+    from swarmd.replay.absent import Absent
+    from swarmd.replay.replay import Difference, Last, Life, Parity
 
 
 @click.command()
@@ -41,7 +44,16 @@ if TYPE_CHECKING:
 @click.option("--plugin-dir", type=FOLDER, help="The folder of patterns of your own.")
 @click.option("--until", type=Duration(), metavar="SECONDS", help="End the replay at this instant.")
 @click.option(
-    "--why", metavar="NAME", help="Print the incident and the last decisions of this robot first."
+    "--why",
+    metavar="NAME",
+    help="Print the incident, and what changed for this robot or what others knew of it, first.",
+)
+@click.option(
+    "-v",
+    "--verbose",
+    "is_raw",
+    is_flag=True,
+    help="With --why: also the last inputs and decisions, each with its commands.",
 )
 @click.option(
     "--life",
@@ -58,6 +70,7 @@ def replay(
     plugin_dir: Path | None,
     until: float | None,
     why: str | None,
+    is_raw: bool,
     number: int | None,
 ) -> None:
     """Repeat a recorded run without robots, and compare its commands with the recorded commands.
@@ -70,6 +83,7 @@ def replay(
     from swarmd.plugins import check_single, need, pattern_names, places_of
 
     need("mcap", "rosbags", extra="record")
+    from swarmd.replay.changes import Changes
     from swarmd.replay.replay import recordings_of, total
     from swarmd.replay.swarm import first_difference, place_lives, repeat_together
     from swarmd.settings.platforms import load_platform
@@ -89,8 +103,9 @@ def replay(
     if len(swarms := {life.head.swarm for life in lives}) > 1:
         warn(f"recordings of {len(swarms)} swarms; robots of one name share a row")
     watched = [life for life in lives if life.head.identity.robot == why]
-    if why is not None and not watched:
-        raise click.UsageError(f"--why {why}: no recording of it is repeated")
+    for life in watched:
+        life.replay.changes = Changes()
+    absent = None if why is None or watched else _absent(why, recordings, lives)
     repeat_together(lives, until)
     # Whether each recording with decisions was repeated to its end.
     is_whole = not any(life.fault for life in lives) and len(lives) == sum(
@@ -111,7 +126,9 @@ def replay(
         robot: max(life.error for life in lives if life.head.identity.robot == robot)
         for robot in by_robot
     }
-    lines = [printable(line) for life in watched for line in _why(life)]
+    lines = [printable(line) for life in watched for line in _why(life, is_raw=is_raw)]
+    if absent is not None:
+        lines = [printable(line) for line in absent.lines(_folder(files))]
     if options.is_json:
         _print_json(by_robot, errors, difference, is_equal, lines)
     else:
@@ -252,21 +269,55 @@ def _print_table(
     print_table(names[begin:], [row[begin:] for row in rows])
 
 
-def _why(life: Life) -> Iterator[str]:
-    """The incident of a recording, if it has one, and the last inputs and decisions of its robot.
+def _why(life: Life, *, is_raw: bool) -> Iterator[str]:
+    """The incident of a recording, if it has one, and what changed for its robot.
 
-    The last ones before its first difference, else before the incident, else before the end.
+    `is_raw`: also the last inputs and decisions. They are the last ones before its first
+    difference, else before the incident, else before the end.
     """
-    from swarmd.replay.replay import decision_text
-
     replay, name = life.replay, Path(life.where).name
+    robot = life.head.identity.robot
     # A file may name others of the same minute: its name begins with the id of its own incident.
     own = sorted(replay.incidents, key=lambda one: name.startswith(one.incident.id))[-1:]
     yield from (one.incident.line(one.at) for one in own)
     last, until = (own[0].last, "the incident") if own else (tuple(replay.last), "the end")
+    end = math.inf
     if replay.difference is not None:
         last, until = replay.difference.last, f"{replay.difference.field} differs"
-    yield f"{life.head.identity.robot}, before {until}:"
+        end = replay.difference.at
+    if replay.changes is not None:
+        yield f"{robot}, what changed{'' if math.isinf(end) else f' before {until}'}:"
+        yield from (f"  {one.at:.3f} s  {one.text}" for one in replay.changes.lines(end))
+    if is_raw:
+        yield f"{robot}, the last inputs and decisions before {until}:"
+        yield from _raw(last)
+
+
+def _raw(last: Last) -> Iterator[str]:
+    """Inputs and decisions, a line each."""
+    from swarmd.replay.changes import input_text
+    from swarmd.replay.replay import decision_text
+
     for what, at in last:
-        text = what if isinstance(what, str) else decision_text(what)
-        yield f"  {at:.6f} s  {text}"
+        is_input = hasattr(what, "__struct_config__")
+        yield f"  {at:.6f} s  {input_text(what) if is_input else decision_text(what)}"
+
+
+def _folder(files: Sequence[Path]) -> str:
+    """The folder to fetch to, as the user typed it, if it is a single one."""
+    return shlex.quote(str(files[0])) if len(files) == 1 and files[0].is_dir() else "FOLDER"
+
+
+def _absent(robot: str, recordings: Sequence[list[RecordedFile]], lives: Sequence[Life]) -> Absent:
+    """What the recordings of others know of a robot; UsageError if they do not name it."""
+    from swarmd.replay.absent import absent
+
+    is_here = any(parts[0].about.get("robot") == robot for parts in recordings)
+    found = absent(robot, lives, is_here=is_here)
+    if found is None:
+        names = sorted({life.head.identity.robot for life in lives})
+        raise click.UsageError(
+            f"--why {robot}: no recording here is of it, and none names it; expected one of"
+            f" {shortened(', '.join(names))}"
+        )
+    return found

@@ -73,6 +73,7 @@ from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.protection.compatibility import body_of
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
+from swarmd.recording.lost_member import LOST, LostMember
 from swarmd.robot.actions import Actions
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import TakenRoster
@@ -536,7 +537,9 @@ class Daemon:
         self.step(events.NoteInput(text))
 
     def on_lost(self, beacon: Beacon) -> None:
-        """Begin an incident if the robot, which has failed, ran."""
+        """Record what is known of the robot, which has failed; begin an incident if it ran."""
+        known = LostMember.of(beacon, self._network.link(beacon.robot), self._robot.goal)
+        self._recorder.add(frames.TextEntry(boottime(), LOST, frames.as_json(known)))
         self._incidents.on_lost(beacon)
 
     def on_members(self) -> None:

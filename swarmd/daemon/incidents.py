@@ -462,7 +462,8 @@ class IncidentService:
             del self._told[id]
             self._due.pop(id, None)
         keep_newest(self._told, incident.id, told, MAX_TOLD)
-        self._on_event(printable(f"incident {incident.id} of {incident.robot}: {incident.text}"))
+        what = f"{incident.kind}: {incident.text}"
+        self._on_event(printable(f"incident {incident.id} of {incident.robot}: {what}"))
 
     def _has_room(self, teller: str) -> bool:
         """True if the list takes another incident of `teller`."""

@@ -209,6 +209,10 @@ class Network:
             if quality is not None and address is not None:
                 yield robot, quality, self._ways_of(address, now)
 
+    def link(self, robot: str) -> LinkQuality | None:
+        """How well a robot is heard; None for a robot that was never heard."""
+        return None if self._peer is None else self._peer.links.quality(robot, boottime())
+
     def _ways_of(self, address: Address, now: float) -> tuple[str, ...]:
         carrier = self._carrier
         return carrier.ways.of(address, now) if isinstance(carrier, UdpCarrier) else ("routed",)

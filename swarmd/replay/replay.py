@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
-from swarmd.core.events import HostInput, Input, RequestInput, tag_of
+from swarmd.core.events import HostInput, Input, RequestInput
 from swarmd.core.host_messages import KillHost, Load, LoadRefused, StartTrial, Stepped
 from swarmd.core.incident import Incident
 from swarmd.core.kernels import describe_kernels, load_kernel
@@ -39,8 +39,9 @@ from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages
 from swarmd.recording.frames import DecisionEntry
 from swarmd.recording.head import RecordingHead, head_of
-from swarmd.recording.inputs import MEMORY, InputReader
+from swarmd.recording.inputs import MEMORY, InputReader, TimedInput
 from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of
+from swarmd.replay.changes import Changes
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import recall
 from swarmd.robot.robot import Robot
@@ -48,12 +49,14 @@ from swarmd.texts.why import protection_word
 
 STAMP_END = 12
 """Bytes of the encoding and of the stamp, at the begin of a message with a header."""
-LAST = 20
-"""Inputs and decisions before a difference, or before an incident, that a replay names."""
+LAST = 100
+"""Inputs and decisions before a difference, or before an incident, that `replay -v` names."""
 INCIDENT = "/incident"
 """The topic of the incidents of which the robot keeps its last minute."""
+EVENT = "/event"
+"""The topic of the lines of the robot's log."""
 Last: TypeAlias = tuple[tuple[Any, float], ...]
-"""Inputs by kind, and messages of decisions, each with its time in s on the timeline."""
+"""Inputs, and messages of decisions, each with its time in s on the timeline."""
 
 
 @dataclass(slots=True)
@@ -169,6 +172,7 @@ class Replay:
         self.difference: Difference | None = None
         self.last: deque[tuple[Any, float]] = deque(maxlen=LAST)
         self.incidents: list[Noted] = []
+        self.changes: Changes | None = None  # None: nobody asks what changed
         self._last = 0.0  # time of the last message, s after the first
         self._notes: dict[str, None] = {}  # in their order, each once
 
@@ -222,6 +226,8 @@ class Replay:
             self._lose(f"{before} entries were dropped or are damaged or missing")
         # Also while inputs are skipped: the ray directions of a scan are needed for later scans.
         input = self._inputs.read(message)
+        if self.changes is not None:
+            self._note_change(self.changes, message, input)
         if message.topic == INCIDENT:
             self._take_incident(message)
         elif message.topic == MEMORY and self._awaits_memory:
@@ -244,6 +250,25 @@ class Replay:
             # A robot may hear of it later; the stamp is the time of the incident itself.
             at = clock_of(self._about, round(1e9 * messages.stamp_of(text)))
             self.incidents.append(Noted(incident, self._place(at), tuple(self.last)))
+            if self.changes is not None:
+                self.changes.take_mark(
+                    f"incident {incident.id} of {incident.robot}", self._place(at)
+                )
+
+    def _note_change(
+        self, changes: Changes, message: RecordedMessage, input: TimedInput | None
+    ) -> None:
+        """Hand a message to the changes of the robot, also while a memory is awaited."""
+        if input is not None:
+            changes.take_input(input.input, self._place(input.now))
+        elif message.topic in ("/decision", EVENT):
+            with suppress(CodecError):  # `_take` tells a decision that cannot be read
+                read = messages.message_on(message.topic, message.kind, message.payload)
+                if message.topic == EVENT:
+                    at = 10**9 * read.stamp.sec + read.stamp.nanosec
+                    changes.take_event(read.msg, self._place(clock_of(self._about, at)))
+                else:
+                    changes.take_decision(read, self._place(clock_of(self._about, message.at)))
 
     def _lose(self, what: str) -> None:
         """Note that an input is lost, so that the robot here knows less than the recorded one."""
@@ -258,7 +283,7 @@ class Replay:
                 return  # a new robot does not know which requests were executed before
         if isinstance(input, HostInput) and isinstance(input.event, Stepped):
             self._compare_requested(input.event, now)
-        self.last.append((tag_of(input), self._place(now)))
+        self.last.append((input, self._place(now)))
         with np.errstate(all="ignore"):  # a damaged memory may contain any numbers
             actions = self._robot.step(input, now)
         if actions is not None:
@@ -488,11 +513,10 @@ def decision_text(decision: Any) -> str:
     )
     by = " ".join(filter(None, (decision.mode, word)))
     text = f"{state}, {by}: {requested} -> {safe}"
-    if not len(decision.bearings):
+    columns = decision.bearings, decision.gaps, decision.caps
+    if not all(len(column) for column in columns):
         return text
-    bearing, gap, cap = (
-        float(column[0]) for column in (decision.bearings, decision.gaps, decision.caps)
-    )
+    bearing, gap, cap = (float(column[0]) for column in columns)
     return f"{text}, an obstacle at {math.degrees(bearing):.0f} deg, {gap:.2f} m, cap {cap:.3f} m/s"
 
 

@@ -99,6 +99,11 @@ class Track:
         if topic in _TOPICS:
             self.topics[topic].add(at, kind, payload)
 
+    @property
+    def begin(self) -> float:
+        """The time of the first message in s; 0 without a message."""
+        return self._heard[0] if self._heard else 0.0
+
     def is_heard(self, now: float) -> bool:
         """True if a message was recorded within SILENCE before a time."""
         last = bisect_right(self._heard, now) - 1

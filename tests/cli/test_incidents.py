@@ -16,7 +16,9 @@ from swarmd.cli.options import CommonOptions
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.client.incidents import Incidents, accounts_of, gathered
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.incident import Incident
+from swarmd.core.events import NeighborsInput, PlaceInput
+from swarmd.core.incident import Incident, IncidentKind
+from swarmd.core.values import Neighbor, PeerPlace
 from swarmd.core.verbs import (
     FetchQuery,
     FetchReply,
@@ -24,6 +26,9 @@ from swarmd.core.verbs import (
     KeptIncident,
     RecordingsReply,
 )
+from swarmd.recording import frames
+from swarmd.recording.incident_file import to_recording
+from swarmd.recording.lost_member import LOST, LostMember
 from tests.support.incidents import ID, incident_of, keep
 from tests.support.recorded_stories import Story
 
@@ -339,19 +344,27 @@ def test_why_names_the_incident_first_and_then_the_decisions_with_their_bound(
 ) -> None:
     keep_files(robots, files)
     robots.swarmctl("incidents", "fetch", ID, "-d", str(tmp_path))
-    code, out, _ = robots.swarmctl("replay", str(tmp_path), "--why", "tb3-01")
+    code, out, _ = robots.swarmctl("replay", str(tmp_path), "--why", "tb3-01", "-v")
     lines = out.splitlines()
     assert code == 0
     assert lines[0].startswith(f"incident {ID} of tb3-02 at 13.950 s: mark: a chair fell")
     assert "tb3-01" in lines[1]
-    before = [line for line in lines[2:] if line.startswith("  ")]
+    raw = next(n for n, line in enumerate(lines) if n > 1 and line.startswith("tb3-01"))
+    changed = lines[2:raw]
+    assert float(changed[0].split()[0]) < 1.0, "the whole recording, from its begin on"
+    assert "running" in changed[0]
+    assert any(f"incident {ID}" in line and "13.950 s" in line for line in changed)
+    assert len(changed) < 30, "what stays equal has no line"
+    before = [line for line in lines[raw + 1 :] if line.startswith("  ")]
     times = [float(line.split()[0]) for line in before]
-    assert 12.9 < times[0] <= times[-1] <= 13.95, "the last second before it, none after it"
-    assert {"odometry", "tick", "host"} <= {line.split()[2] for line in before}
-    decided = [line for line in before if "m/s" in line]
+    assert 10.9 < times[0] <= times[-1] <= 13.95, "the last entries before it, none after it"
+    assert {"odometry", "tick", "pattern"} <= {line.split()[2] for line in before}
+    decided = [line for line in before if "->" in line]
     assert all("0.100 m/s" in line and "running" in line for line in decided)
-    found = robots.json("replay", str(tmp_path), "--why", "tb3-01")
-    assert found["why"] == lines[: 2 + len(before)]
+    found = robots.json("replay", str(tmp_path), "--why", "tb3-01", "-v")
+    assert found["why"] == lines[: raw + 1 + len(before)]
+    short = robots.json("replay", str(tmp_path), "--why", "tb3-01")
+    assert short["why"] == lines[:raw]
 
 
 def test_a_fetch_that_was_cut_continues(
@@ -401,3 +414,100 @@ def test_the_beginning_of_an_id_names_one_incident(
 def test_a_mark_without_words_or_with_too_many_is_refused(robots: Robots, words: str) -> None:
     code, _, err = robots.swarmctl("incident", "mark", words)
     assert (code, "WORDS" in err) == (2, True)
+
+
+def silent_of(robot: str, by: str) -> Incident:
+    return Incident(
+        id=ID, robot=robot, kind=IncidentKind.SILENT, text=f"{robot} is not heard any more; it ran",
+        by=by, wall=1.7e9,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def without_the_dead(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What robot a keeps of the death of robot b: it was heard, placed, and then declared failed.
+
+    The incident is 3 s before the end, and b was declared failed with it.
+    """
+    made = tmp_path_factory.mktemp("made")
+    folder = tmp_path_factory.mktemp("crash")
+    story = Story(made, robot="a")
+    story.robot.advance(1.0)
+    story.recorder.begin(story.robot)
+    story.run("drive", 4.0, speed=0.1)
+    story.robot.step(NeighborsInput((Neighbor("b", 0.5, 1.25, 0.5), Neighbor("c", 0.1))))
+    story.robot.step(PlaceInput(PeerPlace("b", "map", 1.5, -0.25, 0.05, 0.2)))
+    story.robot.advance(2.0)
+    member = LostMember(
+        robot="b", state="running", platform="burger", age=5.0, received=25, lost=7,
+        round_trip=0.0031, goal="goal 3 of anna: drive",
+    )  # fmt: skip
+    story.recorder.add(frames.TextEntry(story.robot.now, LOST, frames.as_json(member)))
+    story.robot.advance(3.0)
+    story.recorder.finish()
+    path = keep(story, folder / "a", before=3.0, incident=silent_of("b", "a"))
+    to_recording(path)
+    return folder
+
+
+def test_a_robot_without_a_recording_is_told_by_what_others_last_knew(
+    robots: Robots, without_the_dead: Path
+) -> None:
+    """Killed: its minute is there after its next start only, and its peers have what they knew."""
+    code, out, _ = robots.swarmctl("replay", str(without_the_dead), "--why", "b")
+    lines = out.splitlines()
+    assert code == 0, "the commands of a are equal"
+    assert lines[0].startswith(f"incident {ID} of b at")
+    assert lines[0].endswith("(told by a)")
+    told = "\n".join(lines)
+    assert f"swarmctl incidents fetch {ID} -d {without_the_dead}" in told
+    lost = next(line for line in lines if "3.1 ms" in line)
+    assert lost.split()[:3] == ["a,", "0", "ms"]
+    for word in ("running", "burger", "7 of 32", "5.0 s", "goal 3 of anna: drive"):
+        assert word in lost
+    place = next(line for line in lines if "frame map" in line)
+    assert place.split()[:3] == ["a,", "2.0", "s"], "whose words, and how old"
+    assert "1.50, -0.25 m" in place
+    near = next(line for line in lines if "1.25 m" in line)
+    assert near.split()[:3] == ["a,", "2.0", "s"]
+    assert not any(line.split()[:1] == ["c,"] for line in lines), "c has no recording"
+    assert "safe" in out, "what a did is compared as ever"
+    found = robots.json("replay", str(without_the_dead), "--why", "b")
+    assert found["why"] == lines[: len(found["why"])]
+
+
+def test_a_robot_that_no_recording_names_is_refused_with_those_that_are_here(
+    robots: Robots, without_the_dead: Path
+) -> None:
+    code, out, err = robots.swarmctl("replay", str(without_the_dead), "--why", "tb3-09")
+    assert (code, out) == (2, "")
+    assert "tb3-09" in err
+    assert "expected one of a" in err
+
+
+def test_a_robot_that_is_only_a_neighbor_of_others_has_no_incident(
+    robots: Robots, without_the_dead: Path
+) -> None:
+    code, out, _ = robots.swarmctl("replay", str(without_the_dead), "--why", "c")
+    lines = out.splitlines()
+    assert code == 0
+    assert not lines[0].startswith("incident")
+    assert any(line.split()[:3] == ["a,", "5.0", "s"] and "place not" in line for line in lines)
+    assert not any("anna" in line for line in lines), "the goal of b is not that of c"
+
+
+def test_words_of_a_foreign_recording_are_printed_in_one_line_each(
+    robots: Robots, tmp_path: Path
+) -> None:
+    story = Story(tmp_path / "made", robot="a")
+    story.robot.advance(1.0)
+    story.recorder.begin(story.robot)
+    story.run("drive", 1.0, speed=0.1)
+    evil = LostMember(robot="b", state="x\x1b[31m\ny", goal="\r\nz")
+    story.recorder.add(frames.TextEntry(story.robot.now, LOST, frames.as_json(evil)))
+    story.robot.advance(1.0)
+    story.recorder.finish()
+    to_recording(keep(story, tmp_path / "crash" / "a", incident=silent_of("b", "a")))
+    out = robots.swarmctl("replay", str(tmp_path / "crash"), "--why", "b")[1]
+    assert all(line.isprintable() for line in out.splitlines())
+    assert len(robots.json("replay", str(tmp_path / "crash"), "--why", "b")["why"]) == 5

@@ -76,11 +76,20 @@ def test_a_mark_is_kept_by_robots_that_are_not_asked(swarm: Swarm) -> None:
         assert "it shook" in told.text
 
 
-def test_a_daemon_that_is_killed_is_one_incident_of_all(swarm: Swarm, robots: Robots) -> None:
+def test_a_daemon_that_is_killed_is_one_incident_of_all(
+    swarm: Swarm, robots: Robots, tmp_path: Path
+) -> None:
     daemon, body = robots["r2"]
     daemon.kill()
     others = tuple(name for name in NAMES if name != "r2")
     told = await_kept(swarm, lambda one: "r2 is not heard" in one.incident.text, others)
+    # Its own minute is not there so far: its peers tell what they knew of it.
+    swarm.ctl("incidents", "fetch", max(told), "-d", str(tmp_path))
+    assert {path.name for path in tmp_path.iterdir() if path.is_dir()} == {*others}
+    done = swarm.ctl("replay", str(tmp_path), "--why", "r2")
+    assert done.code == 0, done
+    assert f"incident {max(told)} of r2" in done.out.splitlines()[0]
+    assert "declared failed; its last beacon" in done.out
     swarm.spawn("r2", body).wait_ready()
     died = await_kept(swarm, lambda one: one.incident.id in told)
     own = [kept_by(swarm, "r2")[id].begin for id in died]

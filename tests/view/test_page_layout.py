@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from swarmd.core.incident import IncidentKind
 from swarmd.core.messages import FenceSummary, Health, Reason, State
 from tests.support.chromium import FOUND, Page
 from tests.support.fed_swarm import PATTERNS
@@ -27,6 +28,9 @@ SHARE = (
 )
 LINE = "document.querySelector('.answer .line').textContent"
 ENTRIES = "[...document.querySelectorAll('#legend > *')].map((one) => one.textContent)"
+OTHER = "ba9876543210"
+KEPT_MARKS = "Object.defineProperty(model, 'marks', { get: () => marks, set() {} });"
+"""The server's own marks do not replace those of a test."""
 CHIPS = "[...document.querySelectorAll('#chips > *')].map((one) => one.textContent)"
 
 
@@ -750,6 +754,115 @@ def test_an_incident_is_a_mark_of_its_own_and_has_the_line_to_fetch_it(
             " })()"
         )
         assert lines == [f"swarmctl incidents fetch {ID}"]
+
+
+def test_incidents_are_chips_and_a_click_shows_that_instant(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Robots hear of one incident at several times; words of robots and operators are text."""
+    evil = "<img src=x onerror=window.hacked=1><b>x</b>"
+    with shown(2, capsys) as (_, (address,)):
+        ready(page, address, 2)
+        page.until("swarm.plots.latest() > 0 && swarm.plots.left", "a plot")
+        page.evaluate("swarm.panels.open('time', true)")
+        page.evaluate(
+            "(() => { const { model, plots } = swarm, now = plots.latest();"
+            f" const marks = [[now - 3, 'incident {OTHER} of tb3-002: mark: {evil}', ['b'], 1],"
+            f" [now - 8, 'incident {ID} of tb3-001: driver_lost: no cable', ['a'], 1],"
+            f" [now - 9, 'incident {ID} of tb3-001: driver_lost: no cable', ['b'], 1],"
+            " [now - 1, 'stop by anna', ['a'], 1]];"
+            f" {KEPT_MARKS} window.now = now; plots.chips.draw(); }})()"
+        )
+        chips = page.evaluate(
+            "[...document.querySelectorAll('#incidents button')].map((one) =>"
+            " [one.dataset.incident, one.children[1].textContent, one.children[2].textContent])"
+        )
+        assert chips == [[ID, "tb3-001", "driver lost"], [OTHER, "tb3-002", "mark"]]
+        assert evil in page.evaluate("document.querySelector('#incidents button:last-child').title")
+        assert page.evaluate("document.querySelectorAll('#incidents img').length") == 0
+        assert page.evaluate("window.hacked === undefined")
+        assert "2" in page.evaluate("document.getElementById('time-open').textContent")
+        page.evaluate("window.seen = []; swarm.plots.to = (at) => seen.push(at - now)")
+        page.click(f"#incidents [data-incident='{ID}']")
+        assert -10.5 < page.evaluate("seen[0]") < -8.5, "the first that heard of it"
+
+
+def test_an_incident_of_an_older_robot_has_its_words_in_place_of_its_kind(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys) as (_, (address,)):
+        ready(page, address, 2)
+        page.until("swarm.plots.latest() > 0 && swarm.plots.left", "a plot")
+        page.evaluate(
+            "(() => { const { model, plots } = swarm;"
+            f" const marks = [[1, 'incident {ID} of tb3-001: it: shook', ['a'], 1]];"
+            f" {KEPT_MARKS} plots.chips.draw(); }})()"
+        )
+        chip = "document.querySelector('#incidents button').children[2].textContent"
+        assert page.evaluate(chip) == "it: shook"
+        for kind in IncidentKind:
+            line = f"incident {ID} of tb3-001: {kind}: it shook"
+            read = f"import('./states.js').then(({{ incidentOf }}) => incidentOf('{line}'))"
+            found = page.evaluate(read)
+            assert (found["kind"], found["text"]) == (kind.value, "it shook")
+
+
+def test_one_button_is_the_primary_action_of_an_emergency_stop(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The banner offers the reset of the robots that need one; the button for all is plain."""
+    primary = (
+        "(() => { const wanted = getComputedStyle(document.documentElement)"
+        ".getPropertyValue('--accent').trim(), probe = document.createElement('i');"
+        " probe.style.color = wanted; document.body.append(probe);"
+        " const colour = getComputedStyle(probe).color; probe.remove();"
+        " const found = [...document.querySelectorAll('button')].filter((one) =>"
+        " one.checkVisibility() && getComputedStyle(one).backgroundColor === colour);"
+        " return [document.getElementById('estop-reset').checkVisibility(),"
+        " ...found.map((one) => one.id)]; })()"
+    )
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        # In one go: the next message of the server has the true states.
+        state = "swarm.model.robots.get('tb3-002').row.state = '{}'; swarm.actions.mark();"
+        faulted = page.evaluate(f"{state.format('faulted')} {primary}")
+        estopped = page.evaluate(f"{state.format('estopped')} {primary}")
+        assert faulted == [False, "reset"]
+        assert estopped == [True]
+
+
+def test_on_a_phone_most_of_the_height_is_the_map_also_under_an_emergency_stop(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(7, capsys) as (_, (address,)):
+        page.resize(390, 844, is_phone=True)
+        ready(page, address, 7)
+        pane = "document.getElementById('map-pane').getBoundingClientRect()"
+        assert page.evaluate(f"{pane}.height / innerHeight") >= 0.7
+        page.click("#estop")
+        # Until all have acknowledged, the banner names some of them in more lines.
+        page.until(f"{ESTOP}.textContent.includes('all 7 robots')", "the banner")
+        assert page.evaluate(f"{pane}.top / innerHeight") <= 0.22
+        assert page.evaluate(f"{pane}.height / innerHeight") >= 0.64
+
+
+def test_robots_without_a_shared_frame_are_laid_out_side_by_side(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Odometry begins at 0 where a robot was switched on, so all would lie on one place."""
+    with shown(4, capsys) as (_, (address,)):
+        ready(page, address, 4)
+        least = page.evaluate(
+            "(() => { const { model } = swarm, view = new DataView(new ArrayBuffer(20 + 4 * 16));"
+            " model.past = null; view.setUint32(16, 4, true);"
+            " for (let i = 0; i < 4; i++) view.setUint32(20 + 16 * i, i, true);"
+            " for (const robot of model.robots.values()) robot.layout = null;"
+            " model.frame(view, performance.now());"
+            " const places = [...model.robots.values()].map(({ x, y }) => [x, y]);"
+            " return Math.min(...places.flatMap(([x, y], i) => places.slice(i + 1)"
+            ".map(([a, b]) => Math.hypot(x - a, y - b)))); })()"
+        )
+        assert least == pytest.approx(2.0)
 
 
 def test_the_slider_has_the_axis_of_the_plots(

@@ -69,8 +69,9 @@ export class Actions {
     const isPast = this.isPast(), needs = this.needing(this.named()).length > 0;
     // A click still says why nothing is sent.
     for (const id of COMMANDS) element(id).setAttribute('aria-disabled', isPast || (id === 'reset' && !needs));
-    element('actions').classList.toggle('needs-reset', needs && !isPast && !this.isStopping);
     this.drawEstop();
+    // One primary action: where the banner offers the reset of the robots that need one, it is that.
+    element('actions').classList.toggle('needs-reset', needs && !isPast && !this.isStopping && element('estop-reset').hidden);
   }
 
   needing(names) {

@@ -70,10 +70,10 @@ export class Detail {
       return fold;
     }));
     document.getElementById('events').replaceChildren(...(detail.events || []).map(([age, text]) => {
-      const item = document.createElement('li'), id = incidentOf(text);
+      const item = document.createElement('li'), incident = incidentOf(text);
       item.textContent = `${age}: ${plain(text)}`;
-      if (id) item.append(document.createElement('code'));
-      if (id) item.lastChild.textContent = `swarmctl incidents fetch ${id}`;
+      if (incident) item.append(document.createElement('code'));
+      if (incident) item.lastChild.textContent = `swarmctl incidents fetch ${incident.id}`;
       return item;
     }));
   }

@@ -64,7 +64,8 @@ export class Gestures {
     const isSelected = this.map.model.selected.has(this.grabbed.name);
     for (const robot of isSelected ? this.map.chosen() : [this.grabbed]) {
       robot.x += dx; robot.y += dy;
-      robot.offset = [robot.offset[0] + dx, robot.offset[1] + dy, robot.offset[2]];
+      const [x, y, turn] = this.map.model.shiftOf(robot);
+      robot.offset = [x + dx, y + dy, turn];
       robot.trail.length = 0;
     }
   }
@@ -80,7 +81,8 @@ export class Gestures {
     const c = Math.cos(angle), s = Math.sin(angle);
     const turned = (x, y) => [mx + c * (x - mx) - s * (y - my), my + s * (x - mx) + c * (y - my)];
     for (const robot of robots) {
-      robot.offset = [...turned(robot.offset[0], robot.offset[1]), robot.offset[2] + angle];
+      const [x, y, turn] = this.map.model.shiftOf(robot);
+      robot.offset = [...turned(x, y), turn + angle];
       [robot.x, robot.y] = turned(robot.x, robot.y);
       robot.yaw += angle;
       robot.trail.length = 0;

@@ -28,15 +28,16 @@ const free = () => { // what the map shows by Fit is not covered
   const isShort = isPhone && matchMedia('(max-height: 700px) and (orientation: landscape)').matches; // its tools are a column at the right
   const column = isColumn ? side('tools', 'hints', 'legend') : 0, commands = side('commands');
   // The card of a robot counts on a phone alone: in a wide window a click that selects a robot must not move the map.
-  const sheet = isPhone ? Math.max(...['detail-pane', 'look', 'list-pane'].map((id) => element(id).offsetHeight)) : 0;
-  const insets = isColumn ? [0, 0, commands + column, side('look')] : [(isShort ? 8 : tools) + hints, Math.max(legend, sheet) + ABOVE_SCALE, commands, isShort ? size('tools', 'offsetWidth') : side('look')];
+  const strip = isPhone && element('answer-list').children.length ? element('answers').offsetHeight : 0; // over the map
+  const sheet = strip + (isPhone ? Math.max(...['detail-pane', 'look', 'list-pane'].map((id) => element(id).offsetHeight)) : 0);
+  const insets = isColumn ? [0, 0, commands + column, side('look')] : [(isShort ? 8 : tools) + hints, Math.max(legend + strip, sheet) + ABOVE_SCALE, commands, isShort ? size('tools', 'offsetWidth') : side('look')];
   const isSame = `${insets}` === `${map.insets}`;
   map.insets = insets;
-  map.corner = [commands, isColumn ? legend : Math.max(legend, sheet)];
+  map.corner = [commands, isColumn ? legend : Math.max(legend + strip, sheet)];
   for (const [name, value] of [['--tools', tools], ['--tools-width', size('tools', 'offsetWidth')], ['--above', insets[0]]]) document.documentElement.style.setProperty(name, `${value}px`);
   if (map.hasFitted && !map.isTouched && !isSame) map.fit();
 };
-for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane', 'list-pane']) new ResizeObserver(() => requestAnimationFrame(free)).observe(element(id)); // not within: it changes sizes
+for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane', 'list-pane', 'answer-list']) new ResizeObserver(() => requestAnimationFrame(free)).observe(element(id)); // not within: it changes sizes
 new ResizeObserver(() => chips.fit()).observe(element('chips'));
 
 const actions = new Actions(model, (message) => link.send(message), () => panels.open('commands', false));

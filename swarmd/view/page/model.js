@@ -6,6 +6,7 @@ export const STALE = 5; // s without news after which a robot is shown as not he
 const TRAIL = 300; // places kept for each robot
 const TRAIL_STEP = 0.02; // m between two of them
 const KEPT = 300; // moments that are plotted of a living swarm
+const APART = 2; // m between robots of a living swarm without a shared frame, where the page first sees them
 const ACK_TIME = 3000; // ms from an acknowledgement to the status that follows, at most
 const MOST = 100; // values that are plotted: robots may report under other names each second
 
@@ -30,6 +31,7 @@ export class Model extends EventTarget {
     this.boxes = [];
     this.plots = { times: [], values: {}, next: 0 };
     this.marks = []; // events: time, text, some of the robots, their number
+    this.columns = 1; // of the layout of robots without a shared frame
     this.past = null; // the time that a living swarm is looked back at
     this.sendPast = () => {};
   }
@@ -45,6 +47,9 @@ export class Model extends EventTarget {
     this.byIndex = [];
     const offsets = this.offsets();
     for (const one of message.robots) this.add(one, before.get(one.name), offsets);
+    const columns = Math.ceil(Math.sqrt(this.robots.size));
+    if (columns !== this.columns) for (const robot of this.robots.values()) { robot.layout = null; robot.trail.length = 0; }
+    this.columns = columns;
     this.arena = message.arena;
     this.source = message.source;
     this.role = message.role;
@@ -139,9 +144,10 @@ export class Model extends EventTarget {
     for (let i = 0, at = 20; i < count; i++, at += 16) {
       const robot = this.byIndex[view.getUint32(at, true)];
       if (!robot) continue;
-      const [dx, dy, turn] = robot.offset;
       const x = view.getFloat32(at + 4, true), y = view.getFloat32(at + 8, true);
       if (!Number.isFinite(x + y)) continue;
+      robot.layout ||= this.layoutOf(robot, x, y);
+      const [dx, dy, turn] = this.shiftOf(robot);
       const c = Math.cos(turn), s = Math.sin(turn);
       robot.x = dx + c * x - s * y;
       robot.y = dy + s * x + c * y;
@@ -155,6 +161,16 @@ export class Model extends EventTarget {
     }
     this.tell('frame');
   }
+
+  // Where odometry without a common origin is drawn: each robot of a living swarm begins at its place in a grid.
+  layoutOf(robot, x, y) {
+    if (this.source !== 'live' || this.robots.size < 2) return [0, 0, 0];
+    const row = Math.floor(robot.index / this.columns), column = robot.index % this.columns;
+    return [APART * column - x, -APART * row - y, 0];
+  }
+
+  // What moves a robot's odometry onto the map: the operator's alignment, else the layout.
+  shiftOf(robot) { return robot.offset.some((one) => one !== 0) ? robot.offset : robot.layout || [0, 0, 0]; }
 
   scan(view) {
     const robot = this.byIndex[view.getUint32(4, true)];
@@ -215,7 +231,7 @@ export class Model extends EventTarget {
   keepOffsets(isForgotten) {
     const offsets = isForgotten ? {} : this.offsets();
     for (const robot of this.robots.values()) {
-      if (isForgotten) { robot.offset = [0, 0, 0]; robot.trail.length = 0; }
+      if (isForgotten) { robot.offset = [0, 0, 0]; robot.layout = null; robot.trail.length = 0; }
       else if (robot.offset.some((one) => one !== 0)) offsets[robot.name] = robot.offset;
     }
     try { localStorage.setItem(`frames of ${this.swarm}`, JSON.stringify(offsets)); } catch { /* not kept */ }

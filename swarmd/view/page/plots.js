@@ -1,5 +1,6 @@
 // The plots over time: a lane for each value, ticks for events, and the shown time.
 
+import { Incidents } from './incidents.js';
 import { incidentOf, plain } from './states.js';
 
 const SPAN = 300; // s of a living swarm
@@ -27,6 +28,7 @@ export class Plots {
     this.back = element('back');
     this.key = element('plot');
     new ResizeObserver(() => this.wake()).observe(this.canvas);
+    this.chips = new Incidents(element('incidents'), element('time-open'), this);
     for (const news of ['plots', 'past', 'hello', 'frame']) model.addEventListener(news, () => this.wake());
     this.canvas.addEventListener('pointerdown', (event) => { this.canvas.setPointerCapture(event.pointerId); this.isHeld = true; this.take(event); });
     this.canvas.addEventListener('pointermove', (event) => (this.isHeld ? this.take(event) : this.hover(event)));
@@ -40,7 +42,7 @@ export class Plots {
   wake() {
     if (this.isWaiting) return;
     this.isWaiting = true;
-    requestAnimationFrame(() => { this.isWaiting = false; this.draw(); });
+    requestAnimationFrame(() => { this.isWaiting = false; this.chips.draw(); this.draw(); });
   }
 
   latest() { return this.model.plots.times.at(-1) || 0; }
@@ -212,7 +214,12 @@ export class Plots {
     ctx.textAlign = 'left';
     ctx.font = `${0.72 * rem}px system-ui, sans-serif`;
     for (const { place, marks } of ticks) {
-      if (marks.length > 1) this.label(marks.length, place + 5, bottom - 1);
+      if (marks.length > 1) {
+        const words = `${marks.length} events`, isLast = place + 8 + ctx.measureText(words).width > x(until);
+        ctx.fillStyle = dim;
+        ctx.textAlign = isLast ? 'right' : 'left';
+        this.label(words, place + (isLast ? -6 : 5), bottom - 1);
+      }
       ctx.fillStyle = marks.some(([, text]) => incidentOf(text)) ? danger : dim;
       ctx.beginPath();
       ctx.moveTo(place - 4, bottom); ctx.lineTo(place + 4, bottom); ctx.lineTo(place, bottom - 6);

@@ -36,8 +36,14 @@ export function ago(seconds) {
   return `${Math.floor(seconds / size)} ${unit} ago`;
 }
 
-// The id of the incident that a line of a robot's log is of; undefined for another line.
-export function incidentOf(text) { return (text.match(/^incident ([0-9a-f]{12}) of /) || [])[1]; }
+// The incident that a line of a robot's log is of: its id, the robot that had it, its kind (`IncidentKind`; empty from
+// a version that tells none or another one) and its text; null for another line.
+const KINDS = 'estop|fault|hazard|driver_lost|loop_stalled|fence|assumption|silent|mark';
+const INCIDENT = new RegExp(`^incident ([0-9a-f]{12}) of ([^\\s:]+): (?:(${KINDS}): )?(.*)$`, 's');
+export function incidentOf(text) {
+  const [, id, robot, kind = '', words] = text.match(INCIDENT) || [];
+  return id ? { id, robot, kind, text: words } : null;
+}
 
 // A text of swarmctl or of a robot's log for people: the page has buttons instead of commands, and
 // addresses, hosts of operators, codes in parentheses and measured speeds are in the details.

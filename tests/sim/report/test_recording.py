@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -153,8 +154,42 @@ def test_the_player_of_an_incident_begins_ten_seconds_before(tmp_path: Path) -> 
     data = re.search(r'id="run-data">(.*?)</script>', text, re.DOTALL)
     assert data is not None
     assert json.loads(data[1])["start"] == pytest.approx(11.0)
-    assert f"incident {ID} of b at 21.000 s: mark: a chair fell" in text
+    assert "<h1>b: a chair fell</h1>" in text, "the cause first"
+    assert f"Incident {ID} (mark) of b at 21.0 s, told by b" in text
     assert "a lion" not in text
+    sections = re.findall(r'<section id="(\w+)"', text)
+    assert sections[:3] == ["run", "kept", "robots"]
+    kept = re.search(r'<section id="kept">(.*?)</section>', text, re.DOTALL)
+    assert kept is not None
+    rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td><td>(.*?)</td>", kept[1])
+    assert rows == [("b", "had it", "-21.0 to +8.5 s"), ("a", "kept it", "-21.0 to +8.5 s")]
+
+
+@pytest.mark.parametrize("words", ["it died", "<img src=x onerror=alert(1)>"])
+def test_the_robot_of_an_incident_without_a_recording_is_in_the_table(
+    tmp_path: Path, words: str
+) -> None:
+    """A daemon that was killed writes its minute at its next start: at first it has none here."""
+    about = {"robot": "a", "clock": "one", "platform": "burger", "version": "1"}
+    converter = Converter(Begin(50.0, str(tmp_path), ID, about, 1.7e9, FileLimits()))
+    for at in np.arange(50.0, 60.0, 0.5).tolist():
+        pose = Odometry(at, Pose(0.1 * at, 0.0, 0.0), Twist(0.2))
+        converter.add(input_entry(OdometryInput(pose), at))
+        if at == 55.0:
+            silent = structs.replace(incident_of("b", words), by="a")
+            converter.add(TextEntry(at, "/incident", as_json(silent)))
+    converter.writer.close()
+    done = CliRunner().invoke(exp, ["report", str(tmp_path)], catch_exceptions=False)
+    assert done.exit_code == 0
+    text = (tmp_path / "report.html").read_text()
+    kept = re.search(r'<section id="kept">(.*?)</section>', text, re.DOTALL)
+    assert kept is not None
+    rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td><td>(.*?)</td>", kept[1])
+    assert rows[0][:2] == ("b", "had it")
+    assert "no recording" in rows[0][2]
+    assert rows[1] == ("a", "told it", "-5.0 to +4.5 s")
+    assert "--why b" in text
+    assert f"<h1>b: {escape(words)}</h1>" in text
 
 
 def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path) -> None:
