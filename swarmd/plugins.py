@@ -59,6 +59,8 @@ MAX_MISSION_SIZE = 1 << 20
 SETTLED = 2_000_000_000
 """The time in ns after which an installation has written the metadata into a new folder."""
 MAX_SUMMARIES = 1 << 20  # bytes of the file of the cache
+_CODING = re.compile(rb"^[ \t\f]*#.*?coding[:=]", re.MULTILINE)  # PEP 263
+_CACHE = "__pycache__"
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
 
@@ -101,6 +103,31 @@ def class_name(pattern: str) -> str:
 def pattern_name(file: Path) -> str:
     """The name of the pattern in a file: its folder's for `pattern.py`, else the file's own."""
     return file.resolve().parent.name if file.name == PATTERN_FILE else file.stem
+
+
+def pattern_file(path: Path) -> Path:
+    """The file of a pattern: `path`, or the `pattern.py` in the folder `path`.
+
+    PluginError in one line if there is no such file.
+    """
+    if path.is_dir():
+        file = path / PATTERN_FILE
+        if file.is_file():
+            return file
+        raise PluginError(
+            f"{path} is a folder without {PATTERN_FILE}; name the pattern's file, or a folder as"
+            " `swarmctl plugin new NAME --folder` makes it"
+        )
+    if path.is_file():
+        return path
+    is_there = os.path.lexists(path)
+    fault = "is no file that can be read" if is_there else "there is no such file"
+    raise PluginError(f"{path}: {fault}; expected a pattern's file, or its folder")
+
+
+def pattern_folder_of(file: Path) -> Path:
+    """The folder that as `plugin_dir` makes the pattern in a file known, with those beside it."""
+    return file.absolute().parent.parent if file.name == PATTERN_FILE else file.absolute().parent
 
 
 def pattern_folders() -> Mapping[str, PatternFolder]:
@@ -326,6 +353,54 @@ def pattern_files(folder: Path) -> Iterator[Path]:
         if is_id(name) and path.is_file() and not name.startswith("test_"):
             yield path
     yield from mission_files(folder)
+
+
+def modules_of(folder: Path) -> Iterator[Path]:
+    """The Python files of the folder of a pattern that `pattern.py` can import, in their order.
+
+    Folders below it count if their names are those of packages: `.venv` does not, nor does a
+    folder that is a link.
+    """
+    for place, folders, files in os.walk(folder):
+        folders[:] = sorted(name for name in folders if name.isidentifier() and name != _CACHE)
+        for name in sorted(files):
+            path = Path(place, name)
+            if path.suffix == ".py" and path.stem.isidentifier() and path.is_file():
+                yield path
+
+
+def has_modules(file: Path) -> bool:
+    """Whether the folder of a `pattern.py` has further modules, tests and `__init__.py` aside."""
+    others = (path for path in modules_of(file.parent) if path != file)
+    return any(not path.name.startswith(("test_", "__init__.")) for path in others)
+
+
+def parsed(source: bytes, file: Path) -> ast.Module:
+    """The syntax tree of the Python source of `file`; PluginError with the line of a fault."""
+    try:
+        return ast.parse(source)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # nested too deeply
+        check_text(source, str(file))
+        line = getattr(error, "lineno", None)
+        raise PluginError(f"{file}:{line or 1}: {getattr(error, 'msg', error)}") from error
+
+
+def check_text(source: bytes, name: str) -> None:
+    """PluginError with the line if the source of the Python file `name` is no UTF-8 text.
+
+    For source that cannot be compiled. It may have another encoding that its first lines name
+    (PEP 263); then this function finds no fault.
+    """
+    if _CODING.search(b"\n".join(source.splitlines()[:2])):
+        return
+    try:
+        source.decode()
+    except UnicodeDecodeError as error:
+        line = source.count(b"\n", 0, error.start) + 1
+        sign = source[error.start]
+        raise PluginError(
+            f"{name}:{line}: the byte 0x{sign:02x} is no UTF-8 text; save the file as UTF-8"
+        ) from error
 
 
 def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
