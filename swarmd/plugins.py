@@ -31,11 +31,11 @@ from functools import lru_cache
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, PluginError, UnknownPatternError, unknown
-from swarmd.core.files import cache_folder, open_regular, read_regular, write_whole
+from swarmd.core.files import cache_folder, open_regular, read_regular, user_path, write_whole
 from swarmd.core.keys import check_id, is_id
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ MAX_MISSION_SIZE = 1 << 20
 SETTLED = 2_000_000_000
 """The time in ns after which an installation has written the metadata into a new folder."""
 MAX_SUMMARIES = 1 << 20  # bytes of the file of the cache
+_MOST_LISTED = 12  # names of patterns in an error
 _CODING = re.compile(rb"^[ \t\f]*#.*?coding[:=]", re.MULTILINE)  # PEP 263
 _CACHE = "__pycache__"
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
@@ -105,12 +106,77 @@ def pattern_name(file: Path) -> str:
     return file.resolve().parent.name if file.name == PATTERN_FILE else file.stem
 
 
+class PatternPlace(NamedTuple):
+    """A pattern that lies in a file: its name, and the folder that makes it known.
+
+    `folder`: as `plugin_dir` it has the pattern of this name, and those beside it.
+    """
+
+    name: str
+    folder: Path
+
+
+def is_pattern_path(text: str) -> bool:
+    """Whether a text is the path of a pattern, not its name.
+
+    A path has a separator (`mine/wall`, `./wall`), or ends in .py or .yaml (a mission).
+    """
+    return "/" in text or text.endswith((".py", MISSION))
+
+
+def pattern_at(text: str) -> PatternPlace:
+    """The pattern at a path: a .py, the folder of a `pattern.py`, or a mission's .yaml.
+
+    Relative paths begin at the working directory, and `~` is expanded. PluginError or ConfigError
+    in one line if there is none; the file is not imported.
+    """
+    file = pattern_file(user_path(text)).absolute()
+    if file.suffix not in (".py", MISSION):
+        raise PluginError(f"{text}: expected a pattern's .py, its folder, or a mission's {MISSION}")
+    name = check_id(pattern_name(file), f"{text}: the pattern's name")
+    if name.startswith("test_"):
+        raise PluginError(f"{text} is a test by its name; name the file of the pattern")
+    if file.suffix == MISSION and not is_mission(file):
+        raise PluginError(f"{text} is no mission: no line begins with `mission:`")
+    return PatternPlace(name, Path(os.path.normpath(pattern_folder_of(file))))
+
+
+def place_of_pattern(pattern: str, plugin_dir: Path | None) -> tuple[str, Path | None]:
+    """The name of a pattern that is given by name or path, and the folder in which it is known.
+
+    PluginError if a path does not lie in `plugin_dir`.
+    """
+    if not is_pattern_path(pattern):
+        return pattern, plugin_dir
+    name, folder = pattern_at(pattern)
+    if plugin_dir is not None and plugin_dir.resolve() != folder.resolve():
+        raise PluginError(
+            f"{pattern} does not lie in the plugin_dir, {plugin_dir}; leave out one of the two"
+        )
+    return name, folder
+
+
+def unknown_pattern(name: str, known: Iterable[str]) -> str:
+    """One line for a name that no known pattern has, with how to name a file of one's own."""
+    names = list(known)
+    text = unknown("pattern", name, names)
+    if len(names) > _MOST_LISTED:
+        text = text.partition("; there are:")[0]
+    file = name if is_id(name) else "FILE"
+    own = f"--pattern PATH/{file}.py or --plugin-dir FOLDER"
+    return f"{text}; `swarmctl patterns` lists all; one of your own: {own}"
+
+
 def pattern_file(path: Path) -> Path:
     """The file of a pattern: `path`, or the `pattern.py` in the folder `path`.
 
     PluginError in one line if there is no such file.
     """
-    if path.is_dir():
+    try:
+        is_folder, is_file = path.is_dir(), path.is_file()
+    except OSError as error:
+        raise PluginError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    if is_folder:
         file = path / PATTERN_FILE
         if file.is_file():
             return file
@@ -118,7 +184,7 @@ def pattern_file(path: Path) -> Path:
             f"{path} is a folder without {PATTERN_FILE}; name the pattern's file, or a folder as"
             " `swarmctl plugin new NAME --folder` makes it"
         )
-    if path.is_file():
+    if is_file:
         return path
     is_there = os.path.lexists(path)
     fault = "is no file that can be read" if is_there else "there is no such file"
@@ -195,9 +261,8 @@ def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
     """The origin of a pattern; PluginError if no pattern or more than one has that name."""
     origins = pattern_names(plugin_dir)
     if name not in origins:
-        hint = "" if plugin_dir else " (one in a file of your own: with --plugin-dir FOLDER)"
         raise UnknownPatternError(
-            _bad_file_name(name, plugin_dir) or unknown("pattern", name, origins) + hint
+            _bad_file_name(name, plugin_dir) or unknown_pattern(name, origins)
         )
     check_single(name, origins[name])
     return origins[name]

@@ -95,10 +95,11 @@ def push(
 ) -> None:
     """Send the pattern in FILE, a .py, its folder or a wheel, to TARGETS; starts no run.
 
-    At most 1 MiB of pure Python. A folder is sent with all files that it holds. With keys, your identity signs the pattern. Each robot tries the code in a
-    process of its own, and the next run of the pattern uses the code. The code is provisional until
-    it has run for 60 s without a fault; after a fault the robot stands and returns to the version
-    before. Robots that join later and match TARGETS get the pattern from other robots.
+    At most 1 MiB of pure Python. A folder is sent with all files that it holds. With keys, your
+    identity signs the pattern. Each robot tries the code in a process of its own, and the next run
+    of the pattern uses the code. The code is provisional until it has run for 60 s without a fault;
+    after a fault the robot stands and returns to the version before. Robots that join later and
+    match TARGETS get the pattern from other robots.
     """
     read_canary(canary)
     source = read_source(file)

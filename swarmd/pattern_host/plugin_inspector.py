@@ -351,7 +351,8 @@ def _check_source(path: Path, output: InspectionOutput) -> None:
             found = list(forbidden_imports(source))
             imports += [f"imports {name} ({file.name}:{line})" for line, name in found]
             unused += [
-                f"makes {name}(...) {_UNUSED} ({file.name}:{line})" for line, name in dropped(source)
+                f"makes {name}(...) {_UNUSED} ({file.name}:{line})"
+                for line, name in dropped(source)
             ]
     for point, texts in ((IMPORTS, imports), (DROPPED, unused)):
         output.send(begin=point)
