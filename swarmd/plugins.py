@@ -127,30 +127,30 @@ def is_pattern_path(text: str) -> bool:
 def pattern_at(text: str) -> PatternPlace:
     """The pattern at a path: a .py, the folder of a `pattern.py`, or a mission's .yaml.
 
-    Relative paths begin at the working directory, and `~` is expanded. PluginError or ConfigError
+    Relative paths begin at the working directory, and `~` is expanded. ConfigError
     in one line if there is none; the file is not imported.
     """
     file = pattern_file(user_path(text)).absolute()
     if file.suffix not in (".py", MISSION):
-        raise PluginError(f"{text}: expected a pattern's .py, its folder, or a mission's {MISSION}")
+        raise ConfigError(f"{text}: expected a pattern's .py, its folder, or a mission's {MISSION}")
     name = check_id(pattern_name(file), f"{text}: the pattern's name")
     if name.startswith("test_"):
-        raise PluginError(f"{text} is a test by its name; name the file of the pattern")
+        raise ConfigError(f"{text} is a test by its name; name the file of the pattern")
     if file.suffix == MISSION and not is_mission(file):
-        raise PluginError(f"{text} is no mission: no line begins with `mission:`")
+        raise ConfigError(f"{text} is no mission: no line begins with `mission:`")
     return PatternPlace(name, Path(os.path.normpath(pattern_folder_of(file))))
 
 
 def place_of_pattern(pattern: str, plugin_dir: Path | None) -> tuple[str, Path | None]:
     """The name of a pattern that is given by name or path, and the folder in which it is known.
 
-    PluginError if a path does not lie in `plugin_dir`.
+    ConfigError if a path does not lie in `plugin_dir`.
     """
     if not is_pattern_path(pattern):
         return pattern, plugin_dir
     name, folder = pattern_at(pattern)
     if plugin_dir is not None and plugin_dir.resolve() != folder.resolve():
-        raise PluginError(
+        raise ConfigError(
             f"{pattern} does not lie in the plugin_dir, {plugin_dir}; leave out one of the two"
         )
     return name, folder
@@ -170,17 +170,17 @@ def unknown_pattern(name: str, known: Iterable[str]) -> str:
 def pattern_file(path: Path) -> Path:
     """The file of a pattern: `path`, or the `pattern.py` in the folder `path`.
 
-    PluginError in one line if there is no such file.
+    ConfigError in one line if there is no such file.
     """
     try:
         is_folder, is_file = path.is_dir(), path.is_file()
     except OSError as error:
-        raise PluginError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; check the path") from error
     if is_folder:
         file = path / PATTERN_FILE
         if file.is_file():
             return file
-        raise PluginError(
+        raise ConfigError(
             f"{path} is a folder without {PATTERN_FILE}; name the pattern's file, or a folder as"
             " `swarmctl plugin new NAME --folder` makes it"
         )
@@ -188,7 +188,7 @@ def pattern_file(path: Path) -> Path:
         return path
     is_there = os.path.lexists(path)
     fault = "is no file that can be read" if is_there else "there is no such file"
-    raise PluginError(f"{path}: {fault}; expected a pattern's file, or its folder")
+    raise ConfigError(f"{path}: {fault}; expected a pattern's file, or its folder")
 
 
 def pattern_folder_of(file: Path) -> Path:

@@ -122,7 +122,7 @@ def demo(
 def _place(ctx: click.Context, pattern: str, plugin_dir: Path | None) -> tuple[str, Path | None]:
     """The name of a pattern that is given by name or path, and the folder that has it.
 
-    A path prevails over the variable of --plugin-dir. PluginError if there is none at the path.
+    A path prevails over the variable of --plugin-dir. ConfigError if there is none at the path.
     """
     from swarmd.plugins import is_pattern_path, place_of_pattern
 

@@ -147,8 +147,7 @@ def _patterns_and_folder(
 
     `patterns`: names, or paths. If all paths lie in one folder, it is this folder, and the patterns
     have names alone: further names may be those of files in it. `plugin_dir`: of the option, or of
-    its variable, which is weaker than a path. ConfigError or PluginError if there is no pattern at
-    a path.
+    its variable, which is weaker than a path. ConfigError if there is no pattern at a path.
     """
     places = {text: pattern_at(text) for text in patterns if is_pattern_path(text)}
     folders = dict.fromkeys(place.folder for place in places.values())
@@ -157,7 +156,7 @@ def _patterns_and_folder(
         plugin_dir = None
     if plugin_dir is not None:
         for text in places:
-            place_of_pattern(text, plugin_dir)  # PluginError if it lies elsewhere
+            place_of_pattern(text, plugin_dir)  # ConfigError if it lies elsewhere
     if len(folders) > 1:  # each variant takes the folder of its own file
         return list(dict.fromkeys(patterns)), plugin_dir
     names = [places[text].name if text in places else text for text in patterns]

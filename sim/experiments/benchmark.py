@@ -37,9 +37,9 @@ def plan_of_task(
 
     None if there is no pattern to run. `patterns`: names or paths, empty for those of the
     scenario's file. `on_misfit` is called with a line for each of `patterns` that needs what the
-    robots do not provide. ConfigError for an unknown pattern, for a fault of the file, and unless the file names
-    a metric with a better direction. A metric of a Python file is refused: it would run code of the
-    author of the scenario.
+    robots do not provide. ConfigError for an unknown pattern, for a fault of the file, and unless
+    the file names a metric with a better direction. A metric of a Python file is refused: it would
+    run code of the author of the scenario.
     """
     sets = {} if plugin_dir is None else {"plugin_dir": str(plugin_dir)}
     loaded = load_scenario(scenario, sets)
@@ -56,7 +56,7 @@ def plan_of_task(
         on_misfit(f"{scenario} names no patterns; give --pattern NAME")
     for pattern in patterns:
         if is_pattern_path(pattern):
-            pattern_at(pattern)  # PluginError if there is none
+            pattern_at(pattern)  # ConfigError if there is none
         else:
             find_pattern(pattern, loaded.plugin_dir)
         try:

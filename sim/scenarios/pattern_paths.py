@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from swarmd.core.errors import ConfigError
 from swarmd.core.files import user_path
 from swarmd.plugins import PatternPlace, is_pattern_path, pattern_at
 from swarmd.settings.layered import Keys, Layered, dotted
@@ -36,6 +37,16 @@ def absolute(overrides: Mapping[str, Any]) -> dict[str, Any]:
         else value
         for key, value in overrides.items()
     }
+
+
+def check_names(data: Mapping[str, Any]) -> None:
+    """ConfigError for the first pattern that data name by a path."""
+    for keys, text in _named_in(data):
+        if is_pattern_path(text):
+            raise ConfigError(
+                f"effective configuration: {_shown(keys)}: {text} is a path; expected the name of a"
+                " pattern, whose file lies in plugin_dir"
+            )
 
 
 def _is_path_at(key: str, value: str) -> bool:

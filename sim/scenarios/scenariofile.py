@@ -89,8 +89,11 @@ def scenario_of(
 ) -> Scenario:
     """The scenario of a complete configuration, `Scenario.effective`, without files.
 
-    `overrides`, `source`: as of `load_scenario`.
+    `overrides`, `source`: as of `load_scenario`. ConfigError if the configuration has a path in
+    place of a pattern's name: it may be of others, whose files are looked up in `plugin_dir` alone
+    (`experiments.trust`).
     """
+    pattern_paths.check_names(effective)
     sources = (("effective configuration", dict(effective)),)
     return _overridden(sources, overrides, "scenario", source)
 
@@ -168,8 +171,7 @@ def _overridden(
             layers = _layers_of(sources, overrides, override_source)
             file = layers.build(ScenarioFile)
         pattern = str(file.pattern)
-        has_parameters = bool(file.patterns.get(pattern))
-        owner = None if has_parameters else layers.source("pattern")
+        owner = None if pattern in file.patterns else layers.source("pattern")
         sources = (_choice_of(layers, file, pattern, owner or sources[0][0]), *sources)
         layers = _layers_of(sources, overrides, override_source)
         file = layers.build(ScenarioFile)
@@ -254,10 +256,11 @@ def _with_one_pattern(
 ) -> tuple[tuple[str, Data], ...]:
     """The files in which all groups are without a pattern, to run the `pattern` of an override.
 
-    The files as they are if a group has none. ConfigError if the groups have several patterns.
+    The files as they are if a group has none, or if they name choices of the pattern. ConfigError
+    if the groups have several patterns.
     """
     former = {group.pattern for group in file.groups.values()}
-    if None in former:
+    if None in former or file.patterns:
         return sources
     if len(former) > 1:
         names = ", ".join(f"{name} {group.pattern}" for name, group in file.groups.items())

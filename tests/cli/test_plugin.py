@@ -210,7 +210,7 @@ def test_a_folder_is_a_package_in_its_check(tmp_path: Path) -> None:
 def test_a_folder_without_a_pattern_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(PluginError, match=r"pattern\.py") as error:
+    with pytest.raises(ConfigError, match=r"pattern\.py") as error:
         swarmctl("plugin", "check", str(tmp_path))
     assert "\n" not in str(error.value)
 
