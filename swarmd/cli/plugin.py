@@ -85,14 +85,17 @@ def new(
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
     paths = write_plugin(name, folder, kind, policy, has_folder=has_folder)
     plugin_file, test_file, *scenario_and_page = paths
-    # The next commands, each with a remark.
+    # The next commands, each with a remark. The path of a folder has a separator, unlike a name.
+    checked = shlex.quote(str(plugin_file.parent if has_folder else plugin_file))
+    path = f"{checked if '/' in checked else f'./{checked}'}" if has_folder else checked
     python = shlex.quote(sys.executable)
     install_pytest = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
     test_command = f"{install_pytest}{python} -m pytest {test_file}"
     next_steps = [
-        (f"swarmctl plugin check {plugin_file}", "the contract of all patterns"),
+        (f"swarmctl plugin check {checked}", "the contract of all patterns"),
         (test_command, "the same, and an example of a test"),
-        (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
+        (f"swarmctl demo --pattern {path}", "simulated robots run it"),
+        (f"swarmctl exp run aggregation --pattern {path} --seeds 20", "twenty runs, measured"),
     ]
     if has_folder:
         scenario = scenario_and_page[0]
