@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     show_default=True,
     metavar="NAME|FILE",
     help="What they run: a name, or your file or folder; with SCENARIO in place of its own.",
-    shell_complete=completion.patterns,
+    shell_complete=completion.patterns_or_files,
 )
 @click.option(
     "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."

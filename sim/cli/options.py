@@ -172,7 +172,7 @@ pattern_option = click.option(
     "--pattern",
     metavar="NAME|FILE",
     help="What all robots run in place of the pattern of SCENARIO: a name, or your file or folder.",
-    shell_complete=completion.patterns,
+    shell_complete=completion.patterns_or_files,
 )
 
 

@@ -114,8 +114,8 @@ def _class_in(file: Path, name: str) -> str:
     bases_of: dict[str, set[str]] = {}
     for node in parsed(source, file).body:
         if isinstance(node, ast.ClassDef):
-            bases = (base.value if isinstance(base, ast.Subscript) else base for base in node.bases)
-            bases_of[node.name] = {ast.unparse(base).rpartition(".")[2] for base in bases}
+            written = [one.value if isinstance(one, ast.Subscript) else one for one in node.bases]
+            bases_of[node.name] = {ast.unparse(one).rpartition(".")[2] for one in written}
     kinds: set[str] = set()  # the classes of patterns
     for kind, bases in bases_of.items():
         if any(base.endswith("Pattern") or base in kinds for base in bases):
