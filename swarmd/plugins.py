@@ -31,11 +31,11 @@ from functools import lru_cache
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, PluginError, UnknownPatternError, unknown
-from swarmd.core.files import cache_folder, open_regular, read_regular, write_whole
+from swarmd.core.files import cache_folder, open_regular, read_regular, user_path, write_whole
 from swarmd.core.keys import check_id, is_id
 
 if TYPE_CHECKING:
@@ -59,6 +59,9 @@ MAX_MISSION_SIZE = 1 << 20
 SETTLED = 2_000_000_000
 """The time in ns after which an installation has written the metadata into a new folder."""
 MAX_SUMMARIES = 1 << 20  # bytes of the file of the cache
+_MOST_LISTED = 12  # names of patterns in an error
+_CODING = re.compile(rb"^[ \t\f]*#.*?coding[:=]", re.MULTILINE)  # PEP 263
+_CACHE = "__pycache__"
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
 
@@ -101,6 +104,96 @@ def class_name(pattern: str) -> str:
 def pattern_name(file: Path) -> str:
     """The name of the pattern in a file: its folder's for `pattern.py`, else the file's own."""
     return file.resolve().parent.name if file.name == PATTERN_FILE else file.stem
+
+
+class PatternPlace(NamedTuple):
+    """A pattern that lies in a file: its name, and the folder that makes it known.
+
+    `folder`: as `plugin_dir` it has the pattern of this name, and those beside it.
+    """
+
+    name: str
+    folder: Path
+
+
+def is_pattern_path(text: str) -> bool:
+    """Whether a text is the path of a pattern, not its name.
+
+    A path has a separator (`mine/wall`, `./wall`), or ends in .py or .yaml (a mission).
+    """
+    return "/" in text or text.endswith((".py", MISSION))
+
+
+def pattern_at(text: str) -> PatternPlace:
+    """The pattern at a path: a .py, the folder of a `pattern.py`, or a mission's .yaml.
+
+    Relative paths begin at the working directory, and `~` is expanded. ConfigError
+    in one line if there is none; the file is not imported.
+    """
+    file = pattern_file(user_path(text)).absolute()
+    if file.suffix not in (".py", MISSION):
+        raise ConfigError(f"{text}: expected a pattern's .py, its folder, or a mission's {MISSION}")
+    name = check_id(pattern_name(file), f"{text}: the pattern's name")
+    if name.startswith("test_"):
+        raise ConfigError(f"{text} is a test by its name; name the file of the pattern")
+    if file.suffix == MISSION and not is_mission(file):
+        raise ConfigError(f"{text} is no mission: no line begins with `mission:`")
+    return PatternPlace(name, Path(os.path.normpath(pattern_folder_of(file))))
+
+
+def place_of_pattern(pattern: str, plugin_dir: Path | None) -> tuple[str, Path | None]:
+    """The name of a pattern that is given by name or path, and the folder in which it is known.
+
+    ConfigError if a path does not lie in `plugin_dir`.
+    """
+    if not is_pattern_path(pattern):
+        return pattern, plugin_dir
+    name, folder = pattern_at(pattern)
+    if plugin_dir is not None and plugin_dir.resolve() != folder.resolve():
+        raise ConfigError(
+            f"{pattern} does not lie in the plugin_dir, {plugin_dir}; leave out one of the two"
+        )
+    return name, folder
+
+
+def unknown_pattern(name: str, known: Iterable[str]) -> str:
+    """One line for a name that no known pattern has, with how to name a file of one's own."""
+    names = list(known)
+    text = unknown("pattern", name, names)
+    if len(names) > _MOST_LISTED:
+        text = text.partition("; there are:")[0]
+    file = name if is_id(name) else "FILE"
+    own = f"--pattern PATH/{file}.py or --plugin-dir FOLDER"
+    return f"{text}; `swarmctl patterns` lists all; one of your own: {own}"
+
+
+def pattern_file(path: Path) -> Path:
+    """The file of a pattern: `path`, or the `pattern.py` in the folder `path`.
+
+    ConfigError in one line if there is no such file.
+    """
+    try:
+        is_folder, is_file = path.is_dir(), path.is_file()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; check the path") from error
+    if is_folder:
+        file = path / PATTERN_FILE
+        if file.is_file():
+            return file
+        raise ConfigError(
+            f"{path} is a folder without {PATTERN_FILE}; name the pattern's file, or a folder as"
+            " `swarmctl plugin new NAME --folder` makes it"
+        )
+    if is_file:
+        return path
+    is_there = os.path.lexists(path)
+    fault = "is no file that can be read" if is_there else "there is no such file"
+    raise ConfigError(f"{path}: {fault}; expected a pattern's file, or its folder")
+
+
+def pattern_folder_of(file: Path) -> Path:
+    """The folder that as `plugin_dir` makes the pattern in a file known, with those beside it."""
+    return file.absolute().parent.parent if file.name == PATTERN_FILE else file.absolute().parent
 
 
 def pattern_folders() -> Mapping[str, PatternFolder]:
@@ -168,9 +261,8 @@ def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
     """The origin of a pattern; PluginError if no pattern or more than one has that name."""
     origins = pattern_names(plugin_dir)
     if name not in origins:
-        hint = "" if plugin_dir else " (one in a file of your own: with --plugin-dir FOLDER)"
         raise UnknownPatternError(
-            _bad_file_name(name, plugin_dir) or unknown("pattern", name, origins) + hint
+            _bad_file_name(name, plugin_dir) or unknown_pattern(name, origins)
         )
     check_single(name, origins[name])
     return origins[name]
@@ -326,6 +418,54 @@ def pattern_files(folder: Path) -> Iterator[Path]:
         if is_id(name) and path.is_file() and not name.startswith("test_"):
             yield path
     yield from mission_files(folder)
+
+
+def modules_of(folder: Path) -> Iterator[Path]:
+    """The Python files of the folder of a pattern that `pattern.py` can import, in their order.
+
+    Folders below it count if their names are those of packages: `.venv` does not, nor does a
+    folder that is a link.
+    """
+    for place, folders, files in os.walk(folder):
+        folders[:] = sorted(name for name in folders if name.isidentifier() and name != _CACHE)
+        for name in sorted(files):
+            path = Path(place, name)
+            if path.suffix == ".py" and path.stem.isidentifier() and path.is_file():
+                yield path
+
+
+def has_modules(file: Path) -> bool:
+    """Whether the folder of a `pattern.py` has further modules, tests and `__init__.py` aside."""
+    others = (path for path in modules_of(file.parent) if path != file)
+    return any(not path.name.startswith(("test_", "__init__.")) for path in others)
+
+
+def parsed(source: bytes, file: Path) -> ast.Module:
+    """The syntax tree of the Python source of `file`; PluginError with the line of a fault."""
+    try:
+        return ast.parse(source)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # nested too deeply
+        check_text(source, str(file))
+        line = getattr(error, "lineno", None)
+        raise PluginError(f"{file}:{line or 1}: {getattr(error, 'msg', error)}") from error
+
+
+def check_text(source: bytes, name: str) -> None:
+    """PluginError with the line if the source of the Python file `name` is no UTF-8 text.
+
+    For source that cannot be compiled. It may have another encoding that its first lines name
+    (PEP 263); then this function finds no fault.
+    """
+    if _CODING.search(b"\n".join(source.splitlines()[:2])):
+        return
+    try:
+        source.decode()
+    except UnicodeDecodeError as error:
+        line = source.count(b"\n", 0, error.start) + 1
+        sign = source[error.start]
+        raise PluginError(
+            f"{name}:{line}: the byte 0x{sign:02x} is no UTF-8 text; save the file as UTF-8"
+        ) from error
 
 
 def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from signal import SIGTERM
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -14,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli.options import FOLDER, VerbGroup
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import print_json, print_table, signals_end, table_lines, warn
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.files import read_regular
 from swarmd.sim.cli.options import need, output_option
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
+from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
     from swarmd.cli.plugin_check import Point
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 FAILED = 1  # exit code
 _CHECK_TIMEOUT = 30.0  # s for one point of the check of a pattern
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+_VALUE_WIDTH = 7  # characters of most values, such as 0.0123!
 _SIGNS = MappingProxyType({"met": "", "not met": "!", "undecided": "?"})
 """Behind a value, by the verdict on its target."""
 
@@ -151,22 +154,34 @@ def check(
         suffix = " and no PUPIL.py" if chosen_lesson.pattern else ""
         raise ConfigError(f"{folder}: no folder of a pupil{suffix} is in it")
 
-    # 2. The mark of each pupil; a line on stderr shows the progress.
+    # 2. The mark of each pupil. A row, or in JSON a line on stderr, follows as soon as it is known.
     plan = plan_of_lesson(chosen_lesson) if chosen_lesson.pattern else None
     works: list[Work] = []
-    for path in pupil_paths:
-        work = _marked(path, chosen_lesson, plan, jobs or usable_cores(), timeout)
-        works.append(work)
-        warn(f"{len(works)} of {len(pupil_paths)}: {work.pupil} {_verdict(work)}")
+    table = _Table(chosen_lesson, [_pupil(path) for path in pupil_paths])
+    try:
+        if not is_json:
+            table.print_head()
+        with signals_end(SIGTERM):
+            for path in pupil_paths:
+                work = _marked(path, chosen_lesson, plan, jobs or usable_cores(), timeout)
+                works.append(work)
+                if is_json:
+                    warn(f"{len(works)} of {len(pupil_paths)}: {work.pupil} {_verdict(work)}")
+                else:
+                    table.print_row(work)
+    finally:  # also if somebody presses Ctrl-C
+        not_done = [_pupil(path) for path in pupil_paths[len(works) :]]
+        same_files = _same_files(pupil_paths, chosen_lesson)
+        if is_json:
+            about = {"lesson": lesson, "targets": chosen_lesson.targets, "same_files": same_files}
+            pupils = [work.document() for work in works]
+            print_json("Class", {**about, "pupils": pupils, "not_done": not_done})
+        else:
+            warn(f"{sum(work.is_passed for work in works)} of {len(works)} passed")
+        if not_done:
+            warn(f"not done: {', '.join(not_done)}")
 
-    # 3. The table of all pupils.
-    same_files = _same_files(pupil_paths, chosen_lesson)
-    if is_json:
-        pupils = [work.document() for work in works]
-        about = {"lesson": lesson, "targets": chosen_lesson.targets, "same_files": same_files}
-        print_json("Class", {**about, "pupils": pupils})
-    else:
-        _print(chosen_lesson, works)
+    # 3. What the pupils share, and the exit code.
     for names in same_files:
         warn(f"the same file: {', '.join(names)}")
     ctx.exit(0 if all(work.is_passed for work in works) else FAILED)
@@ -246,16 +261,30 @@ def _fault(point: Point) -> str:
     return f"{point.name}: {point.text}" if point.text else point.name
 
 
-def _print(lesson: Lesson, works: Sequence[Work]) -> None:
-    """The targets by letter, and a row for each pupil, with the signs of `_value_text`."""
-    targets = _targets(lesson)
-    for letter, text in zip(_LETTERS, targets, strict=False):
-        click.echo(f"{letter}  {text}")
-    click.echo()
-    header = ("PUPIL", "CHECKS", *_LETTERS[: len(targets)], "VERDICT", "WHY")
-    print_table(header, [_row(lesson, work) for work in works])
-    passed = sum(work.is_passed for work in works)
-    warn(f"{passed} of {len(works)} passed")
+class _Table:
+    """The targets by letter, and a row for each pupil, with the signs of `_value_text`.
+
+    `pupils`: the names of all rows, by which the columns are aligned before the rows are known.
+    """
+
+    def __init__(self, lesson: Lesson, pupils: Sequence[str]) -> None:
+        self._lesson = lesson
+        self._targets = _targets(lesson)
+        self._header = ("PUPIL", "CHECKS", *_LETTERS[: len(self._targets)], "VERDICT", "WHY")
+        values = (_VALUE_WIDTH for _ in self._targets)
+        self._widths = (max(map(len, map(printable, pupils))), len("CHECKS"), *values)
+
+    def print_head(self) -> None:
+        """Print the targets and the header."""
+        for letter, text in zip(_LETTERS, self._targets, strict=False):
+            click.echo(f"{letter}  {text}")
+        click.echo()
+        click.echo(table_lines(self._header, [], least=self._widths)[0])
+
+    def print_row(self, work: Work) -> None:
+        """Print the row of a pupil."""
+        row = _row(self._lesson, work)
+        click.echo(table_lines(self._header, [row], least=self._widths)[1])
 
 
 def _row(lesson: Lesson, work: Work) -> tuple[str, ...]:

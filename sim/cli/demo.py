@@ -41,8 +41,9 @@ if TYPE_CHECKING:
     "--pattern",
     default="attraction",
     show_default=True,
-    help="The pattern they run.",
-    shell_complete=completion.patterns,
+    metavar="NAME|FILE",
+    help="What they run: a name, or your file or folder; with SCENARIO in place of its own.",
+    shell_complete=completion.patterns_or_files,
 )
 @click.option(
     "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."
@@ -82,10 +83,15 @@ def demo(
     need("mujoco")
     from swarmd.sim.scenarios.scenario import ScheduledEvent
 
+    has_scenario = world["scenario"] is not None
+    if not has_scenario:
+        pattern, world["plugin_dir"] = _place(ctx, pattern, world["plugin_dir"])
     values = _checked_parameters(pattern, params, world)
+    is_given = ctx.get_parameter_source("pattern") is click.core.ParameterSource.COMMANDLINE
+    chosen = pattern if has_scenario and is_given else None
 
     # 2. The fleet. It is made without a folder, so that a wrong option leaves no folder behind.
-    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
+    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), pattern=chosen, **world)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))
     own = {"folder": folder / "logs", "trace": str(folder / "trace.npz")}
@@ -111,6 +117,19 @@ def demo(
         warn(f"what was kept is in {folder}/")
         raise
     ctx.exit(128 + summary.signal if summary.signal else 0 if summary.is_good else 1)
+
+
+def _place(ctx: click.Context, pattern: str, plugin_dir: Path | None) -> tuple[str, Path | None]:
+    """The name of a pattern that is given by name or path, and the folder that has it.
+
+    A path prevails over the variable of --plugin-dir. ConfigError if there is none at the path.
+    """
+    from swarmd.plugins import is_pattern_path, place_of_pattern
+
+    source = ctx.get_parameter_source("plugin_dir")
+    is_variable = source is click.core.ParameterSource.ENVIRONMENT
+    is_weaker = is_variable and is_pattern_path(pattern)
+    return place_of_pattern(pattern, None if is_weaker else plugin_dir)
 
 
 def _checked_parameters(

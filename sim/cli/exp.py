@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli.options import VerbGroup
+from swarmd.cli.options import VerbGroup, plugin_dir_option
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.cli.patterns import report_mission
 from swarmd.core.errors import ConfigError, SwarmError
@@ -47,10 +47,12 @@ from swarmd.sim.cli.options import (
     new_folder,
     out_option,
     output_option,
+    pattern_option,
     scenarios,
     set_option,
     trust_option,
     warn_of_few,
+    with_pattern,
 )
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
 from swarmd.texts.values import counted
@@ -87,6 +89,8 @@ def exp() -> None:
 @exp.command(epilog="Example: swarmctl exp run aggregation --seeds 20 --out runs/gather")
 @click.argument("scenario", shell_complete=scenarios)
 @seeds_option
+@pattern_option
+@plugin_dir_option
 @set_option
 @click.option(
     "--sweep",
@@ -134,6 +138,8 @@ def run(
     ctx: click.Context,
     scenario: str,
     seeds: str,
+    pattern: str | None,
+    plugin_dir: Path | None,
     sets: tuple[str, ...],
     sweeps: tuple[str, ...],
     jobs: int | None,
@@ -182,11 +188,15 @@ def run(
             seeds = str(most or 500)
     elif alpha is not None or most is not None:
         raise ConfigError("--alpha and --most need --until REQUIREMENT")
+    swept = parse_sweeps(sweeps)
+    values = with_pattern(
+        scenario, parse_sets(sets), pattern=pattern, plugin_dir=plugin_dir, swept=swept
+    )
     plan = plan_of(
         scenario,
         parse_seeds(seeds)[:most],
-        parse_sets(sets),
-        parse_sweeps(sweeps),
+        values,
+        swept,
         on_note=lambda note: warn(f"note: {note}"),
     )
     if shard is not None:
@@ -204,6 +214,8 @@ def run(
         ("run", scenario),
         {
             "--seeds": seeds,
+            "--pattern": pattern,
+            "--plugin-dir": plugin_dir if values.get("plugin_dir") == str(plugin_dir) else None,
             "--set": sets,
             "--sweep": sweeps,
             "--jobs": jobs,
@@ -446,9 +458,12 @@ def list_scenarios(is_json: bool) -> None:
 )
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("scenario", shell_complete=scenarios)
+@plugin_dir_option
 @set_option
 @output_option
-def check_mission(file: Path, scenario: str, sets: tuple[str, ...], is_json: bool) -> None:
+def check_mission(
+    file: Path, scenario: str, plugin_dir: Path | None, sets: tuple[str, ...], is_json: bool
+) -> None:
     """Check the mission in FILE for the robots of SCENARIO: their platforms, fields and radio.
 
     `swarmctl mission check` does the same for one platform without a scenario. The mission may name
@@ -460,7 +475,8 @@ def check_mission(file: Path, scenario: str, sets: tuple[str, ...], is_json: boo
     from swarmd.sim.experiments.plan import parse_sets
     from swarmd.sim.scenarios.scenariofile import load_scenario
 
-    loaded = load_scenario(scenario, parse_sets(sets), source="--set")
+    values = with_pattern(scenario, parse_sets(sets), pattern=None, plugin_dir=plugin_dir)
+    loaded = load_scenario(scenario, values, source="--set")
     # Robots with equal platform and equal equipment need one check.
     platforms = {
         (platform.name, frozenset(platform.provides)): platform

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli import completion
+from swarmd.cli.options import plugin_dir_option
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError
+from swarmd.plugins import is_pattern_path, pattern_at, place_of_pattern
 from swarmd.sim.cli.exp_runs import command_line, do_runs, exit_code, jobs_option, seeds_option
 from swarmd.sim.cli.options import (
     engine,
@@ -43,10 +45,11 @@ def _tasks(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     "--mission",
     "patterns",
     multiple=True,
-    metavar="PATTERN|FILE",
-    help="A pattern or mission by name, or its file (.py, .yaml); may be repeated [the patterns of"
+    metavar="NAME|FILE",
+    help="A pattern or mission: a name, or your file or folder; may be repeated [the patterns of"
     " each task].",
 )
+@plugin_dir_option
 @seeds_option
 @jobs_option
 @engine_options
@@ -58,6 +61,7 @@ def bench(
     ctx: click.Context,
     tasks: tuple[str, ...],
     patterns: tuple[str, ...],
+    plugin_dir: Path | None,
     seeds: str,
     jobs: int | None,
     on: str | None,
@@ -93,9 +97,9 @@ def bench(
     scenarios = [t if t.endswith(".yaml") else f"{TASKS}/{t}" for t in tasks] or task_names()
     if len({Path(scenario).stem for scenario in scenarios}) < len(scenarios):
         raise ConfigError("a task is given twice, or two files have one name; keep one")
-    names, plugin_dir = _pattern_names(patterns)
+    chosen, folder_of_patterns = _patterns_and_folder(patterns, plugin_dir)
     found = [
-        plan_of_task(scenario, parse_seeds(seeds), names, plugin_dir, on_misfit=warn)
+        plan_of_task(scenario, parse_seeds(seeds), chosen, folder_of_patterns, on_misfit=warn)
         for scenario in scenarios
     ]
     planned = [one for one in found if one is not None]
@@ -106,6 +110,7 @@ def bench(
     folder = out or new_folder(Path("runs"), (f"bench-{n}" for n in count(1)))
     options = {
         "--pattern": patterns,
+        "--plugin-dir": plugin_dir,
         "--seeds": seeds,
         "--on": on,
         "--scheduler-file": scheduler_file,
@@ -142,21 +147,24 @@ def bench(
     ctx.exit(exit_code(finished, is_complete=finished == runs))
 
 
-def _pattern_names(patterns: Sequence[str]) -> tuple[list[str], Path | None]:
-    """The names of patterns, and the folder of their files; None if no pattern is a file.
+def _patterns_and_folder(
+    patterns: Sequence[str], plugin_dir: Path | None
+) -> tuple[list[str], Path | None]:
+    """The patterns to run, and the folder of patterns of one's own; None without one.
 
-    `patterns`: names, or paths of .py and .yaml files. ConfigError if a file does not exist, or if
-    the files lie in several folders.
+    `patterns`: names, or paths. If all paths lie in one folder, it is this folder, and the patterns
+    have names alone: further names may be those of files in it. `plugin_dir`: of the option, or of
+    its variable, which is weaker than a path. ConfigError if there is no pattern at a path.
     """
-    files = [Path(pattern) for pattern in patterns if pattern.endswith((".py", ".yaml"))]
-    for file in files:
-        if not file.is_file():
-            raise ConfigError(f"--pattern {file}: there is no such file; expected a pattern's file")
-    folders = {file.resolve().parent for file in files}
-    if len(folders) > 1:
-        raise ConfigError("--pattern: the files lie in several folders; put them into one")
-    names = [
-        Path(pattern).stem if pattern.endswith((".py", ".yaml")) else pattern
-        for pattern in patterns
-    ]
-    return list(dict.fromkeys(names)), folders.pop() if folders else None
+    places = {text: pattern_at(text) for text in patterns if is_pattern_path(text)}
+    folders = dict.fromkeys(place.folder for place in places.values())
+    source = click.get_current_context().get_parameter_source("plugin_dir")
+    if folders and source is click.core.ParameterSource.ENVIRONMENT:
+        plugin_dir = None
+    if plugin_dir is not None:
+        for text in places:
+            place_of_pattern(text, plugin_dir)  # ConfigError if it lies elsewhere
+    if len(folders) > 1:  # each variant takes the folder of its own file
+        return list(dict.fromkeys(patterns)), plugin_dir
+    names = [places[text].name if text in places else text for text in patterns]
+    return list(dict.fromkeys(names)), next(iter(folders), plugin_dir)

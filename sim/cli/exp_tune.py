@@ -11,6 +11,7 @@ from signal import SIGTERM
 
 import click
 
+from swarmd.cli.options import plugin_dir_option
 from swarmd.cli.output import print_json, signals_end, warn
 from swarmd.sim.cli.options import (
     engine,
@@ -19,8 +20,10 @@ from swarmd.sim.cli.options import (
     new_folder,
     out_option,
     output_option,
+    pattern_option,
     scenarios,
     set_option,
+    with_pattern,
 )
 from swarmd.sim.cli.progress import progress
 from swarmd.sim.experiments.cores import MAX_PROCESSES
@@ -58,6 +61,8 @@ from swarmd.texts.values import printable
     " its values KEY=A,B,..; KEY alone takes the declared bounds. May be repeated [all parameters"
     " of the scenario's patterns].",
 )
+@pattern_option
+@plugin_dir_option
 @set_option
 @click.option(
     "--held-out",
@@ -100,6 +105,8 @@ def tune(
     budget: int,
     seeds: str,
     params: tuple[str, ...],
+    pattern: str | None,
+    plugin_dir: Path | None,
     sets: tuple[str, ...],
     held_out: str,
     pseudo_reality: bool,
@@ -123,6 +130,7 @@ def tune(
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets
 
     tuning.split_metric(metric)  # a fault of the metric must not leave an empty folder
+    values = with_pattern(scenario, parse_sets(sets), pattern=pattern, plugin_dir=plugin_dir)
     folder = out or new_folder(
         Path("experiments"), (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
     )
@@ -141,7 +149,7 @@ def tune(
                 budget=budget,
                 seeds=parse_seeds(seeds),
                 param=params,
-                set=parse_sets(sets),
+                set=values,
                 # An int is a number of seeds.
                 held_out=int(held_out) if held_out.isdecimal() else parse_seeds(held_out),
                 pseudo_reality=pseudo_reality,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.util import find_spec
@@ -148,18 +148,86 @@ def fleet_for(
     *,
     scenario: str | None,
     sets: tuple[str, ...],
+    plugin_dir: Path | None,
+    pattern: str | None = None,
     **others: Any,
 ) -> FleetSpec:
-    """The fleet by the values of `fleet_options`: of `scenario`, or of one platform without it."""
+    """The fleet by the values of `fleet_options`: of `scenario`, or of one platform without it.
+
+    `pattern`: what the robots of a scenario run in place of its pattern; None: its own.
+    """
     if scenario is not None:
         from swarmd.sim.experiments.plan import parse_sets
 
         _check_options()
+        values = with_pattern(scenario, parse_sets(sets), pattern=pattern, plugin_dir=plugin_dir)
         given = {"seed": others["seed"], "emulator": others["emulator"]}
-        return scenario_fleet(swarm, folder, scenario, parse_sets(sets), **given, tell=warn)
+        return scenario_fleet(swarm, folder, scenario, values, **given, tell=warn)
     if sets:
         raise ConfigError(f"--set {sets[0]}: there is no SCENARIO whose values it could override")
-    return plain_fleet(swarm, folder, tell=warn, **others)
+    return plain_fleet(swarm, folder, tell=warn, plugin_dir=plugin_dir, **others)
+
+
+pattern_option = click.option(
+    "--pattern",
+    metavar="NAME|FILE",
+    help="What all robots run in place of the pattern of SCENARIO: a name, or your file or folder.",
+    shell_complete=completion.patterns_or_files,
+)
+
+
+def with_pattern(
+    scenario: str,
+    sets: Mapping[str, Any],
+    *,
+    pattern: str | None,
+    plugin_dir: Path | None,
+    swept: Mapping[str, Sequence[Any]] | None = None,
+) -> dict[str, Any]:
+    """The overrides `sets` of a scenario with those of the options --pattern and --plugin-dir.
+
+    A folder of the variable $SWARM_PLUGIN_DIR is weaker than that of the scenario, and than that of
+    a pattern which is given by its path. `swept`: the values of `--sweep`. ConfigError if a value
+    is given twice, or if it is not clear which robots --pattern means.
+    """
+    from swarmd.plugins import is_pattern_path
+    from swarmd.sim.scenarios.scenariofile import read_scenario
+
+    values = dict(sets)
+    given = {"--pattern": pattern is not None, "--plugin-dir": _is_given("plugin_dir")}
+    for option, is_there in given.items():
+        key = option.removeprefix("--").replace("-", "_")
+        if is_there and (key in values or key in (swept or {})):
+            raise ConfigError(f"{option} and {key}=.. of --set or --sweep: keep one of them")
+    if pattern is not None:
+        values["pattern"] = pattern
+        file = read_scenario(scenario, values)
+        has_choice = file.patterns or read_scenario(scenario, sets).pattern is not None
+        groups = {name: group.pattern for name, group in file.groups.items()}
+        if not has_choice and None in groups.values() and any(groups.values()):
+            runs = ", ".join(f"{name} {run or 'nothing'}" for name, run in groups.items())
+            raise ConfigError(
+                f"--pattern {pattern}: not all groups of {scenario} run a pattern from the start"
+                f" ({runs}); choose by --set groups.GROUP.pattern={pattern}"
+            )
+    if plugin_dir is not None and not _is_given("plugin_dir"):  # of the variable
+        has_path = any(
+            isinstance(value, str) and is_pattern_path(value)
+            for key, of_key in (swept or {}).items()
+            for value in of_key
+            if key.endswith("pattern")
+        )
+        if has_path or read_scenario(scenario, values).plugin_dir is not None:
+            return values
+    if plugin_dir is not None:
+        values["plugin_dir"] = str(plugin_dir)
+    return values
+
+
+def _is_given(option: str) -> bool:
+    """Whether the command line has the option, which may also have its value from a variable."""
+    source = click.get_current_context().get_parameter_source(option)
+    return source is click.core.ParameterSource.COMMANDLINE
 
 
 _OF_PLAIN_RUNS = {
@@ -170,8 +238,6 @@ _OF_PLAIN_RUNS = {
     "realism": "realism",
     "lidar_visibility": "lidar_visibility",
     "radio_range": "radio.range",
-    "plugin_dir": "plugin_dir",
-    "pattern": "groups.GROUP.pattern",
     "params": "groups.GROUP.parameters.KEY",
     "seconds": "duration",
 }
@@ -180,13 +246,9 @@ _OF_PLAIN_RUNS = {
 
 def _check_options() -> None:
     """ConfigError for options that a scenario replaces."""
-    ctx = click.get_current_context()
-    for option in ctx.command.params:
+    for option in click.get_current_context().command.params:
         key = _OF_PLAIN_RUNS.get(option.name or "")
-        given = (
-            ctx.get_parameter_source(option.name or "") is click.core.ParameterSource.COMMANDLINE
-        )
-        if key is not None and given:
+        if key is not None and _is_given(option.name or ""):
             text = f"{option.opts[0]} does not go with a scenario"
             raise ConfigError(f"{text}; change the value in the file, or with --set {key}=VALUE")
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swarmd.core.errors import ConfigError
-from swarmd.plugins import find_pattern
+from swarmd.plugins import find_pattern, is_pattern_path, pattern_at
 from swarmd.sim.experiments.plan import Plan
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import plan_of
@@ -35,11 +35,11 @@ def plan_of_task(
 ) -> tuple[Plan, Metric] | None:
     """The runs of a scenario with each pattern, and the scenario's metric.
 
-    None if there is no pattern to run. `patterns`: empty for those of the scenario's file.
-    `on_misfit` is called with a line for each of `patterns` that needs what the robots do not
-    provide. ConfigError for an unknown pattern, for a fault of the file, and unless the file names
-    a metric with a better direction. A metric of a Python file is refused: it would run code of the
-    author of the scenario.
+    None if there is no pattern to run. `patterns`: names or paths, empty for those of the
+    scenario's file. `on_misfit` is called with a line for each of `patterns` that needs what the
+    robots do not provide. ConfigError for an unknown pattern, for a fault of the file, and unless
+    the file names a metric with a better direction. A metric of a Python file is refused: it would
+    run code of the author of the scenario.
     """
     sets = {} if plugin_dir is None else {"plugin_dir": str(plugin_dir)}
     loaded = load_scenario(scenario, sets)
@@ -55,7 +55,10 @@ def plan_of_task(
     if not (chosen or patterns):
         on_misfit(f"{scenario} names no patterns; give --pattern NAME")
     for pattern in patterns:
-        find_pattern(pattern, loaded.plugin_dir)
+        if is_pattern_path(pattern):
+            pattern_at(pattern)  # ConfigError if there is none
+        else:
+            find_pattern(pattern, loaded.plugin_dir)
         try:
             load_scenario(scenario, {**sets, _KEY: pattern})
             chosen.append(pattern)

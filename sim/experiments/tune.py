@@ -48,6 +48,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.core.files import read_regular
+from swarmd.core.numbers import python_value
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
@@ -256,7 +257,7 @@ def tune(
     try:
         tuner = _Tuner(
             scenario=str(scenario),
-            sets=dict(set or {}),
+            sets=python_value(set or {}),
             loaded=loaded,
             space=parameter_space(loaded, param, on_note),
             metric=parsed_metric,

@@ -11,6 +11,7 @@ from swarmd.settings.yamlfile import text_of
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.manifest import Manifest
 from swarmd.sim.experiments.statistics import interval, number
+from swarmd.sim.scenarios import pattern_paths
 from swarmd.sim.scenarios.overrides import nested
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def tuned_document(
     """
     comments = [line for text in _evidence(tuning, manifest) for line in _wrapped(text)]
     base = str(Path(scenario).absolute()) if scenario.endswith(".yaml") else scenario
-    overrides = {**sets, **tuning.best.overrides}
+    overrides = pattern_paths.absolute({**sets, **tuning.best.overrides})
     # A list with an overridden item is copied in full, from the scenario with the best values.
     body = {"extends": base, **nested(overrides, tuning.best.effective)}
     platform = platform_values(tuning.space, tuning.best.values) if tuning.best.number else {}

@@ -16,7 +16,7 @@ from swarmd.core.messages import PeerFinding
 from swarmd.core.values import Platform
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
-from swarmd.plugins import Origin, check_single, pattern_names
+from swarmd.plugins import Origin, check_single, pattern_names, unknown_pattern
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
 from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.settings.platforms import platform_names
@@ -67,7 +67,7 @@ def check_patterns(
         origins = pattern_names(plugin_dir)
     for pattern in file.parameters:
         if pattern not in origins:
-            text = f"parameters: {unknown('pattern', pattern, origins)}"
+            text = f"parameters: {unknown_pattern(pattern, origins)}"
             raise layers.error(("parameters", pattern), text)
     for group, section in file.groups.items():
         for pattern in section.touch:  # `touch`: grants by pattern
@@ -134,7 +134,7 @@ def _faulty_keys(layers: Layered, preflight: Preflight, groups: Groups, name: st
 
 def _check_name(layers: Layered, keys: Keys, pattern: str, origins: Mapping[str, Origin]) -> None:
     if pattern not in origins:
-        text = f"{dotted(keys)}: {unknown('pattern', pattern, origins)}"
+        text = f"{dotted(keys)}: {unknown_pattern(pattern, origins)}"
         raise layers.error(keys, text)
     with blamed(layers, *keys, prefix=f"{dotted(keys)}: "):
         check_single(pattern, origins[pattern])

@@ -22,6 +22,7 @@ from swarmd.plugins import pattern_folders
 from swarmd.settings.layered import Layered, fault_at
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.yamlfile import Data, read_extended, shown
+from swarmd.sim.scenarios import pattern_paths
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested
@@ -69,6 +70,17 @@ def load_scenario(
     return _overridden(tuple(_chain(path)), overrides, stem, source)
 
 
+def read_scenario(
+    name: str | Path, overrides: Mapping[str, Any] | None = None, *, source: str = SOURCE
+) -> ScenarioFile:
+    """The keys of a scenario as its files and the overrides give them, each checked by itself.
+
+    `name`, `overrides`, `source`: as of `load_scenario`, which also checks the keys together.
+    """
+    sources = tuple(_chain(_find(str(name), Path())))
+    return _layers_of(sources, overrides, source).build(ScenarioFile)
+
+
 def scenario_of(
     effective: Mapping[str, Any],
     overrides: Mapping[str, Any] | None = None,
@@ -77,8 +89,11 @@ def scenario_of(
 ) -> Scenario:
     """The scenario of a complete configuration, `Scenario.effective`, without files.
 
-    `overrides`, `source`: as of `load_scenario`.
+    `overrides`, `source`: as of `load_scenario`. ConfigError if the configuration has a path in
+    place of a pattern's name: it may be of others, whose files are looked up in `plugin_dir` alone
+    (`experiments.trust`).
     """
+    pattern_paths.check_names(effective)
     sources = (("effective configuration", dict(effective)),)
     return _overridden(sources, overrides, "scenario", source)
 
@@ -128,7 +143,7 @@ def _anchored(data: Data, folder: Path) -> Data:
         value = holder.get(key) if isinstance(holder, dict) else None
         if isinstance(value, str) and (key in ("plugin_dir", "image") or value.endswith(".yaml")):
             holder[key] = str(folder / user_path(value))
-    return data
+    return pattern_paths.anchored(data, folder)
 
 
 def _dicts(items: Any) -> list[Data]:
@@ -151,7 +166,13 @@ def _overridden(
     layers = _layers_of(sources, overrides, override_source)
     file = layers.build(ScenarioFile)
     if file.pattern is not None:
-        sources = (_choice_of(layers, file, file.pattern, sources[0][0]), *sources)
+        if overrides and layers.source("pattern") == override_source:
+            sources = _with_one_pattern(layers, file, file.pattern, sources)
+            layers = _layers_of(sources, overrides, override_source)
+            file = layers.build(ScenarioFile)
+        pattern = str(file.pattern)
+        owner = None if pattern in file.patterns else layers.source("pattern")
+        sources = (_choice_of(layers, file, pattern, owner or sources[0][0]), *sources)
         layers = _layers_of(sources, overrides, override_source)
         file = layers.build(ScenarioFile)
     if file.extends is not None:  # of an override: `_chain` has taken the key out of files
@@ -222,11 +243,33 @@ def _layers_of(
     if overrides:
         data = Layered(*sources).data
         sources = ((override_source, nested(overrides, data, override_source)), *sources)
+    sources = pattern_paths.named(sources)
     layers = Layered(*without_stale(sources), home=strongest_file)
     if "groups" not in layers.data:
         wanted = "groups: {tb3: {platform: burger, count: 5}}"
         raise layers.error(("groups",), f"groups is missing; expected a value such as {wanted}")
     return layers
+
+
+def _with_one_pattern(
+    layers: Layered, file: ScenarioFile, pattern: str, sources: tuple[tuple[str, Data], ...]
+) -> tuple[tuple[str, Data], ...]:
+    """The files in which all groups are without a pattern, to run the `pattern` of an override.
+
+    The files as they are if a group has none, or if they name choices of the pattern. ConfigError
+    if the groups have several patterns.
+    """
+    former = {group.pattern for group in file.groups.values()}
+    if None in former or file.patterns:
+        return sources
+    if len(former) > 1:
+        names = ", ".join(f"{name} {group.pattern}" for name, group in file.groups.items())
+        text = f"pattern: the groups run several ({names}); choose for each by groups.GROUP.pattern"
+        raise layers.error(("pattern",), text)
+    (only,) = former
+    return tuple(
+        (name, pattern_paths.with_one_pattern(data, pattern, str(only))) for name, data in sources
+    )
 
 
 def _choice_of(layers: Layered, file: ScenarioFile, pattern: str, source: str) -> tuple[str, Data]:

@@ -177,11 +177,15 @@ class ScenarioFile(RobotSettings, Struct, frozen=True, kw_only=True, forbid_unkn
     - `start`: places the robots of all groups that have no `start` of their own, as one group.
     - `parameters`: by pattern, for all robots; the parameters of a group prevail.
     - `events`: what happens at a time.
-    - `pattern`: the groups without a pattern run it.
+    - `pattern`: the groups without a pattern run it. As an override (`--pattern`, `--set`) of a
+      scenario whose groups all have the same one, it replaces this in groups and events, without
+      their parameters. Here and wherever a pattern is named, the path of a pattern's file
+      or folder is taken, too, relative to this file (`mine/wall.py`).
     - `patterns`: parameters of further choices of `pattern`, by pattern: `NAME` for all of these
       groups, `GROUP.NAME` for one of them. `swarmctl exp bench` runs each choice.
     - `metric`: by which `exp bench` ranks them; no Python file.
-    - `plugin_dir`: a folder of one-file patterns and missions, relative to the file.
+    - `plugin_dir`: a folder of patterns and missions of your own, relative to the file. The folder
+      of a pattern that is named by its path is taken without this key.
     - `pseudo_reality`: bounds of keys of `realism` and `radio`, such as
       `{realism.lidar.dropout: [0, 0.1]}`. Each seed draws values within the bounds. True: the
       bounds of `pseudo_reality.BOUNDS`.

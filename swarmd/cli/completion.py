@@ -77,6 +77,13 @@ def patterns(ctx: click.Context, param: click.Parameter, incomplete: str) -> lis
     return [name for name in names if name.startswith(incomplete)]
 
 
+def patterns_or_files(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """The patterns that are installed here, else files: a pattern may be given by its path."""
+    return names_or_files(patterns(ctx, param, ""), incomplete)
+
+
 def platforms(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """The platforms by name, else files."""
     from swarmd.settings.platforms import platform_names

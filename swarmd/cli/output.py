@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import click
@@ -79,11 +80,16 @@ def terminal_width() -> int:
 
 
 def table_lines(
-    header: Sequence[str], rows: Sequence[Sequence[str]], *, is_coloured: bool = False
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    is_coloured: bool = False,
+    least: Sequence[int] = (),
 ) -> list[str]:
-    """Aligned columns."""
+    """Aligned columns, each as wide as its texts, and as `least` in the order of the columns."""
     rows = [[printable(text) for text in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    widths = [max(pair) for pair in zip_longest(widths, least[: len(widths)], fillvalue=0)]
     return [
         "  ".join(map(_cell, row, widths, [is_coloured] * len(widths))).rstrip()
         for row in (header, *rows)

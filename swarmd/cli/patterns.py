@@ -16,7 +16,7 @@ from swarmd.cli.output import line_width, print_json, print_section, print_table
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, Record, check_mission, describe_patterns
 from swarmd.core.errors import PluginError
 from swarmd.core.verbs import shortened
-from swarmd.plugins import find_pattern
+from swarmd.plugins import find_pattern, place_of_pattern
 from swarmd.texts.values import NOTHING, printable, short_number
 
 NEEDS_WIDTH, FROM_WIDTH = 22, 16  # columns on a terminal
@@ -75,8 +75,9 @@ def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str
 @_platform
 @local_options
 def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, platform: str) -> None:
-    """Print what a pattern needs and sends, and its parameters with their bounds."""
+    """Print what pattern NAME needs and sends, and its parameters; NAME may be your file's path."""
     timeout = options.timeout or DESCRIBE_TIMEOUT
+    name, plugin_dir = place_of_pattern(name, plugin_dir)
     find_pattern(name, plugin_dir)
     (row,) = describe_patterns((name,), plugin_dir, platform, timeout)
     if "error" in row:

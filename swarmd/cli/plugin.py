@@ -14,6 +14,7 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import (
+    EXISTING,
     EXISTING_FILE,
     FOLDER,
     CommonOptions,
@@ -30,7 +31,13 @@ from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.files import read_regular
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest
-from swarmd.plugins import PATTERN_FILE, check_module_name, class_name, installed_patterns
+from swarmd.plugins import (
+    PATTERN_FILE,
+    check_module_name,
+    class_name,
+    installed_patterns,
+    pattern_file,
+)
 from swarmd.texts.values import counted, printable
 
 RELOAD_TIMEOUT = 15.0  # s: a trial on a robot may take 10 s, and loading again 3 s more
@@ -64,7 +71,7 @@ def plugin() -> None:
     "--folder",
     "has_folder",
     is_flag=True,
-    help="Write NAME/pattern.py, its test, a scenario and a page, as packages have them.",
+    help="Write the package NAME: pattern.py, its test, a scenario and a page.",
 )
 @local_options
 def new(
@@ -77,18 +84,21 @@ def new(
 ) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
     paths = write_plugin(name, folder, kind, policy, has_folder=has_folder)
-    pattern_file, test_file, *scenario_and_page = paths
-    # The next commands, each with a remark.
+    plugin_file, test_file, *scenario_and_page = paths
+    # The next commands, each with a remark. The path of a folder has a separator, unlike a name.
+    checked = shlex.quote(str(plugin_file.parent if has_folder else plugin_file))
+    path = f"{checked if '/' in checked else f'./{checked}'}" if has_folder else checked
     python = shlex.quote(sys.executable)
     install_pytest = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
     test_command = f"{install_pytest}{python} -m pytest {test_file}"
     next_steps = [
-        (f"swarmctl plugin check {pattern_file}", "the contract of all patterns"),
+        (f"swarmctl plugin check {checked}", "the contract of all patterns"),
         (test_command, "the same, and an example of a test"),
-        (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
+        (f"swarmctl demo --pattern {path}", "simulated robots run it"),
+        (f"swarmctl exp run aggregation --pattern {path} --seeds 20", "twenty runs, measured"),
     ]
     if has_folder:
-        scenario, _page = scenario_and_page
+        scenario = scenario_and_page[0]
         run = f"swarmctl exp run {scenario} --seeds 20 --out runs/{name}"
         next_steps.append((run, "twenty runs of its scenario"))
     if options.is_json:
@@ -106,15 +116,16 @@ def new(
 
 
 @plugin.command("check", epilog="Example: swarmctl plugin check mine/swirl.py")
-@click.argument("file", type=EXISTING_FILE)
+@click.argument("file", type=EXISTING)
 @local_options
 def check(options: CommonOptions, file: Path) -> None:
-    """Check the pattern in FILE against the contract: a line for each point, each fault once.
+    """Check the pattern in FILE, a .py or its folder: a line for each point, each fault once.
 
     The file is imported in a process of its own. `--timeout` is for each point [30s].
     """
     from swarmd.cli.plugin_check import check_file
 
+    file = pattern_file(file)
     if file.suffix != ".py":
         raise click.UsageError(
             f"{file} is no .py; a mission is checked by `swarmctl mission check`"
@@ -171,7 +182,8 @@ def write_plugin(
 ) -> tuple[Path, ...]:
     """Write a pattern and its test from the templates in `templates/`.
 
-    Returns the paths of the pattern, its test, and with `has_folder` the scenario and the page.
+    Returns the paths of the pattern, its test, and with `has_folder` those of the scenario, the
+    page and `__init__.py`.
 
     `kind`: the template of the pattern. `policy`: a file with a neural network; the pattern then
     runs that network. `has_folder`: also write a scenario and a page, and all files into a new
@@ -184,12 +196,13 @@ def write_plugin(
     template = kind if policy is None else "policy"
     _check_name(name)
     plugin_folder = folder / name if has_folder else folder
-    pattern_file = plugin_folder / (PATTERN_FILE if has_folder else f"{name}.py")
+    plugin_file = plugin_folder / (PATTERN_FILE if has_folder else f"{name}.py")
     test_file = plugin_folder / f"test_{name}.py"
-    path_by_template = {template: pattern_file, f"test_{template}": test_file}
+    path_by_template = {template: plugin_file, f"test_{template}": test_file}
     if has_folder:
         path_by_template["scenario"] = plugin_folder / "scenario.yaml"
         path_by_template["page"] = plugin_folder / "page.md"
+        path_by_template["package"] = plugin_folder / "__init__.py"
     for path in path_by_template.values():
         if path.exists():
             raise click.UsageError(f"{path} is there already; move it away or take another name")
@@ -204,7 +217,7 @@ def write_plugin(
         class_title += "Pattern"
     fields = {  # values for the fields of the templates, such as `$class_name`
         "name": name,
-        "module": pattern_file.stem,
+        "module": f"{name}.{plugin_file.stem}" if has_folder else name,
         "class_name": class_title,
         "network": network,
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import time
 from collections import Counter
@@ -15,7 +14,7 @@ from msgspec.structs import replace as with_fields
 
 from swarmd.cli.ask_robots import ask_robots
 from swarmd.cli.canary import canaries_of, read_canary
-from swarmd.cli.options import EXISTING_FILE, CommonOptions, Duration, Failure, common_options
+from swarmd.cli.options import EXISTING, CommonOptions, Duration, Failure, common_options
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.send import Asked, asking, known_members
 from swarmd.cli.targets import takes_targets
@@ -37,7 +36,7 @@ from swarmd.core.pattern_manifest import (
 )
 from swarmd.core.verbs import PLUGINS, PushedPatternReport, PushedPatternsReply, PushRequest
 from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT, code_of_answers
-from swarmd.plugins import pattern_name
+from swarmd.plugins import PATTERN_FILE, has_modules, parsed, pattern_file, pattern_name
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ class Source(NamedTuple):
 
 
 @click.command("push", epilog="Example: swarmctl plugin push shy.py --all --canary 1")
-@click.argument("file", type=EXISTING_FILE)
+@click.argument("file", type=EXISTING)
 @takes_targets(is_required=True)
 @click.option("--version", default="", help="Shown beside the hash [that of the wheel].")
 @click.option(
@@ -94,12 +93,13 @@ def push(
     replace: bool,
     rerun: bool,
 ) -> None:
-    """Send the pattern in FILE, a .py or a wheel of pure Python, to TARGETS; starts no run.
+    """Send the pattern in FILE, a .py, its folder or a wheel, to TARGETS; starts no run.
 
-    At most 1 MiB. With keys, your identity signs the pattern. Each robot tries the code in a
-    process of its own, and the next run of the pattern uses the code. The code is provisional until
-    it has run for 60 s without a fault; after a fault the robot stands and returns to the version
-    before. Robots that join later and match TARGETS get the pattern from other robots.
+    At most 1 MiB of pure Python. A folder is sent with all files that it holds. With keys, your
+    identity signs the pattern. Each robot tries the code in a process of its own, and the next run
+    of the pattern uses the code. The code is provisional until it has run for 60 s without a fault;
+    after a fault the robot stands and returns to the version before. Robots that join later and
+    match TARGETS get the pattern from other robots.
     """
     read_canary(canary)
     source = read_source(file)
@@ -237,26 +237,37 @@ def _print_list_json(
     print_json("PushedPatterns", answer)
 
 
-def read_source(file: Path) -> Source:
-    """The content of FILE; PluginError or ConfigError if it cannot be pushed."""
-    code = read_regular(file)
-    if len(code) > MAX_CODE:
-        raise PluginError(f"{file} has {len(code)} bytes; at most {MAX_CODE} (1 MiB) are sent")
-    if file.suffix == ".whl":
-        from swarmd.pattern_host.wheel import inspect_wheel
+def read_source(path: Path) -> Source:
+    """The content of a .py, a wheel, or the folder of a pattern.
 
-        found = inspect_wheel(code, str(file))
+    PluginError or ConfigError if it cannot be pushed.
+    """
+    file = pattern_file(path)
+    name = pattern_name(file)
+    is_folder = file.name == PATTERN_FILE and (path != file or has_modules(file))
+    if file.suffix == ".whl" or is_folder:
+        from swarmd.pattern_host.wheel import inspect_wheel, packed_folder
+
+        if file.suffix == ".whl":
+            code = _checked_size(read_regular(file), file)
+        else:
+            check_id(name, f"{file.parent}: the pattern's name")
+            code = _checked_size(packed_folder(file.parent, name), file.parent)
+        found = inspect_wheel(code, str(path))
         return Source(found.name, "wheel", found.version, found.value, code)
     if file.suffix != ".py":
-        raise PluginError(f"{file}: expected a .py or a .whl")
-    name = pattern_name(file)
+        raise PluginError(f"{file}: expected a .py, a .whl, or the folder of a pattern")
+    code = _checked_size(read_regular(file), file)
     check_id(name, f"{file}: the pattern's name")
-    try:
-        ast.parse(code)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # nested too deeply
-        line = getattr(error, "lineno", None)
-        raise PluginError(f"{file}:{line or 1}: {getattr(error, 'msg', error)}") from error
+    parsed(code, file)
     return Source(name, "file", "", "", code)
+
+
+def _checked_size(code: bytes, path: Path) -> bytes:
+    """The code; PluginError if it has too many bytes to be sent."""
+    if len(code) > MAX_CODE:
+        raise PluginError(f"{path} has {len(code)} bytes; at most {MAX_CODE} (1 MiB) are sent")
+    return code
 
 
 def greatest_of(replies: Iterable[PushedPatternsReply], identity: Identity | None) -> int:

@@ -19,6 +19,7 @@ from swarmd.core.verbs import MAX_AHEAD, MAX_PLANNED, GoalRequest, RunRequest
 from swarmd.network.operator.exit_codes import FAILED, PARTIAL
 from swarmd.network.operator.operator_goals import next_generation, next_goal, signed_again
 from swarmd.network.operator.request_sender import REQUEST_WAIT
+from swarmd.plugins import is_pattern_path
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:
@@ -55,6 +56,11 @@ class Run(Struct, frozen=True, kw_only=True):
 
         `option` returns the name of an option as the user writes it.
         """
+        if isinstance(self.pattern, str) and is_pattern_path(self.pattern):
+            raise ConfigError(
+                f"{self.pattern} is a file here, and robots run what they have: send it by"
+                f" `swarmctl plugin push {self.pattern} ..`, then run it by its name"
+            )
         if not isinstance(self.pattern, str) or not is_id(self.pattern):
             raise ConfigError(f"{self.pattern!r} is no pattern name; expected a-z, 0-9, _ and -")
         if self.on_join not in ON_JOIN:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Any
 
 INTEGER = re.compile(r"[-+]?[0-9]+\Z|0o[0-7]+\Z|0x[0-9a-fA-F]+\Z")
@@ -25,6 +26,8 @@ _MAX_EXACT = 2**53  # readers of JSON keep integers exact up to here
 def python_value(value: Any) -> Any:
     """The value with numbers and arrays of numpy, and of libraries like it, as Python's.
 
+    A path becomes its text.
+
     Also inside mappings, lists and tuples: `python_value({"speed": np.linspace(0, 1, 2)})` is
     `{"speed": [0.0, 1.0]}`. numpy is not imported: what has a method `tolist` is converted.
     """
@@ -32,6 +35,8 @@ def python_value(value: Any) -> Any:
         return {key: python_value(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         return [python_value(inner) for inner in value]
+    if isinstance(value, PurePath):
+        return str(value)
     convert = None if isinstance(value, type) else getattr(value, "tolist", None)
     return value if convert is None else convert()
 

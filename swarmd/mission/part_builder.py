@@ -15,6 +15,7 @@ from swarmd.core.values import OPINION, Inputs
 from swarmd.kit.behavior import Make, Pattern
 from swarmd.kit.combined import outer_name
 from swarmd.kit.conditions import simple_conditions
+from swarmd.kit.mistakes import one_line
 from swarmd.kit.params import build, schema
 from swarmd.kit.voting_pattern import VotingPattern
 from swarmd.mission.document import Document
@@ -196,9 +197,8 @@ def with_values(part: Pattern[Any], values: Mapping[str, Any], source: str) -> A
 
 
 def error_text(error: BaseException) -> str:
-    """An exception in one line; with its type unless the exception is a SwarmError."""
-    text = " ".join(str(error).split())
-    return text if isinstance(error, SwarmError) else f"{type(error).__name__}: {text}"
+    """An exception in one line; with its type and place unless the exception is a SwarmError."""
+    return " ".join(str(error).split()) if isinstance(error, SwarmError) else one_line(error)
 
 
 def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None) -> Table:

@@ -7,7 +7,6 @@ process. No other module calls the code of a plugin during a run.
 from __future__ import annotations
 
 import math
-import traceback
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -31,6 +30,7 @@ from swarmd.core.values import (
 )
 from swarmd.kit.condition_state import UntilConditions, until_conditions
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
+from swarmd.kit.mistakes import one_line
 from swarmd.kit.params import Params, build, schema
 
 T = TypeVar("T")
@@ -195,18 +195,6 @@ def _checked_message(channel: object, raw_value: object, declared_type: type | N
         raise PluginError(f"channel {channel!r} got {named(value)}; {expected}") from None
 
 
-def _in_one_line(error: BaseException) -> str:
-    """The exception with its place: `ZeroDivisionError: division by zero (shy.py:12)`."""
-    text = str(error)
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    file, line = frame.filename, frame.lineno
-    if isinstance(error, SyntaxError) and error.filename:  # has no frame in the plugin's file
-        text = error.msg
-        file, line = error.filename, error.lineno
-    text = " ".join(text.split())
-    return f"{type(error).__name__}: {text[:200]} ({file.rsplit('/', 1)[-1]}:{line})"
-
-
 def _beyond_limits(
     params_type: type[Params],
     changed: Iterable[str],
@@ -261,7 +249,7 @@ def _fault_of(error: Exception) -> _Fault:
         return _Fault(str(error), host_messages.refusal_of(error), error.parameter)
     if isinstance(error, SwarmError):
         return _Fault(str(error), host_messages.refusal_of(error))
-    return _Fault(_in_one_line(error))
+    return _Fault(one_line(error))
 
 
 def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:

@@ -12,8 +12,9 @@ import importlib.util
 import inspect
 import os
 import sys
-from collections.abc import Mapping
-from importlib.machinery import SourceFileLoader
+from collections.abc import Mapping, Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, get_args
@@ -22,8 +23,18 @@ from swarmd.core.errors import ChangedCodeError, PluginError, UnknownPatternErro
 from swarmd.core.files import read_regular
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
-from swarmd.plugins import IN_WHEEL, MISSION, pattern_name
+from swarmd.plugins import (
+    IN_WHEEL,
+    MISSION,
+    PATTERN_FILE,
+    check_text,
+    modules_of,
+    pattern_name,
+)
 
+MAX_MODULES = 500
+MAX_SOURCE = 8 * 1024 * 1024
+"""Bounds of the Python files in the folder of a pattern, and of their bytes."""
 _CHANNEL_TYPES = (bool, int, float, str, bytes, list, dict)
 
 
@@ -219,34 +230,101 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
 def import_file(path: Path, digest: bytes = b"") -> ModuleType:
     """Import the present content of a file as a module.
 
-    `digest`: the expected SHA-256 of the file; empty for any content. Raises ChangedCodeError if
-    the SHA-256 differs, PluginError if Python has no way to import such a file, and any exception
-    of reading, compiling or executing the file.
+    A `pattern.py` is imported as a module of a package, its folder: `from .gains import TURN`
+    imports the `gains.py` beside it, also when a method does so during a run. All modules of the
+    folder are read here, so that a later change of a file has no effect before the next load.
+
+    `digest`: the expected SHA-256 of the file, which then is no package; empty for any content.
+    Raises ChangedCodeError if the SHA-256 differs, PluginError if the file is not UTF-8 text or the
+    folder has too many modules, and any exception of reading, compiling or executing the file.
     """
     name = f"swarmd_plugin_{pattern_name(path)}"
-    loader = _UncachedLoader(name, str(path), digest)
-    spec = importlib.util.spec_from_loader(name, loader)
-    if spec is None:
+    _forget(name)
+    if path.name == PATTERN_FILE and not digest:
+        package = _FolderPackage(name, path)
+        sys.meta_path.insert(0, package)
+        return importlib.import_module(f"{name}.{path.stem}")
+    source = _checked(path, digest) if digest else read_regular(path)
+    spec = importlib.util.spec_from_loader(name, _SourceLoader(name, str(path), source))
+    if spec is None or spec.loader is None:
         raise PluginError(f"{path} cannot be read as Python")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    loader.exec_module(module)
+    spec.loader.exec_module(module)
     return module
 
 
-class _UncachedLoader(SourceFileLoader):
-    """Compiles a file of a plugin at each load, without cached bytecode (.pyc).
+def _forget(name: str) -> None:
+    """Forget the modules of an earlier load of the plugin `name`."""
+    sys.meta_path[:] = [
+        finder
+        for finder in sys.meta_path
+        if not (isinstance(finder, _FolderPackage) and finder.name == name)
+    ]
+    for module in list(sys.modules):
+        if module == name or module.startswith(f"{name}."):
+            del sys.modules[module]
+
+
+class _SourceLoader(SourceFileLoader):
+    """Compiles the given source of a plugin's file, without cached bytecode (.pyc).
 
     If a file changes twice within a second, Python takes the bytecode of the first change for
     valid.
     """
 
-    def __init__(self, name: str, path: str, digest: bytes) -> None:
+    def __init__(self, name: str, path: str, source: bytes) -> None:
         super().__init__(name, path)
-        self._digest = digest
+        self._source = source
 
     def get_code(self, fullname: str) -> CodeType:
-        """The code of the present file. ChangedCodeError if the SHA-256 differs."""
-        path = Path(self.path)
-        source = _checked(path, self._digest) if self._digest else read_regular(path)
-        return self.source_to_code(source, self.path)
+        """The code of the source; PluginError if the source is no UTF-8 text."""
+        try:
+            return self.source_to_code(self._source, self.path)
+        except (SyntaxError, ValueError):
+            check_text(self._source, Path(self.path).name)
+            raise
+
+
+class _FolderPackage(MetaPathFinder):
+    """Finds the modules of the package `name`, the Python files beside and below a `pattern.py`.
+
+    Reads them all at once. PluginError if they are more than MAX_MODULES, or MAX_SOURCE bytes.
+    """
+
+    def __init__(self, name: str, file: Path) -> None:
+        self.name = name
+        folder = file.parent
+        self._folders = {name: folder}  # by the name of the package
+        self._sources: dict[str, tuple[Path, bytes]] = {}  # by the name of the module
+        size = 0
+        # The folder of `file` may be unreadable in the sandbox: `file` alone is the package then.
+        for path in dict.fromkeys((file, *modules_of(folder))):
+            parts = path.relative_to(folder).with_suffix("").parts
+            module = ".".join((name, *(parts[:-1] if parts[-1] == "__init__" else parts)))
+            source = read_regular(path)
+            size += len(source)
+            self._sources[module] = (path, source)
+            for depth in range(1, len(parts)):
+                self._folders[".".join((name, *parts[:depth]))] = folder.joinpath(*parts[:depth])
+            if len(self._sources) > MAX_MODULES or size > MAX_SOURCE:
+                raise PluginError(
+                    f"{folder} has more than {MAX_MODULES} Python files or {MAX_SOURCE} bytes of"
+                    f" them; move {PATTERN_FILE} and its modules to a folder of their own"
+                )
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """The spec of a module of this package; None for other modules."""
+        if fullname in self._sources:
+            file, source = self._sources[fullname]
+            loader = _SourceLoader(fullname, str(file), source)
+            spec = importlib.util.spec_from_loader(fullname, loader)
+        elif fullname in self._folders:  # a folder without `__init__.py`
+            spec = ModuleSpec(fullname, None, is_package=True)
+        else:
+            return None
+        if spec is not None and fullname in self._folders:
+            spec.submodule_search_locations = [str(self._folders[fullname])]
+        return spec

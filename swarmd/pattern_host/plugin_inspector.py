@@ -18,7 +18,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -39,6 +39,7 @@ from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.condition_state import until_conditions
 from swarmd.kit.conditions import needs_of
 from swarmd.kit.factory import Find, assemble, check_scan_delay
+from swarmd.kit.mistakes import with_remedy
 from swarmd.kit.params import Params, schema
 from swarmd.kit.touch import check_zone, describe_zone
 from swarmd.kit.voting_pattern import VotingPattern
@@ -56,10 +57,13 @@ from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
 from swarmd.plugins import (
     MISSION,
+    PATTERN_FILE,
     Origin,
     check_module_name,
     is_mission,
     is_same_file,
+    modules_of,
+    pattern_folder_of,
     pattern_name,
     pattern_names,
     places_of,
@@ -149,9 +153,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def readable_beside(file: Path) -> Path:
-    """The folder of a file, which its code may read; only the file if the folder has the home."""
+    """The folder of a pattern's file, which its code may read, or only the file.
+
+    For `pattern.py` it is the folder above, in which further patterns lie. A folder that has the
+    home is never given: then it is the folder of `pattern.py`, else the file alone.
+    """
     home = Path.home().resolve()
-    return file if home.is_relative_to(file.parent) else file.parent
+    folders = [file.parent.parent, file.parent] if file.name == PATTERN_FILE else [file.parent]
+    return next((folder for folder in folders if not home.is_relative_to(folder)), file)
 
 
 # describe
@@ -293,7 +302,7 @@ def _check_plugin(path: Path, done: frozenset[str], output: InspectionOutput) ->
     if pattern is None:
         return
     _check_source(path, output)
-    for point, test in _contract_tests(pattern, path.parent):
+    for point, test in _contract_tests(pattern, pattern_folder_of(path)):
         if point in done:
             continue
         output.send(begin=point)
@@ -322,15 +331,30 @@ def _loaded(path: Path, output: InspectionOutput) -> type[Pattern[Any]] | None:
     return classes[0] if classes else None
 
 
+def sources_of(path: Path) -> list[Path]:
+    """The files of a pattern: `path`, and the modules of its folder if that is a package."""
+    if path.name != PATTERN_FILE:
+        return [path]
+    modules = [one for one in modules_of(path.parent) if not one.name.startswith("test_")]
+    return [path, *(one for one in modules if one != path)]
+
+
 def _check_source(path: Path, output: InspectionOutput) -> None:
-    """Check the points that the source code shows: IMPORTS and DROPPED."""
+    """Check the points that the source code of the pattern's files shows: IMPORTS and DROPPED."""
     from swarmd.testing.no_side_effects import forbidden_imports
 
-    source = read_regular(path)
-    imports = [(line, f"imports {name}") for line, name in forbidden_imports(source)]
-    unused = [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]
-    for point, places in ((IMPORTS, imports), (DROPPED, unused)):
-        texts = [f"{text} ({path.name}:{line})" for line, text in places]
+    imports: list[str] = []
+    unused: list[str] = []
+    for file in sources_of(path):
+        source = read_regular(file)
+        with suppress(SyntaxError):  # of a module that the pattern has not imported
+            found = list(forbidden_imports(source))
+            imports += [f"imports {name} ({file.name}:{line})" for line, name in found]
+            unused += [
+                f"makes {name}(...) {_UNUSED} ({file.name}:{line})"
+                for line, name in dropped(source)
+            ]
+    for point, texts in ((IMPORTS, imports), (DROPPED, unused)):
         output.send(begin=point)
         output.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
 
@@ -401,17 +425,21 @@ def _fault_of(
 
 
 def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | None) -> str:
-    """The exception, and the last line of the file in its traceback."""
+    """The exception with its remedy, and the last line of the pattern's files in its traceback."""
     text = " ".join(str(error).split())
+    sources = {str(source): source.name for source in sources_of(path)}
     frames = traceback.extract_tb(error.__traceback__)
-    lines = [frame.lineno for frame in frames if frame.filename == str(path)]
-    if isinstance(error, SyntaxError) and error.filename == str(path):
-        text, lines = error.msg, [error.lineno]
+    lines = [(sources[f.filename], f.lineno) for f in frames if f.filename in sources]
+    if isinstance(error, SyntaxError) and error.filename in sources:
+        text, lines = error.msg, [(sources[error.filename], error.lineno)]
     elif not lines and kind is not None and isinstance(error, PluginError | AssertionError):
-        lines = _lines_of_default(kind, text, path) or _lines_of_step(kind, path)
+        found = _lines_of_default(kind, text, path) or _lines_of_step(kind, path)
+        lines = [(path.name, line) for line in found]
     if isinstance(error, AttributeError) and type(error.obj) is Params:
         text += "; is `params_type` missing in the class?"
-    place = f" ({path.name}:{lines[-1]})" if lines else ""
+    else:
+        text = with_remedy(text, error)
+    place = " ({}:{})".format(*lines[-1]) if lines else ""
     is_worded = isinstance(error, SwarmError) or (isinstance(error, AssertionError) and text)
     if isinstance(error, TimeoutError):
         is_worded = bool(text)
@@ -444,19 +472,20 @@ def _lines_of_step(kind: type[Pattern[Any]], path: Path) -> list[int | None]:
 
 
 def _report_side_effects(path: Path, answer: InspectionOutput) -> None:
-    """Send `{"side_effect": text}` for each side effect of the file's code, each text once."""
+    """Send `{"side_effect": text}` for each side effect of the pattern's code, each text once."""
     from swarmd.testing.no_side_effects import AUDIT_EVENTS
 
     sent: set[str] = set()
+    sources = {str(source): source.name for source in sources_of(path)}
 
     def hook(event: str, args: tuple[Any, ...]) -> None:
         if event not in AUDIT_EVENTS:
             return
-        line = _line_in(str(path), sys._getframe(1))
-        if line is None:
+        place = _place_in(sources, sys._getframe(1))
+        if place is None:
             return
         what = f"{event} {args[0]!r}"[:120] if args else event
-        text = f"{what} ({path.name}:{line})"
+        text = f"{what} ({place})"
         if text not in sent:
             sent.add(text)
             answer.send(side_effect=text)
@@ -464,12 +493,15 @@ def _report_side_effects(path: Path, answer: InspectionOutput) -> None:
     sys.addaudithook(hook)
 
 
-def _line_in(path: str, frame: FrameType | None) -> int | None:
-    """The line of the file that led to this frame; None for an import, or code of other files."""
+def _place_in(sources: Mapping[str, str], frame: FrameType | None) -> str | None:
+    """`name:line` of the code that led to this frame; None for an import, or code of other files.
+
+    `sources`: the names of the pattern's files by path.
+    """
     while frame is not None:
         name = frame.f_code.co_filename
-        if name == path:
-            return frame.f_lineno
+        if name in sources:
+            return f"{sources[name]}:{frame.f_lineno}"
         if name.startswith("<frozen importlib"):
             return None
         frame = frame.f_back

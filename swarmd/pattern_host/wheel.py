@@ -1,4 +1,4 @@
-"""Inspects wheels of pushed patterns: their entry point, and the files that they may contain.
+"""Inspects wheels of pushed patterns, and packs the folder of a pattern as a wheel.
 
 A wheel is a zip of pure Python with exactly one entry point of the group `swarmd.patterns` (PyPA:
 binary distribution format). No code of the wheel is executed here.
@@ -6,7 +6,9 @@ binary distribution format). No code of the wheel is executed here.
 
 from __future__ import annotations
 
+import ast
 import io
+import os
 import stat
 import sys
 import zipfile
@@ -15,12 +17,13 @@ from contextlib import contextmanager
 from copy import copy
 from email.parser import HeaderParser
 from importlib.metadata import EntryPoints
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from swarmd.core.errors import PluginError
+from swarmd.core.files import read_regular
 from swarmd.core.keys import is_id
-from swarmd.plugins import PATTERNS
+from swarmd.plugins import PATTERN_FILE, PATTERNS, class_name, parsed
 
 MAX_FILES = 500
 MAX_UNPACKED = 8 * 1024 * 1024
@@ -62,6 +65,67 @@ def inspect_wheel(content: bytes, label: str) -> WheelPattern:
     if not is_id(point.name) or not is_class:
         raise PluginError(f"{label} declares {point.name} = {point.value}; expected module:Class")
     return WheelPattern(point.name, version[:32], f"{point.module}:{point.attr}")
+
+
+def packed_folder(folder: Path, name: str) -> bytes:
+    """A wheel with the files of the folder of the pattern `name`; equal files give equal bytes.
+
+    All files count but hidden ones and caches of compiled code, and so does the wheel's digest. The
+    folder becomes the package `swarmd_pushed_<name>`. PluginError in one line if it is not clear
+    which class is the pattern, or if `inspect_wheel` refuses the wheel.
+    """
+    package = f"swarmd_pushed_{name}"
+    about = f"{package}-0.dist-info"
+    value = f"{package}.{PATTERN_FILE.removesuffix('.py')}:{_class_in(folder / PATTERN_FILE, name)}"
+    files = {f"{package}/{path.relative_to(folder).as_posix()}": path for path in _files(folder)}
+    size = sum(path.stat().st_size for path in files.values())
+    if size > MAX_UNPACKED:
+        raise PluginError(f"{folder} has {size} bytes; at most {MAX_UNPACKED} are taken")
+    contents = {inside: read_regular(path) for inside, path in files.items()}
+    contents.setdefault(f"{package}/__init__.py", b"")
+    contents[f"{about}/METADATA"] = f"Metadata-Version: 2.1\nName: {package}\n".encode()
+    contents[f"{about}/WHEEL"] = b"Wheel-Version: 1.0\nRoot-Is-Purelib: true\n"
+    contents[f"{about}/entry_points.txt"] = f"[{PATTERNS}]\n{name} = {value}\n".encode()
+    buffer = io.BytesIO()
+    # Not compressed: other versions of zlib would give other bytes.
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for inside, content in sorted(contents.items()):
+            archive.writestr(zipfile.ZipInfo(inside), content)
+    return buffer.getvalue()
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """The regular files below a folder, without hidden ones and caches of compiled code."""
+    for place, folders, files in os.walk(folder):
+        folders[:] = sorted(one for one in folders if not one.startswith((".", "__pycache__")))
+        for file in sorted(files):
+            path = Path(place, file)
+            if not file.startswith(".") and path.is_file():
+                yield path
+
+
+def _class_in(file: Path, name: str) -> str:
+    """The class of the pattern `name` in its file, by the source: no code is executed.
+
+    It is the only class that derives from a class called `...Pattern` and is no base of another
+    such class, or else the class that has the name of the pattern.
+    """
+    source = read_regular(file)
+    bases_of: dict[str, set[str]] = {}
+    for node in parsed(source, file).body:
+        if isinstance(node, ast.ClassDef):
+            written = [one.value if isinstance(one, ast.Subscript) else one for one in node.bases]
+            bases_of[node.name] = {ast.unparse(one).rpartition(".")[2] for one in written}
+    kinds: set[str] = set()  # the classes of patterns
+    for kind, bases in bases_of.items():
+        if any(base.endswith("Pattern") or base in kinds for base in bases):
+            kinds.add(kind)
+    last = [kind for kind in kinds if not any(kind in bases_of[other] for other in kinds)]
+    if len(last) == 1:
+        return last[0]
+    if (usual := class_name(name)) in bases_of:
+        return usual
+    raise PluginError(f"{file}: which class is the pattern is not clear; call it {usual}")
 
 
 @contextmanager

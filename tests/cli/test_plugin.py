@@ -176,16 +176,43 @@ def test_a_new_folder_has_a_pattern_its_test_a_scenario_and_a_page(
 ) -> None:
     assert swarmctl("plugin", "new", "swirl", "--dir", str(tmp_path), "--folder") == 0
     folder = tmp_path / "swirl"
-    wanted = {"pattern.py", "test_swirl.py", "scenario.yaml", "page.md"}
+    wanted = {"__init__.py", "pattern.py", "test_swirl.py", "scenario.yaml", "page.md"}
     assert {path.name for path in folder.iterdir()} == wanted
-    assert "from pattern import Swirl" in (folder / "test_swirl.py").read_text()
+    assert "from swirl.pattern import Swirl" in (folder / "test_swirl.py").read_text()
     assert f"exp run {folder / 'scenario.yaml'}" in capsys.readouterr().out
-    assert swarmctl("plugin", "check", str(folder / "pattern.py")) == 0
+    assert swarmctl("plugin", "check", str(folder)) == 0
     assert pattern_names(tmp_path, {})["swirl"].value == str(folder / "pattern.py")
     assert read_source(folder / "pattern.py").name == "swirl"
     trace = simulate_run(load_scenario(folder / "scenario.yaml", {"duration": 1.0}), 0)
     assert trace.state is not None
     assert trace.state[-1].tolist() == ["running"] * 5
+
+
+GAINS = "TURN = 0.4\n"
+
+
+def test_a_folder_is_a_package_in_its_check(tmp_path: Path) -> None:
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "gains.py").write_text(GAINS)
+    (folder / "later.py").write_text("from .gains import TURN\nimport os\nFAST = 2 * TURN\n")
+    lines = {"top": "from .gains import TURN", "body": "from .later import FAST"}
+    written(folder, **lines).rename(folder / "pattern.py")
+    points = {point.name: point for point in check_file(folder / "pattern.py", 60.0)}
+    assert faults(points) == {}
+    assert "(later.py:2)" in points[IMPORTS].text  # of all modules of the package
+    (folder / "later.py").write_text("FAST = 1 / 0\n")
+    points = {point.name: point for point in check_file(folder / "pattern.py", 60.0)}
+    assert "ZeroDivisionError" in points[STEPS].text
+    assert "(later.py:1)" in points[STEPS].text
+
+
+def test_a_folder_without_a_pattern_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(ConfigError, match=r"pattern\.py") as error:
+        swarmctl("plugin", "check", str(tmp_path))
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("there", ["own.py", "test_own.py"])

@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SHORT = (
     "swarmctl exp bench doorway --pattern foraging",
     "swarmctl exp check-mission",
+    "swarmctl exp run aggregation --pattern swirl",
     "swarmctl import",
     "swarmctl mission check",
     "swarmctl plugin check",

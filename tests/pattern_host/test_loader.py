@@ -6,18 +6,19 @@ import hashlib
 import io
 import sys
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from swarmd.core.errors import ChangedCodeError
+from swarmd.core.errors import ChangedCodeError, PluginError
+from swarmd.core.values import Inputs
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.factory import assemble
 from swarmd.kit.params import Params
-from swarmd.pattern_host.loader import PatternLoader
+from swarmd.pattern_host.loader import PatternLoader, import_file
 from swarmd.plugins import IN_WHEEL, pattern_names
 from swarmd.settings.settings import load_platform
 
@@ -144,3 +145,105 @@ def test_a_wheel_is_imported_from_the_copy_that_was_compared(tmp_path: Path) -> 
 def test_pushed_code_that_was_removed_is_changed_code(tmp_path: Path, kind: str) -> None:
     with pytest.raises(ChangedCodeError, match="push it again"):
         load(PatternLoader({}), tmp_path / f"own.{kind}", bytes(range(32)))
+
+
+FOLDER = {
+    "pattern.py": """
+from swarmd.api import Inputs, Outputs, Params, Pattern
+from .gains import TURN
+from .more.deep import DEEP
+
+class Grad(Pattern[Params]):
+    values = (TURN, DEEP)
+
+    def step(self, inputs: Inputs) -> Outputs:
+        from .later import LATER
+        return Outputs(report={"later": LATER})
+""",
+    "gains.py": "TURN = 0.4\n",
+    "later.py": "from .gains import TURN\nLATER = TURN + 1\n",
+    "more/deep.py": "from ..gains import TURN\nDEEP = -TURN\n",
+}
+
+
+def folder_pattern(folder: Path, **changed: str) -> Path:
+    """The `pattern.py` of a folder with several modules."""
+    for name, text in {**FOLDER, **changed}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder / "pattern.py"
+
+
+def stepped(kind: type[Pattern[Params]]) -> Mapping[str, object]:
+    """What a step of the class reports."""
+    return kind.step(object.__new__(kind), Inputs(now=0.0, dt=0.0)).report
+
+
+@pytest.fixture(autouse=True)
+def nothing_stays_imported() -> Iterator[None]:
+    """Modules and finders of plugins do not outlive a test."""
+    finders = list(sys.meta_path)
+    yield
+    sys.meta_path[:] = finders
+    for name in [name for name in sys.modules if name.startswith("swarmd_plugin_")]:
+        del sys.modules[name]
+
+
+def test_the_folder_of_a_pattern_is_a_package_also_for_imports_of_a_method(tmp_path: Path) -> None:
+    file = folder_pattern(tmp_path / "grad")
+    kind = PatternLoader({"grad": (str(file), True)})("grad")
+    assert getattr(kind, "values") == (0.4, -0.4)  # noqa: B009
+    assert stepped(kind) == {"later": 1.4}
+    assert not list(tmp_path.rglob("__pycache__"))
+
+
+def test_a_method_imports_what_the_folder_held_at_the_load(tmp_path: Path) -> None:
+    file = folder_pattern(tmp_path / "grad")
+    loader = PatternLoader({})
+    places = {"grad": (str(file), True)}
+    loader.begin(places)
+    first = loader("grad")
+    (tmp_path / "grad" / "later.py").write_text("LATER = 7\n")
+    assert stepped(first) == {"later": 1.4}
+    loader.begin(places)  # such as of `plugin reload`
+    assert stepped(loader("grad")) == {"later": 7}
+
+
+def test_a_file_beside_a_folder_is_no_part_of_it(tmp_path: Path) -> None:
+    folder_pattern(tmp_path / "grad")
+    other = tmp_path / "lone.py"
+    other.write_text(FOLDER["pattern.py"].replace("from .more.deep import DEEP", "DEEP = 0"))
+    (tmp_path / "gains.py").write_text("TURN = 1.0\n")
+    with pytest.raises(ImportError):
+        import_file(other)
+
+
+def test_a_folder_with_too_many_modules_is_refused_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("swarmd.pattern_host.loader.MAX_MODULES", 3)
+    with pytest.raises(PluginError, match="folder of their own"):
+        import_file(folder_pattern(tmp_path / "grad"))
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('"""für"""\n', 1),
+        ('"""Drives."""\n\nwort = "größe"\n', 3),
+        ("def größe(): pass\n", 1),
+    ],
+)
+def test_a_file_that_is_no_utf_8_is_refused_with_line_and_remedy(
+    tmp_path: Path, text: str, line: int
+) -> None:
+    file = tmp_path / "own.py"
+    file.write_bytes(text.encode("latin-1"))
+    with pytest.raises(PluginError, match=rf"own\.py:{line}: .* UTF-8"):
+        import_file(file)
+
+
+def test_a_file_that_names_its_encoding_is_imported(tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_bytes("# -*- coding: latin-1 -*-\nword = 'größe'\n".encode("latin-1"))
+    assert import_file(file).word == "größe"

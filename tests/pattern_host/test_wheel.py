@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
+from pathlib import Path
 from random import Random
 
 import pytest
 
 from swarmd.core.errors import PluginError
 from swarmd.pattern_host import wheel
-from swarmd.pattern_host.wheel import WheelPattern, inspect_wheel
+from swarmd.pattern_host.wheel import WheelPattern, inspect_wheel, packed_folder
 
 ABOUT = "own-2.1.dist-info"
 GOOD: dict[str, str] = {
@@ -116,3 +118,74 @@ def test_a_wheel_that_unpacks_to_too_much_is_refused(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(wheel, "MAX_FILES", 3)
     with pytest.raises(PluginError, match="at most"):
         inspect_wheel(made(GOOD), "own.whl")
+
+
+def folder_of(folder: Path, **files: str) -> Path:
+    """The folder of a pattern with these files, beside its `pattern.py`."""
+    code = "from .gains import TURN\nclass P(Params): ...\nclass Grad(MovementPattern[P]): ...\n"
+    named = {name.replace("__", "."): text for name, text in files.items()}
+    for name, text in {"pattern.py": code, "gains.py": "TURN = 0.4\n", **named}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder
+
+
+def test_a_packed_folder_is_a_wheel_with_all_its_files(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "grad", page__md="page")
+    (folder / "__pycache__").mkdir()
+    (folder / "__pycache__" / "gains.pyc").write_bytes(b"old")
+    (folder / ".notes").write_text("mine")
+    content = packed_folder(folder, "grad")
+    assert inspect_wheel(content, "grad") == WheelPattern(
+        "grad", "", "swarmd_pushed_grad.pattern:Grad"
+    )
+    inside = {name.rpartition("/")[2] for name in zipfile.ZipFile(io.BytesIO(content)).namelist()}
+    about = {"METADATA", "WHEEL", "entry_points.txt"}
+    assert inside - about == {"__init__.py", "pattern.py", "gains.py", "page.md"}
+
+
+def test_each_file_of_a_folder_changes_the_bytes_that_are_pushed(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "grad", page__md="page")
+    first = packed_folder(folder, "grad")
+    os.utime(folder / "gains.py", (1e9, 1e9))
+    assert packed_folder(folder, "grad") == first
+    for name in ("pattern.py", "gains.py", "page.md"):
+        text = (folder / name).read_text()
+        (folder / name).write_text(f"{text}\n")
+        assert packed_folder(folder, "grad") != first
+        (folder / name).write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("classes", "chosen"),
+    [
+        ("class Own(Pattern[Params]): ...", "Own"),
+        ("class Base(MovementPattern[P]): ...\nclass Own(Base): ...", "Own"),
+        ("class MyPattern(api.VotingPattern[P]): ...\nclass Own(MyPattern): ...", "Own"),
+        ("class A(Pattern[P]): ...\nclass Grad(Pattern[P]): ...", "Grad"),
+        ("class Grad(Helper): ...", "Grad"),
+    ],
+)
+def test_the_class_of_a_folder_is_found_by_its_source(
+    tmp_path: Path, classes: str, chosen: str
+) -> None:
+    (tmp_path / "pattern.py").write_text(f"{classes}\n")
+    content = packed_folder(tmp_path, "grad")
+    assert inspect_wheel(content, "grad").value == f"swarmd_pushed_grad.pattern:{chosen}"
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        ({"pattern__py": "class A(Other): ...\n"}, "Grad"),
+        ({"pattern__py": "def broken(:\n"}, "pattern.py:1"),
+        ({"fast__so": "x"}, "native"),
+    ],
+)
+def test_a_folder_that_cannot_be_pushed_is_refused_in_one_line(
+    tmp_path: Path, files: dict[str, str], told: str
+) -> None:
+    folder = folder_of(tmp_path / "grad", **files)
+    with pytest.raises(PluginError, match=told) as error:
+        inspect_wheel(packed_folder(folder, "grad"), "grad")
+    assert "\n" not in str(error.value)

@@ -134,6 +134,26 @@ def test_provisional_code_that_raises_gives_way_to_the_version_before(pushing: P
     pushing.run("raising", "r1", 1)
 
 
+def test_the_folder_of_a_pattern_is_pushed_with_its_modules(pushing: Pushing) -> None:
+    """A module that a method imports is sent, too."""
+    folder = pushing.folder / "packed"
+    folder.mkdir()
+    code = "from .numbers import FIRST\n" + V1.replace(
+        "        return", "        from .later import SECOND as LAST\n        return"
+    )
+    (folder / "pattern.py").write_text(code.replace('version": 1', 'version": FIRST + LAST'))
+    (folder / "numbers.py").write_text("FIRST = 3\n")
+    (folder / "later.py").write_text("from .numbers import FIRST\nSECOND = FIRST + 1\n")
+    done = pushing.swarm.ctl("plugin", "push", str(folder), "r1")
+    assert done.outcome == (0, "1 targeted, 1 applied"), done
+    pushing.run("packed", "r1", 7)
+    (folder / "later.py").write_text("SECOND = 5\n")
+    before = pushing.listed("r1")["packed"]["hash"]
+    assert pushing.swarm.ctl("plugin", "push", str(folder), "r1", "--rerun").code == 0
+    assert pushing.listed("r1")["packed"]["hash"] != before
+    pushing.run("packed", "r1", 8)
+
+
 def test_a_late_joiner_gets_what_was_pushed(pushing: Pushing) -> None:
     swarm = pushing.swarm
     bad = "import nothing_of_that_name\n"

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
+from swarmd.sim.cli import classroom as classroom_module
 from swarmd.sim.cli.classroom import classroom
 from swarmd.sim.experiments import lessons
 from swarmd.sim.experiments.lessons import Lesson, load_lessons, mark_results
@@ -247,3 +248,44 @@ def test_lessons_are_listed_with_what_is_handed_in() -> None:
     assert [row["lesson"] for row in rows] == list(load_lessons())
     assert rows[1]["hand_in"] == ["beeclust.py"]
     assert rows[3]["hand_in"] == ["runs/votes", "runs/range"]
+
+
+def marks_until(stop: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The marks of pupils without runs; at the pupil `stop` somebody presses Ctrl-C."""
+
+    def marked(path: Path, *_: object) -> classroom_module.Work:
+        if path.stem == stop:
+            raise KeyboardInterrupt
+        return classroom_module.Work(path.stem, why=f"{path.stem} forgot a return")
+
+    monkeypatch.setattr(classroom_module, "_marked", marked)
+    monkeypatch.setattr(lessons, "plan_of_lesson", lambda lesson: None)
+
+
+def test_each_pupil_has_a_row_when_it_is_done_also_if_the_rest_is_not(
+    tmp_path: Path, short: Lesson, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("anna", "ben", "carla", "d" * 40)
+    for name in names:
+        (tmp_path / f"{name}.py").write_text(BOLD)
+    marks_until("carla", monkeypatch)
+    result = checked(tmp_path, "5")
+    assert result.exit_code != 0
+    head, *rows = result.stdout.splitlines()[3:]
+    assert [row.split()[0] for row in rows] == ["anna", "ben"]
+    # Columns are aligned, though the later rows are not known.
+    assert {row.index("failed") for row in rows} == {head.index("VERDICT")}
+    assert f"not done: carla, {'d' * 40}" in result.stderr
+
+
+def test_json_of_an_interrupted_check_names_who_is_not_done(
+    tmp_path: Path, short: Lesson, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("anna", "ben", "carla"):
+        (tmp_path / f"{name}.py").write_text(BOLD)
+    marks_until("ben", monkeypatch)
+    result = checked(tmp_path, "5", "-o", "json")
+    assert list(pupils(result)) == ["anna"]
+    assert json.loads(result.stdout)["not_done"] == ["ben", "carla"]
+    marks_until("", monkeypatch)
+    assert json.loads(checked(tmp_path, "5", "-o", "json").stdout)["not_done"] == []

@@ -199,3 +199,35 @@ def test_the_first_instant_that_differs_is_told_with_its_fields_and_robot(result
     shorter = dataclasses.replace(other, t=trace.t[:4], pose=pose[:4], safe=safe[:4])
     assert first_difference(trace, dataclasses.replace(shorter, requested=requested[:4])) == ""
     assert first_difference(trace, dataclasses.replace(trace, ids=("a", "b"))) == ""
+
+
+@pytest.mark.integration
+def test_a_pattern_of_a_path_is_kept_with_its_folder_and_digests(tmp_path: Path) -> None:
+    duo = write_duo(tmp_path)
+    duo.write_text(duo.read_text().replace("plugin_dir: plugins\n", ""))
+    duo.write_text(duo.read_text().replace("pattern: moody", "pattern: plugins/moody.py"))
+    results = simulate(duo, seeds=1, set={"duration": 0.6}, out=tmp_path / "x")
+    duo.unlink()
+    manifest = json.loads((results.folder / "manifest.json").read_text())
+    (variant,) = manifest["variants"]
+    file = duo.parent / "plugins" / "moody.py"
+    assert variant["effective"]["plugin_dir"] == str(file.parent)
+    assert variant["effective"]["groups"]["all"]["pattern"] == "moody"
+    assert str(file) in manifest["plugins"]
+    assert set(rerun(results.folder, None, 1).values()) == {""}
+    file.write_text(f"{file.read_text()}\n# changed\n")
+    with pytest.raises(ConfigError, match="changed"):
+        rerun(results.folder, None, 1)
+
+
+def test_a_path_in_a_manifest_of_others_is_not_followed(results: Results, tmp_path: Path) -> None:
+    """The digests are those of `plugin_dir`: a path would lead to a file beside them."""
+    path = results.folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    beside = tmp_path / "beside.py"
+    beside.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    manifest["variants"][0]["effective"]["groups"]["all"]["pattern"] = str(beside)
+    path.write_text(json.dumps(manifest))
+    with pytest.raises(ConfigError, match="is a path"):
+        again(results, tmp_path)
+    assert not (tmp_path / "ran").exists()
