@@ -46,6 +46,7 @@ from swarmd.daemon.goal_service import STORE_TIME
 from swarmd.daemon.store import LatchFile
 from swarmd.driver_api.driver import Sink, TakeLate
 from swarmd.driver_api.hw_codec import encode_odometry, encode_scan
+from swarmd.drivers import simulated
 from swarmd.network.datagram import Stop, pack, tag_of
 from swarmd.network.peer import Peer, PeerActions, Summary
 from swarmd.robot.actions import Actions
@@ -281,6 +282,8 @@ async def test_odometry_of_a_simulated_robot_is_taken_with_a_scan_or_a_tick_alon
             await asyncio.sleep(0.03)
         return after
 
+    # A driver that got nothing for a second looks into its socket; this process may stand still.
+    monkeypatch.setattr(simulated, "SENSOR_TIMEOUT", 1000.0)
     monkeypatch.setattr(daemon._robot, "step", step)
     feeding = asyncio.create_task(feed())
     feeding.add_done_callback(lambda _: stop.set())
