@@ -65,13 +65,13 @@ def test_a_look_and_its_request_share_the_timeout(
     monkeypatch: pytest.MonkeyPatch, verb: list[str], share: float, wait: float
 ) -> None:
     operator = Slow(share)
-    monkeypatch.setattr(CommonOptions, "operator", lambda options: operator)
+    monkeypatch.setattr(CommonOptions, "operator", lambda options, **_: operator)
     run_cli(cli, [*verb, "--all", "--timeout", "4s"], "swarmctl", exit_code_of)
     assert operator.waits == pytest.approx([2.0, wait])
 
 
 def test_a_look_alone_has_the_whole_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     operator = Slow(1.0)
-    monkeypatch.setattr(CommonOptions, "operator", lambda options: operator)
+    monkeypatch.setattr(CommonOptions, "operator", lambda options, **_: operator)
     run_cli(cli, ["members", "--timeout", "4s"], "swarmctl", exit_code_of)
     assert operator.waits == [4.0]

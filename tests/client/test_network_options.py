@@ -485,9 +485,16 @@ def test_contexts_reach_the_disk_before_they_get_their_name(
     path, done = contexts_path(), list[str]()
     assert path is not None
     real_sync, real_replace = os.fsync, os.replace
-    monkeypatch.setattr(os, "fsync", lambda handle: (done.append("sync"), real_sync(handle))[1])
-    monkeypatch.setattr(
-        os, "replace", lambda *names: (done.append("replace"), real_replace(*names))[1]
-    )
+
+    def fsync(handle: int) -> None:
+        done.append("sync")
+        real_sync(handle)
+
+    def replace(old: str, new: str) -> None:
+        done.append("replace")
+        real_replace(old, new)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", replace)
     save_contexts(path, Contexts())
     assert done == ["sync", "replace", "sync"]
