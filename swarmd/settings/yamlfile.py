@@ -229,7 +229,7 @@ def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
     # libyaml gives no encoding, but the reason "invalid leading UTF-8 octet".
     if isinstance(error, ReaderError) and "utf-8" in f"{error.encoding} {error.reason}".lower():
         line_number = content.count(b"\n", 0, error.position) + 1
-        return f":{line_number}: a byte is no UTF-8 text; save the file as UTF-8"
+        return f": is not YAML: line {line_number} has no UTF-8 text; save the file as UTF-8"
     if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
         return f": is not YAML: {' '.join(str(error).split())}"
     begin = error.context_mark
