@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 from yaml.composer import Composer
 from yaml.constructor import SafeConstructor
+from yaml.reader import ReaderError
 from yaml.resolver import Resolver
 
 from swarmd.core.errors import ConfigError
@@ -228,6 +229,10 @@ _StrictLoader.add_constructor(_TAG + "float", _StrictLoader.construct_number)
 
 def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
     """The line number, the fault in that line, and a remedy if the line shows it."""
+    # libyaml gives no encoding, but the reason "invalid leading UTF-8 octet".
+    if isinstance(error, ReaderError) and "utf-8" in f"{error.encoding} {error.reason}".lower():
+        line_number = content.count(b"\n", 0, error.position) + 1
+        return f": is not YAML: line {line_number} has no UTF-8 text; save the file as UTF-8"
     if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
         return f": is not YAML: {' '.join(str(error).split())}"
     begin = error.context_mark

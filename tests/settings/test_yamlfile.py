@@ -105,3 +105,10 @@ def test_a_value_alone_is_read_as_in_a_file() -> None:
     ]
     with pytest.raises(ConfigError, match=r"'\[1' is not a value"):
         read_value("[1")
+
+
+def test_a_file_that_is_no_utf_8_has_line_and_remedy(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_bytes("id: r1\n# für alle\n".encode("latin-1"))
+    with pytest.raises(ConfigError, match=r"mine\.yaml: .*line 2 .* UTF-8"):
+        read(file)

@@ -127,9 +127,9 @@ def test_bench_takes_names_and_paths(here: Path) -> None:
     assert given(*words, of=bench_patterns) == [["wall", "door"], mine]
     assert given(*words, of=bench_patterns, variable="other") == [["wall", "door"], mine]
     both = ["mine/wall.py", "other/far.py"]
-    words = ("--pattern", both[0], "--pattern", both[1])
-    assert given(*words, of=bench_patterns) == [both, None]
-    done = called(*words, "--plugin-dir", "mine", of=bench_patterns)
+    apart = ("--pattern", both[0], "--pattern", both[1])
+    assert given(*apart, of=bench_patterns) == [both, None]
+    done = called(*apart, "--plugin-dir", "mine", of=bench_patterns)
     assert isinstance(done.exception, ConfigError)
     assert "other/far.py" in str(done.exception)
 
