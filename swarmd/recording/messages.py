@@ -67,7 +67,7 @@ OWN = {
 
 _TYPES: Mapping[str, str] = {
     **{kind.__struct_config__.tag: TEXT for kind in get_args(SensorInput)},  # but for those below
-    **dict.fromkeys(("status", "incident", "place", "kin", "message/received", "lost"), TEXT),
+    **dict.fromkeys(("status", "incident", "lost"), TEXT),
     "input": "swarmd_msgs/msg/Input",
     "memory": "swarmd_msgs/msg/Bytes",
     **dict.fromkeys(("scan", "ranges"), LASER_SCAN),
