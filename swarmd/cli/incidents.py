@@ -12,7 +12,7 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import FOLDER, CommonOptions, Failure, VerbGroup, common_options
-from swarmd.cli.output import line_width, print_json, print_table, printable, warn
+from swarmd.cli.output import line_width, print_json, print_table, warn
 from swarmd.cli.record import fetch_files
 from swarmd.cli.send import asking, session_of
 from swarmd.cli.targets import takes_targets
@@ -22,7 +22,7 @@ from swarmd.core.bounds import MAX_REASON
 from swarmd.core.verbs import KeptIncident, MarkRequest, RecordingFile, shortened
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.plugins import need
-from swarmd.texts.values import NOTHING, counted, megabytes, seconds
+from swarmd.texts.values import NOTHING, counted, megabytes, printable, seconds
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
