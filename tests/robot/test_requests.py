@@ -963,11 +963,35 @@ def test_a_start_of_more_than_five_seconds_is_refused(
     assert late.refusal is Refusal.TOO_LATE
     assert "5.1 s" in late.text
     assert harness.refused(verb, planned=4.0, **aged(9.1)).refusal is Refusal.TOO_LATE
-    assert harness.refused(verb, planned=1e6, **aged(3606.0)).refusal is not None
     harness.send(harness.request(verb, planned=4.0, **aged(8.9)))
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
     assert harness.status.changed_by.startswith("alice")
+
+
+@pytest.mark.parametrize("stated", STATED)
+@pytest.mark.parametrize(("verb", "fields"), STARTS)
+def test_a_start_declares_at_most_an_hour_of_work(
+    verb: str, fields: dict[str, Any], stated: str
+) -> None:
+    """docs/security.md: `planned` of a start counts up to an hour, beside the 5 s of every start.
+
+    The robot knows no stop: one that is later than the start would refuse the start, too.
+    """
+    harness = started() if verb == "reload" else RobotHarness(patterns=PATTERNS)
+    if verb == "resume":
+        harness.find(JOINED, 100.0, may_join=False)
+    harness.advance(1.0)
+
+    def aged(age: float) -> dict[str, Any]:
+        at = {harness.robot.id: harness.now - age}
+        return {**fields, "issued_at": at} if stated == "issued_at" else {**fields, "age": age}
+
+    late = harness.refused(verb, planned=1e6, **aged(3605.001))
+    assert late.refusal is Refusal.TOO_LATE
+    harness.send(harness.request(verb, planned=1e6, **aged(3604.999)))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
 
 
 def test_a_start_that_claims_to_come_from_the_future_hides_no_stop() -> None:
