@@ -117,6 +117,11 @@ class ScanConditioner:
         """Doubt rays without a return in a direction (rad) into which the base does not move."""
         self._blind.on_blocked(bearing, now)
 
+    def forget_motion(self) -> None:
+        """Forget what is compared by the motion of the robot, as when odometry was reset."""
+        self._blind.forget_motion()
+        self._rays.forget_yaw()
+
     def on_new_run(self, now: float) -> None:
         """End the doubts of `on_blocked`."""
         self._blind.on_new_run(now)
