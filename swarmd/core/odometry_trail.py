@@ -4,9 +4,9 @@
   MAX_STEP (m or rad) plus MAX_SPEED times the seconds since the newest reading.
 - Any other reading with the newest stamp changes nothing: clocks of simulators stand for several
   readings.
-- Readings are kept at least HISTORY_SPACING apart, beside the newest: one that comes sooner after the last
-  kept one takes the place of the newest. So HISTORY readings reach back for a second at least,
-  however often odometry comes.
+- Readings are kept at least HISTORY_SPACING apart, beside the newest: one that comes sooner after
+  the last kept one takes the place of the newest. So HISTORY readings reach back for a second at
+  least, however often odometry comes.
 - Between two readings the pose is interpolated. After the newest it moves on at the measured twist,
   for MAX_EXTRAPOLATION s at most. Before the oldest it moves back at that reading's twist; `covers`
   says whether the readings reach back to a time.

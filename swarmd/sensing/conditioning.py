@@ -118,9 +118,11 @@ class ScanConditioner:
         self._blind.on_blocked(bearing, now)
 
     def forget_motion(self) -> None:
-        """Forget what is compared by the motion of the robot, as when odometry was reset."""
+        """Forget what is compared by the motion of the robot, as when odometry was reset.
+
+        The memory of rays still turns by the yaw: a base may turn faster than its twist says.
+        """
         self._blind.forget_motion()
-        self._rays.forget_yaw()
 
     def on_new_run(self, now: float) -> None:
         """End the doubts of `on_blocked`."""

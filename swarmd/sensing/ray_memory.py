@@ -274,13 +274,6 @@ class RayMemory:
         min_far_count: cython.double = max(_BLIND_SHARE * len(raw), _BLIND_RETURNS)
         return self.far_returns >= min_far_count
 
-    @cython.ccall
-    @cython.exceptval(check=False)
-    def forget_yaw(self) -> cython.int:
-        """Forget the yaw of the robot: the memory does not turn by the next one."""
-        self._yaw = NAN
-        return 0
-
     @cython.cfunc
     def _turn_of(self, yaw: cython.double) -> cython.double:
         """The turn of the sensor in rad since the last call, rounded to whole rays.

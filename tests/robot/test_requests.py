@@ -629,6 +629,7 @@ def test_a_roster_ends_the_run_and_one_without_the_robot_refuses_further_ones() 
     refused = harness.answer(harness.request("run", harness.epoch, pattern="forward"))
     assert refused.refusal is Refusal.REVOKED
     harness.applied("stop")
+    harness.applied("reset")  # it moves nothing, and ends what an operator may have to end
 
 
 def test_change_of_the_network_cancels_a_load() -> None:
@@ -942,6 +943,71 @@ def test_an_earlier_stop_of_another_clone_is_not_forgotten() -> None:
     run: dict[str, Any] = {"pattern": "forward", "clock": "a"}
     assert harness.refused("run", issued=499.0, age=4.9, **run).refusal is Refusal.OVERTAKEN
     assert harness.refused("run", issued=505.9, age=6.5, **run).refusal is Refusal.OVERTAKEN
+
+
+def test_a_copy_of_a_stop_ends_no_run_that_was_asked_for_at_the_same_time() -> None:
+    """The first copy has ended all runs that were asked for before it (module, `_StopTime`)."""
+    harness = started()
+    harness.applied("stop", id="s1")
+    harness.send(harness.request("run", pattern="forward"))
+    harness.advance(0.5)
+    assert late_stop(harness, 0.0, id="s1").refusal is Refusal.OVERTAKEN
+    assert harness.status.state is State.RUNNING
+
+
+@pytest.mark.parametrize(("others", "is_known"), [(63, True), (64, False)])
+def test_a_robot_knows_the_copies_of_its_last_64_stops(others: int, is_known: bool) -> None:
+    """A copy that it does not know any more counts as a new stop: in doubt the robot stops."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    for n in range(others + 1):
+        harness.applied("stop", id=f"s{n}")
+    harness.advance(0.1)
+    harness.send(harness.request("run", pattern="forward"))
+    harness.advance(0.5)
+    late_stop(harness, 0.0, id="s0")
+    assert (harness.status.state is State.RUNNING) is is_known
+
+
+def test_an_old_stop_makes_no_stop_after_it_new_again() -> None:
+    """Stops that a later one covers change nothing, whatever order they come in."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    harness.applied("stop", id="newest")
+    epoch = harness.epoch
+    assert late_stop(harness, 3.0, id="oldest").code is Code.APPLIED
+    assert late_stop(harness, 1.0, id="between").code is Code.APPLIED
+    assert harness.epoch == epoch
+
+
+def test_a_stop_that_was_issued_before_an_emergency_stop_changes_nothing_after_it() -> None:
+    harness = started()
+    harness.advance(1.0)
+    harness.applied("estop", id="e1")
+    epoch = harness.epoch
+    harness.advance(0.5)
+    assert late_stop(harness, 0.6, id="s1").code is Code.APPLIED
+    assert harness.epoch == epoch  # a reset that was asked for at this epoch counts
+
+
+def test_a_reset_of_one_latch_of_two_makes_earlier_requests_stale() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.applied("estop", id="e1")
+    harness.applied("estop", id="e2")
+    before = harness.epoch
+    assert harness.refused("reset", ids=["e1"]).refusal is Refusal.ESTOPPED
+    assert set(harness.status.latches) == {"e2"}
+    late = harness.answer(harness.request("reset", before, ids=["e2"]))
+    assert late.refusal is Refusal.STALE_EPOCH
+    assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
+
+
+def test_a_run_whose_start_time_is_over_makes_no_other_request_stale() -> None:
+    harness = idle()
+    before = harness.epoch
+    late = harness.refused("run", pattern="forward", at={harness.robot.id: harness.now - 0.51})
+    assert late.refusal is Refusal.TOO_LATE
+    assert harness.epoch == before
 
 
 STATED = ("age", "issued_at")

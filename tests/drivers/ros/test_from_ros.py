@@ -258,7 +258,7 @@ class TestRangeRingDecoder:
 def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
     message = robots.odometry(1.0)
     setattr(message.twist.twist, field, dds.Vector3(math.nan, 0.0, math.inf))
-    with pytest.raises(CodecError, match="speed ahead|turn rate"):
+    with pytest.raises(CodecError, match=r"speed ahead|turn rate"):
         conversion.odometry_of(read(messages.Odometry, message))
 
 
