@@ -249,16 +249,15 @@ class Sensors(InputAges):
         if hold is Reason.INVALID_SCAN:
             return self.blind_text
         if hold is Reason.STALE_ODOMETRY:
-            return self.odometry_text(now)
+            return self.odometry_text
         return self.pose_text(now) if hold is Reason.NO_POSE else ""
 
-    def odometry_text(self, now: float) -> str:
-        """Why odometry is stale, with the value that is at fault; empty if it is not."""
-        age, bad = self.odometry_age(now), self._bad_odometry
+    @property
+    def odometry_text(self) -> str:
+        """Why readings of odometry do not count, with the value; empty if none comes."""
+        bad = self._bad_odometry
         if bad is None:
-            if age is None:
-                return "none has come yet"
-            return f"the last came {age:.1f} s ago" if age > ODOMETRY_TIMEOUT else ""
+            return ""
         return f"refused: {bad.fault}" if bad.fault else f"its stamp stands at {bad.stamp:.12g} s"
 
     def on_message(

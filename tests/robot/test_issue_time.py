@@ -33,4 +33,6 @@ def test_two_machines_with_one_clock_id_are_both_known() -> None:
     known.note(IssueTime(5.0, "a", 100.0), "bob")
     known.note(IssueTime(4.0, "a", 99.0 + MAX_WAY + 0.1), "anna")  # a clone, heard late
     assert known.later_than(IssueTime(4.9, "a", 99.9)) == "bob"
+    # Of the machine of the later stop: its clock shows that it came before, on a longer way.
+    assert known.later_than(IssueTime(5.3, "a", 99.9)) == "bob"
     assert known.later_than(IssueTime(5.1, "a", 100.1)) == ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -269,7 +270,7 @@ def test_invalid_scans_stop_the_robot(fault: str) -> None:
         ({"pose": Pose(0.0, 0.0, -math.inf)}, "-inf"),
         ({"twist": Twist(0.0, 2e9)}, "2e+09"),
         ({"twist": Twist(0.0, 0.0, math.nan)}, "nan"),
-        (None, "0.6 s ago"),
+        (None, ""),
     ],
     ids=str,
 )
