@@ -20,7 +20,8 @@ from swarmd.core.events import PoseInput
 from swarmd.core.values import Odometry, Pose, SharedPose
 from swarmd.protection.settings import ODOMETRY_SHARE
 
-HISTORY = 200  # readings of odometry: 4 s at 50 Hz, above the delay of a localisation
+HISTORY = 200  # readings of odometry, which reach back for 3 s at any rate: the delay of a pose
+SPACING = 0.015  # s between two kept readings: one that comes sooner replaces the newest
 SILENCE = 0.25  # s without a pose before odometry carries it; a faster source is never carried
 MAX_WAY, MAX_TURN = 2.0, math.tau  # m and rad without a pose: the localisation has ended
 MAX_GAP = 0.5  # s of a gap between two readings in which the twist explains motion
@@ -91,6 +92,10 @@ class CarriedPose:
             if way > _NOISE[0] or turn > _NOISE[1]
             else last._replace(odometry=odometry)
         )
+        if len(self._readings) > 1:
+            before, newest = self._readings[-2], self._readings[-1]
+            if newest.odometry.stamp - before.odometry.stamp < SPACING:
+                self._readings.pop()
         self._readings.append(reading)
         if self._kept is not None:
             self._anchor, self._kept, self._begins = (self._kept, reading), None, False

@@ -541,6 +541,17 @@ def too_slow(stats: TopicStats, content: ScanContent) -> str:
     )
 
 
+def rare_odometry(stats: TopicStats) -> str:
+    """Why odometry comes too rarely to drive; empty if it does not."""
+    rate = stats.rate()
+    if not 0.0 < rate * ODOMETRY_TIMEOUT < 1.0:
+        return ""
+    return (
+        f"{stats.topic} comes at {rate:.2g} Hz; a robot stands while its odometry is older than"
+        f" {ODOMETRY_TIMEOUT:g} s: look at the rate of what publishes it"
+    )
+
+
 def _clock_text(stats: TopicStats) -> str:
     """How fast the clock of a topic's stamps runs; empty before the second message."""
     by_stamp, by_clock = stats.elapsed()
@@ -761,6 +772,8 @@ class DriverCheck:
         if not stats.count:
             return self.unpassed.get(stats.topic) or self.graph.silence(stats)
         fault = self.graph.unreliable(stats, self.spec)
+        if not fault and stats.name == "odometry":
+            fault = contradiction(stats) or (rare_odometry(stats) if stats.is_needed else "")
         if fault or not stats.is_needed or stats.name == "odometry":
             return fault
         content = self.subscriptions.contents[stats.option]

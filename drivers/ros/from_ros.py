@@ -26,6 +26,11 @@ _MAX_PERIODS = 1.5  # periods of the scan rate that one sweep may take at most
 _MAX_SWEEP_ERROR = 0.2  # of the duration: an LDS turns at 5 Hz within a tenth
 _MAX_RAYS_OFF = 1.5  # increments between the last ray and angle_max
 _MAX_ROUNDING = 0.01  # of the angle between the first ray and the last
+_NANOSECONDS = 1_000_000_000  # of a second
+MAX_TILT_DEG = 45.0
+"""Degrees by which the pose of a base may be tilted: no base drives on a steeper slope."""
+MAX_MEASURED = 100.0
+"""m/s or rad/s of a measured twist: no base is faster."""
 _TURNS = {True: "counter-clockwise", False: "clockwise"}
 _ROUNDING = 1e-9  # of a covariance
 _FULL = {"share": 1.0, "percent": 100.0}  # what a full battery's percentage is
@@ -33,7 +38,15 @@ _MAX_CHARGE = 1.2  # times full; OpenCR's firmware for ROS 2 reports up to 1.17 
 
 
 def stamp_of(stamp: ros.Time) -> float:
-    """Seconds on the sender's clock; only differences have a meaning."""
+    """Seconds on the sender's clock; only differences have a meaning.
+
+    CodecError for a nanosec of a second and more: its time would not be known.
+    """
+    if not 0 <= stamp.nanosec < _NANOSECONDS:
+        raise CodecError(
+            f"its stamp has a nanosec of {stamp.nanosec}; expected less than 10^9: what stamps it"
+            " mixes up its units"
+        )
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
@@ -169,16 +182,25 @@ def _claimed_sweep(
 
 
 def odometry_of(message: ros.Odometry) -> Odometry:
-    """Pose and twist; CodecError if a value is not finite, or marked as not measured."""
+    """Pose and twist; CodecError, with the value, if no base can have them.
+
+    That is a value that is not finite, too great or marked as not measured, and a tilted pose.
+    """
     if lacks := why_absent(message, "pose.pose") or why_absent(message, "twist.twist"):
         raise CodecError(lacks)
     position, orientation = message.pose.pose.position, message.pose.pose.orientation
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
-    pose = Pose(position.x, position.y, yaw_of(orientation))
+    pose = Pose(position.x, position.y, level_yaw_of(orientation))
     twist = Twist(linear.x, angular.z, linear.y)
-    if not (pose.is_finite and twist.is_finite):
-        raise CodecError("pose or twist is not finite")
-    return Odometry(stamp_of(message.header.stamp), pose, twist)
+    odometry = Odometry(stamp_of(message.header.stamp), pose, twist)
+    if fault := odometry.fault:
+        raise CodecError(fault)
+    fastest = max(twist.linear, twist.angular, twist.lateral, key=abs)
+    if abs(fastest) > MAX_MEASURED:
+        raise CodecError(
+            f"its twist has {fastest:.4g} m/s or rad/s; expected at most {MAX_MEASURED:g}"
+        )
+    return odometry
 
 
 def shared_pose_of(
@@ -204,7 +226,7 @@ def shared_pose_of(
         yaw_error = max(yaw_error, min(3.0 * math.sqrt(yaw_variance), math.pi))
     shared_pose = SharedPose(
         stamp_of(message.header.stamp),
-        Pose(pose.position.x, pose.position.y, yaw_of(pose.orientation)),
+        Pose(pose.position.x, pose.position.y, level_yaw_of(pose.orientation)),
         error,
         yaw_error,
         message.header.frame_id.lstrip("/"),
@@ -220,8 +242,28 @@ def yaw_of(q: ros.Quaternion) -> float:
     """The rotation about the vertical axis in rad; CodecError without a unit quaternion."""
     square = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
     if not 0.8 < square < 1.2:  # false for NaN too
-        raise CodecError("the orientation is no unit quaternion")
+        raise CodecError(
+            f"its orientation ({q.x:.3g}, {q.y:.3g}, {q.z:.3g}, {q.w:.3g}) is no unit quaternion"
+        )
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+
+
+def level_yaw_of(q: ros.Quaternion) -> float:
+    """The rotation of a base about the vertical axis in rad; CodecError if it is tilted.
+
+    A tilt of more than MAX_TILT_DEG is that of a frame whose z is not up (REP 103), as of a tracker
+    with y up: the rotation about its z is no yaw.
+    """
+    yaw = yaw_of(q)
+    square = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    up = 1.0 - 2.0 * (q.x * q.x + q.y * q.y) / square  # the cosine of the tilt
+    tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, up))))
+    if tilt_deg > MAX_TILT_DEG:
+        raise CodecError(
+            f"its pose is tilted by {tilt_deg:.0f} deg; expected at most {MAX_TILT_DEG:g}, in a"
+            " frame with x forward, y left and z up (REP 103)"
+        )
+    return yaw
 
 
 def imu_readings(message: ros.Imu) -> dict[str, float]:

@@ -21,6 +21,7 @@ from swarmd.core.values import Platform, Scan
 from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros import cdr, from_ros, messages
 from swarmd.drivers.ros.carried_pose import CarriedPose
+from swarmd.drivers.ros.odometry_jumps import OdometryJumps
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
 from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
@@ -54,6 +55,7 @@ class Subscriptions:
         self._is_upside_down = options.scan_upside_down
         self._pose_errors = options.shared_pose_error, math.radians(options.shared_pose_error_deg)
         self._carried_pose = CarriedPose()
+        self._jumps = OdometryJumps()
         self._battery = options.battery_volts, options.battery_percentage
         self._scan_seq = 0
         self._laser: messages.LaserScan | None = None  # the last
@@ -233,6 +235,7 @@ class Subscriptions:
             return self._range_value(stats, message), f"{message.range:.3g} m"
         if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
+            stats.doubt = self._jumps.take(odometry, now)
             poses = self._carried_pose.on_odometry(odometry)
             return partial(_deliver, (OdometryInput(odometry), *poses)), ""
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):

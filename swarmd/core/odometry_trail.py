@@ -4,6 +4,9 @@
   MAX_STEP (m or rad) plus MAX_SPEED times the seconds since the newest reading.
 - Any other reading with the newest stamp changes nothing: clocks of simulators stand for several
   readings.
+- Readings are kept at least HISTORY_SPACING apart, beside the newest: one that comes sooner after
+  the last kept one takes the place of the newest. So HISTORY readings reach back for a second at
+  least, however often odometry comes.
 - Between two readings the pose is interpolated. After the newest it moves on at the measured twist,
   for MAX_EXTRAPOLATION s at most. Before the oldest it moves back at that reading's twist; `covers`
   says whether the readings reach back to a time.
@@ -20,6 +23,7 @@ from swarmd.core.bounds import MAX_COORDINATE
 from swarmd.core.buffers import doubles
 from swarmd.core.values import (
     HISTORY,
+    HISTORY_SPACING,
     MAX_EXTRAPOLATION,
     MAX_SPEED,
     MAX_STEP,
@@ -46,6 +50,7 @@ NEXT = cython.declare(cython.int, 2)
 ANEW = cython.declare(cython.int, 3)
 
 _READINGS = cython.declare(cython.Py_ssize_t, HISTORY)
+_spacing = cython.declare(cython.double, HISTORY_SPACING)
 _most = cython.declare(cython.double, MAX_COORDINATE)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
@@ -122,10 +127,11 @@ class OdometryTrail:
                 self.count, taken = 0, ANEW
             elif seconds == 0.0:
                 return SAME
-        # Overwrites the oldest reading.
-        self._newest = (self._newest + 1) % _READINGS
-        self.count = min(self.count + 1, _READINGS)
-        start = self.place(0)
+        # Overwrites the oldest reading, or the newest if that came soon after the one before it.
+        if self.count < 2 or r[start] - r[self.place(1)] >= _spacing:
+            self._newest = (self._newest + 1) % _READINGS
+            self.count = min(self.count + 1, _READINGS)
+            start = self.place(0)
         r[start] = self.latest = stamp
         r[start + R_X], r[start + R_Y] = x, y
         r[start + R_YAW] = yaw

@@ -18,6 +18,7 @@ direction does not count.
 Odometry contradicts itself if the ways by the pose and by the twist differ, over some AGREE_TIME s,
 by more than a tolerance and a share of the path, or if the pose jumps again and again. Such
 odometry changes no motion either. A single jump is a correction of the pose or its reset to zero.
+A jump that no base can make also begins both comparisons again.
 
 A kernel (see `core/kernels.py`), since each reading of odometry and each command pass it.
 """
@@ -342,6 +343,10 @@ class FollowingMonitor:
     _angular: _Axis
     _lateral: _Axis
     _is_lateral: cython.bint
+    # Jumps of the pose that no base can make, faded over _JUMP_TIME, and the last one in m and rad.
+    _far_jumps: cython.double
+    _far_way: cython.double
+    _far_turn: cython.double
     _command: Twist  # the last safe command
     _has_last: cython.bint  # a reading has come since the reset
     # Stamp and pose of the last reading.
@@ -367,7 +372,7 @@ class FollowingMonitor:
         """Drop the last command and reading, as when the robot stops running."""
         if self._has_last:
             self._has_last, self._command, self.text = False, ZERO, ""
-            self.blocked_bearing = NAN
+            self._far_jumps, self.blocked_bearing = 0.0, NAN
 
     def on_command(self, command: Twist) -> None:
         """Take in the safe command that the driver gets."""
@@ -401,17 +406,20 @@ class FollowingMonitor:
             return
         self._has_last, self._stamp, self._x, self._y, self._yaw = True, stamp, x, y, yaw
         # 1. Begins again after a gap in the readings, or a jump of the pose.
-        jump: cython.double = max(sqrt(dx * dx + dy * dy), fabs(turned))
-        if (
-            not had_last
-            or not 0.0 < period <= _MAX_PERIOD
-            or jump > _max_step + _max_speed * period  # an estimator corrected the pose
-        ):
+        way: cython.double = sqrt(dx * dx + dy * dy)
+        is_jump: cython.bint = (  # an estimator corrected the pose, or it was reset
+            had_last and max(way, fabs(turned)) > _max_step + _max_speed * max(period, 0.0)
+        )
+        self._far_jumps *= max(1.0 - max(period, 0.0) / _JUMP_TIME, 0.0) if had_last else 0.0
+        if is_jump:
+            self._far_jumps += 1.0
+            self._far_way, self._far_turn = way, turned
+        if not had_last or not 0.0 < period <= _MAX_PERIOD or is_jump:
             self._linear.reset(self._command.linear, stamp)
             self._angular.reset(self._command.angular, stamp)
             if self._is_lateral:
                 self._lateral.reset(self._command.lateral, stamp)
-            self.text = ""
+            self.text = self._jump_text()
             self.blocked_bearing = NAN
             return
 
@@ -430,9 +438,21 @@ class FollowingMonitor:
             or self._linear.contradiction
             or self._angular.contradiction
             or self._lateral.contradiction
+            or self._jump_text()
         )
         self.blocked_bearing = NAN
         if self._linear.blocked:
             self.blocked_bearing = 0.0 if self._linear.blocked > 0.0 else 0.5 * TURN
         elif self._lateral.blocked:
             self.blocked_bearing = 0.25 * TURN * self._lateral.blocked
+
+    @cython.cfunc
+    def _jump_text(self) -> str:
+        """How far the pose jumps, if it does so again and again; empty otherwise."""
+        if self._far_jumps <= _JUMPS:
+            return ""
+        return (
+            f"odometry contradicts itself: its pose jumps again and again, last by"
+            f" {self._far_way:.2f} m and {self._far_turn:.2f} rad: no base moves so far; it is"
+            " reset, or an estimator corrects it, or two publish it"
+        )

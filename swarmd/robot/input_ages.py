@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from swarmd.robot.peers import Peers
     from swarmd.robot.sensors import RangeRing
     from swarmd.robot.steers import MakeKin, NamesPeers
+    from swarmd.sensing.conditioning import ScanConditioner
     from swarmd.sensing.odometry_history import OdometryHistory
     from swarmd.sensing.scan_delay import ScanDelay
 else:
@@ -117,6 +118,9 @@ class InputAges:
     _teller: Peers | None = cython.declare(object, visibility="public")
     _is_new_scan = cython.declare(cython.bint, visibility="public")
     _history: OdometryHistory = cython.declare(object, visibility="public")
+    _conditioner: ScanConditioner = cython.declare(object, visibility="public")
+    # The last reading that was refused, or whose stamp stands still; None after a good one.
+    _bad_odometry: Odometry | None = cython.declare(object, visibility="public")
     _inbox: deque[Any] = cython.declare(object, visibility="public")
     _neighbors: tuple[Neighbor, ...] = cython.declare(tuple, visibility="public")
     _neighbors_at = cython.declare(cython.double, visibility="public")
@@ -158,9 +162,14 @@ class InputAges:
         A reading whose stamp is not newer than the last stamp does not renew the age of odometry.
         """
         is_new = self._history.take(odometry, now)
+        self._bad_odometry = None if is_new else odometry
         if is_new is None:
             return
         self._context, self.odometry = None, odometry
+        if self._history.has_shifted:
+            self._conditioner.forget_motion()
+            if self._ring is not None:
+                self._ring.forget_motion()
         if is_new:
             self._odometry_at = now
             if self.odometry_hold.begins < INFINITY:  # the platform provides odometry

@@ -243,12 +243,22 @@ class Sensors(InputAges):
         self.hazard_hold.ends_run = self.hazards.ends_run
 
     def hold_text(self, hold: Reason | None, now: float) -> str:
-        """The detail of a hold: hazards with ages, blind sectors, or the pose for layers."""
+        """The detail of a hold: hazards, blind sectors, odometry, or the pose for layers."""
         if hold is Reason.HAZARD:
             return self.hazards.text(now)
         if hold is Reason.INVALID_SCAN:
             return self.blind_text
+        if hold is Reason.STALE_ODOMETRY:
+            return self.odometry_text
         return self.pose_text(now) if hold is Reason.NO_POSE else ""
+
+    @property
+    def odometry_text(self) -> str:
+        """Why readings of odometry do not count, with the value; empty if none comes."""
+        bad = self._bad_odometry
+        if bad is None:
+            return ""
+        return f"refused: {bad.fault}" if bad.fault else f"its stamp stands at {bad.stamp:.12g} s"
 
     def on_message(
         self,
@@ -400,6 +410,10 @@ class RangeRing:
         is_seen = distances < np.inf
         points = self._spec.offset + distances[is_seen, None] * directions[is_seen]
         self._places = [(x, y) for x, y in points.tolist()]
+
+    def forget_motion(self) -> None:
+        """Forget what is compared by the motion of the robot, as when odometry was reset."""
+        self._conditioner.forget_motion()
 
     def obstacles(self, now: float) -> tuple[ToldObstacle, ...]:
         """The returns of the ring as discs, each with the age of the oldest value, for protection.

@@ -110,12 +110,16 @@ def make_status(
     )
 
 
+_DETAILED = Reason.NO_POSE, Reason.HAZARD, Reason.INVALID_SCAN, Reason.STALE_ODOMETRY
+"""Holds of which the sensors know more than the reason."""
+
+
 def _detail(lifecycle: Lifecycle, sensors: Sensors, reason: Reason | None, now: float) -> str:
     """What a load waits for, else why the run is held, else the last change of state, as text."""
     loading = lifecycle.pattern_run.loading
     if loading is not None:
         return _loading_text(loading, now)
-    if reason in (Reason.NO_POSE, Reason.HAZARD, Reason.INVALID_SCAN) and lifecycle.is_running:
+    if reason in _DETAILED and lifecycle.is_running:
         return sensors.hold_text(reason, now)[:MAX_VALUE]
     if lifecycle.latches.held:  # a reset may have cleared others since the change of state
         return shortened(lifecycle.latches.text, MAX_TEXT)

@@ -321,6 +321,23 @@ class BlindSectors:
         self._scan_pose = None
         self.text = blind_text(self.kinds, self._returned_array, now)
 
+    def forget_motion(self) -> None:
+        """Forget what is compared by the motion of the robot, as when odometry was reset.
+
+        Two scans have no common frame then. Sectors that are blind stay so: they were found by
+        earlier motion.
+        """
+        k: cython.Py_ssize_t
+        self._look_means[:] = NAN
+        self._scan_pose = self._look_pose = None
+        self._compared_yaw = NAN
+        for k in range(_SECTORS):
+            self._seen_at[k] = -INFINITY
+            self._range[k] = 0.0
+            self._streak[k] = 0
+        for k in range(_SECTORS * _SECTORS):
+            self._pending[k] = self._missed[k] = False
+
     @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:
         """Set the sector of each ray, and which sectors have rays that are not masked."""

@@ -117,6 +117,13 @@ class ScanConditioner:
         """Doubt rays without a return in a direction (rad) into which the base does not move."""
         self._blind.on_blocked(bearing, now)
 
+    def forget_motion(self) -> None:
+        """Forget what is compared by the motion of the robot, as when odometry was reset.
+
+        The memory of rays still turns by the yaw: a base may turn faster than its twist says.
+        """
+        self._blind.forget_motion()
+
     def on_new_run(self, now: float) -> None:
         """End the doubts of `on_blocked`."""
         self._blind.on_new_run(now)

@@ -9,7 +9,17 @@ import numpy as np
 
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
-from swarmd.core.odometry_trail import R_X, R_Y, R_YAW, REFUSED, OdometryTrail
+from swarmd.core.odometry_trail import (
+    ANEW,
+    R_ANGULAR,
+    R_LATERAL,
+    R_LINEAR,
+    R_X,
+    R_Y,
+    R_YAW,
+    REFUSED,
+    OdometryTrail,
+)
 from swarmd.core.values import HISTORY, Odometry
 from swarmd.sensing.scan_delay import ScanDelay
 
@@ -18,19 +28,30 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import cos, fabs, remainder, sin
+    from cython.cimports.libc.math import cos, fabs, hypot, remainder, sin
 else:
-    from swarmd.core.cython_shadow import cos, fabs, remainder, sin
+    from swarmd.core.cython_shadow import cos, fabs, hypot, remainder, sin
 
 _MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
 # m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.
 _AT_REST = cython.declare(cython.double, 5e-4)
+# m and rad between two readings that the twist need not explain, and times by which the motion may
+# exceed the twist; s of a gap in which the twist explains motion. As drivers/ros/carried_pose.py.
+_SHIFT_WAY = cython.declare(cython.double, 0.1)
+_SHIFT_TURN = cython.declare(cython.double, 0.2)
+_TWIST_EXCESS = cython.declare(cython.double, 1.5)
+_MAX_GAP = cython.declare(cython.double, 0.5)
 
 
 @cython.cclass
 class OdometryHistory:
-    """The last readings of odometry, which give the motion of the sensor."""
+    """The last readings of odometry, which give the motion of the sensor.
 
+    `has_shifted`: the pose of the last reading differs from the pose before by more than a base
+    moves, as after a reset or a correction: no motion between both is known.
+    """
+
+    has_shifted = cython.declare(cython.bint, visibility="readonly")
     _delay: ScanDelay | None
     trail: OdometryTrail
     path: cython.double[:, ::1]  # see `set_path`
@@ -49,12 +70,42 @@ class OdometryHistory:
         """
         stamp: cython.double = odometry.stamp
         is_new: cython.bint = stamp != self.trail.latest
-        if self.trail.take(odometry, True) == REFUSED:
+        is_shift: cython.bint = self._is_shift(odometry)
+        taken: cython.int = self.trail.take(odometry, True)
+        if taken == REFUSED:
             return None
+        self.has_shifted = is_shift or taken == ANEW
         if is_new and self._delay is not None:
             pose, twist = odometry.pose, odometry.twist
             self._delay.read(stamp, pose.yaw, twist.angular, pose, now)
         return is_new
+
+    @cython.cfunc
+    def _is_shift(self, odometry: Odometry) -> cython.bint:
+        """True if the twist does not explain how the pose differs from the newest reading."""
+        trail: OdometryTrail = self.trail
+        if trail.count == 0:
+            return False
+        r: cython.double[::1] = trail.readings
+        last: cython.Py_ssize_t = trail.place(0)
+        pose, twist = odometry.pose, odometry.twist
+        x: cython.double = pose.x
+        y: cython.double = pose.y
+        yaw: cython.double = pose.yaw
+        linear: cython.double = twist.linear
+        lateral: cython.double = twist.lateral
+        angular: cython.double = twist.angular
+        seconds: cython.double = min(odometry.stamp - r[last], _MAX_GAP)
+        speed: cython.double = max(
+            hypot(linear, lateral), hypot(r[last + R_LINEAR], r[last + R_LATERAL])
+        )
+        rate: cython.double = max(fabs(angular), fabs(r[last + R_ANGULAR]))
+        way: cython.double = hypot(x - r[last + R_X], y - r[last + R_Y])
+        turn: cython.double = fabs(remainder(yaw - r[last + R_YAW], TURN))
+        return (
+            way > _SHIFT_WAY + _TWIST_EXCESS * speed * seconds
+            or turn > _SHIFT_TURN + _TWIST_EXCESS * rate * seconds
+        )
 
     @property
     def latest(self) -> float:

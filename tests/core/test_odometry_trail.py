@@ -74,6 +74,33 @@ def test_a_trail_keeps_the_last_forty_readings_and_forgets_them_when_cleared() -
     assert trail.take(reading(0.0, 7.0)) == NEXT
 
 
+@pytest.mark.parametrize("rate", [20.0, 41.0, 50.0, 100.0, 333.0, 1000.0, 10_000.0])
+def test_a_trail_reaches_back_for_a_second_at_any_rate(rate: float) -> None:
+    """docs/drivers.md. The robot turns at 0 to 2 rad/s and back in a second."""
+    trail = OdometryTrail()
+    count = round(3.0 * rate)
+    for n in range(count + 1):
+        at = n / rate
+        trail.take(Odometry(at, Pose(0.2 * at, 0.0, 1.0 - math.cos(2.0 * at)), AHEAD))
+    newest = count / rate
+    assert trail.covers(newest - 1.0)
+    for before in (0.0, 0.01, 0.0333, 0.5, 0.9, 0.97):
+        at = newest - before
+        pose = trail.pose_at(at)
+        assert pose.x == pytest.approx(0.2 * at, abs=1e-6)
+        # Between two readings 0.05 s apart: 4 rad/s2 times their square, by 8.
+        assert pose.yaw == pytest.approx(1.0 - math.cos(2.0 * at), abs=1.3e-3)
+
+
+def test_readings_of_forty_a_second_and_fewer_are_all_kept() -> None:
+    trail = OdometryTrail()
+    readings = [reading(0.026 * n + 0.0004 * (n % 3), 0.01 * (n * n % 7)) for n in range(40)]
+    for one in readings:
+        assert trail.take(one) == NEXT
+    for one in readings:
+        assert trail.pose_at(one.stamp).x == pytest.approx(one.pose.x)
+
+
 def test_a_turning_robot_moves_along_the_chord() -> None:
     trail = OdometryTrail()
     trail.take(reading(0.0, twist=Twist(0.2, 1.0, 0.1)))

@@ -138,3 +138,14 @@ def test_motion_is_published_only_after_a_zero_of_this_connection(seed: int) -> 
         else:
             getattr(gate, event)()
             zeros = zeros if event in ("cut", "end") else 0
+
+
+def test_a_base_that_is_already_lost_is_sent_no_further_zero() -> None:
+    """A second report of the loss does not prolong the time in which zero is repeated."""
+    gate = CommandGate()
+    gate.open()
+    assert gate.filter(Twist(0.1)) == ZERO
+    assert gate.close(0.0)
+    assert not gate.close(1.0)
+    assert gate.repeats_zero(ZERO_REPEAT_TIME - 0.01)
+    assert not gate.repeats_zero(ZERO_REPEAT_TIME)

@@ -11,6 +11,7 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Code, Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import RunRequest
 from swarmd.network.datagram import STATES, Flag
 from swarmd.testing.driver_contract import is_running
@@ -68,7 +69,7 @@ def test_a_killed_daemon_takes_its_host_along_and_returns_idle(bench: Bench) -> 
     assert (after.state, after.reason) == (State.IDLE, Reason.NEVER_ASKED)
     assert after.instance != before.instance
     late = bench.ask("run", epoch=before.epoch, pattern="drive", params={})
-    assert late.code is Code.REFUSED
+    assert late.refusal is Refusal.STALE_EPOCH
     assert "changed since you looked" in late.text
     bench.moves_not(begun)
     bench.drive()
@@ -126,7 +127,7 @@ def test_nothing_that_waited_for_a_frozen_daemon_moves_its_body(
     assert status.epoch.revision > seen.revision
     assert status.pattern is None
     late = bench.ask("run", epoch=seen, pattern="drive", params={})
-    assert late.code is Code.REFUSED
+    assert late.refusal is Refusal.STALE_EPOCH
 
 
 def test_an_estopped_daemon_that_is_killed_returns_estopped_until_reset(
@@ -145,7 +146,7 @@ def test_an_estopped_daemon_that_is_killed_returns_estopped_until_reset(
     assert set(status.latches) == held
     assert "by zoe@test: test" in status.detail
     refused = bench.run("drive")
-    assert refused.code is Code.REFUSED
+    assert refused.refusal is Refusal.ESTOPPED
     assert "reset it first" in refused.text
     bench.moves_not(zero.at)
 
@@ -166,7 +167,7 @@ def test_an_unreadable_latch_file_holds_the_robot_until_reset(bench: Bench) -> N
     assert "latches could not be read" in status.detail
     assert "estopped until reset" in bench.daemon.text()
     refused = bench.run("drive")
-    assert refused.code is Code.REFUSED
+    assert refused.refusal is Refusal.ESTOPPED
     bench.moves_not(begun)
     assert bench.ask("reset", ids=list(status.latches)).code is Code.APPLIED
     bench.drive()
@@ -181,7 +182,7 @@ def test_an_estop_that_cannot_be_written_down_latches_all_the_same(bench: Bench)
     assert ack.text.startswith("commanded zero")
     assert bench.status().state is State.ESTOPPED
     wait_until(lambda: "latched in memory only" in bench.daemon.text(), "it tells in its log")
-    assert bench.run("drive").code is Code.REFUSED
+    assert bench.run("drive").refusal is Refusal.ESTOPPED
     bench.moves_not(zero.at)
 
 

@@ -15,6 +15,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import Code, Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import LogBatch, LogsQuery
 from swarmd.robot.timeouts import FIRST_BACKOFF
 from swarmd.testing.driver_contract import is_running
@@ -126,7 +127,7 @@ def test_a_pattern_that_keeps_raising_backs_off_then_is_quarantined(robot: Bench
 
     zero = robot.body.wait_zero(end.at)
     refused = robot.run("drive")
-    assert refused.code is Code.REFUSED
+    assert refused.refusal is Refusal.FAULTED
     assert "raiser failed 4 times" in refused.text
     robot.moves_not(zero.at)
     robot.lives(instance)
@@ -204,7 +205,7 @@ def test_an_endless_import_stops_a_driving_robot_and_is_given_up(robot: Bench) -
     asked = boottime()
     reply = robot.run("endless_import")
     print(f"given up after {boottime() - asked:.3f} s")
-    assert reply.code is Code.FAILED
+    assert (reply.code, reply.refusal) == (Code.FAILED, Refusal.PATTERN_FAILED)
     assert "loading took more than 3 s" in reply.text
     stopped = robot.await_state(State.STOPPED, Reason.LOAD_FAILED, moving.at)
     zero = robot.body.wait_zero(stopped.at)
@@ -217,7 +218,7 @@ def test_an_endless_import_leaves_an_idle_robot_idle(robot: Bench) -> None:
     asked = boottime()
     before = robot.status()
     reply = robot.run("endless_import")
-    assert reply.code is Code.FAILED
+    assert (reply.code, reply.refusal) == (Code.FAILED, Refusal.PATTERN_FAILED)
     status = robot.status()
     assert (status.state, status.reason) == (before.state, before.reason)
     assert any("endless_import was not loaded" in event.text for event in status.events)
@@ -246,7 +247,7 @@ def test_a_stop_while_a_pattern_is_loaded_cancels_the_load(
         print(f"{verb} acked after {boottime() - halted:.3f} s: {ack.text}")
         reply = run.result()
     print(f"run answered after {boottime() - asked:.3f} s: {reply.text}")
-    assert reply.code is Code.REFUSED
+    assert reply.refusal is Refusal.OVERTAKEN
     assert reply.text.startswith(f"{reason} while it was being loaded")
 
     stopped = robot.await_state(state, reason, halted)

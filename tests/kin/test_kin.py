@@ -209,6 +209,30 @@ def test_a_name_stays_while_the_peer_rests() -> None:
     assert world.wrong() == []
 
 
+def test_a_peer_that_is_silent_for_ten_seconds_is_unknown() -> None:
+    """No message forgets a silent peer, and its place is the last that was heard of it."""
+    world = World()
+    world.run(20.0)
+    world.silent = frozenset("b")
+    silent_since = world.time
+    world.run(10.0 - PERIOD)
+    kin = world.kins["a"]
+
+    def places() -> list[float | None]:
+        known = (Neighbor("b", 9.0), Neighbor("c", 9.0))
+        return [one.distance for one in kin.complete(known, world.now("a"))]
+
+    world.time = silent_since + 10.0 - 1e-6
+    assert None not in places()
+    world.time = silent_since + 10.0 + 1e-6
+    silent, heard = places()
+    assert silent is None
+    assert heard is not None
+    world.run(PERIOD)
+    assert "b" not in world.names("a").values()
+    assert world.names("a")["c"] == "c"
+
+
 def test_clocks_an_hour_apart_change_nothing() -> None:
     worlds = [World(), World(clocks={"a": HOUR, "c": -HOUR})]
     for world in worlds:

@@ -109,6 +109,15 @@ def test_origins_are_bounded_and_the_oldest_goes() -> None:
 # A robot and its operators: the cases of the module's docstring
 
 
+def test_an_origin_that_was_forgotten_has_no_floor_of_an_earlier_life_left() -> None:
+    """Stops of one moment count in any order again, once its floor has gone with it."""
+    robot = StopFreshness({HOME: 10_000_000})
+    for number in range(MAX_ORIGINS):
+        robot.take(stop(f"s{number}", 1, origin=number.to_bytes(4, "big")), 0.0)
+    assert counts(robot, stop("later", 10_000_000))
+    assert counts(robot, stop("earlier", 10_000_000 - SLACK + 1))
+
+
 def test_two_machines_of_one_operator_have_origins_of_their_own(tmp_path: Path) -> None:
     robot = StopFreshness()
     for name, at in (("laptop", 5000.0), ("desk", 100.0), ("laptop", 6000.0), ("desk", 200.0)):

@@ -11,9 +11,12 @@ from swarmd.network.stops.stop_freshness import REPLAYED
 from swarmd.network.stops.stop_relay import (
     ACK_PERIOD,
     ACKS_AT_ONCE,
+    DIRECT_TIMEOUT,
     LAST_INTERVAL,
     LIFETIME,
     MAX_ACKS,
+    MAX_SOURCES,
+    REDUNDANCY,
     TRUSTLESS_TIME,
     StopRelay,
 )
@@ -211,3 +214,41 @@ def test_a_stop_travels_at_most_four_hops_from_robot_to_robot(hops: int, sent: s
     relay = StopRelay("r1", seed=1)
     relay.on_stop(stop(hops=hops), PEER, 0.0)
     assert {one.hops for one in copies(relay, 5.0)} == sent
+
+
+@pytest.mark.parametrize(("is_member", "is_sent"), [(False, True), (True, False)])
+def test_only_copies_of_members_make_a_relay_needless(is_member: bool, is_sent: bool) -> None:
+    """A stranger that repeats a stop all the time must not keep robots from handing it on."""
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(targets=None), OPERATOR, 0.0)
+    sent: list[Stop] = []
+    for tick in range(1, 60):
+        now = 0.05 * tick
+        for number in range(REDUNDANCY):
+            copy = stop(targets=None, hops=1)
+            relay.on_stop(copy, ("10.0.0.66", number), now, is_member=is_member)
+        sent += relay.advance(now)
+    assert bool(sent) is is_sent
+
+
+def test_a_copy_of_a_robot_is_acked_once_the_operator_is_not_heard_directly() -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(), OPERATOR, 0.0)
+    copy = stop(hops=1)
+    for now, is_wanted in ((0.1, False), (DIRECT_TIMEOUT - 0.01, False), (DIRECT_TIMEOUT, True)):
+        relay.on_stop(copy, PEER, now)
+        assert relay.wants_ack(copy, PEER, now) is is_wanted
+
+
+def test_the_operator_takes_the_place_of_the_first_of_too_many_senders() -> None:
+    """Strangers that send a stop first must not keep its operator from the ack."""
+    relay = StopRelay("r1", seed=1)
+    senders = [("10.0.0.66", number) for number in range(MAX_SOURCES + 1)]
+    copy = stop(hops=1)
+    for sender in senders:
+        relay.on_stop(copy, sender, 0.0)
+    relay.on_stop(stop(), OPERATOR, 0.1)
+    assert relay.wants_ack(stop(), OPERATOR, 0.1)
+    late = 0.2 + DIRECT_TIMEOUT
+    wanted = [relay.wants_ack(copy, sender, late) for sender in senders]
+    assert wanted == [False, True, True, True, False]

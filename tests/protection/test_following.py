@@ -432,6 +432,40 @@ def test_odometry_that_contradicts_itself_is_told_with_the_pair_that_differs(
     assert any(last in text for _, text in found[-250:])
 
 
+@pytest.mark.parametrize("gap", [0.05, 1.0])
+def test_far_jumps_of_the_pose_are_told_with_their_size(gap: float) -> None:
+    """28.5 m each 5 s, as an estimator with two hypotheses gives them; docs/safety.md.
+
+    `gap`: s between the two readings of a jump.
+    """
+    monitor, texts = FollowingMonitor(BURGER), list[str]()
+    shift = shifted_at = 0.0
+    time = 0.0
+    while time < 16.0:
+        if time - shifted_at >= 5.0:
+            shift, shifted_at = 28.5 - shift, time
+            time += gap - 0.05
+        monitor.on_command(Twist(0.15))
+        monitor.on_odometry(Odometry(time, Pose(0.15 * time + shift, 0.0, 0.0), Twist(0.15)))
+        if monitor.text:
+            texts.append(f"{time:.2f} {monitor.text}")
+        time = round(time + 0.05, 9)
+    assert 9.9 < float(texts[0].split()[0]) < 12.1  # at the second jump: one is a correction
+    told = float(texts[0].partition("last by ")[2].split()[0])
+    assert told == pytest.approx(28.5, abs=0.2)  # beside 0.15 m/s of its own in up to a second
+    assert "contradicts itself" in texts[-1]
+
+
+def test_one_far_jump_of_the_pose_is_a_correction() -> None:
+    monitor = FollowingMonitor(BURGER)
+    for step in range(400):
+        time = 0.05 * step
+        monitor.on_command(Twist(0.15))
+        x = 0.15 * time + (28.5 if step > 200 else 0.0)
+        monitor.on_odometry(Odometry(time, Pose(x, 0.0, 0.0), Twist(0.15)))
+        assert monitor.text == ""
+
+
 def disturbed(seed: int, *, slip: float, noise: float, jitter: float, lost: float) -> Sensor:
     """A sensor whose twist misses slip, with noise (m, rad; m/s, rad/s) and stamps late by jitter.
 

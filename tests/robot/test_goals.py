@@ -406,6 +406,14 @@ def test_a_robot_that_was_reset_while_it_was_idle_joins_no_earlier_goal() -> Non
     assert harness.status.state is State.IDLE
 
 
+@pytest.mark.parametrize(("age", "joins"), [(1.5, True), (2.0, False), (30.0, False)])
+def test_a_robot_joins_no_goal_whose_run_would_be_over(age: float, joins: bool) -> None:
+    harness = ready()
+    harness.find(goal(6, **JOINED, seconds=2.0), age)
+    harness.advance(0.1)
+    assert (harness.status.state is State.RUNNING) is joins
+
+
 @pytest.mark.parametrize("is_reset", [True, False])
 def test_a_robot_that_was_reset_while_it_ran_joins_no_earlier_goal(is_reset: bool) -> None:
     """Rule `old_goal` of docs/safety.md."""

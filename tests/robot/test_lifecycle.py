@@ -43,7 +43,8 @@ def test_load_in_a_silent_host_fails_after_3_s() -> None:
     harness.advance(3.3)
     assert not harness.is_answered(run)
     harness.advance(0.5)
-    assert harness.reply_to(run).code is Code.FAILED
+    answer = harness.reply_to(run)
+    assert (answer.code, answer.refusal) == (Code.FAILED, Refusal.PATTERN_FAILED)
     assert standing_state(harness) == (State.STOPPED, Reason.LOAD_FAILED)
 
 
@@ -84,7 +85,7 @@ def test_param_request_overtaken_by_a_stop_is_answered(verb: str) -> None:
     change = harness.request("param", params={"speed": "0.1"})
     assert harness.send(change) is None
     harness.ask(verb)
-    assert harness.reply_to(change).code is Code.REFUSED
+    assert harness.reply_to(change).refusal is Refusal.OVERTAKEN
 
 
 def test_param_request_that_the_pattern_does_not_answer_fails_after_3_s() -> None:

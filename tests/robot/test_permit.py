@@ -22,6 +22,7 @@ from swarmd.api import (
 )
 from swarmd.core.host_messages import Loaded, PatternFailed
 from swarmd.core.messages import Reason, State
+from swarmd.core.refusal import Refusal
 from swarmd.kit.touch_config import TouchGrants, TouchSection
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
 from swarmd.testing.scans import Disc, scan_of
@@ -200,16 +201,20 @@ def test_restart_without_a_declared_zone_has_none() -> None:
 
 def test_pattern_with_an_excessive_zone_is_refused() -> None:
     harness = make_harness(greedy=LESS)
-    assert "touches is TouchZone" in harness.refused("run", pattern="greedy").text
+    refused = harness.refused("run", pattern="greedy")
+    assert refused.refusal is Refusal.PATTERN_FAILED
+    assert "touches is TouchZone" in refused.text
 
 
 @pytest.mark.parametrize("name", ["touch", "touches", "bearing_deg"])
 def test_no_request_can_grant_a_touch_zone(name: str) -> None:
     harness = make_harness()
-    harness.refused("run", pattern="push", params={name: 0.1})
+    given = harness.refused("run", pattern="push", params={name: 0.1})
+    assert given.refusal is Refusal.INVALID_PARAMETER
     run_pattern(harness, "push")
     assert permit(harness).touch is None
-    harness.refused("param", params={name: 0.1})
+    later = harness.refused("param", params={name: 0.1})
+    assert later.refusal is Refusal.INVALID_PARAMETER
     assert permit(harness).touch is None
 
 
@@ -244,7 +249,9 @@ def test_parameter_avoidance_says_whether_the_robot_avoids() -> None:
         assert permit(harness).avoids is wanted
     run_pattern(harness, "forward", params={"avoidance": "orca"})
     assert permit(harness).avoids is True
-    assert "platform, orca, none" in harness.refused("param", params={"avoidance": "rvo"}).text
+    unknown = harness.refused("param", params={"avoidance": "rvo"})
+    assert unknown.refusal is Refusal.INVALID_PARAMETER
+    assert "platform, orca, none" in unknown.text
 
 
 def test_a_robot_shows_the_tracks_by_which_it_avoids() -> None:

@@ -40,7 +40,7 @@ def test_stale_epoch_is_refused_and_names_the_operator() -> None:
     assert first is not None
     assert first.code is Code.APPLIED
     assert second is not None
-    assert second.code is Code.REFUSED
+    assert second.refusal is Refusal.STALE_EPOCH
     assert "by alice (run forward)" in second.text
     earlier = harness.answer(harness.request("run", Epoch("boot0", 1), pattern="finisher"))
     assert earlier.refusal is Refusal.STALE_EPOCH
@@ -52,7 +52,7 @@ def test_replayed_run_never_moves_the_robot() -> None:
     request = harness.request("run", pattern="forward")
     harness.send(request)
     harness.ask("stop")
-    assert harness.answer(request).code is Code.REFUSED
+    assert harness.answer(request).refusal is Refusal.STALE_EPOCH
     harness.advance(1.0)
     assert harness.twist.is_zero
 
@@ -200,15 +200,17 @@ def test_a_stop_after_a_reset_and_a_join_stops() -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "fields"),
+    ("verb", "fields", "refusal"),
     [
-        ("run", {"pattern": "unheard_of"}),
-        ("run", {"pattern": "forward", "params": {"speed": "fast"}}),
-        ("run", {"pattern": "broken"}),
-        ("resume", {}),
+        ("run", {"pattern": "unheard_of"}, Refusal.UNKNOWN_PATTERN),
+        ("run", {"pattern": "forward", "params": {"speed": "fast"}}, Refusal.INVALID_PARAMETER),
+        ("run", {"pattern": "broken"}, Refusal.PATTERN_FAILED),
+        ("resume", {}, Refusal.NO_GOAL),
     ],
 )
-def test_a_refused_run_does_not_overtake_a_stop(verb: str, fields: dict[str, Any]) -> None:
+def test_a_refused_run_does_not_overtake_a_stop(
+    verb: str, fields: dict[str, Any], refusal: Refusal
+) -> None:
     harness = RobotHarness(patterns={**PATTERNS, "broken": Broken})
     harness.advance(1.0)
     harness.applied("run", pattern="forward")
@@ -216,7 +218,7 @@ def test_a_refused_run_does_not_overtake_a_stop(verb: str, fields: dict[str, Any
     refused = harness.ask(verb, **fields)
     harness.advance(0.5)
     assert refused is not None
-    assert refused.code is not Code.APPLIED
+    assert refused.refusal is refusal
     assert late_stop(harness, 3.0).code is Code.APPLIED
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
@@ -273,7 +275,7 @@ def test_thawed_daemon_stops_before_it_reads_requests() -> None:
     waiting = harness.request("run", pattern="forward")
     harness.advance(3.0, ticks=False)
     late = harness.answer(waiting)
-    assert late.code is Code.REFUSED
+    assert late.refusal is Refusal.STALE_EPOCH
     assert "stall" in late.text
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.STOPPED, Reason.LOOP_STALLED)
@@ -290,7 +292,7 @@ def test_estop_latches_and_is_written_before_the_ack() -> None:
     assert harness.written[-1].held["e1"].scope == "swarm"
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
-    harness.refused("run", pattern="forward")
+    assert harness.refused("run", pattern="forward").refusal is Refusal.ESTOPPED
     harness.applied("stop")
 
 
@@ -475,9 +477,9 @@ def test_reset_that_crosses_a_second_estop_leaves_it_latched() -> None:
     harness.send(harness.request("estop", id="e1"))
     reset = harness.request("reset", ids=["e1"])
     harness.send(harness.request("estop", id="e2"))
-    assert harness.answer(reset).code is Code.REFUSED
+    assert harness.answer(reset).refusal is Refusal.STALE_EPOCH
     assert set(harness.status.latches) == {"e1", "e2"}
-    harness.refused("reset", ids=["e1"])
+    assert harness.refused("reset", ids=["e1"]).refusal is Refusal.ESTOPPED
     assert standing_state(harness)[0] is State.ESTOPPED
     harness.ask("reset", ids=["e2"])
     assert not harness.written[-1].held
@@ -504,7 +506,7 @@ def test_stop_cancels_a_load(verb: str) -> None:
     run = harness.request("run", pattern="forward")
     assert harness.send(run) is None
     harness.ask(verb)
-    assert harness.reply_to(run).code is Code.REFUSED
+    assert harness.reply_to(run).refusal is Refusal.OVERTAKEN
     harness.host_says(Loaded(1, 10.0, frozenset(), {}))
     harness.is_hung = False
     harness.advance(1.0)
@@ -516,10 +518,9 @@ def test_run_during_a_load_is_refused_and_names_the_operator() -> None:
     harness = RobotHarness(patterns=PATTERNS)
     harness.is_hung = True
     assert harness.ask("run", pattern="forward", operator="alice") is None
-    assert (
-        harness.refused("run", pattern="forward", operator="bob").text
-        == "still loading forward, by alice"
-    )
+    refused = harness.refused("run", pattern="forward", operator="bob")
+    assert refused.refusal is Refusal.BUSY
+    assert refused.text == "still loading forward, by alice"
 
 
 def test_load_that_hangs_in_an_idle_robot_fails_after_3_s() -> None:
@@ -531,7 +532,7 @@ def test_load_that_hangs_in_an_idle_robot_fails_after_3_s() -> None:
     assert not harness.is_answered(run)
     harness.advance(0.15)
     answer = harness.reply_to(run)
-    assert answer.code is Code.FAILED
+    assert (answer.code, answer.refusal) == (Code.FAILED, Refusal.PATTERN_FAILED)
     assert "loading took more than 3 s" in answer.text
     assert isinstance(harness.sent[-1], KillHost)
     assert standing_state(harness) == (State.IDLE, Reason.NEVER_ASKED)
@@ -628,6 +629,7 @@ def test_a_roster_ends_the_run_and_one_without_the_robot_refuses_further_ones() 
     refused = harness.answer(harness.request("run", harness.epoch, pattern="forward"))
     assert refused.refusal is Refusal.REVOKED
     harness.applied("stop")
+    harness.applied("reset")  # it moves nothing, and ends what an operator may have to end
 
 
 def test_change_of_the_network_cancels_a_load() -> None:
@@ -659,7 +661,7 @@ def test_duplicate_id_faults_until_it_left_and_a_reset() -> None:
     harness.step(DuplicateInput("instance b"))
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.FAULTED, Reason.DUPLICATE_ID)
-    harness.refused("reset")
+    assert harness.refused("reset").refusal is Refusal.DUPLICATE_ID
     harness.step(DuplicateInput(None))
     harness.ask("reset")
     assert standing_state(harness) == (State.IDLE, Reason.RESET)
@@ -671,7 +673,7 @@ def test_reset_that_crosses_a_folded_estop_leaves_it_latched() -> None:
         harness.send(harness.request("estop", id=f"e{n}"))
     reset = harness.request("reset", ids=list(harness.status.latches))
     harness.send(harness.request("estop", id="second"))
-    assert harness.answer(reset).code is Code.REFUSED
+    assert harness.answer(reset).refusal is Refusal.STALE_EPOCH
     assert harness.status.state is State.ESTOPPED
     revision = harness.epoch.revision
     harness.send(harness.request("estop", id="second"))
@@ -774,7 +776,7 @@ def test_reset_leaves_findings_that_it_does_not_name(findings: tuple[str, ...]) 
 def test_reset_of_an_emergency_stop_ends_the_findings_that_it_names() -> None:
     harness = slowed()
     harness.ask("estop")
-    harness.refused("reset", findings=(FOUND,))
+    assert harness.refused("reset", findings=(FOUND,)).refusal is Refusal.ESTOPPED
     assert harness.status.findings == (FOUND,)
     harness.applied("reset", ids=tuple(harness.status.latches), findings=(FOUND,))
     assert harness.status.state is State.IDLE
@@ -943,6 +945,71 @@ def test_an_earlier_stop_of_another_clone_is_not_forgotten() -> None:
     assert harness.refused("run", issued=505.9, age=6.5, **run).refusal is Refusal.OVERTAKEN
 
 
+def test_a_copy_of_a_stop_ends_no_run_that_was_asked_for_at_the_same_time() -> None:
+    """The first copy has ended all runs that were asked for before it (module, `_StopTime`)."""
+    harness = started()
+    harness.applied("stop", id="s1")
+    harness.send(harness.request("run", pattern="forward"))
+    harness.advance(0.5)
+    assert late_stop(harness, 0.0, id="s1").refusal is Refusal.OVERTAKEN
+    assert harness.status.state is State.RUNNING
+
+
+@pytest.mark.parametrize(("others", "is_known"), [(63, True), (64, False)])
+def test_a_robot_knows_the_copies_of_its_last_64_stops(others: int, is_known: bool) -> None:
+    """A copy that it does not know any more counts as a new stop: in doubt the robot stops."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    for n in range(others + 1):
+        harness.applied("stop", id=f"s{n}")
+    harness.advance(0.1)
+    harness.send(harness.request("run", pattern="forward"))
+    harness.advance(0.5)
+    late_stop(harness, 0.0, id="s0")
+    assert (harness.status.state is State.RUNNING) is is_known
+
+
+def test_an_old_stop_makes_no_stop_after_it_new_again() -> None:
+    """Stops that a later one covers change nothing, whatever order they come in."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    harness.applied("stop", id="newest")
+    epoch = harness.epoch
+    assert late_stop(harness, 3.0, id="oldest").code is Code.APPLIED
+    assert late_stop(harness, 1.0, id="between").code is Code.APPLIED
+    assert harness.epoch == epoch
+
+
+def test_a_stop_that_was_issued_before_an_emergency_stop_changes_nothing_after_it() -> None:
+    harness = started()
+    harness.advance(1.0)
+    harness.applied("estop", id="e1")
+    epoch = harness.epoch
+    harness.advance(0.5)
+    assert late_stop(harness, 0.6, id="s1").code is Code.APPLIED
+    assert harness.epoch == epoch  # a reset that was asked for at this epoch counts
+
+
+def test_a_reset_of_one_latch_of_two_makes_earlier_requests_stale() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.applied("estop", id="e1")
+    harness.applied("estop", id="e2")
+    before = harness.epoch
+    assert harness.refused("reset", ids=["e1"]).refusal is Refusal.ESTOPPED
+    assert set(harness.status.latches) == {"e2"}
+    late = harness.answer(harness.request("reset", before, ids=["e2"]))
+    assert late.refusal is Refusal.STALE_EPOCH
+    assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
+
+
+def test_a_run_whose_start_time_is_over_makes_no_other_request_stale() -> None:
+    harness = idle()
+    before = harness.epoch
+    late = harness.refused("run", pattern="forward", at={harness.robot.id: harness.now - 0.51})
+    assert late.refusal is Refusal.TOO_LATE
+    assert harness.epoch == before
+
+
 STATED = ("age", "issued_at")
 
 
@@ -963,11 +1030,35 @@ def test_a_start_of_more_than_five_seconds_is_refused(
     assert late.refusal is Refusal.TOO_LATE
     assert "5.1 s" in late.text
     assert harness.refused(verb, planned=4.0, **aged(9.1)).refusal is Refusal.TOO_LATE
-    assert harness.refused(verb, planned=1e6, **aged(3606.0)).refusal is not None
     harness.send(harness.request(verb, planned=4.0, **aged(8.9)))
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
     assert harness.status.changed_by.startswith("alice")
+
+
+@pytest.mark.parametrize("stated", STATED)
+@pytest.mark.parametrize(("verb", "fields"), STARTS)
+def test_a_start_declares_at_most_an_hour_of_work(
+    verb: str, fields: dict[str, Any], stated: str
+) -> None:
+    """docs/security.md: `planned` of a start counts up to an hour, beside the 5 s of every start.
+
+    The robot knows no stop: one that is later than the start would refuse the start, too.
+    """
+    harness = started() if verb == "reload" else RobotHarness(patterns=PATTERNS)
+    if verb == "resume":
+        harness.find(JOINED, 100.0, may_join=False)
+    harness.advance(1.0)
+
+    def aged(age: float) -> dict[str, Any]:
+        at = {harness.robot.id: harness.now - age}
+        return {**fields, "issued_at": at} if stated == "issued_at" else {**fields, "age": age}
+
+    late = harness.refused(verb, planned=1e6, **aged(3605.001))
+    assert late.refusal is Refusal.TOO_LATE
+    harness.send(harness.request(verb, planned=1e6, **aged(3604.999)))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
 
 
 def test_a_start_that_claims_to_come_from_the_future_hides_no_stop() -> None:

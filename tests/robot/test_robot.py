@@ -46,7 +46,7 @@ def test_stop_zeroes_at_once_until_the_next_run() -> None:
     harness.advance(3.0)
     assert all(twist.is_zero for _, twist in harness.commands)
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
-    assert harness.ask("run", pattern="forward") is not None
+    harness.applied("run", pattern="forward")
     harness.advance(0.2)
     assert harness.twist.linear > 0.0
 
@@ -147,8 +147,8 @@ def test_pattern_that_keeps_raising_is_quarantined() -> None:
     loads = [command for command in harness.sent if isinstance(command, Load)]
     assert len(loads) == 4
     assert harness.twist.is_zero
-    harness.refused("run", pattern="forward")
-    assert harness.ask("reset") is not None
+    assert harness.refused("run", pattern="forward").refusal is Refusal.FAULTED
+    harness.applied("reset")
     assert standing_state(harness) == (State.IDLE, Reason.RESET)
 
 

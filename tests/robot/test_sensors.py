@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -256,6 +257,44 @@ def test_invalid_scans_stop_the_robot(fault: str) -> None:
     assert harness.twist.is_zero
     harness.advance(1.6)
     assert standing_state(harness) == (State.STOPPED, reason)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ({"stamp": math.nan}, "nan"),
+        ({"stamp": math.inf}, "inf"),
+        ({"stamp": 5.0}, "stands at 5 s"),
+        ({"pose": Pose(1e256, 0.0, 0.0)}, "1e+256"),
+        ({"pose": Pose(0.0, math.nan, 0.0)}, "nan"),
+        ({"pose": Pose(0.0, 0.0, -math.inf)}, "-inf"),
+        ({"twist": Twist(0.0, 2e9)}, "2e+09"),
+        ({"twist": Twist(0.0, 0.0, math.nan)}, "nan"),
+        (None, ""),
+    ],
+    ids=str,
+)
+def test_odometry_that_does_not_count_holds_the_robot_with_the_value(
+    fault: dict[str, Any] | None, told: str
+) -> None:
+    """docs/trouble.md, `stale_odometry`."""
+    harness = started()
+    harness.odometry = Twist(0.1)
+    harness.advance(1.0)
+    harness.odometry = None
+    good = Odometry(harness.now, harness.pose, Twist(0.1))
+    for step in range(12):
+        harness.advance(0.05)
+        if fault is not None:
+            stamped = structs.replace(good, stamp=good.stamp + 0.05 * (step + 1))
+            harness.step(OdometryInput(structs.replace(stamped, **fault)))
+    assert harness.status.reason is Reason.STALE_ODOMETRY
+    assert told in harness.status.detail
+    assert harness.twist.is_zero
+    harness.odometry = Twist(0.1)
+    harness.advance(0.3)
+    assert harness.status.reason is not Reason.STALE_ODOMETRY
+    assert not harness.twist.is_zero
 
 
 OPEN, WALL = (math.inf, 2.0), (2.0, 2.0)  # m, what a lidar returns ahead and behind

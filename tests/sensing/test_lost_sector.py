@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Twist
+from swarmd.robot.sensors import Sensors
 from swarmd.sensing.scan_pipeline import BlindSectors, ScanConditioner
 from swarmd.sensing.sector_history import frozen_sectors
 from swarmd.settings.platforms import load_platform
@@ -328,3 +329,56 @@ def test_conditioning_rejects_a_front_that_is_lost_once_the_memory_is_stale() ->
         )
     assert Reason.INVALID_SCAN not in results[:8]
     assert results[10:] == [Reason.INVALID_SCAN] * 4
+
+
+def driven(side: float, before: float, *, is_frozen: bool = False) -> list[str]:
+    """What a robot says of its blind sectors, scan by scan, as it drives ahead at 0.2 m/s.
+
+    Its odometry is reset to zero near the middle of a room of 4 m. `side`: m to the left that the
+    pose has before. `before`: m driven before, which decides when the last look was. `is_frozen`:
+    half of the rays repeat their ranges from the reset on.
+    """
+    sensors, said = Sensors(BURGER), list[str]()
+    kept: Array | None = None
+    for step in range(1, 400):
+        time = round(0.05 * step, 9)
+        x = 0.2 * time - 1.5 - before
+        if x > 1.2:
+            break
+        pose = Pose(x, side, 0.0) if x < -0.03 else Pose(x + 0.03, 0.0, 0.0)
+        sensors.on_odometry(Odometry(time, pose, Twist(0.2)), time)
+        if step % 4:
+            continue
+        ranges = scan_of(BURGER, room=4.0, pose=Pose(x, 0.3, 0.0)).ranges
+        noise = np.random.default_rng(step).normal(0.0, 0.004, len(ranges))
+        ranges = np.where(np.isfinite(ranges), ranges + noise, 0.0)
+        if is_frozen and x > -0.03:
+            kept = ranges if kept is None else kept
+            ranges = np.where(HALF, kept, ranges)
+        sensors.on_scan(scan_from(BURGER, ranges, SPEC.bearings, seq=step // 4), time)
+        said.append(sensors.blind_text)
+    return said
+
+
+@pytest.mark.parametrize("before", [0.0, 0.05, 0.1, 0.15, 0.2, 0.25])
+@pytest.mark.parametrize("side", [0.15, 0.3, 0.6, 0.8, 1.5, 3.0])
+def test_a_reset_of_odometry_makes_no_sector_frozen(side: float, before: float) -> None:
+    """By the reset pose the walls beside the robot should be nearer, and those ahead moved."""
+    assert set(driven(side, before)) == {""}
+
+
+def test_a_sector_that_freezes_as_odometry_is_reset_is_found_after_it() -> None:
+    assert "equal ranges" in driven(0.6, 0.1, is_frozen=True)[-1]
+
+
+def test_a_sector_that_was_blind_before_a_reset_stays_so() -> None:
+    """A reset ends comparisons, no finding: else a sensor would be trusted after each reset."""
+    sectors = BlindSectors(SPEC)
+    kinds = np.zeros(90, np.uint8)
+    kinds[10:20] = 4
+    sectors.restore(kinds, 0.0)
+    text = sectors.text
+    sectors.forget_motion()
+    assert text
+    assert sectors.text == text
+    assert np.count_nonzero(sectors.kinds) == 10

@@ -57,6 +57,17 @@ def test_odometry_carries_the_pose_in_the_shared_frame_and_the_error_grows() -> 
     assert last.error == pytest.approx(0.1 + (0.05 + 0.05) * 0.4, abs=0.002)
 
 
+@pytest.mark.parametrize("rate", [50, 100, 1000])
+def test_a_pose_that_is_two_seconds_late_is_carried_at_any_rate_of_odometry(rate: int) -> None:
+    carried = CarriedPose()
+    for tick in range(4 * rate + 1):
+        step(carried, odometry(tick / rate, 0.2 * tick / rate))
+    carried.on_pose(located(2.0, 5.0, 1.0, math.pi / 2))
+    last = step(carried, odometry(4.0 + 1 / rate, 0.2 * (4.0 + 1 / rate)))
+    assert last is not None
+    assert (last.pose.x, last.pose.y) == pytest.approx((5.0, 1.4), abs=0.005)
+
+
 def test_a_turn_makes_the_yaw_less_certain() -> None:
     carried = CarriedPose()
     drive(carried, 0.0, 1.0, speed=0.0)

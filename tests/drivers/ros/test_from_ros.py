@@ -110,7 +110,7 @@ def test_a_leaning_base_has_a_yaw(yaw: float) -> None:
 
 @pytest.mark.parametrize("x", [math.nan, math.inf])
 def test_odometry_that_is_not_finite_is_refused(x: float) -> None:
-    with pytest.raises(CodecError, match="not finite"):
+    with pytest.raises(CodecError, match="pose x"):
         conversion.odometry_of(read(messages.Odometry, robots.odometry(1.0, x=x)))
 
 
@@ -258,7 +258,7 @@ class TestRangeRingDecoder:
 def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
     message = robots.odometry(1.0)
     setattr(message.twist.twist, field, dds.Vector3(math.nan, 0.0, math.inf))
-    with pytest.raises(CodecError, match="not finite"):
+    with pytest.raises(CodecError, match=r"speed ahead|turn rate"):
         conversion.odometry_of(read(messages.Odometry, message))
 
 

@@ -6,12 +6,14 @@ import asyncio
 import math
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zenoh
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError, NetworkError
@@ -27,6 +29,7 @@ from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh, gid_of
 from swarmd.drivers.ros2.session import open_session
+from swarmd.network.carriers.session import has_subscriber
 from swarmd.plugins import load_driver, load_emulator
 from swarmd.settings.driver_options import BaseOptions, stops_after
 from swarmd.settings.platforms import load_platform
@@ -199,6 +202,35 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
     assert {robot for robot, _ in stage.commands} == {"r-2"}
     assert stage.commands[0][1].is_zero
     assert (Twist(0.1, 0.3)) in [twist for _, twist in stage.commands]
+
+
+@pytest.mark.parametrize("size", [100_000, 300_000])
+def test_a_stop_of_another_node_passes_the_hub_whatever_its_size(size: int) -> None:
+    """Such a message comes in fragments, for all of which the hub has room at once."""
+    hub = Stage("ros2dds", BURGER)
+    config = zenoh.Config()
+    for path, value in (
+        ("mode", '"client"'),
+        ("connect/endpoints", f'["{hub.side.endpoint}"]'),
+        ("scouting/multicast/enabled", "false"),
+        ("transport/link/tx/queue/size/data", "16"),
+    ):
+        config.insert_json5(path, value)
+    sizes: list[int] = []
+    driver = open_session(hub.side.endpoint)
+    assert driver is not None
+    with driver, zenoh.open(config) as node:
+        driver.declare_subscriber("r-1/swarmd/estop", lambda one: sizes.append(len(one.payload)))
+        publisher = node.declare_publisher("r-1/swarmd/estop")
+        wait_until(lambda: has_subscriber(publisher), "the hub knows the driver")
+        for _ in range(8):  # a node repeats a stop
+            publisher.put(bytes(size))
+            with suppress(AssertionError):
+                wait_until(lambda: bool(sizes), "it arrives", cap=3.0)
+            if sizes:
+                break
+    hub.side.close()
+    assert set(sizes) == {size}
 
 
 def test_a_command_that_no_base_could_follow_is_counted_and_dropped() -> None:

@@ -87,6 +87,12 @@ def conflict(
     return graph.conflict(Subscriptions(read, BURGER).topics.values(), BURGER.scan)
 
 
+def reason(listed: NodeList, now: float) -> Reason | None:
+    """The reason of `conflict`; None without a conflict."""
+    found = conflict(listed, now)
+    return None if found is None else found.reason
+
+
 def listed_once(given: Answers, now: float = 0.0) -> NodeList:
     made = NodeList()
     made.take(given, {"ab"}, now)
@@ -128,7 +134,7 @@ def test_two_nodes_that_take_commands_or_publish_scans_are_a_conflict(
 @pytest.mark.parametrize("given", [("/estimator",), ("estim*",), ("x", "estimator")])
 def test_a_node_that_is_named_as_a_listener_is_no_second_base(given: tuple[str, ...]) -> None:
     both = listed_once(answers(("01/base", BASE), ("02/estimator", BASE)))
-    assert conflict(both, 0.0) is not None
+    assert reason(both, 0.0) is Reason.BASE_CONFLICT
     assert conflict(both, 0.0, cmd_vel_listeners=given) is None
 
 
@@ -301,13 +307,13 @@ def test_a_reader_has_time_to_get_the_name_of_its_node() -> None:
         assert made.is_naming is made.is_awaited({"ab"}) is is_naming
         assert conflict(made, now) is None
     made.take({**answers(base), **in_dds("01", "02")}, {"ab"}, now + NAMING_TIME)
-    assert conflict(made, now + NAMING_TIME) is not None
+    assert reason(made, now + NAMING_TIME) is Reason.BASE_CONFLICT
 
 
 def test_a_reader_in_a_process_that_is_not_of_ros_has_no_time() -> None:
     base, others = answers(("01/base", BASE)), in_dds("02", is_ros=False)
     made = listed_once({**base, **others})
-    assert conflict(made, 0.0) is not None
+    assert reason(made, 0.0) is Reason.BASE_CONFLICT
     made.take({**base, **in_dds("01"), "@/ab/ros2/dds/02": b"{}"}, {"ab"}, 1.0)
     assert conflict(made, 1.0) is None
 
@@ -316,7 +322,7 @@ def test_a_reader_that_is_still_unnamed_as_the_bridge_falls_silent_is_a_conflict
     made = listed_once({**answers(("01/base", BASE)), **in_dds("01", "02")})
     assert conflict(made, 0.0) is None
     made.take(None, {"ab"}, NAMING_TIME)
-    assert conflict(made, NAMING_TIME) is not None
+    assert reason(made, NAMING_TIME) is Reason.BASE_CONFLICT
 
 
 NOT_OF_ROS = "", "zenoh_bridge_ros2dds"

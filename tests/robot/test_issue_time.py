@@ -1,0 +1,38 @@
+"""The stops that a robot knows, by the clocks of the machines that issued them."""
+
+from __future__ import annotations
+
+from swarmd.robot.issue_time import MAX_CLOCKS, MAX_WAY, IssueTime, KnownStops
+
+
+def test_stops_of_more_clocks_than_are_kept_count_by_the_own_clock() -> None:
+    """64 clocks are kept (docs/security.md); what forges more of them must not fill the memory."""
+    known = KnownStops()
+    for n in range(MAX_CLOCKS):
+        known.note(IssueTime(1.0, f"clock{n}", 100.0), "anna")
+    assert known.later_than(IssueTime(0.9, "other", 50.0)) == "anna"
+    assert known.later_than(IssueTime(1.1, "other", 50.0)) == ""
+    for n in range(1000):
+        known.note(IssueTime(5.0 + 0.001 * n, f"forged{n}", 100.0), "eve")
+    assert len(known._newest) <= MAX_CLOCKS + 1
+    assert known.later_than(IssueTime(5.998, "other", 50.0)) == "eve"
+    assert known.later_than(IssueTime(6.0, "other", 50.0)) == ""
+
+
+def test_the_issuer_of_the_newest_stop_is_named_whatever_came_last() -> None:
+    known = KnownStops()
+    known.note(IssueTime(5.0, "a", 100.0), "bob")
+    known.note(IssueTime(4.0, "a", 99.0), "anna")  # on its way for longer
+    assert known.later_than(IssueTime(4.5, "a", 99.5)) == "bob"
+    assert known.later_than(IssueTime(5.5, "a", 100.5)) == ""
+
+
+def test_two_machines_with_one_clock_id_are_both_known() -> None:
+    """The differences of both clocks differ by more than MAX_WAY: the earlier counts by ours."""
+    known = KnownStops()
+    known.note(IssueTime(5.0, "a", 100.0), "bob")
+    known.note(IssueTime(4.0, "a", 99.0 + MAX_WAY + 0.1), "anna")  # a clone, heard late
+    assert known.later_than(IssueTime(4.9, "a", 99.9)) == "bob"
+    # Of the machine of the later stop: its clock shows that it came before, on a longer way.
+    assert known.later_than(IssueTime(5.3, "a", 99.9)) == "bob"
+    assert known.later_than(IssueTime(5.1, "a", 100.1)) == ""
