@@ -208,16 +208,17 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
 def test_a_stop_of_another_node_passes_the_hub_whatever_its_size(size: int) -> None:
     """Such a message comes in fragments, for all of which the hub has room at once."""
     hub = Stage("ros2dds", BURGER)
+    endpoint = str(hub.side.driver_options["endpoint"])
     config = zenoh.Config()
     for path, value in (
         ("mode", '"client"'),
-        ("connect/endpoints", f'["{hub.side.endpoint}"]'),
+        ("connect/endpoints", f'["{endpoint}"]'),
         ("scouting/multicast/enabled", "false"),
         ("transport/link/tx/queue/size/data", "16"),
     ):
         config.insert_json5(path, value)
     sizes: list[int] = []
-    driver = open_session(hub.side.endpoint)
+    driver = open_session(endpoint)
     assert driver is not None
     with driver, zenoh.open(config) as node:
         driver.declare_subscriber("r-1/swarmd/estop", lambda one: sizes.append(len(one.payload)))
