@@ -36,12 +36,19 @@ def run_while_here(asked: Asked, run: Run, targets: tuple[str, ...]) -> NoReturn
                 " Ctrl-C stops them"
             )
             running = {name: outcome.replies[name].epoch for name in outcome.applied}
-            follow_runs(asked.targeted.session, started.goal, lease + SILENCE, running)
+            assert started.keeper is not None  # the run has a lease
+            runs = follow_runs(
+                asked.targeted.session,
+                started.goal,
+                lease + SILENCE,
+                running,
+                started.keeper.lapse,
+            )
         except (KeyboardInterrupt, SystemExit):
             ended = stop_names(asked.operator, asked.names)
     if ended is not None:
         report(asked.options, ended)
-    report_again(outcome)
+    click.get_current_context().exit(runs.exit_code(outcome.exit_code))
 
 
 def report_again(outcome: Outcome) -> NoReturn:

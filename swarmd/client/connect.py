@@ -17,11 +17,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, get_args
 
 from swarmd.client.arguments import check_time, check_words
+from swarmd.client.loop_life import LoopLife
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import OperatorPool
 from swarmd.client.swarm import Places, Swarm, Tell
@@ -53,10 +55,18 @@ class Connection:
 
         ConfigError for a wrong option or file, NetworkError if the network cannot be used.
         """
+        return self._open(LoopLife.of_caller())
+
+    def _open(self, life: LoopLife | None) -> Swarm:
+        """As `open`, of a caller on the loop of `life`; None: outside of a loop."""
         make, tell = self._make, self._tell
-        pool = OperatorPool(lambda: make(tell))
-        with pool.lend():  # errors of options come now
-            pass
+        pool = OperatorPool(lambda: make(tell), life)
+        try:
+            with pool.lend():  # errors of options come now
+                pass
+        except BaseException:
+            pool.close()
+            raise
         return Swarm(pool, timeout=self._timeout, tell=tell, places=self._places)
 
     def __enter__(self) -> Swarm:
@@ -81,7 +91,7 @@ class Connection:
         from swarmd.client.hand_over import begin
 
         self._check_free()
-        opening = begin(self.open)
+        opening = begin(partial(self._open, LoopLife.of_caller()))
         try:
             opened = await asyncio.wrap_future(opening)
             self._check_free()  # another task may have been faster

@@ -14,6 +14,7 @@ from swarmd.core.closing import is_program_ended
 from swarmd.core.errors import R, SwarmError
 
 if TYPE_CHECKING:
+    from swarmd.client.loop_life import LoopLife
     from swarmd.network.operator.operator import Operator
 
 MAX_REQUESTS = 8
@@ -78,11 +79,13 @@ class LookTurns:
 class OperatorPool:
     """Lends operators that `make` creates, an idle one or a new one: no stop or request waits.
 
-    The end of the program closes the pool, and the end of the main thread ends its leases.
+    The end of the program closes the pool, and the end of the main thread ends its leases. `life`:
+    of the event loop on which the connection was opened; None without one.
     """
 
-    def __init__(self, make: Callable[[], Operator]) -> None:
+    def __init__(self, make: Callable[[], Operator], life: LoopLife | None = None) -> None:
         self._make = make
+        self.life = life
         self._lock = threading.Lock()
         self._idle: list[Operator] = []
         self._leases: list[tuple[frozenset[str], ExitStack]] = []
@@ -122,6 +125,8 @@ class OperatorPool:
         self._end_leases()
         for operator in idle:
             operator.close()
+        if self.life is not None:
+            self.life.close()
 
     def _end(self) -> None:
         """At the end of the program: close; a child process of `os.fork` has nothing to close."""
@@ -134,13 +139,26 @@ class OperatorPool:
         for _, lease in leases:
             lease.close()
 
+    def is_over_for(self, thread: threading.Thread) -> bool:
+        """True once a call in this thread commands for nobody.
+
+        That is so from the end of the main thread on. Of a connection that was opened on an event
+        loop it is so from the shutdown of the loop on, but not for the main thread or for the
+        thread that ran the loop: they may go on.
+        """
+        if is_program_ended():
+            return True
+        if self.life is None or thread in (threading.main_thread(), self.life.thread):
+            return False
+        return self.life.is_over
+
     @contextmanager
     def lend(self) -> Iterator[Operator]:
         """Lend an operator for one verb; the operator is closed if the verb raises.
 
         SwarmError after `close` of the pool.
         """
-        if is_program_ended():
+        if self.is_over_for(threading.current_thread()):
             self._end_leases()  # for a stop at exit: a new operator may get no thread then
         with self._lock:
             if self._is_closed:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmd.client.ask_robots import next_status, statuses_of
 from swarmd.core.clock import boottime
-from swarmd.core.closing import is_program_ended
 from swarmd.core.goal import GoalState
+from swarmd.core.messages import Reason
+from swarmd.network.operator.exit_codes import FAILED, PARTIAL, TIMEOUT
 from swarmd.texts.values import seconds
 
 if TYPE_CHECKING:
@@ -22,28 +23,101 @@ PARTS = 4
 """How often the lease is renewed while it lasts: three copies may get lost."""
 
 
-def follow_runs(
-    session: Session, goal: Goal, patience: float, running: dict[str, Epoch | None]
-) -> None:
-    """Wait until no robot in `running` runs the goal any more; tell the user each end.
+class Lapse(NamedTuple):
+    """A time in which a command has renewed nothing for longer than the lease."""
+
+    begun: float  # s: the last renewal before it
+    seconds: float  # so far
+
+
+class LeasedRuns:
+    """The runs of `goal` on robots until they end, and what is told of them. Pure.
 
     `running`: the robots, each with its epoch at the start of the run: the instance of its daemon
     and the count of the changes of its state. A status of this instance with a lower count is
-    ignored. A robot that sends no status for `patience` s is reported and no longer awaited.
+    ignored. A robot that sends no status for `patience` s is no longer awaited. Times in s.
+
+    A robot whose lease ended has stopped since it did not hear this command. If the command renewed
+    nothing for the time of the lease, since it was stopped (SIGSTOP) or its computer slept, then
+    this is the cause, and no robot counts as silent for the time in which nobody listened.
     """
-    heard = dict.fromkeys(running, boottime())
+
+    def __init__(
+        self, goal: Goal, patience: float, running: Mapping[str, Epoch | None], now: float
+    ) -> None:
+        self.running = dict(running)
+        self.ended: dict[str, Status | None] = {}  # the status that ended each run; None: not heard
+        self._goal, self._patience = goal, patience
+        self._heard = dict.fromkeys(running, now)
+        self._lapse: Lapse | None = None  # the last one that was told
+
+    def on_status(self, status: Status, now: float) -> Iterator[str]:
+        """Take a status; yields a line for the user if the run of the robot has ended."""
+        robot = status.robot
+        if robot not in self.running:
+            return
+        self._heard[robot] = now
+        if not _is_on(status, self._goal) and not _is_older(status, self.running[robot]):
+            del self.running[robot]
+            self.ended[robot] = status
+            detail = f" {status.detail}" if status.detail else ""
+            yield f"{robot}: {status.state} ({status.reason}){detail}"
+
+    def advance(self, now: float, lapse: Lapse | None) -> Iterator[str]:
+        """Let time pass; yields lines for the user. `lapse`: the last one of this command."""
+        if lapse is not None and (self._lapse is None or lapse.begun > self._lapse.begun):
+            self._lapse = lapse
+            self._heard = dict.fromkeys(self._heard, now)
+            lease = seconds(self._goal.lease or 0.0)
+            yield (
+                f"this command renewed no lease for {seconds(lapse.seconds)}: it was stopped, or"
+                f" this computer slept. Runs end {lease} after the last renewal; start them anew"
+            )
+        for name in [name for name in self.running if now - self._heard[name] > self._patience]:
+            del self.running[name]
+            self.ended[name] = None
+            after = " since then" if self._lapse is not None else ""
+            yield f"{name} was not heard for {seconds(self._patience)}{after}: it is not waited for"
+
+    def exit_code(self, started: int) -> int:
+        """The exit code of the command; `started`: that of the start of the runs.
+
+        A run whose lease has ended, and one whose end is not known, did not end as it was wanted.
+        """
+        lapsed = [one for one in self.ended.values() if one is not None and _has_lapsed(one)]
+        silent = [name for name, one in self.ended.items() if one is None]
+        if not lapsed and not silent:
+            return started
+        if len(lapsed) + len(silent) < len(self.ended):
+            return PARTIAL
+        return FAILED if lapsed else TIMEOUT
+
+
+def follow_runs(
+    session: Session,
+    goal: Goal,
+    patience: float,
+    running: Mapping[str, Epoch | None],
+    lapse: Callable[[float], Lapse | None],
+) -> LeasedRuns:
+    """Wait until no robot in `running` runs the goal any more; tell the user each end.
+
+    `patience`, `running`: as of `LeasedRuns`. `lapse`: that of the `LeaseKeeper`.
+    """
+    runs = LeasedRuns(goal, patience, running, boottime())
     with statuses_of(session.operator) as status_queue:
-        while running:
+        while runs.running:
             status, now = next_status(status_queue, 0.5), boottime()
-            if status is not None and (robot := status.robot) in running:
-                heard[robot] = now
-                if not _is_on(status, goal) and not _is_older(status, running[robot]):
-                    del running[robot]
-                    detail = f" {status.detail}" if status.detail else ""
-                    session.tell(f"{robot}: {status.state} ({status.reason}){detail}")
-            for name in [name for name in running if now - heard[name] > patience]:
-                del running[name]
-                session.tell(f"{name} was not heard for {seconds(patience)}: it is not waited for")
+            for line in runs.advance(now, lapse(now)):
+                session.tell(line)
+            if status is not None:
+                for line in runs.on_status(status, now):
+                    session.tell(line)
+    return runs
+
+
+def _has_lapsed(status: Status) -> bool:
+    return status.reason is Reason.LEASE_ENDED
 
 
 def _is_on(status: Status, goal: Goal) -> bool:
@@ -65,8 +139,8 @@ def _is_older(status: Status, since: Epoch | None) -> bool:
 class LeaseKeeper(threading.Thread):
     """Renews the lease (`lease` s) of a goal on the robots `names`, from `start` to `close`.
 
-    Nothing is renewed once `is_owned` is False: by default from the end of the main thread on,
-    since a program that has failed may wait for other threads for ever.
+    Nothing is renewed once `is_owned` is False: a program that has failed may wait for other
+    threads for ever, and its user waits for it no longer (`Session.is_owned`).
     """
 
     def __init__(
@@ -76,13 +150,23 @@ class LeaseKeeper(threading.Thread):
         lease: float,
         names: Collection[str],
         *,
-        is_owned: Callable[[], bool] | None = None,
+        is_owned: Callable[[], bool],
     ) -> None:
         super().__init__(name="swarmd-lease", daemon=True)
-        self._is_owned = is_owned or (lambda: not is_program_ended())
+        self._is_owned = is_owned
         self._operator, self._goal_id, self._names = operator, goal_id, names
         self._period = lease / PARTS
         self._ending = threading.Event()
+        self._lease = lease
+        self._renewed_at: float | None = None
+        self._lapse: Lapse | None = None
+
+    def lapse(self, now: float) -> Lapse | None:
+        """The last time in which nothing was renewed for longer than the lease, until `now`."""
+        renewed_at = self._renewed_at
+        if renewed_at is not None and now - renewed_at > self._lease:
+            return Lapse(renewed_at, now - renewed_at)
+        return self._lapse
 
     def run(self) -> None:
         """Renew until `close`, or until nothing owns the lease."""
@@ -90,6 +174,9 @@ class LeaseKeeper(threading.Thread):
         while self._is_owned() and not self._ending.is_set():
             count += 1
             operator.send_lease(self._goal_id, count, self._names)
+            now = boottime()
+            self._lapse = self.lapse(now)
+            self._renewed_at = now
             self._ending.wait(self._period)
 
     def close(self) -> None:

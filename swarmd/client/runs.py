@@ -23,6 +23,7 @@ from swarmd.plugins import is_pattern_path
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:
+    from swarmd.client.run_lease import LeaseKeeper
     from swarmd.client.session import Session, TargetedView
     from swarmd.client.targets import Targets
     from swarmd.core.goal import Goal
@@ -118,6 +119,7 @@ class StartedRun(NamedTuple):
     goal: Goal
     outcome: Outcome
     notes: Mapping[str, Any] = {}  # further fields of the JSON answer
+    keeper: LeaseKeeper | None = None  # renews the lease of the run; None without a lease
 
 
 def carry_out(
@@ -145,15 +147,23 @@ def carry_out(
         return StartedRun(goal, *run_with_canary(targeted, goal, canaries, run.canary_time))
     if run.at is not None:
         return StartedRun(goal, *start_at(targeted, goal, run.at))
+    keeper = None
     if run.lease is not None:
         from swarmd.client.run_lease import LeaseKeeper
 
-        keeper = LeaseKeeper(targeted.operator, goal.id, run.lease, targeted.names)
+        keeper = LeaseKeeper(
+            targeted.operator,
+            goal.id,
+            run.lease,
+            targeted.names,
+            is_owned=targeted.session.is_owned,
+        )
         keeper.start()
         opened.callback(keeper.close)
     # A robot that has changed since the look (by its epoch, a count of changes) refuses the run.
     epochs = targeted.view.epochs(targeted.names)
-    return StartedRun(goal, send_goal(targeted.session, epochs, goal, timeout=targeted.time_left))
+    outcome = send_goal(targeted.session, epochs, goal, timeout=targeted.time_left)
+    return StartedRun(goal, outcome, keeper=keeper)
 
 
 def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:

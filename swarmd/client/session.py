@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from swarmd.client.known_robots import remember
 from swarmd.client.targets import Targets, named, targets_of, unlabelled
 from swarmd.core.clock import boottime
+from swarmd.core.closing import is_program_on
 from swarmd.core.errors import NetworkError, SwarmError, unknown
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ class Session:
 
     `timeout`: the longest time in s that the verb takes. `tell` takes lines for the user.
     `is_cancelled` returns True once the caller no longer waits; a verb that waits then ends.
+    `is_owned` returns False once nobody waits for what a lease of this session keeps going: by
+    default from the end of the main thread on.
     `began`: when the user typed, clicked or called the verb, in s on the clock since boot. A robot
     that was stopped since then refuses to start a run.
     """
@@ -38,6 +41,7 @@ class Session:
     tell: Callable[[str], object] = lambda text: None
     is_cancelled: Callable[[], bool] = lambda: False
     began: float = field(default_factory=boottime)
+    is_owned: Callable[[], bool] = is_program_on
 
     def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
         """Query all members (a look), and tell the user which robots are missing.
@@ -66,7 +70,8 @@ class Session:
         """Raise SwarmError if the caller no longer waits or the connection is closed."""
         if self.is_cancelled():
             raise SwarmError(
-                "not sent: its caller or the main thread has ended, or the connection was closed"
+                "not sent: its caller, its event loop or the main thread has ended, or the"
+                " connection was closed"
             )
 
     def time_left(self, view: MembersView) -> float | None:

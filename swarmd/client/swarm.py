@@ -9,12 +9,13 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from swarmd.client.arguments import Words, check_time, check_words, plain_params
+from swarmd.client.loop_life import LoopLife
 from swarmd.client.members import Description, Members
 from swarmd.client.session import Session
 from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.clock import boottime
-from swarmd.core.closing import Closing, is_program_ended
+from swarmd.core.closing import Closing, is_program_on
 from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.network.operator.exit_codes import TIMEOUT
@@ -228,8 +229,9 @@ class Swarm(Closing):
         condition that is met ends the run. `at`: the time from now at which all robots start at one
         moment. `canary`: the robot, or the number of robots, that run first, for `canary_time` s
         (default 10); the other robots follow if the canaries run well. `lease`: robots stop `lease`
-        s after this connection was closed, or after its program has ended. `on_join` "run": robots
-        that join within `valid` s run the goal, too. `timeout`: the longest wait for answers.
+        s after this connection was closed, or after its program or the event loop that it belongs
+        to has ended. `on_join` "run": robots that join within `valid` s run the goal, too.
+        `timeout`: the longest wait for answers.
         """
         from swarmd.client.runs import Run, carry_out, goal_targets
 
@@ -253,7 +255,8 @@ class Swarm(Closing):
         # With a lease this session stays open during the run, to renew the lease; it counts as one
         # of the 8 requests that may be under way until the robots have answered.
         with self._pool.requests.request(), ExitStack() as opened:
-            session = opened.enter_context(self._session(timeout))
+            life = None if lease is None else self._life_of_call(opened)
+            session = opened.enter_context(self._session(timeout, life=life))
             # A canary is judged by its status before the run, too.
             targeted = session.target(targets, needs_status=canary is not None)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
@@ -262,6 +265,17 @@ class Swarm(Closing):
                 # The pool closes `opened` with the connection; until then the lease is renewed.
                 self._pool.keep_lease(outcome.applied, opened.pop_all())
             return targeted.counted(outcome)
+
+    def _life_of_call(self, opened: ExitStack) -> LoopLife | None:
+        """The loop to which the lease of a run belongs; None: to the main thread.
+
+        It is the loop that runs the caller, else that on which the connection was opened, as far as
+        that is not over. `opened`: ends the watch of the caller's loop.
+        """
+        if (own := LoopLife.of_caller()) is not None:
+            return opened.enter_context(own)
+        of_connection = self._pool.life
+        return None if of_connection is None or of_connection.is_over else of_connection
 
     def stop(
         self,
@@ -453,12 +467,23 @@ class Swarm(Closing):
 
     @contextmanager
     def _session(
-        self, timeout: float | None, *, is_request: bool = False, is_stop: bool = False
+        self,
+        timeout: float | None,
+        *,
+        is_request: bool = False,
+        is_stop: bool = False,
+        life: LoopLife | None = None,
     ) -> Iterator[Session]:
-        """A session for one call; the end of the main thread cancels it, unless it `is_stop`."""
+        """A session for one call; it is cancelled once the call commands for nobody.
+
+        A session that `is_stop` is not. `life`: of the event loop to which a lease belongs; None:
+        to the main thread.
+        """
         timeout = check_time("timeout", timeout)
         began = boottime() if self._began is None else self._began
-        events, process = (self._cancelled, *self._parents), os.getpid()
+        events = (self._cancelled, *self._parents)
+        process = os.getpid()
+        pool, caller = self._pool, threading.current_thread()
 
         def is_cancelled() -> bool:
             if os.getpid() != process:
@@ -466,8 +491,9 @@ class Swarm(Closing):
                     f"this iterator began in process {process}, of which this process is a fork;"
                     " call the method again here"
                 )
-            is_unowned = is_program_ended() and not is_stop
-            return is_unowned or any(event.is_set() for event in events)
+            if any(event.is_set() for event in events):
+                return True
+            return pool.is_over_for(caller) and not is_stop
 
         lend = self._pool.lend_for_request if is_request else self._pool.lend
         with lend() as operator:
@@ -477,6 +503,7 @@ class Swarm(Closing):
                 self._tell,
                 is_cancelled,
                 began,
+                lambda: is_program_on() and (life is None or not life.is_over),
             )
 
 

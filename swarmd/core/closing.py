@@ -19,6 +19,11 @@ class Closing:
         """End what it holds; subclasses say what that is."""
 
 
+def is_program_on() -> bool:
+    """Whether the program goes on, see `is_program_ended`."""
+    return not is_program_ended()
+
+
 def is_program_ended() -> bool:
     """Whether the main thread has ended, or waits for the threads of pools that are left.
 

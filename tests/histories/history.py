@@ -31,7 +31,15 @@ from tests.histories.invariants import (
     no_exception,
 )
 from tests.histories.operators import Command, VirtualOperator
-from tests.histories.swarm import DELAY, DISK_TIME, JOIN_TICK, Disk, VirtualDaemon, VirtualSwarm
+from tests.histories.swarm import (
+    CHILD,
+    DELAY,
+    DISK_TIME,
+    JOIN_TICK,
+    Disk,
+    VirtualDaemon,
+    VirtualSwarm,
+)
 
 OPERATORS = ("anna", "bob")
 PROGRAM = "teacher"
@@ -175,7 +183,8 @@ class History:
         self._begin(by, "push", lambda one: one.push(pattern, targets))
 
     def _begin(self, by: str, verb: str, make: Callable[[VirtualOperator], Command]) -> None:
-        self.operators[by].begin(verb, make(self.operators[by]))
+        if by in self.operators:  # else the child of a program that has not forked
+            self.operators[by].begin(verb, make(self.operators[by]))
 
     def sleep(self, by: str, seconds: float, is_noticed: bool = True) -> None:
         """The processes of an operator stand still."""
@@ -184,6 +193,17 @@ class History:
     def die(self, by: str) -> None:
         """The processes of an operator end, also those that renew a lease."""
         self.operators[by].die()
+
+    def end_loop(self, by: str) -> None:
+        """The event loop of a program that renews a lease is shut down; the program goes on."""
+        self.operators[by].end_loop()
+
+    def fork(self, by: str) -> None:
+        """A program forks: the child commands, too, and renews no lease of its parent."""
+        parent, name = self.operators[by], f"{by}{CHILD}"
+        if name not in self.operators:
+            number = len(self.operators) + 1
+            self.operators[name] = VirtualOperator(self.swarm, name, number, parent)
 
     def set_back(self, by: str, seconds: float) -> None:
         """An operator's virtual machine is set back to its snapshot; it keeps the clock id."""
@@ -196,7 +216,7 @@ class History:
 
     def clone(self, by: str, shift: float) -> None:
         """The operator's computer is a clone of the other one's, `shift` s ahead of it."""
-        [other] = [one for name, one in self.operators.items() if name != by]
+        [other] = [self.operators[name] for name in OPERATORS if name != by]
         self.operators[by].die()
         self.operators[by].clock = other.clock
         self.operators[by].shift = other.shift + shift
@@ -579,6 +599,53 @@ def _dead_script(chance: random.Random, robots: tuple[str, ...]) -> Steps:
     return run, _after(chance, 0.05, 5.0, step(0.0, "die", by=by))
 
 
+def _dead_loop(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """The loop of a program that renews a lease ends, and perhaps the program commands again."""
+    by = _by(chance)
+    run = step(0.0, "run", by=by, lease=2.0, here=8.0)
+    more = replace(_run(chance, robots), args=_run(chance, robots).args | {"by": by})
+    end = _after(chance, 0.05, 5.0, step(0.0, "end_loop", by=by))
+    return (run, end, _after(chance, 0.5, 4.0, more)) if chance.random() < 0.3 else (run, end)
+
+
+def _play_back(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """A run with a lease whose operator ends, and its recorded leases, to one robot.
+
+    That robot has started meanwhile, is new, or was out of reach.
+    """
+    by, robot = _by(chance), chance.choice((*robots, f"r{len(robots) + 1}"))
+    joins: dict[str, Any] = {"on_join": "run", "valid": 300.0} if chance.random() < 0.7 else {}
+    run = step(0.0, "run", by=by, lease=2.0, here=8.0, **joins)
+    end = step(0.0, chance.choice(("die", "end_loop")), by=by)
+    away = chance.choice(
+        (
+            step(0.0, "start", robot=robot, disk=chance.choice(("kept", "empty"))),
+            step(0.0, "boot", robot=robot),
+            step(0.0, "cut", senders=(by,), receivers=(robot,)),
+        )
+    )
+    period, newest = chance.choice(((0.1, 100), (0.3, 100), (1.0, 8)))
+    replayed = step(0.0, "play_back", robot=robot, period=period, newest=newest)
+    middle = [_after(chance, 0.5, 4.0, end), _after(chance, 0.05, 4.0, away)]
+    chance.shuffle(middle)
+    return run, *middle, _after(chance, 0.0, 3.0, replayed)
+
+
+def _fork(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """A program that renews a lease forks; the child commands, and the parent may end."""
+    by = _by(chance)
+    makes = (_run, _command("stop"), _command("stop"), _command("estop"))
+    command = chance.choice(makes)(chance, robots)
+    die, end_loop = step(0.0, "die", by=by), step(0.0, "end_loop", by=by)
+    ended = chance.choice((die, end_loop, step(0.0, "heal")))
+    return (
+        step(0.0, "run", by=by, lease=2.0, here=8.0),
+        _after(chance, 0.5, 2.0, step(0.0, "fork", by=by)),
+        _after(chance, 0.05, 3.0, ended),
+        _after(chance, 0.05, 3.0, replace(command, args=command.args | {"by": f"{by}{CHILD}"})),
+    )
+
+
 def _freeze(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
     """For less and more than a stall, a lease and the life of a relayed stop's first intervals."""
     seconds = chance.choice((0.2, 1.0, 2.9, 3.1, 8.0))
@@ -644,6 +711,9 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_other_clock, 1.2),
     (_dead_script, 0.4),
     (_wolf, 0.8),
+    (_dead_loop, 0.4),
+    (_play_back, 0.8),
+    (_fork, 0.5),
 )
 
 

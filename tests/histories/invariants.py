@@ -105,7 +105,7 @@ MOST_WAYS = 1.5  # of a lease, in greatest delays: a datagram takes up to 1.2 of
 LOSS_TIME = 3.5  # s: a hold ends a run after 2 s, and the daemon may stall for 1 s meanwhile
 HISTORIES = 10_200
 """Random histories: 100 in `make test`, the others in `make evidence`."""
-LEASE_HISTORIES = 60
+LEASE_HISTORIES = 125
 """Those that the rule `lease`, which is newer, has judged so far."""
 TELL_TIME = 50.0  # s: a pull over a cut link takes 20 s, the next one may wait 10 s, a file 10 s
 WINDOW = 50.0  # s: a robot takes an incident that is up to 100 s old
@@ -229,10 +229,12 @@ class Invariants:
 
     def check_lease(self, daemon: VirtualDaemon) -> None:
         """The rule `lease`: who has renewed the run that moves a robot, and when."""
-        status = daemon.robot.status(self._swarm.now).goal
-        own = None if status is None else status.own
+        goals = daemon.robot._lifecycle.goals  # its status costs more, and this is asked often
+        own = goals.own
         if own is None or own.goal.lease is None or daemon.cause is None:
             return
+        if goals.state is not GoalState.RUNNING:
+            return  # a run without a goal moves it
         if daemon.cause.goal_id != own.goal.id:
             return
         renewed = self._swarm.renewed.get(own.goal.id, -math.inf)

@@ -84,8 +84,13 @@ class VirtualOperator(Node):
     one id and different shifts; a computer that is set back to a snapshot keeps its id.
     """
 
-    def __init__(self, swarm: VirtualSwarm, name: str, number: int) -> None:
+    def __init__(
+        self, swarm: VirtualSwarm, name: str, number: int, parent: VirtualOperator | None = None
+    ) -> None:
+        """`parent`: the program of which this one is a fork, on its computer and by its key."""
         self.name = name
+        self.user: str = name if parent is None else parent.user
+        self._parent = parent
         self.address: Address = (f"10.0.1.{number}", 5000)
         self.swarm = swarm
         self.done: list[Done] = []
@@ -94,7 +99,10 @@ class VirtualOperator(Node):
         self._echo = 0
         self.wall = 0.0  # s beside the true time
         self.clock, self.shift = name, FIRST_SHIFT
+        if parent is not None:
+            self.clock, self.shift = parent.clock, parent.shift
         self._life = 0  # counts the deaths of its processes
+        self._loop = 0  # counts the ends of its loops, and so of its leases
         self._wakes_at = 0.0
         self._sleeps: list[tuple[float, float]] = []
         self._notices = True
@@ -155,9 +163,13 @@ class VirtualOperator(Node):
         self._discoveries.clear()
         self._pending.clear()
 
+    def end_loop(self) -> None:
+        """The loop of a program ends, by an error; its processes wait for threads."""
+        self._loop += 1
+
     @property
     def author(self) -> Author:
-        return Author(Role.OPERATOR, self.name)
+        return Author(Role.OPERATOR, self.user)
 
     def receive(self, body: Datagram, sender: Node) -> None:
         if self.swarm.now < self._wakes_at:
@@ -205,7 +217,7 @@ class VirtualOperator(Node):
             RunRequest, view, names, typed, ahead=ahead or 0.0, **run
         )
         if goal.lease is not None:
-            self._keep(goal, names, 1, self.swarm.now + here, self._life)
+            self._keep(goal, names, 1, self.swarm.now + here, (self._life, self._loop))
         return outcome
 
     def stop(self, verb: Literal["stop", "estop"], targets: tuple[str, ...] = ()) -> Command:
@@ -215,7 +227,7 @@ class VirtualOperator(Node):
         stop = Stop(
             id=self._new_id(),
             verb=verb,
-            operator=self.name,
+            operator=self.user,
             scope="robots" if targets else "swarm",
             clock=self.clock,
             issued=now + self.shift,
@@ -258,7 +270,7 @@ class VirtualOperator(Node):
         """
         swarm, began = self.swarm, self.swarm.now
         if not (is_repeat and self._program_stop):
-            fields = {"verb": verb, "id": self._new_id(), "operator": self.name}
+            fields = {"verb": verb, "id": self._new_id(), "operator": self.user}
             named = {"targets": dict.fromkeys(targets)} if targets else {}
             self._program_stop = fields | named
         request = self._program_stop
@@ -354,7 +366,7 @@ class VirtualOperator(Node):
         view = yield from self._look(needs_status=False)
         for name in _chosen(view, targets):
             request = self._new_id()
-            call = partial(_push, pattern=pattern, request=request, operator=self.name)
+            call = partial(_push, pattern=pattern, request=request, operator=self.user)
             self.swarm.ask(self.name, name, call)
         return None
 
@@ -396,7 +408,7 @@ class VirtualOperator(Node):
         }
         request: Any = kind(
             id=self._new_id(typed),
-            operator=self.name,
+            operator=self.user,
             targets=asked,
             planned=watch.worked(typed) + ahead,
             clock=self.clock,
@@ -421,7 +433,7 @@ class VirtualOperator(Node):
         for robot in robots:
             if robot in self.swarm.robots:
                 answer = partial(_take_reply, robot, acks)
-                call = partial(_hand, verb=verb, payload=payload, asker=self.name, take=answer)
+                call = partial(_hand, verb=verb, payload=payload, asker=self.user, take=answer)
                 self.swarm.ask(self.name, robot, call)
 
     def _solicit(self, discovery: Discovery, timer: RepeatTimer) -> None:
@@ -440,11 +452,11 @@ class VirtualOperator(Node):
         return self._echo
 
     def _keep(
-        self, goal: Goal, names: tuple[str, ...], count: int, until: float, life: int
+        self, goal: Goal, names: tuple[str, ...], count: int, until: float, life: tuple[int, int]
     ) -> None:
         """Renew a run lease."""
         assert goal.lease is not None
-        if self.swarm.now > until or life != self._life:
+        if self.swarm.now > until or life != (self._life, self._loop):
             return
         if self.swarm.now < self._wakes_at:
             again = partial(self._keep, goal, names, count, until, life)
@@ -461,7 +473,7 @@ class VirtualOperator(Node):
 
     def _lease(self, goal: Goal, robot: str, count: int) -> RunLease:
         """As `Operator._lease`."""
-        lease, now = RunLease(id=goal.id, operator=self.name, count=count), self.swarm.now
+        lease, now = RunLease(id=goal.id, operator=self.user, count=count), self.swarm.now
         instance = self._instances.get(robot, b"")
         clock = self._clocks.reading(robot, instance, now + self.shift)
         if clock is None or not self.swarm.is_secured:
@@ -469,14 +481,16 @@ class VirtualOperator(Node):
         return replace(lease, instance=instance, clock=clock)
 
     def _next_goal(self, view: MembersView, typed: float, **fields: Any) -> Goal | None:
-        asker: Any = SimpleNamespace(name=self.name, identity=None)
+        asker: Any = SimpleNamespace(name=self.user, identity=None)
         try:
             return replace(next_goal(asker, view, **fields), id=self._new_id(typed))
         except ConfigError:
             return None
 
     def _next_origin(self, *, is_new: bool = False) -> tuple[bytes, int]:
-        """As `StopOrigin`, whose file outlives jumps of the wall clock."""
+        """As `StopOrigin`, whose file outlives jumps of the wall clock, and which forks share."""
+        if self._parent is not None:
+            return self._parent._next_origin(is_new=is_new)
         least = round(1000.0 * (self.swarm.wall + self.wall + self.swarm.now))
         if is_new:
             self._origin, self._counter = self._random.randbytes(4), 0

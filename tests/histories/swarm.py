@@ -130,6 +130,8 @@ RAM_SPEED, RAM_DISTANCE, RAM_PERIOD, RAM_AGAIN = 1.0, 1.2, 0.1, 6.0  # m/s, m, s
 BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/carriers/udp.py`
 PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pushed
 SPEEDS = {"drive": 0.1, "circle": 0.05}
+CHILD = "-child"
+"""The end of the name of a forked program, which is on the computer of its parent."""
 ROSTER = ("r1", "r2", "r3", "r4", "r5", "r6", "r7")
 NO_DATA = np.full(8, np.inf)
 
@@ -346,7 +348,8 @@ class VirtualSwarm:
 
     def reaches(self, sender: str, receiver: str) -> bool:
         """True if nothing is cut between them, in this direction."""
-        return (sender, receiver) not in self.cuts
+        one, other = sender.removesuffix(CHILD), receiver.removesuffix(CHILD)
+        return (one, other) not in self.cuts
 
     def cut(self, senders: Iterable[str], receivers: Iterable[str], *, both: bool = True) -> None:
         """Nothing passes between them any more; `both`: in both directions."""

@@ -18,6 +18,7 @@ from swarmd.core.goal import HeldGoal
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import Twist
+from swarmd.network import peer
 from swarmd.network.operator.robot_clocks import RobotClocks
 from swarmd.protection.fence import fence_pose
 from swarmd.robot import state
@@ -236,7 +237,7 @@ def test_a_robot_that_believes_the_clock_of_an_operator_breaks_a_rule(
     assert fault.rule == rule
 
 
-@pytest.mark.parametrize("end", ["die", "sleep"])
+@pytest.mark.parametrize("end", ["die", "end_loop", "sleep"])
 def test_a_run_ends_with_the_program_that_renews_its_lease(end: str) -> None:
     seconds = {"seconds": 60.0} if end == "sleep" else {}
     history = History(2)
@@ -249,6 +250,32 @@ def test_a_run_ends_with_the_program_that_renews_its_lease(end: str) -> None:
     assert all(one.robot.is_running for one in robots)
     history.swarm.advance(2.5)
     assert not any(one.robot.is_running for one in robots)
+
+
+def test_a_run_without_a_goal_has_no_lease() -> None:
+    """It follows a run that ended with its lease; the judge took it for that one."""
+    history = (
+        step(0.05, "run", by="bob", lease=2.0, here=8.0),
+        step(0.5, "clone", by="bob", shift=30.0),
+        step(2.26, "run", by="anna", has_goal=False),
+    )
+    assert fault_of(2, history, 783) is None
+
+
+def test_a_fork_commands_and_the_lease_of_its_parent_goes_on() -> None:
+    history = History(2)
+    for one in (
+        step(0.0, "run", by="anna", lease=2.0, here=100.0),
+        step(4.0, "fork", by="anna"),
+        step(1.0, "stop", by="anna-child", targets=("r1",)),
+        step(5.0, "heal"),
+    ):
+        history.carry_out(one)
+    robots = history.swarm.robots.values()
+    assert [one.robot.state for one in robots] == ["stopped", "running"]
+    history.carry_out(step(0.0, "die", by="anna"))
+    history.swarm.advance(2.5)
+    assert [one.robot.state for one in robots] == ["stopped", "stopped"]
 
 
 LEASED = {"by": "anna", "lease": 2.0, "here": 8.0, "on_join": "run", "valid": 300.0}
@@ -274,6 +301,22 @@ def test_a_recorded_lease_lets_no_robot_of_a_secured_swarm_drive(victim: Steps) 
         step(20.0, "heal"),
     )
     assert fault_of(2, steps, seed=2) is None
+
+
+def test_a_robot_that_believes_a_replayed_lease_breaks_a_rule(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(peer, "lease_age", lambda *_: 0.0)
+    steps = (
+        step(0.0, "run", **LEASED),
+        step(4.5, "die", by="anna"),
+        step(0.05, "boot", robot="r3"),
+        step(0.0, "play_back", robot="r3"),
+        step(20.0, "heal"),
+    )
+    fault = fault_of(2, steps, seed=2)
+    assert fault is not None
+    assert fault.rule == "lease"
 
 
 @pytest.mark.parametrize("seed", [1, 2], ids=["without keys", "secured"])

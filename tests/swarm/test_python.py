@@ -206,6 +206,56 @@ def test_a_script_that_ends_ends_its_connection(
     assert stopped.reason is Reason.LEASE_ENDED
 
 
+FAILS_IN_A_LOOP = """
+import asyncio, swarmd
+async def main():
+    swarm = swarmd.connect().open()
+    outcome = swarm.run("drive", "r1", lease=1.0)
+    print(outcome.replies["r1"].epoch.revision, flush=True)
+    waiting = asyncio.create_task(asyncio.to_thread(input))
+    await asyncio.sleep(0.1)
+    raise RuntimeError
+asyncio.run(main())
+"""
+
+
+def test_a_script_that_fails_in_a_loop_renews_nothing_while_a_thread_waits(
+    shared_swarm: Swarm, name: str
+) -> None:
+    """`asyncio.run` waits for the thread of `to_thread` with the main thread alive."""
+    script = subprocess.Popen(
+        [sys.executable, "-c", FAILS_IN_A_LOOP],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert script.stdout is not None
+        revision = int(script.stdout.readline())  # of the run
+        stopped = shared_swarm.await_status(
+            "r1",
+            "stopped",
+            lambda one: one.state is State.STOPPED and one.epoch.revision > revision,
+        )
+        assert stopped.reason is Reason.LEASE_ENDED
+        assert script.poll() is None  # it still waits
+        _, errors = script.communicate("\n", timeout=CAP)
+        assert (script.returncode, "RuntimeError" in errors) == (1, True)
+    finally:
+        script.kill()
+        script.wait()
+
+
+def lease_end(swarm: Client, robot: str) -> float:
+    """When the run of a robot ends by its lease, on the clock of its daemon."""
+    status = swarm.members()[robot].status
+    assert status is not None
+    assert status.goal is not None
+    assert status.goal.lease_left is not None, status
+    return status.uptime + status.goal.lease_left
+
+
 def test_a_forked_child_ends_by_itself(shared_swarm: Swarm, name: str) -> None:
     """It has no thread of the connection, and the lease of its parent goes on."""
     script = f"""{OPENED}
@@ -404,6 +454,9 @@ def test_keys_are_those_of_swarmctl(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         keys = secured.keys
         with swarmd.connect(secured.name, identity=keys.folder_of("anna")) as swarm:
             assert swarm.stop().applied == BOTH
+            assert typed_in_time(lambda: swarm.run("drive", "r1", lease=8.0)).applied == ("r1",)
+            first = lease_end(swarm, "r1")
+            wait_until(lambda: lease_end(swarm, "r1") > first + 1.0, "the lease is renewed")
         with swarmd.connect(secured.name, identity=keys.folder_of("class")) as viewer:
             assert viewer.members().alive == BOTH
             with pytest.raises(ConfigError, match="may only look"):
