@@ -78,7 +78,8 @@ def test_a_command_that_slept_says_so_and_blames_no_robot() -> None:
     assert ended.startswith("r1: stopped (lease_ended)")
     assert list(runs.advance(709.9, ASLEEP)) == []
     [silent] = runs.advance(710.1, ASLEEP)
-    assert silent.startswith("r2 was not heard for 10 s since then")
+    assert silent.startswith("r2 ")
+    assert "since then" in silent  # since the command went on, not since it slept
     assert runs.exit_code(APPLIED) == FAILED
     assert [*runs.advance(720.0, Lapse(711.0, 6.0))] != []  # another one
 

@@ -23,7 +23,6 @@ from swarmd.client.run_lease import LeaseKeeper
 from swarmd.client.runs import Run, StartedRun
 from swarmd.client.session import Session
 from swarmd.client.swarm import Swarm
-from swarmd.core import closing
 from swarmd.core.errors import SwarmError
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Reply
@@ -239,7 +238,7 @@ def test_a_lease_of_a_script_is_owned_until_the_main_thread_ends(
     swarm = leasing.connection.open()
     is_owned = leasing.lease(swarm)
     assert is_owned()
-    monkeypatch.setattr(closing.threading, "_SHUTTING_DOWN", True, raising=False)
+    monkeypatch.setattr(threading, "_SHUTTING_DOWN", True, raising=False)
     assert not is_owned()
     monkeypatch.undo()
     swarm.close()
@@ -309,7 +308,12 @@ def test_a_keeper_gets_the_owner_of_its_session(monkeypatch: pytest.MonkeyPatch)
     )
     keepers = list[LeaseKeeper]()
     start = LeaseKeeper.start
-    monkeypatch.setattr(LeaseKeeper, "start", lambda one: (keepers.append(one), start(one)))
+
+    def begin(keeper: LeaseKeeper) -> None:
+        keepers.append(keeper)
+        start(keeper)
+
+    monkeypatch.setattr(LeaseKeeper, "start", begin)
     for is_owned in (False, True):
         owned.set() if is_owned else owned.clear()
         with ExitStack() as opened:
@@ -324,5 +328,5 @@ def test_the_owner_of_a_session_is_the_program_unless_another_is_named(
 ) -> None:
     session = Session(cast("Operator", None))
     assert session.is_owned()
-    monkeypatch.setattr(closing.threading, "_SHUTTING_DOWN", True, raising=False)
+    monkeypatch.setattr(threading, "_SHUTTING_DOWN", True, raising=False)
     assert not session.is_owned()

@@ -105,7 +105,7 @@ MOST_WAYS = 1.5  # of a lease, in greatest delays: a datagram takes up to 1.2 of
 LOSS_TIME = 3.5  # s: a hold ends a run after 2 s, and the daemon may stall for 1 s meanwhile
 HISTORIES = 10_200
 """Random histories: 100 in `make test`, the others in `make evidence`."""
-LEASE_HISTORIES = 125
+LEASE_HISTORIES = 1000
 """Those that the rule `lease`, which is newer, has judged so far."""
 TELL_TIME = 50.0  # s: a pull over a cut link takes 20 s, the next one may wait 10 s, a file 10 s
 WINDOW = 50.0  # s: a robot takes an incident that is up to 100 s old
