@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,6 +32,14 @@ def _no_host(monkeypatch: pytest.MonkeyPatch) -> None:
         send=lambda _: None, close=lambda: None, events=list, pid=None, sandbox="", dropped={}
     )
     monkeypatch.setattr(daemon_module, "ProcessRunner", lambda *_, **__: runner)
+
+
+@pytest.fixture(autouse=True)
+def _no_capture() -> Iterator[None]:
+    """These daemons do not run, so nothing ends their capture of the log of this process."""
+    before = list(logging.getLogger().handlers)
+    yield
+    logging.getLogger().handlers[:] = before
 
 
 class Watched(Daemon):

@@ -64,7 +64,7 @@ BENCH, PAPER, FIRST = "benchmarks/README.md", "docs/paper.md", "docs/installatio
 QUOTED = {
     "[{0} % of a core idle, {1} % driving": (BENCH, "CPU, daemon and host, idle / driving", ""),
     "driving, {0} MB](benchmarks/README.md#in-bursts)": (BENCH, "RSS; PSS", ""),
-    "(swarmd: [{0}](benchmarks/README.md#last-measured))": (
+    "(swarmd: [{0}](benchmarks/README.md#last-measured),": (
         BENCH, "robot-seconds a CPU-second, 1000 robots with 24 rays", ""
     ),
     "[{0} robot-seconds per CPU-second by default": (BENCH, "default: `dynamics2d`", "1,000"),
