@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from string import digits
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NoReturn
 
@@ -37,26 +38,41 @@ ANSWER_TIME = 3.0
 """How long a revoked robot may take to answer, in s."""
 
 
-@click.command(epilog="Example: swarmctl keys add tb3-41 --role robot")
+@click.command(epilog="Example: swarmctl keys add tb3-41")
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @click.option(
     "--role",
     type=click.Choice([str(role) for role in Role]),
-    required=True,
-    help="What they may do in the swarm.",
+    help="What they may do in the swarm [robot, for names that are numbered as its robots].",
 )
 @common_options
-def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
+def add(options: CommonOptions, names: tuple[str, ...], role: str | None) -> None:
     """Add each NAME, or range such as 'tb3-[41-50]', and send the new roster to all robots.
 
     A robot that takes a new roster stands. Write the bundles of the new names with `keys bundle`.
     """
     authority = open_authority(options.swarm)
     new = [name for word in names for name in expand_names(word)]
-    authority.change(add=dict.fromkeys(new, Role(role)))
-    _announce(authority, f"added {', '.join(new)}")
+    given = _role_by_name(new, authority.roster.robots) if role is None else Role(role)
+    authority.change(add=dict.fromkeys(new, given))
+    _announce(authority, f"added {', '.join(new)} ({given})")
     warn(f"next: swarmctl keys bundle {' '.join(names)}")
     roll_out(options, authority)
+
+
+def _role_by_name(names: Iterable[str], robots: Iterable[str]) -> Role:
+    """The role `robot` if each name is that of a robot with another number at its end.
+
+    ConfigError else: who commands is never guessed.
+    """
+    series = {name.rstrip(digits) for name in robots if name[-1:] in digits}
+    for name in names:
+        if name[-1:] not in digits or name.rstrip(digits) not in series:
+            raise ConfigError(
+                f"{name} is not numbered as a robot of the roster; give --role robot, operator or"
+                " viewer"
+            )
+    return Role.ROBOT
 
 
 @click.command(epilog="Example: swarmctl keys revoke tb3-07")

@@ -250,7 +250,7 @@ def test_install_refuses_what_does_not_belong_here_and_changes_nothing(
 
 def test_an_older_roster_is_refused_also_by_force(meadow: Run, home: Path) -> None:
     (home / "root").mkdir()
-    meadow("add", "tb3-04", "--role", "robot", "--timeout", "0.1s")
+    meadow("add", "tb3-04", "--timeout", "0.1s")
     meadow("bundle", "tb3-01", "-o", "new.bundle")
     assert install("new.bundle", "--root", "root").exit_code == 0
     before = tree(home / "root")
@@ -299,4 +299,8 @@ def test_the_last_operator_and_the_last_robot_stay(meadow: Run, home: Path) -> N
         assert is_refused(meadow("revoke", *words))
     assert is_refused(meadow("revoke", "alice"))  # this user, who could roll out no roster then
     assert is_refused(meadow("add", "tb3-01", "--role", "viewer"))
+    for name in ("bo", "tb4-01", "tb3-", "3", "tb3-0x"):
+        done = meadow("add", name)
+        assert is_refused(done)
+        assert "--role" in str(done.exception)
     assert tree(home) == before
