@@ -11,8 +11,8 @@ from swarmd.core.errors import ForkedError
 def check_not_forked(what: str) -> None:
     """ForkedError in a fork of the process that first used Zenoh; its text names `what` is asked.
 
-    Zenoh keeps its threads for all sessions of a process. A session that a fork opens hangs (15 s
-    and more in 3 of 3 tries with zenoh 1.10.2), and a session of its parent is silent there.
+    Zenoh keeps its threads for all sessions of a process. A session that a fork opens was seen
+    to hang for 15 s (once, zenoh 1.10.2), and a session of its parent is silent there.
     """
     process = _process_of_zenoh()
     if process != os.getpid():
