@@ -158,7 +158,7 @@ class OperatorPool:
 
         SwarmError after `close` of the pool.
         """
-        if self.is_over_for(threading.current_thread()):
+        if is_program_ended():  # a loop that is over ends its own leases, and not those of others
             self._end_leases()  # for a stop at exit: a new operator may get no thread then
         with self._lock:
             if self._is_closed:

@@ -97,6 +97,7 @@ MARK_AGE = 3600.0
 """S between the operator's clock at a mark and the robot's, beyond which a mark that a peer tells
 counts as the words of the peer: it may be an old one that is told again."""
 LIST_PERIOD = 10.0  # s until the same list is pulled from the same robot again
+_SILENCES = {IncidentKind.SILENT, IncidentKind.STALL}
 LIST = "incidents"  # the name of the list among the pulled blobs
 
 T = TypeVar("T")
@@ -405,19 +406,34 @@ class IncidentService:
     def _say_itself(self, own: _Told) -> None:
         """Note the robot's own words on an incident that it had, and that a peer has told before.
 
-        An operator's mark replaces no words but those of the same mark.
+        An operator's mark replaces no words but those of the same mark. A mark that no operator has
+        signed, or words of another kind, hide neither what befell the robot nor a silence that it
+        found. If the file of the peer's tale ends before the incident, it is written again.
         """
-        id = own.incident.id
+        id, kind = own.incident.id, own.incident.kind
         told, kept = self._told.get(id), self._kept.get(id)
-        known = told.incident if told is not None else kept.incident if kept is not None else None
-        if known is None or own.incident.robot != self._robot or known.by == self._robot:
+        known = told or kept
+        if known is None or known.incident.by == self._robot:
             return
-        if (own.incident.kind == IncidentKind.MARK) is not (known.kind == IncidentKind.MARK):
+        words = known.incident
+        if kind == IncidentKind.MARK:
+            if words.kind != IncidentKind.MARK:
+                return
+        elif words.kind == IncidentKind.MARK and known.operator:
             return
-        if told is not None:
-            self._told[id] = own
-            self._sign(own)
-        if kept is not None:
+        is_alike = words.kind == kind or {words.kind, kind} <= _SILENCES
+        if own.incident.robot != self._robot and is_alike:
+            return
+        if told is None:
+            self._tell(own)
+        self._told[id] = own
+        self._sign(own)
+        is_before = told is not None and own.at - told.at > 1.0
+        if self._recorder.ring is not None and (
+            is_before or (told is None and kind != IncidentKind.MARK)
+        ):
+            self._await_tail(own.incident, own.at)
+        elif kept is not None:
             self._write_head(own)
 
     def _write_head(self, own: _Told) -> None:

@@ -237,7 +237,7 @@ def remove_old(folder: Path, wall: float) -> None:
             if not stat.S_ISREG(found.st_mode) or wall - found.st_mtime <= OLD:
                 continue
             file = _open(path, os.O_RDONLY)  # no process uses it
-            is_ring = os.pread(file, len(_MAGIC), 0) == _MAGIC
+            is_ring = os.pread(file, len(_MAGIC), 0) in (_MAGIC, _MAGIC_1)
             os.close(file)
             if is_ring:
                 path.unlink()

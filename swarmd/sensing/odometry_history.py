@@ -41,6 +41,9 @@ _SHIFT_WAY = cython.declare(cython.double, 0.1)
 _SHIFT_TURN = cython.declare(cython.double, 0.2)
 _TWIST_EXCESS = cython.declare(cython.double, 1.5)
 _MAX_GAP = cython.declare(cython.double, 0.5)
+# s in which a shift fades, and faded shifts that are more than one correction (following.py).
+_SHIFT_TIME = cython.declare(cython.double, 30.0)
+_SHIFTS = cython.declare(cython.double, 1.5)
 
 
 @cython.cclass
@@ -52,6 +55,7 @@ class OdometryHistory:
     """
 
     has_shifted = cython.declare(cython.bint, visibility="readonly")
+    _shifts: cython.double
     _delay: ScanDelay | None
     trail: OdometryTrail
     path: cython.double[:, ::1]  # see `set_path`
@@ -60,6 +64,7 @@ class OdometryHistory:
     def __init__(self, delay: ScanDelay | None = None) -> None:
         """`delay` gets each reading whose stamp is new."""
         self._delay = delay
+        self._shifts = 0.0
         self.trail = OdometryTrail()
         self.path, self.motion = view_of(np.empty((HISTORY + 2, 4))), array("d", 3 * [0.0])
 
@@ -71,10 +76,15 @@ class OdometryHistory:
         stamp: cython.double = odometry.stamp
         is_new: cython.bint = stamp != self.trail.latest
         is_shift: cython.bint = self._is_shift(odometry)
+        passed: cython.double = stamp - self.trail.latest if self.trail.count else 0.0
         taken: cython.int = self.trail.take(odometry, True)
         if taken == REFUSED:
             return None
-        self.has_shifted = is_shift or taken == ANEW
+        is_shift = is_shift or taken == ANEW
+        self._shifts *= min(max(1.0 - passed / _SHIFT_TIME, 0.0), 1.0)
+        self._shifts += 1.0 if is_shift else 0.0
+        # Shifts again and again are no corrections: they must not silence what compares rays.
+        self.has_shifted = is_shift and self._shifts <= _SHIFTS
         if is_new and self._delay is not None:
             pose, twist = odometry.pose, odometry.twist
             self._delay.read(stamp, pose.yaw, twist.angular, pose, now)

@@ -244,6 +244,34 @@ def test_a_lease_of_a_script_is_owned_until_the_main_thread_ends(
     swarm.close()
 
 
+def test_a_look_of_a_thread_ends_no_lease_of_another_loop(
+    leasing: Leasing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The connection was opened on a loop that is over."""
+    ended: list[str] = []
+    carry_out = runs.carry_out
+
+    def noted(run: Run, targeted: TargetedView, targets: Any, opened: ExitStack) -> StartedRun:
+        opened.callback(ended.append, "lease")
+        return carry_out(run, targeted, targets, opened)
+
+    monkeypatch.setattr(runs, "carry_out", noted)
+
+    async def opened() -> Swarm:
+        return leasing.connection.open()
+
+    async def leased(swarm: Swarm) -> bool:
+        is_owned = leasing.lease(swarm)
+        await asyncio.to_thread(swarm.members)
+        return is_owned()
+
+    swarm = asyncio.run(opened())
+    assert asyncio.run(leased(swarm))
+    assert ended == []
+    swarm.close()
+    assert ended == ["lease"]
+
+
 def test_a_lease_that_is_asked_for_on_a_loop_ends_with_that_loop(leasing: Leasing) -> None:
     """Wherever the connection was opened."""
     swarm = leasing.connection.open()

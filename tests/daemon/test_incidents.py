@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from swarmd.client.incidents import mark_fields
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, mark_part
+from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, mark_part, silent_id
 from swarmd.core.messages import Code, Reply, State
 from swarmd.core.verbs import FetchQuery, IncidentsReply, KeptIncident, MarkRequest, Nothing
 from swarmd.daemon.incident_budget import MAX_BYTES, MAX_KEPT, teller_to_give_way, to_remove
@@ -462,6 +462,7 @@ def test_the_folder_in_memory_is_of_this_user_alone(tmp_path: Path) -> None:
 
 def test_only_old_rings_are_removed_from_the_folder(tmp_path: Path) -> None:
     Ring(tmp_path / "ring", {}, capacity=1000, seconds=9.0, boot=1.0, wall=2.0).close()
+    (tmp_path / "of_0.2.0").write_bytes(b"swarmd1\0" + bytes(100))
     (tmp_path / "thesis").write_text("of an operator")
     os.mkfifo(tmp_path / "pipe")  # to open it would wait for a writer
     for path in tmp_path.iterdir():
@@ -1090,3 +1091,62 @@ async def test_the_black_box_begins_once_what_a_killed_daemon_left_is_on_disk(
     assert len(second.files()) == 1
     assert second.recorder.ring is not None
     assert second.reply().fault == ""
+
+
+def lie(id: str) -> Incident:
+    """A mark that the robot r2 tells in an operator's name."""
+    return msgspec.structs.replace(incident(id, "r2", IncidentKind.MARK), text="anna: all is well")
+
+
+async def test_a_mark_that_a_peer_tells_first_hides_no_stop_of_the_robot_itself(
+    tmp_path: Path,
+) -> None:
+    service = Service(tmp_path)
+    service.keep(frames.EventEntry(boottime(), "x"))
+    service.tell(lie("a" * 12), giver="r2")
+    service.service._begin(Found(IncidentKind.ESTOP, "emergency stop by anna", "a" * 12))
+    (one,) = service.reply().incidents
+    assert (one.incident.text, one.incident.by) == ("emergency stop by anna", "r1")
+
+
+async def test_a_mark_that_a_peer_tells_first_hides_no_death_of_another_robot(
+    tmp_path: Path,
+) -> None:
+    service = Service(tmp_path)
+    service.keep(frames.EventEntry(boottime(), "x"))
+    dead = msgspec.structs.replace(RUNNING, robot="r3")
+    service.service.advance(boottime())
+    service.tell(lie(silent_id("r3", dead.instance.hex(), dead.revision)), giver="r2")
+    service.service.on_lost(dead)
+    told = [
+        (one.incident.robot, one.incident.kind, one.incident.by)
+        for one in service.reply().incidents
+    ]
+    assert ("r3", IncidentKind.SILENT, "r1") in told
+
+
+async def test_the_file_of_a_stop_that_was_told_before_it_came_has_the_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot comes back into reach: a peer tells the stop of 60 s ago, then the latch arrives."""
+    now = boottime()
+    monkeypatch.setattr("swarmd.daemon.incidents.boottime", lambda: now)
+    service = Service(tmp_path)
+    service.keep(frames.EventEntry(now, "x"))
+    service.tell(incident("a" * 12, "r2", IncidentKind.ESTOP), giver="r2", age=60.0)
+    await service.advance(0.1)
+    assert service.files() == {"a" * 12}
+    now += 0.5
+    braked = now
+    ring = service.recorder.ring
+    assert ring is not None
+    ring.write(frames.batch([frames.encode(frames.EventEntry(braked, "it brakes"))]))
+    service.service._begin(Found(IncidentKind.ESTOP, "emergency stop by anna", "a" * 12))
+    await service.threads()
+    now += 20.0
+    service.service.advance(now)
+    await service.threads()
+    head = service.heads()["a" * 12]
+    assert head.incident.by == "r1"
+    assert head.at == braked
+    assert head.end >= braked

@@ -371,6 +371,34 @@ def test_a_sector_that_freezes_as_odometry_is_reset_is_found_after_it() -> None:
     assert "equal ranges" in driven(0.6, 0.1, is_frozen=True)[-1]
 
 
+@pytest.mark.parametrize(
+    ("side", "turn", "every"),
+    [(0.2, 0.0, 1.0), (0.4, 0.0, 1.0), (0.4, 0.0, 2.0), (0.0, 0.4, 1.0), (0.0, 0.4, 2.0)],
+)
+def test_odometry_that_shifts_again_and_again_hides_no_frozen_half(
+    side: float, turn: float, every: float
+) -> None:
+    """One reset ends what is compared by motion; shifts to and fro (m, rad; s) must not."""
+    sensors = Sensors(BURGER)
+    kept: Array | None = None
+    for step in range(1, 280):  # 2.8 m at 0.2 m/s
+        time = round(0.05 * step, 9)
+        x = 0.2 * time - 1.5
+        there = int(time / every) % 2
+        pose = Pose(x, 0.3 + side * there, turn * there)
+        sensors.on_odometry(Odometry(time, pose, Twist(0.2)), time)
+        if step % 4:
+            continue
+        ranges = scan_of(BURGER, room=4.0, pose=Pose(x, 0.3, 0.0)).ranges
+        noise = np.random.default_rng(step).normal(0.0, 0.004, len(ranges))
+        ranges = np.where(np.isfinite(ranges), ranges + noise, 0.0)
+        if x > -1.0:
+            kept = ranges if kept is None else kept
+            ranges = np.where(HALF, kept, ranges)
+        sensors.on_scan(scan_from(BURGER, ranges, SPEC.bearings, seq=step // 4), time)
+    assert sensors.blind_text
+
+
 def test_a_sector_that_was_blind_before_a_reset_stays_so() -> None:
     """A reset ends comparisons, no finding: else a sensor would be trusted after each reset."""
     sectors = BlindSectors(SPEC)

@@ -348,7 +348,7 @@ class Operator(Closing):
             to_dial = discovery.to_dial(now)
         for (robot, instance), address in to_dial.items():
             if robot in robots:
-                lease = self._lease(goal_id, count, robot, bytes.fromhex(instance))
+                lease = self._lease(goal_id, count, robot, _instance(instance))
                 self._datagrams.send(lease, (address,), is_to_all=False)
 
     def _lease(self, goal_id: str, count: int, robot: str, instance: bytes) -> RunLease:
@@ -589,3 +589,11 @@ class Operator(Closing):
         else:
             return False
         return True
+
+
+def _instance(text: str) -> bytes:
+    """The bytes of an instance; none of what a robot reports of another one as its instance."""
+    try:
+        return bytes.fromhex(text)
+    except ValueError:
+        return b""

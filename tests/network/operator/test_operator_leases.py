@@ -6,9 +6,13 @@ from collections.abc import Iterator
 
 import pytest
 
+from swarmd.core.messages import Member, PeerView, Presence
 from swarmd.network.datagram import (
+    PRESENCES,
     Address,
     Beacon,
+    MemberList,
+    MemberReport,
     OnDatagram,
     RunLease,
     Solicit,
@@ -24,6 +28,7 @@ from swarmd.network.signature import Author
 from swarmd.security.identity import authority_of
 from swarmd.security.roster import Role
 from tests.network.keyring import Keyring
+from tests.support.statuses import make_member
 
 AHEAD = 500.0  # s, of the clock of the robot
 ADDRESS: Address = ("127.0.0.1", 7440)
@@ -152,3 +157,25 @@ def test_no_lease_goes_to_a_robot_that_is_not_named(monkeypatch: pytest.MonkeyPa
     with made.operator:
         made.operator.send_lease("goal", 1, ("r2",))
         assert made.robot.leases == []
+
+
+def test_an_instance_that_a_robot_reports_of_another_is_not_believed(leasing: Leasing) -> None:
+    """A robot that is heard through others alone: its instance is the word of one of them."""
+    discovery = leasing.operator._discovery
+    assert discovery is not None
+    status = make_member("wolf").status
+    assert status is not None
+    report = MemberReport(
+        robot="r2",
+        instance=b"robot2",
+        presence=PRESENCES.index(Presence.ALIVE),
+        age=0,
+        host="127.0.0.1",
+        port=7441,
+    )
+    now = leasing.robot.now
+    discovery.on_member_list(MemberList(robot="r1", instance=b"robot1", members=(report,)), now)
+    member = Member(robot="r2", instance="zz", presence=Presence.ALIVE, age=0.0)
+    discovery.on_view(PeerView(robot="wolf", status=status, members=(member,)), now + 0.1)
+    leasing.renew(1, 0.2)
+    assert [lease.count for lease in leasing.robot.leases] == [1]
