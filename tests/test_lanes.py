@@ -140,8 +140,12 @@ def test_all_lanes_run_and_the_last_line_sums_them_up(
 
 
 def planned(*words: str) -> str:
-    """The recipes of `make`, which does nothing."""
-    environ = {name: text for name, text in os.environ.items() if name != "MAKEFLAGS"}
+    """The recipes of `make`, which does nothing.
+
+    A `make` that runs this test exports what its command line sets, as `.ci/run` does with YOUNG.
+    """
+    of_make = {"MAKEFLAGS", "MAKEOVERRIDES", "ALL", "ARGS", "JOBS", "YOUNG"}
+    environ = {name: text for name, text in os.environ.items() if name not in of_make}
     command = ["make", "--dry-run", *words]
     return subprocess.run(
         command, cwd=ROOT, env=environ, capture_output=True, text=True, check=True

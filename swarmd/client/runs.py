@@ -278,7 +278,8 @@ def _send_start(targeted: TargetedView, goal: Goal, start: _Start) -> Outcome:
     # A robot replies when it starts, or at once if it refuses. So each reply before the start is a
     # refusal, and a robot without a reply would start.
     would_start = epochs.keys() - outcome.replies.keys()
-    if is_withdrawn and would_start:
+    # A wait that ends since this process stood still has not asked for a cancellation.
+    if would_start and (is_withdrawn or is_cancelled_before_start()):
         raise SwarmError(stop_on_interrupt(session, would_start, "start cancelled"))
     return outcome
 

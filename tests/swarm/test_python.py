@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import itertools
 import math
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -419,6 +421,26 @@ async def test_a_start_that_is_cancelled_before_its_moment_does_not_happen(
         assert "1 targeted, 1 applied" in caplog.text  # the stop
         started = await typed(lambda: swarm.run("drive", "r1"))
         assert started.applied == ("r1",)  # and not: still loading
+
+
+async def test_a_start_that_is_cancelled_while_its_process_stands_still_does_not_happen(
+    name: str, shared_swarm: Swarm
+) -> None:
+    before = shared_swarm.status("r1").epoch.revision
+    async with swarmd.connect(name) as swarm:
+        start = asyncio.create_task(swarm.run("drive", "r1", at=40.0))
+        asked = await asyncio.to_thread(
+            shared_swarm.await_status, "r1", "asked", lambda one: one.epoch.revision > before
+        )
+        go_on = subprocess.Popen(["sh", "-c", f"sleep 1.8; kill -CONT {os.getpid()}"])
+        start.cancel()
+        await asyncio.sleep(0.0)
+        os.kill(os.getpid(), signal.SIGSTOP)
+        go_on.wait()
+        with pytest.raises(asyncio.CancelledError):
+            await start
+        await asyncio.to_thread(wait_until, lambda: not is_handed_over(), "its thread has ended")
+        assert shared_swarm.status("r1").epoch.revision > asked.epoch.revision
 
 
 def test_closing_ends_what_another_thread_waits_for(name: str) -> None:
