@@ -203,7 +203,8 @@ def dask_cluster(address: str, *, warn: Callable[[str], object] = str) -> Iterat
     import dask
 
     # Dask would log, with its stack, each loss that is reported in one line.
-    levels = dict.fromkeys(("distributed", "distributed.client"), "critical")
+    names = ("distributed", "distributed.client", "tornado.application")
+    levels = dict.fromkeys(names, "critical")
     with dask.config.set({"logging": levels}):
         from distributed import Client, Security
         from distributed.comm.addressing import resolve_address

@@ -166,8 +166,13 @@ def _overridden(
     layers = _layers_of(sources, overrides, override_source)
     file = layers.build(ScenarioFile)
     if file.pattern is not None:
-        if overrides and layers.source("pattern") == override_source:
-            sources = _with_one_pattern(layers, file, file.pattern, sources)
+        names = [name for name, _ in sources]
+        source = layers.source("pattern")
+        # Of an override, or of a file that extends others.
+        first = names.index(source) + 1 if source in names else 0
+        if first < len(sources):
+            weaker = _with_one_pattern(layers, file, file.pattern, sources[first:])
+            sources = (*sources[:first], *weaker)
             layers = _layers_of(sources, overrides, override_source)
             file = layers.build(ScenarioFile)
         pattern = str(file.pattern)

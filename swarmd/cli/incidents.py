@@ -197,7 +197,8 @@ def _rows(one: SwarmIncident, found: Incidents) -> list[tuple[str, ...]]:
     when = NOTHING if one.age is None else f"{seconds(one.age)} ago"
     rows = [_row(one, account, when) for account in one.accounts]
     first = rows[0]
-    return [(*first[:4], _kept_by(one, found.answered), first[-1]), *rows[1:]]
+    expected = (*found.answered, one.incident.robot)
+    return [(*first[:4], _kept_by(one, expected), first[-1]), *rows[1:]]
 
 
 def _row(one: SwarmIncident, account: Account, when: str) -> tuple[str, ...]:
@@ -217,11 +218,11 @@ def _says(account: Account) -> str:
     return f"as {shortened(', '.join(account.tellers))} {verb}"
 
 
-def _kept_by(one: SwarmIncident, answered: Sequence[str]) -> str:
-    """Which robots keep their minute, of those that answered: `6 of 7, not tb3-02`."""
+def _kept_by(one: SwarmIncident, expected: Sequence[str]) -> str:
+    """Which robots keep their minute, of those of the swarm: `6 of 7, not tb3-02`."""
     keepers = [robot for robot, kept in one.kept.items() if kept.size]
     awaited = [robot for robot, kept in one.kept.items() if not kept.size]
-    others = sorted(set(answered) - one.kept.keys())
+    others = sorted(set(expected) - one.kept.keys())
     count = len(keepers) + len(awaited) + len(others)
     text = f"all {count}" if len(keepers) == count else f"{len(keepers)} of {count}"
     if others and len(keepers) < len(others):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, cast
 
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, NetworkError
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 DEFAULT_SWARM = "default"
 KEYLESS_LOOK = 3.0
 """s to look for robots without keys, if it cannot be known whether the swarm has keys."""
+_OTHER_OPTIONS = (
+    "a line with other options goes first: swarmctl --swarm NAME --profile PROFILE --interface"
+    " INTERFACE estop"
+)
 _WITHOUT_FILE = "a line with --swarm NAME does without it: swarmctl --swarm NAME estop"
 
 
@@ -133,6 +137,8 @@ class NetworkOptions:
         from swarmd.network.operator.operator import Operator
 
         found = self.found_network(needs_file=needs_file)
+        if found.settings.interface is not None and self.interface is None:
+            _check_interface(found.settings.interface)
         way = _way(found.settings)
         for fault in found.faults:
             if fault != found.doubt:
@@ -176,7 +182,12 @@ class NetworkOptions:
         doubt = fault if is_partial else ""
         faults = (fault,) if fault else ()
         if options.config is None:
-            found = options._of_options(doubt)
+            try:
+                found = options._of_options(doubt)
+            except ConfigError as error:
+                if options.profile == self.profile and options.seeds == self.seeds:
+                    raise
+                raise ConfigError(f"{error} (by the context in use); {_OTHER_OPTIONS}") from error
         else:
             # A file that the environment or the context names is like a context; one of the line
             # was meant. $SWARM counts less than the swarm that a file of the line names.
@@ -211,7 +222,7 @@ class NetworkOptions:
         try:
             layers = layered(config, overrides, os.environ)
             file = layers.build(DaemonFile, check)
-        except (ConfigError, OSError) as error:
+        except (ConfigError, OSError, ValueError) as error:  # ValueError: NUL in a path
             raise _FileFault(str(error)) from error
         # The line decides about keys.
         folder = None if self.insecure else path_of(layers, "identity", file.identity, config)
@@ -239,6 +250,18 @@ class NetworkOptions:
             settings.swarm, self.identity, doubt, insecure=self.insecure
         )
         return FoundNetwork(settings, (), identity, doubt=doubt)
+
+
+def _check_interface(interface: str) -> None:
+    """NetworkError, with the command that works, if the interface of a file is absent here."""
+    from swarmd.network.carriers.interface_watch import index_of
+
+    try:
+        index_of(interface)
+    except NetworkError as error:
+        raise NetworkError(
+            f"{error} (by the context or swarm file in use); {_OTHER_OPTIONS}"
+        ) from error
 
 
 class _FileFault(ConfigError):

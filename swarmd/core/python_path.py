@@ -23,7 +23,7 @@ def replaced_modules(environ: Mapping[str, str] = os.environ) -> dict[str, Path]
         own.update(_modules_in(Path(sysconfig.get_path(key))))
     found: dict[str, Path] = {}
     for entry in filter(None, environ.get("PYTHONPATH", "").split(os.pathsep)):
-        folder = Path(entry).absolute()
+        folder = Path(os.path.abspath(entry))  # as Python makes it
         if str(folder) in {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}:
             continue
         for name in _modules_in(folder):

@@ -124,6 +124,7 @@ class Changes:
         self._repeats: dict[type[Input], _Repeats] = {}
         self._regular: dict[type[Input], tuple[float, float]] = {}  # the last time, and the period
         self._noted: set[str] = set()
+        self._requests: set[str] = set()  # the ids of those that were told
         self._end = 0.0
 
     def take_input(self, input: Input, at: float) -> None:
@@ -139,6 +140,10 @@ class Changes:
             return
         if isinstance(input, NoteInput):
             self._noted.add(input.text)
+        if isinstance(input, RequestInput):
+            if input.request.id in self._requests:  # robots repeat a stop for a minute
+                return
+            self._requests.add(input.request.id)
         fact = _fact_of(input)
         if fact is not None and self._tracks.get(fact[0]) != fact[1]:
             self._tracks[fact[0]] = fact[1]

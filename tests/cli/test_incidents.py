@@ -179,6 +179,15 @@ def test_of_whom_an_incident_is_kept_is_said_by_the_shorter_list(
     assert line[head.index("KEPT BY") : head.index("WHY")].strip() == text
 
 
+def test_the_robot_of_an_incident_is_missed_though_it_does_not_answer(robots: Robots) -> None:
+    """A killed robot: its own minute is the one that is looked for."""
+    one = keeps(by("tb3-01", "tb3-03 is not heard", "silent"))
+    one = structs.replace(one, incident=structs.replace(one.incident, robot="tb3-03"))
+    robots.replies = {name: reply(name, one) for name in ("tb3-01", "tb3-02")}
+    head, line, _ = robots.swarmctl("incidents")[1].splitlines()
+    assert line[head.index("KEPT BY") : head.index("WHY")].strip() == "2 of 3, not tb3-03"
+
+
 def test_an_incident_that_several_robots_had_names_how_many(robots: Robots) -> None:
     """Each robot of an emergency stop or a mark has it, and notes it as its own."""
     names = [f"tb3-{n:02}" for n in range(1, 13)]

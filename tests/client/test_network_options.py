@@ -197,6 +197,12 @@ BROKEN: dict[str, tuple[Break, Result]] = {
     "contexts with bytes": (written(CONTEXTS, b"\xff\xfe\x00use"), "told"),
     "contexts of a newer version": (written(CONTEXTS, NEWER), "told"),
     "contexts with a newer key": (written(CONTEXTS, NEWER_OUTSIDE), "told"),
+    "contexts that use a list": (written(CONTEXTS, b"use: [1]\ncontexts: {}\n"), "told"),
+    "contexts that use a map": (written(CONTEXTS, b"use: {a: b}\ncontexts: {}\n"), "told"),
+    "a context with a NUL in a path": (
+        written(CONTEXTS, b'use: lab\ncontexts: {lab: {swarm: meadow, config: "/a\\0b"}}\n'),
+        "told",
+    ),
     "contexts a folder": (a_folder(CONTEXTS), "told"),
     "contexts a link": (leading_nowhere(CONTEXTS), "told"),
     "settings a link": (moved_away(CONFIG), "told"),
@@ -378,6 +384,31 @@ def test_the_options_of_the_context_of_the_swarm_count_as_far_as_they_are_known(
 ) -> None:
     (home / CONTEXTS).write_bytes(NEWER)
     assert result_of((*MEADOW, "estop"))[0] == "told"
+    assert sending.sent == [("meadow", "field", None)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        b"profile: field, interface: gone9",
+        b'profile: field, interface: "a\\0b"',
+        b"seeds: [tcp/host:7440]",
+    ],
+)
+def test_a_network_of_the_context_that_this_machine_lacks_is_named_with_another_line(
+    options: bytes, home: Path, sending: type[Sending]
+) -> None:
+    """An interface that was unplugged; seeds in the profile of this machine alone."""
+    text = b"use: lab\ncontexts:\n  lab: {swarm: meadow, " + options + b"}\n"
+    (home / CONTEXTS).write_bytes(text)
+    done = swarmctl(*MEADOW, "estop")
+    assert done.code in (2, 6)
+    assert done.err.count("\n") == 1
+    assert "context" in done.err
+    assert "swarmctl --swarm NAME --profile PROFILE --interface INTERFACE estop" in done.err
+    assert sending.sent == []
+    done = swarmctl(*MEADOW, "--profile", "field", "--interface", "lo", "estop")
+    assert done.code == 0, done
     assert sending.sent == [("meadow", "field", None)]
 
 

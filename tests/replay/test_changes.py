@@ -136,6 +136,14 @@ def test_a_slow_sensor_is_not_silent() -> None:
     assert told(changes) == []
 
 
+def test_a_stop_that_robots_repeat_is_told_once() -> None:
+    changes = Changes()
+    for at in (1.0, 1.25, 30.0):
+        changes.take_input(RequestInput(StopRequest(id="r", operator="anna")), at)
+    changes.take_input(RequestInput(StopRequest(id="s", operator="anna")), 31.0)
+    assert [at for at, _ in told(changes)] == [1.0, 31.0]
+
+
 def test_what_happens_once_has_a_line_each_in_the_order_of_time() -> None:
     changes = Changes()
     changes.take_input(DriverInput(is_up=True, text=""), 1.0)

@@ -228,7 +228,7 @@ def index_of(interface: str) -> int:
     """The number of an interface. Raises NetworkError in one line if the interface is absent."""
     try:
         return socket.if_nametoindex(interface)
-    except OSError:
+    except (OSError, ValueError):  # ValueError: a NUL in the name
         known = ", ".join(sorted(name for _, name in socket.if_nameindex()))
         raise NetworkError(
             f"no network interface {interface!r} on this machine; there are: {known}"

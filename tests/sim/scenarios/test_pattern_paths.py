@@ -137,6 +137,18 @@ def test_pattern_as_an_override_replaces_the_one_pattern_of_a_scenario(
     assert (scenario.events[-1].pattern, scenario.events[-1].parameters) == ("wall", {})
 
 
+def test_pattern_of_a_file_replaces_that_of_the_file_that_it_extends(
+    mine: Path, tmp_path: Path
+) -> None:
+    """As `exp tune --pattern` writes its result."""
+    tuned = tmp_path / "tuned.yaml"
+    tuned.write_text(
+        "extends: aggregation\npattern: mine/wall.py\ngroups: {tb3: {parameters: {speed: 0.2}}}\n"
+    )
+    group = load_scenario(str(tuned)).effective["groups"]["tb3"]
+    assert (group["pattern"], group["parameters"]) == ("wall", {"speed": 0.2})
+
+
 def test_pattern_as_an_override_says_which_groups_it_cannot_tell_apart(
     load: Load, mine: Path
 ) -> None:
