@@ -184,8 +184,9 @@ def readable_part(swarm: str, environ: Mapping[str, str] = os.environ) -> Contex
     except ConfigError:
         return None
     contexts, name = data.get("contexts"), environ.get(ENVIRONMENT) or data.get("use")
-    is_named = isinstance(contexts, dict) and isinstance(name, str)
-    options = contexts.get(name) if is_named else None
+    if not isinstance(contexts, dict) or not isinstance(name, str):
+        return None
+    options = contexts.get(name)
     if not isinstance(options, dict) or options.get("swarm") != swarm:
         return None
     context, faults = read(options, Context)
