@@ -181,12 +181,14 @@ def stepped(kind: type[Pattern[Params]]) -> Mapping[str, object]:
 
 @pytest.fixture(autouse=True)
 def nothing_stays_imported() -> Iterator[None]:
-    """Modules and finders of plugins do not outlive a test."""
+    """Modules and finders of the plugins of a test do not outlive it; those of others stay."""
     finders = list(sys.meta_path)
+    before = {name for name in sys.modules if name.startswith("swarmd_plugin_")}
     yield
     sys.meta_path[:] = finders
     for name in [name for name in sys.modules if name.startswith("swarmd_plugin_")]:
-        del sys.modules[name]
+        if name not in before:
+            del sys.modules[name]
 
 
 def test_the_folder_of_a_pattern_is_a_package_also_for_imports_of_a_method(tmp_path: Path) -> None:
