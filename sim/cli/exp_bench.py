@@ -79,7 +79,8 @@ def bench(
     input that the pattern needs; a line on stderr names the pattern. Before the runs, a line
     estimates the time.
 
-    Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
+    Exit code 0 if every run finished, 3 if some failed, 1 if all failed. A run in which a pattern
+    raised an error counts as failed here, and its results are kept.
     """
     # 1. The plans: a sweep of the pattern for each task.
     need("mujoco")
@@ -131,6 +132,9 @@ def bench(
             for run, reason in list(results.failures.items())[:1]:
                 failed = counted(len(results.failures), "run")
                 warn(f"failed: {failed}; the first, {run}: {reason}")
+            for run, fault in list(results.pattern_faults.items())[:1]:
+                failed = counted(len(results.pattern_faults), "run")
+                warn(f"{fault} of run {run}: a pattern failed in {failed} of {task}")
 
     # 3. The table, the number of runs, and the exit code.
     listed = [standing for results in done for standing in standings(results)]
@@ -142,9 +146,10 @@ def bench(
     warn_of_few(standing.summary.n for standing in listed)
     runs = sum(len(plan.runs) for plan, _ in planned)
     finished = sum(len(results.runs) for results in done)
+    faultless = finished - sum(len(results.pattern_faults) for results in done)
     duration = time_span(time.monotonic() - start_time)
     warn(f"{finished} of {counted(runs, 'run')} done after {duration}; results: {folder}/TASK/")
-    ctx.exit(exit_code(finished, is_complete=finished == runs))
+    ctx.exit(exit_code(faultless, is_complete=faultless == runs))
 
 
 def _patterns_and_folder(

@@ -221,6 +221,26 @@ def test_bench_prints_one_table_and_resumes(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.integration
+@pytest.mark.long
+def test_a_pattern_that_fails_in_each_robot_is_no_result_of_bench(tmp_path: Path) -> None:
+    """One run, so that no trial of its first second refuses it before."""
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "broken.py").write_text(
+        "from swarmd.api import Inputs, MovementPattern, Params, Twist\n\n"
+        "class Broken(MovementPattern[Params]):\n"
+        "    def drive(self, inputs: Inputs) -> Twist:\n"
+        "        raise ValueError('no way')\n"
+    )
+    words = ["bench", write(tmp_path, _short), "--pattern", str(mine / "broken.py")]
+    done = CliRunner().invoke(
+        exp, [*words, "--seeds", "1", "-j", "1", "--out", str(tmp_path / "out")]
+    )
+    assert done.exit_code == 1
+    assert "no way" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "subject"),
     [
