@@ -59,7 +59,7 @@ class Run(Struct, frozen=True, kw_only=True):
         """
         if isinstance(self.pattern, str) and is_pattern_path(self.pattern):
             raise ConfigError(
-                f"{self.pattern} is a file here, and robots run what they have: send it by"
+                f"{self.pattern!r} is a path, and robots run what they have: send the file by"
                 f" `swarmctl plugin push {self.pattern} ..`, then run it by its name"
             )
         if not isinstance(self.pattern, str) or not is_id(self.pattern):

@@ -327,7 +327,7 @@ def test_a_plugin_that_ends_its_process_is_named_and_others_are_shown(tmp_path: 
     errors = {name: row["error"] for name, row in rows.items() if "error" in row}
     assert errors == {
         "ends": "the process that imports it ended with code 3",
-        "gives_up": "SystemExit: not here",
+        "gives_up": "SystemExit: not here (gives_up.py:1)",
         "hangs": "the process that imports it is not done after 8 s (hangs.py:2)",
         "is_killed": "the process that imports it was killed by SIGKILL",
     }

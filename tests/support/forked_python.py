@@ -229,6 +229,7 @@ def _enter(request: dict[str, Any], descriptors: list[int]) -> None:
 
 
 if __name__ == "__main__":
+    Path("/proc/self/comm").write_text(COMM)  # `children` does not count it; forks have their own
     for lazy in _LAZY_IMPORTS:
         __import__(lazy)
     _serve_and_run(socket.socket(fileno=int(sys.argv[1])), MODULES)
