@@ -400,3 +400,44 @@ class Protection:
             return self._min_gap
         ring_gap = float(self._footprint.gaps(self._ring_points).min())
         return ring_gap if self._min_gap is None else min(self._min_gap, ring_gap)
+
+
+@cython.final
+@cython.cclass
+class ProtectionView:
+    """What steering may read of the protection of its robot. It makes no decision.
+
+    Each method is that of `Protection`.
+    """
+
+    _protection: Protection
+
+    def __init__(self, protection: Protection) -> None:
+        self._protection = protection
+
+    @property
+    def mode_command(self) -> Twist:
+        """The last command of the mode."""
+        return self._protection.mode_command
+
+    def clearance(self, speed: float) -> Clearance | None:
+        """The free room that the mode needs to drive at `speed` m/s; None: it has no such bound."""
+        return self._protection.clearance(speed)
+
+    def wall_patience(self, now: float) -> float:
+        """s until walls that are near have stood; 0 without such walls."""
+        return self._protection.wall_patience(now)
+
+    def clip(self, requested: Twist | None) -> Twist:
+        """The request within the limits; zero without a finite request."""
+        return self._protection.clip(requested)
+
+    def permitted(
+        self, context: DecisionContext, touch: TouchZone | None, requested: Twist
+    ) -> Twist:
+        """What the mode would permit of any requested command in the situation of `context`."""
+        return self._protection.permitted(context, touch, requested)
+
+    def points(self, context: DecisionContext, reach: float) -> Array:
+        """(k, 2) returns within `reach` m, in m in the base frame."""
+        return self._protection.points(context, reach)

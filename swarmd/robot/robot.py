@@ -48,13 +48,14 @@ from swarmd.robot.status import decision_summary, make_status, status_reason
 from swarmd.robot.timeouts import STATUS_PERIOD
 
 if TYPE_CHECKING:
-    from swarmd.protection.protection import Protection
+    from swarmd.protection.protection import Protection, ProtectionView
     from swarmd.robot.effects import Effects
     from swarmd.robot.pattern_run import PatternRun
     from swarmd.robot.steers import MakeKin, MakeSteering
     from swarmd.robot.ticker import DutyCycle, Ticker
 else:
-    Protection = load_kernel("swarmd.protection.protection").Protection
+    protections = load_kernel("swarmd.protection.protection")
+    Protection, ProtectionView = protections.Protection, protections.ProtectionView
     PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
     _kernel = load_kernel("swarmd.robot.ticker")
     DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker
@@ -120,7 +121,7 @@ class Robot(Ticker):
             make_kin=make_kin,
         )
         self._protection = Protection(platform, settings.layers.values())
-        self._steering = make_steering(platform, self._protection, f"{seed}/{id}")
+        self._steering = make_steering(platform, ProtectionView(self._protection), f"{seed}/{id}")
         identity = RobotIdentity(
             robot=id, platform=platform, setup=setup, seed=seed, instance=instance
         )
@@ -411,6 +412,13 @@ class Robot(Ticker):
         events = self._protection.events
         while events:
             self._lifecycle.log(events.pop(0), now)
+
+    def _log_steering(self, error: Exception, now: float) -> None:
+        """Log that steering raised an error or gave a wrong answer, for which the robot stands."""
+        why = " ".join(str(error).split())
+        text = f"steering failed, the robot stands: {type(error).__name__}: {why}"
+        self._events.log("steering", text, now)
+        self._events.advance(now)
 
     def _log_following(self, text: str, now: float) -> None:
         self._is_off_command = bool(text)

@@ -8,10 +8,15 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 from swarmd.core.messages import Reason
 from swarmd.core.told import Told
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
+from swarmd.protection.decision import (
+    NO_PERMIT,
+    DecisionContext,
+    Permit,
+    Steered,
+)
 
 if TYPE_CHECKING:
-    from swarmd.protection.protection import Protection
+    from swarmd.protection.protection import ProtectionView
 
 
 class MovingObject(Protocol):
@@ -28,7 +33,9 @@ class MovingObject(Protocol):
 class Steers(Protocol):
     """Asks protection for another command where the request leads nowhere.
 
-    It cannot weaken protection, which judges what is asked like any request.
+    The robot hands what is asked to protection, which judges it like any request. So steering
+    cannot weaken protection. The robot stands while `steer` raises an error, or gives anything else
+    than a `Steered` with a finite command.
     """
 
     must_track: bool
@@ -40,15 +47,15 @@ class Steers(Protocol):
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading."""
 
-    def decide(
+    def steer(
         self,
         requested: Twist | None,
         context: DecisionContext,
         is_running: bool,
         hold: Reason | None,
         permit: Permit = NO_PERMIT,
-    ) -> Decision:
-        """The decision of protection on the request, or on what is asked in its place."""
+    ) -> Steered | None:
+        """What is asked of protection in place of the request; None: the request itself."""
 
     def tracks(self, context: DecisionContext) -> Iterable[MovingObject] | None:
         """The tracked objects; None while nothing is tracked."""
@@ -78,5 +85,5 @@ class NamesPeers(Protocol):
 
 MakeKin: TypeAlias = "Callable[[float, int], NamesPeers]"
 """Makes what names peers; see `Kin`."""
-MakeSteering: TypeAlias = "Callable[[Platform, Protection, str], Steers]"
-"""Makes steering for a robot: its platform, its protection, and a seed for random choices."""
+MakeSteering: TypeAlias = "Callable[[Platform, ProtectionView, str], Steers]"
+"""Makes steering for a robot: its platform, a view of its protection, and a seed."""

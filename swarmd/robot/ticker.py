@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.clock import STALL_TIMEOUT
 from swarmd.core.events import HostInput
 from swarmd.core.host_messages import Step, Stepped
 from swarmd.core.messages import Reason, State
+from swarmd.core.values import ZERO, Twist
+from swarmd.protection.decision import NO_PERMIT, Steered
 from swarmd.robot import timeouts
 from swarmd.robot.actions import Actions
 from swarmd.robot.effects import Effects
@@ -37,9 +40,9 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, isnan
+    from cython.cimports.libc.math import INFINITY, fabs, isnan
 else:
-    from swarmd.core.cython_shadow import INFINITY, isnan
+    from swarmd.core.cython_shadow import INFINITY, fabs, isnan
 
 _MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
 _STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
@@ -49,7 +52,35 @@ _RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, 
 _Actions = cython.declare(object, Actions)
 _HostInput = cython.declare(object, HostInput)
 _Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
+_no_permit = cython.declare(object, NO_PERMIT)
+_Steered, _Twist = cython.declare(object, Steered), cython.declare(object, Twist)
+_Avoided, _WayState = cython.declare(object, Avoided), cython.declare(object, WayState)
+_stand = cython.declare(object, Steered(ZERO))  # asked in place of steering that failed
 _STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale until the alarm
+
+
+@cython.cfunc
+@cython.exceptval(-1)
+def _check_steered(steered: Any) -> cython.int:
+    """Raise TypeError or ValueError unless all that steering gave is of the declared types."""
+    if type(steered) is not _Steered or type(steered.is_recovering) is not bool:
+        raise TypeError("it gave something else than what it asks (Steered)")
+    twist, avoided = steered.twist, steered.avoided
+    if type(twist) is not _Twist:
+        raise TypeError("it asks something else than a command (Twist)")
+    linear: cython.double = twist.linear
+    angular: cython.double = twist.angular
+    lateral: cython.double = twist.lateral
+    if not (fabs(linear) < INFINITY and fabs(angular) < INFINITY and fabs(lateral) < INFINITY):
+        raise ValueError(f"it asks {linear:g}, {angular:g} and {lateral:g} m/s and rad/s")
+    if avoided is not None:
+        if type(avoided) is not _Avoided or type(avoided.way) is not _WayState:
+            raise TypeError("it avoids something else than an object or an opening (Avoided)")
+        bearing: cython.double = avoided.bearing
+        distance: cython.double = avoided.distance
+        if not (fabs(bearing) < INFINITY and fabs(distance) < INFINITY):
+            raise ValueError(f"it avoids something at {bearing:g} rad and {distance:g} m")
+    return 0
 
 
 @cython.cclass
@@ -362,20 +393,27 @@ class Ticker:
 
     @cython.ccall
     def _decide(self, hold: Reason | None, now: cython.double) -> Decision:
+        """Decide on the safe command. Protection decides last, on what steering asks."""
         running = self._run.running
         context = InputAges.context(self._sensors, now)
-        if running is None:
-            decision = self._steering.decide(None, context, False, hold)
-        else:
-            decision = self._steering.decide(
-                running.requested,
-                context,
-                self._machine.state is _RUNNING,
-                hold,
-                # A hold permits nothing, and a restart of the pattern is a hold.
-                running.permit if hold is None else NOTHING_PERMITTED,
-            )
-        self.decided_at, self.decision = now, decision
+        requested: Twist | None = None
+        is_running: cython.bint = False
+        permit = _no_permit
+        if running is not None:
+            requested = running.requested
+            is_running = self._machine.state is _RUNNING
+            # A hold permits nothing, and a restart of the pattern is a hold.
+            permit = running.permit if hold is None else NOTHING_PERMITTED
+        try:
+            steered = self._steering.steer(requested, context, is_running, hold, permit)
+            if steered is not None:
+                _check_steered(steered)
+        except Exception as error:
+            self._log_steering(error, now)  # type: ignore[attr-defined]  # of Robot
+            steered = _stand
+        decision = self._protection.decide(requested, context, is_running, hold, permit, steered)
+        self.decided_at = now
+        self.decision = decision
         return decision
 
     def wake_at(self, now: cython.double) -> float | None:

@@ -1,8 +1,8 @@
 """Steering: asks protection for another command where the request leads nowhere.
 
 Right of way, avoidance and recovery may replace a request by a candidate, one after the other.
-Protection judges the candidate like any request, so steering may be wrong: it cannot weaken
-protection, and protection imports nothing of it.
+The robot hands the candidate to protection, which judges it like any request. So steering may be
+wrong: it cannot weaken protection, and protection imports nothing of it.
 
 A kernel (see `core/kernels.py`), since each request passes it. Other modules load it, compiled or
 interpreted.
@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from swarmd.core.avoided import Avoided
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Platform, Scan, TouchZone, Twist
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
+from swarmd.protection.decision import NO_PERMIT, DecisionContext, Permit, Steered
 from swarmd.steering.avoidance import Avoidance
 from swarmd.steering.recovery import NO_OTHERS, Allows, Others, Points, Recovery
 from swarmd.steering.right_of_way import RightOfWay
@@ -28,7 +28,7 @@ from swarmd.steering.tracks import ScanReturns, Track, Tracker
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 
-    from swarmd.protection.protection import Protection
+    from swarmd.protection.protection import ProtectionView
 else:
     from swarmd.core import cython_shadow as cython
 
@@ -38,13 +38,13 @@ _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery c
 
 @cython.cclass
 class Steering:
-    """Asks `protection` for the command of one robot. A mode without clearances is not steered.
+    """Gives what protection is asked for one robot. A mode without clearances is not steered.
 
     The stored state follows from the calls alone, so that a recording can be replayed. `seed` seeds
     the random choices of recovery and right of way.
     """
 
-    _protection: Protection
+    _protection: ProtectionView
     _offset: Any
     _recovery: Recovery  # None: this robot is not steered
     _is_recovering: cython.bint
@@ -58,7 +58,7 @@ class Steering:
     _odometry: Odometry | None  # the last reading; None without one
     _right_of_way: RightOfWay
 
-    def __init__(self, platform: Platform, protection: Protection, seed: str = "") -> None:
+    def __init__(self, platform: Platform, protection: ProtectionView, seed: str = "") -> None:
         self._protection, self._offset = protection, platform.scan.offset
         clearance = protection.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
         if clearance is not None:
@@ -93,21 +93,21 @@ class Steering:
     def _is_tracking(self) -> cython.bint:
         return self._is_avoiding or (self.must_track and self._recovery is not None)
 
-    def decide(
+    def steer(
         self,
         requested: Twist | None,
         context: DecisionContext,
         is_running: cython.bint,
         hold: Reason | None,
         permit: Permit = NO_PERMIT,
-    ) -> Decision:
-        """The decision of protection on the request, or on what steering asks in its place.
+    ) -> Steered | None:
+        """What steering asks of protection in place of the request; None: the request itself.
 
         Arguments as those of `Protection.decide`; `permit` says what of steering the pattern
         permits.
         """
         if self._recovery is None:
-            return self._protection.decide(requested, context, is_running, hold, permit)
+            return None
         # A hold of a running robot comes without the pattern's permit, so such a hold leaves
         # avoidance as it is.
         if hold is None or not is_running:
@@ -118,14 +118,13 @@ class Steering:
             self._end_recovery()
         else:
             candidate = self._candidate(clipped, context, permit.touch)
-        steered = None
-        if self._is_avoiding or self._is_recovering or candidate is not clipped:
-            steered = Steered(
-                candidate,
-                self._is_recovering != 0,
-                self._avoided(context) if self._is_avoiding else None,
-            )
-        return self._protection.decide(requested, context, is_running, hold, permit, steered)
+        if not (self._is_avoiding or self._is_recovering or candidate is not clipped):
+            return None
+        return Steered(
+            candidate,
+            self._is_recovering != 0,
+            self._avoided(context) if self._is_avoiding else None,
+        )
 
     @cython.cfunc
     def _switch_avoidance(self, is_running: cython.bint, permit: Permit) -> None:

@@ -301,7 +301,7 @@ def test_right_of_way_gets_the_last_reading_before_avoidance_began_and_all_since
         steering.on_odometry(Odometry(float(stamp), Pose(), ZERO))
         context = DecisionContext(float(stamp), 0.0)
         permit = Permit(may_recover=True, avoids=avoids)
-        steering.decide(ZERO, context, is_running=True, hold=None, permit=permit)
+        steering.steer(ZERO, context, is_running=True, hold=None, permit=permit)
     assert readings == [2.0, 3.0, 4.0, 5.0]
 
 

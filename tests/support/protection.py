@@ -26,10 +26,11 @@ class Commander:
     """
 
     def __init__(self, platform: Platform, kernels: tuple[Any, Any] | None = None) -> None:
-        protection = Protection if kernels is None else kernels[0].Protection
-        steering = Steering if kernels is None else kernels[1].Steering
-        self.protection: Protection = protection(platform)
-        self.steering: Steering = steering(platform, self.protection)
+        protection = load_kernel("swarmd.protection.protection") if kernels is None else kernels[0]
+        steering = load_kernel("swarmd.steering.steering") if kernels is None else kernels[1]
+        self.protection: Protection = protection.Protection(platform)
+        view = protection.ProtectionView(self.protection)
+        self.steering: Steering = steering.Steering(platform, view)
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """A conditioned scan."""
@@ -50,4 +51,5 @@ class Commander:
         permit: Permit = NO_PERMIT,
     ) -> Decision:
         """The decision of protection on what steering asks."""
-        return self.steering.decide(requested, context, is_running, hold, permit)
+        steered = self.steering.steer(requested, context, is_running, hold, permit)
+        return self.protection.decide(requested, context, is_running, hold, permit, steered)
