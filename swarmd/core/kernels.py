@@ -69,6 +69,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.barrier_assumptions",
         "swarmd.protection.outline",
         "swarmd.protection.dead_reckoning",
+        "swarmd.protection.surfaces",
         "swarmd.protection.obstacles",
         "swarmd.protection.walls.straight_runs",
         "swarmd.protection.walls.standing_walls",

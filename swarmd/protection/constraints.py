@@ -146,6 +146,7 @@ class PlacedPoints:
     normal_y: cython.double[::1]
     first_row: cython.longlong[::1]  # the index of the first constraint of each point
     in_touch_zone: cython.longlong[::1]  # 1 for a seen point that the robot may touch
+    near_index: cython.longlong[::1]  # of a seen point in `NearObstacles.points`
 
     def __init__(self) -> None:
         self._allocate(96)
@@ -172,6 +173,7 @@ class PlacedPoints:
         self.others, self.kind = doubles(room), indices(room)
         self.normal_x, self.normal_y = doubles(room), doubles(room)
         self.first_row, self.in_touch_zone = indices(room), indices(room)
+        self.near_index = indices(room)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -415,6 +417,7 @@ class Constraints:
                     chunk.radius[in_chunk], chunk.kind[in_chunk] = 0.0, kinds[taken]
                     chunk.others[in_chunk] = assumptions.speed_of(kinds[taken])
                     placed.scan_gap[placed_count + in_chunk] = gaps[taken]
+                    placed.near_index[placed_count + in_chunk] = taken
                     in_chunk += 1
                 taken += 1
             # 2. Adds the constraints of the chunk. The contacts come first in the chunk, and get no

@@ -14,7 +14,14 @@ from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
 from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
 from swarmd.protection.comparisons import maximum
-from swarmd.protection.constraints import ENVELOPE_ROWS, ConstraintRows, PlacedPoints, SpeedAxes
+from swarmd.protection.constraints import (
+    ENVELOPE_ROWS,
+    ConstraintRows,
+    Constraints,
+    PlacedPoints,
+    SpeedAxes,
+)
+from swarmd.protection.obstacles import NearObstacles
 from swarmd.protection.outline import Outline
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -25,6 +32,11 @@ if cython.compiled:
     from cython.cimports.libc.math import hypot
 else:
     from swarmd.core.cython_shadow import hypot
+
+SURFACE_GAP = cython.declare(cython.double, 0.015)
+"""m that a creeping robot keeps to a wide surface, as the scan shows it."""
+SURFACE_TIME = cython.declare(cython.double, 0.5)
+"""s in which a creeping robot may use up the rest of the gap to a wide surface."""
 
 _SLOWEST = cython.declare(cython.double, 1e-12)  # m/s of a corner, by which a speed is divided
 
@@ -105,21 +117,13 @@ class Envelope:
         neighbouring vertices.
         """
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         following: cython.Py_ssize_t
-        outline: Outline = self._outline
         directions: cython.double[:, ::1] = _BOX_DIRECTIONS
 
         # 1. Vertices: each direction is a place on the border of the box of the limits. If a corner
         # is faster than `speed` there, the place moves inwards until no corner is faster.
         for i in range(ENVELOPE_ROWS):
-            linear: cython.double = directions[i, 0] * axes.limit
-            angular: cython.double = directions[i, 1] * axes.angular_limit
-            fastest: cython.double = 0.0
-            for k in range(outline.edges):
-                corner_vx: cython.double = linear * axes.along_x - angular * outline.corner_y[k]
-                corner_vy: cython.double = linear * axes.along_y + angular * outline.corner_x[k]
-                fastest = maximum(fastest, hypot(corner_vx, corner_vy))
+            fastest: cython.double = self.fastest_corner(directions[i, 0], directions[i, 1], axes)
             scale: cython.double = self.speed / maximum(fastest, _SLOWEST)
             if scale > 1.0:
                 scale = 1.0
@@ -137,13 +141,43 @@ class Envelope:
             self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
 
 
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def fastest_corner(
+        self, x: cython.double, y: cython.double, axes: SpeedAxes
+    ) -> cython.double:
+        """The m/s of the fastest corner at a place in the plane of the two speeds."""
+        k: cython.Py_ssize_t
+        outline: Outline = self._outline
+        linear: cython.double = x * axes.limit
+        angular: cython.double = y * axes.angular_limit
+        fastest: cython.double = 0.0
+        for k in range(outline.edges):
+            corner_vx: cython.double = linear * axes.along_x - angular * outline.corner_y[k]
+            corner_vy: cython.double = linear * axes.along_y + angular * outline.corner_x[k]
+            fastest = maximum(fastest, hypot(corner_vx, corner_vy))
+        return fastest
+
+
 @cython.final
 @cython.cclass
 class Creeping:
-    """Raises the caps, so that a robot may creep towards an obstacle that stops a faster robot."""
+    """Raises caps, so that a robot that would stand for an obstacle moves on at creep speed.
+
+    A robot creeps if its best command moves no corner faster than CREEP_SPEED: then the higher caps
+    contain this command, and the slow envelope bounds every place of the outline by CREEP_SPEED,
+    whatever is requested. The caps only keep a creeping robot from touching what it sees:
+
+    - A contact keeps its constraint across the outline, whose cap is 0.
+    - Towards an obstacle the robot may use, until the next decision, half of the gap beyond the
+      distance within which the obstacle may touch it unseen, since the obstacle may use the other
+      half. Within this distance the robot does not close on the obstacle, and its corners pass it.
+    - A wide surface is a wall, or several bodies: no robot's part in a scan plane above its body is
+      as wide. An unseen part of it, which the robot may touch at creep speed, must not hold the
+      robot for good. So the robot keeps SURFACE_GAP to it, as the scan shows it.
+    """
 
     is_possible: cython.bint  # in the present situation
-    cap: cython.double  # m/s, set by `allow`
     is_active: cython.bint
     _kept_cap: cython.double[::1]  # the caps of all constraints before `begin` raised them
     # The envelope while the robot creeps or touches, and the usual envelope near obstacles.
@@ -157,34 +191,53 @@ class Creeping:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def allow(self, placed: PlacedPoints) -> cython.int:
-        """Set `cap`: the speed in m/s at which a robot that creeps may close on any obstacle.
+    def begin(self, constraints: Constraints, near: NearObstacles) -> cython.int:
+        """Use the caps and the envelope of a robot that creeps.
 
-        The cap is CREEP_SPEED, or less near an obstacle: until the next decision, the robot may use
-        half of the gap beyond contact, since the obstacle may use the other half. `placed`: the
-        points of the decision.
+        `constraints`: of the decision. `near`: the near returns of which they were made.
         """
         i: cython.Py_ssize_t
-        self.cap = CREEP_SPEED
-        for i in range(placed.seen):
-            allowed: cython.double = 0.5 * (placed.gap[i] - placed.contact[i])
-            allowed /= placed.age[i] + DECISION_PERIOD
-            self.cap = min(self.cap, allowed)
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def begin(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
-        """Use the caps and the envelope of a robot that creeps."""
-        i: cython.Py_ssize_t
+        point: cython.Py_ssize_t
+        rows: ConstraintRows = constraints.rows
+        placed: PlacedPoints = constraints.placed
+        near.find_surfaces()
         if len(self._kept_cap) < rows.all:
             self._kept_cap = doubles(len(rows.cap))
         for i in range(rows.all):
             self._kept_cap[i] = rows.cap[i]
         for i in range(rows.count):
-            rows.cap[i] = maximum(rows.cap[i], self.cap)
+            point = rows.source[i]
+            if point >= placed.contacts:
+                rows.cap[i] = maximum(rows.cap[i], self._cap(i, point, rows, placed, near))
         self.is_active = True
-        self.slow.put(rows, axes)
+        self.slow.put(rows, constraints.axes)
         return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(-1.0, check=True)
+    def _cap(
+        self,
+        row: cython.Py_ssize_t,
+        point: cython.Py_ssize_t,
+        rows: ConstraintRows,
+        placed: PlacedPoints,
+        near: NearObstacles,
+    ) -> cython.double:
+        """The m/s at which a place of a creeping robot may close on a point that is no contact.
+
+        `row`: the constraint of the place. Its gap is the distance of the place from the point.
+        """
+        gap: cython.double = rows.gap[row]
+        surface_gap: cython.double = near.surface_gap[placed.near_index[point]]
+        if surface_gap == surface_gap:
+            gap += surface_gap - placed.scan_gap[point]  # by the mean place of the return
+            return min((gap - SURFACE_GAP) / SURFACE_TIME, CREEP_SPEED)
+        contact: cython.double = placed.contact[point]
+        if placed.gap[point] <= contact:
+            return 0.0 if row == placed.first_row[point] else CREEP_SPEED
+        room: cython.double = 0.5 * (gap - contact)
+        return min(room / (placed.age[point] + DECISION_PERIOD), CREEP_SPEED)
 
     @cython.cfunc
     @cython.exceptval(-1)
