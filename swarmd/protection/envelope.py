@@ -33,7 +33,7 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import hypot
 
-SURFACE_GAP = cython.declare(cython.double, 0.015)
+SURFACE_GAP = cython.declare(cython.double, 0.01)
 """m that a creeping robot keeps to a wide surface, as the scan shows it."""
 SURFACE_TIME = cython.declare(cython.double, 0.5)
 """s in which a creeping robot may use up the rest of the gap to a wide surface."""
@@ -231,7 +231,7 @@ class Creeping:
         gap: cython.double = rows.gap[row]
         surface_gap: cython.double = near.surface_gap[placed.near_index[point]]
         if surface_gap == surface_gap:
-            gap += surface_gap - placed.scan_gap[point]  # by the mean place of the return
+            gap += surface_gap - placed.scan_gap[point]  # less noise
             return min((gap - SURFACE_GAP) / SURFACE_TIME, CREEP_SPEED)
         contact: cython.double = placed.contact[point]
         if placed.gap[point] <= contact:

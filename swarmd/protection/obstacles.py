@@ -456,7 +456,7 @@ class NearObstacles:
         if len(self.surface_gap) < self.points.count:
             self.surface_gap = doubles(len(self.points.x))
         find_surface_gaps(
-            unsorted.x, unsorted.y, unsorted.gap, self._returns, self._outline, self._unsorted_gap
+            unsorted.x, unsorted.y, unsorted.gap, self._returns, self._unsorted_gap
         )
         for i in range(self._returns, unsorted.count):
             self._unsorted_gap[i] = NAN
