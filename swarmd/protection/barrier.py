@@ -66,11 +66,15 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other one
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import hypot
+    from cython.cimports.libc.math import fabs, hypot
 else:
-    from swarmd.core.cython_shadow import hypot
+    from swarmd.core.cython_shadow import fabs, hypot
 
+SLOW_REQUEST = cython.declare(cython.double, 3.0 * CREEP_SPEED)
+"""m/s: a robot with a faster request does not creep towards an obstacle."""
 _RIPE_TIME = 0.6  # s in which a robot begins to move once walls have stood
+CREEP_GAIN = cython.declare(cython.double, 1e-6)
+"""How much nearer to the request creeping must come; the distance is that of the projection."""
 
 _make_decision = cython.declare(object, ModeDecision)  # a C name: no lookup in each decision
 
@@ -302,16 +306,63 @@ class Barrier:
         is_reduced: cython.bint = self._stop.limit(self._speeds)
         if not is_reduced and projection.x == wanted_x and projection.y == wanted_y:
             return 0
-        if creeping.is_possible:
-            fastest: cython.double = creeping.slow.fastest_corner(
-                self._speeds.linear / axes.limit, self._speeds.angular / axes.angular_limit, axes
-            )
-            if fastest <= CREEP_SPEED:
-                creeping.begin(self._feasible.constraints, self._feasible.near)
-                projection.project(rows, wanted_x, wanted_y)
-                self._speeds.linear = projection.x * axes.limit
-                self._speeds.angular = projection.y * axes.angular_limit
+        if creeping.is_possible and 0.0 < fabs(speed) <= SLOW_REQUEST:
+            creeping.allow(self._feasible.constraints.placed)
+            if creeping.cap > 0.0:
+                self._creep(wanted_x, wanted_y)
+        if creeping.is_possible and not creeping.is_active:
+            self._creep_out(wanted_x, wanted_y)
         return 1
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _creep(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:
+        """Set `_speeds` to the command of a creeping robot, if this command is the better command.
+
+        The better command is nearer to the request than the present `_speeds`, by CREEP_GAIN at
+        least. A creeping robot has higher caps, and an envelope of CREEP_SPEED (envelope.py).
+        `wanted_x`, `wanted_y`: the requested speeds over their limits.
+        """
+        axes: SpeedAxes = self._feasible.constraints.axes
+        rows: ConstraintRows = self._feasible.constraints.rows
+        creeping: Creeping = self._feasible.creeping
+        projection: Projection = self._projection
+        present_x: cython.double = projection.x
+        present_y: cython.double = projection.y
+        off: cython.double = hypot(
+            self._speeds.linear / axes.limit - wanted_x,
+            self._speeds.angular / axes.angular_limit - wanted_y,
+        )
+        creeping.begin(rows, axes)
+        projection.project(rows, wanted_x, wanted_y)
+        if hypot(projection.x - wanted_x, projection.y - wanted_y) < off - CREEP_GAIN:
+            self._speeds.linear = projection.x * axes.limit
+            self._speeds.angular = projection.y * axes.angular_limit
+        else:
+            creeping.end(rows, axes)
+            projection.x, projection.y = present_x, present_y
+
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _creep_out(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:
+        """Set `_speeds` to the command of a locked robot that creeps; nothing unless it is locked.
+
+        The present `_speeds` satisfy the constraints of this robot, too, so its command is at least
+        as near to the request. `wanted_x`, `wanted_y`: the requested speeds over their limits.
+        """
+        axes: SpeedAxes = self._feasible.constraints.axes
+        creeping: Creeping = self._feasible.creeping
+        projection: Projection = self._projection
+        fastest: cython.double = creeping.slow.fastest_corner(
+            self._speeds.linear, self._speeds.angular, axes
+        )
+        if fastest > CREEP_SPEED or not creeping.is_locked(self._feasible.constraints):
+            return 0
+        creeping.begin_out(self._feasible.constraints, self._feasible.near)
+        projection.project(self._feasible.constraints.rows, wanted_x, wanted_y)
+        self._speeds.linear = projection.x * axes.limit
+        self._speeds.angular = projection.y * axes.angular_limit
 
 
 def _rays_and_ranges(bearings: Array, nearest: Array) -> Array:
