@@ -310,6 +310,8 @@ class Barrier:
             creeping.allow(self._feasible.constraints.placed)
             if creeping.cap > 0.0:
                 self._creep(wanted_x, wanted_y)
+        if creeping.is_possible and not creeping.is_active:
+            self._creep_out(wanted_x, wanted_y)
         return 1
 
     @cython.cfunc
@@ -339,6 +341,28 @@ class Barrier:
         else:
             creeping.end(rows, axes)
             projection.x, projection.y = present_x, present_y
+
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _creep_out(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:
+        """Set `_speeds` to the command of a locked robot that creeps; nothing unless it is locked.
+
+        The present `_speeds` satisfy the constraints of this robot, too, so its command is at least
+        as near to the request. `wanted_x`, `wanted_y`: the requested speeds over their limits.
+        """
+        axes: SpeedAxes = self._feasible.constraints.axes
+        creeping: Creeping = self._feasible.creeping
+        projection: Projection = self._projection
+        fastest: cython.double = creeping.slow.fastest_corner(
+            self._speeds.linear, self._speeds.angular, axes
+        )
+        if fastest > CREEP_SPEED or not creeping.is_locked(self._feasible.constraints):
+            return 0
+        creeping.begin_out(self._feasible.constraints, self._feasible.near)
+        projection.project(self._feasible.constraints.rows, wanted_x, wanted_y)
+        self._speeds.linear = projection.x * axes.limit
+        self._speeds.angular = projection.y * axes.angular_limit
 
 
 def _rays_and_ranges(bearings: Array, nearest: Array) -> Array:

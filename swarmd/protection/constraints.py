@@ -146,6 +146,7 @@ class PlacedPoints:
     normal_y: cython.double[::1]
     first_row: cython.longlong[::1]  # the index of the first constraint of each point
     in_touch_zone: cython.longlong[::1]  # 1 for a seen point that the robot may touch
+    near_index: cython.longlong[::1]  # of a seen point in `NearObstacles.points`
 
     def __init__(self) -> None:
         self._allocate(96)
@@ -172,6 +173,7 @@ class PlacedPoints:
         self.others, self.kind = doubles(room), indices(room)
         self.normal_x, self.normal_y = doubles(room), doubles(room)
         self.first_row, self.in_touch_zone = indices(room), indices(room)
+        self.near_index = indices(room)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -415,6 +417,7 @@ class Constraints:
                     chunk.radius[in_chunk], chunk.kind[in_chunk] = 0.0, kinds[taken]
                     chunk.others[in_chunk] = assumptions.speed_of(kinds[taken])
                     placed.scan_gap[placed_count + in_chunk] = gaps[taken]
+                    placed.near_index[placed_count + in_chunk] = taken
                     in_chunk += 1
                 taken += 1
             # 2. Adds the constraints of the chunk. The contacts come first in the chunk, and get no
@@ -435,10 +438,13 @@ class Constraints:
     def _add_contacts(
         self, rays: Points, cos_yaw: cython.double, sin_yaw: cython.double
     ) -> cython.int:
-        """Forbid all motion towards contacts (returns too close to measure), and along their rays.
+        """Forbid all motion towards contacts, and slow down motion along their rays.
 
-        The cap of the first constraint of a contact becomes 0. A second constraint with the cap 0
-        is added in the direction of the ray.
+        A contact is a return too close to measure, or a remembered obstacle in the blind zone. The
+        cap of its first constraint, across the outline, becomes 0. A second constraint with the cap
+        CREEP_SPEED is added in the direction of the ray: its cap was 0, and held robots side by
+        side for good, since the rays to a flank in contact span 47 to 105 degrees, so that motion
+        ahead and motion back both close along one of them.
         """
         i: cython.Py_ssize_t
         axes: SpeedAxes = self.axes
@@ -448,7 +454,7 @@ class Constraints:
             nx: cython.double = cos_yaw * rays.x[i] - sin_yaw * rays.y[i]
             ny: cython.double = sin_yaw * rays.x[i] + cos_yaw * rays.y[i]
             lever: cython.double = placed.x[i] * ny - placed.y[i] * nx
-            self._add(nx * axes.along_x + ny * axes.along_y, lever, 0.0, 0.0, i)
+            self._add(nx * axes.along_x + ny * axes.along_y, lever, CREEP_SPEED, 0.0, i)
         return 0
 
     @cython.cfunc

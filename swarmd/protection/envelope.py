@@ -14,8 +14,16 @@ from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
 from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
 from swarmd.protection.comparisons import maximum
-from swarmd.protection.constraints import ENVELOPE_ROWS, ConstraintRows, PlacedPoints, SpeedAxes
+from swarmd.protection.constraints import (
+    ENVELOPE_ROWS,
+    ConstraintRows,
+    Constraints,
+    PlacedPoints,
+    SpeedAxes,
+)
+from swarmd.protection.obstacles import NearObstacles
 from swarmd.protection.outline import Outline
+from swarmd.protection.projection import is_feasible
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -26,6 +34,14 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import hypot
 
+SURFACE_GAP = cython.declare(cython.double, 0.01)
+"""m that a creeping robot keeps to a wide surface, as the scan shows it."""
+SURFACE_TIME = cython.declare(cython.double, 0.5)
+"""s in which a creeping robot may use up the rest of the gap to a wide surface."""
+LOCKED_SHARE = cython.declare(cython.double, 0.5)
+"""The share of the creep speed with which a robot counts as locked: it may move no faster."""
+
+_LOCKED_STEP = cython.declare(cython.Py_ssize_t, 4)  # vertices from one tried direction to the next
 _SLOWEST = cython.declare(cython.double, 1e-12)  # m/s of a corner, by which a speed is divided
 
 
@@ -79,9 +95,7 @@ class Envelope:
     def put(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
         """Put the constraints of the envelope behind all others in `rows`."""
         i: cython.Py_ssize_t
-        if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
-            self.find_rows(axes)
-            self._along_x, self._along_y = axes.along_x, axes.along_y
+        self.prepare(axes)
         first: cython.Py_ssize_t = rows.count
         rows.all = first + ENVELOPE_ROWS
         to_x: cython.p_double = checked(rows.x, rows.all)
@@ -96,6 +110,14 @@ class Envelope:
 
     @cython.cfunc
     @cython.exceptval(-1)
+    def prepare(self, axes: SpeedAxes) -> cython.int:
+        """Find the vertices and the constraints, unless they are known for these axes."""
+        if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
+            self.find_rows(axes)
+            self._along_x, self._along_y = axes.along_x, axes.along_y
+
+    @cython.cfunc
+    @cython.exceptval(-1)
     def find_rows(self, axes: SpeedAxes) -> cython.int:
         """Find the vertices and the constraints for a direction of the linear speed.
 
@@ -105,21 +127,15 @@ class Envelope:
         neighbouring vertices.
         """
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         following: cython.Py_ssize_t
-        outline: Outline = self._outline
         directions: cython.double[:, ::1] = _BOX_DIRECTIONS
 
         # 1. Vertices: each direction is a place on the border of the box of the limits. If a corner
         # is faster than `speed` there, the place moves inwards until no corner is faster.
         for i in range(ENVELOPE_ROWS):
-            linear: cython.double = directions[i, 0] * axes.limit
-            angular: cython.double = directions[i, 1] * axes.angular_limit
-            fastest: cython.double = 0.0
-            for k in range(outline.edges):
-                corner_vx: cython.double = linear * axes.along_x - angular * outline.corner_y[k]
-                corner_vy: cython.double = linear * axes.along_y + angular * outline.corner_x[k]
-                fastest = maximum(fastest, hypot(corner_vx, corner_vy))
+            fastest: cython.double = self.fastest_corner(
+                directions[i, 0] * axes.limit, directions[i, 1] * axes.angular_limit, axes
+            )
             scale: cython.double = self.speed / maximum(fastest, _SLOWEST)
             if scale > 1.0:
                 scale = 1.0
@@ -137,15 +153,37 @@ class Envelope:
             self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
 
 
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def fastest_corner(
+        self, linear: cython.double, angular: cython.double, axes: SpeedAxes
+    ) -> cython.double:
+        """The m/s of the fastest corner of a base that moves at these speeds in m/s and rad/s."""
+        k: cython.Py_ssize_t
+        outline: Outline = self._outline
+        fastest: cython.double = 0.0
+        for k in range(outline.edges):
+            corner_vx: cython.double = linear * axes.along_x - angular * outline.corner_y[k]
+            corner_vy: cython.double = linear * axes.along_y + angular * outline.corner_x[k]
+            fastest = maximum(fastest, hypot(corner_vx, corner_vy))
+        return fastest
+
+
 @cython.final
 @cython.cclass
 class Creeping:
-    """Raises the caps, so that a robot may creep towards an obstacle that stops a faster robot."""
+    """Raises the caps, so that a robot may creep towards an obstacle that stops a faster robot.
+
+    Two robots creep: one that is asked for a slow speed (`begin`), and one that is locked, whatever
+    it is asked for (`begin_out`). A robot is locked if it may move in no direction, as by a wall
+    beside it: each return may belong to something that reaches `unseen_extent` farther, so that a
+    turn swings a corner towards a return, and a straight line closes on those ahead and behind.
+    """
 
     is_possible: cython.bint  # in the present situation
     cap: cython.double  # m/s, set by `allow`
     is_active: cython.bint
-    _kept_cap: cython.double[::1]  # the caps of all constraints before `begin` raised them
+    _kept_cap: cython.double[::1]  # the caps of all constraints before they were raised
     # The envelope while the robot creeps or touches, and the usual envelope near obstacles.
     slow: Envelope
     usual: Envelope
@@ -174,17 +212,98 @@ class Creeping:
     @cython.cfunc
     @cython.exceptval(-1)
     def begin(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
-        """Use the caps and the envelope of a robot that creeps."""
+        """Use the caps and the envelope of a robot that creeps by a slow request."""
         i: cython.Py_ssize_t
-        if len(self._kept_cap) < rows.all:
-            self._kept_cap = doubles(len(rows.cap))
-        for i in range(rows.all):
-            self._kept_cap[i] = rows.cap[i]
+        self._keep(rows)
         for i in range(rows.count):
             rows.cap[i] = maximum(rows.cap[i], self.cap)
         self.is_active = True
         self.slow.put(rows, axes)
         return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def is_locked(self, constraints: Constraints) -> cython.int:
+        """1 if the robot may move in no direction, not even at LOCKED_SHARE of the creep speed.
+
+        The directions are those of the slow envelope: ahead, back, both turns, and between them.
+        """
+        i: cython.Py_ssize_t
+        rows: ConstraintRows = constraints.rows
+        self.slow.prepare(constraints.axes)
+        for i in range(0, ENVELOPE_ROWS, _LOCKED_STEP):
+            x: cython.double = LOCKED_SHARE * self.slow.vertex_x[i]
+            y: cython.double = LOCKED_SHARE * self.slow.vertex_y[i]
+            if is_feasible(rows, x, y):
+                return 0
+        return 1
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def begin_out(self, constraints: Constraints, near: NearObstacles) -> cython.int:
+        """Use the caps and the envelope of a locked robot.
+
+        The slow envelope bounds each place of the outline by CREEP_SPEED, whatever is requested.
+        The caps keep the robot from touching what it sees:
+
+        - The constraint of a contact across the outline stays, with the cap 0.
+        - Towards an obstacle the robot may use, until the next decision, half of the gap beyond the
+          distance within which the obstacle may touch it unseen, since the obstacle may use the
+          other half. Within this distance the robot does not close on it; its corners pass it.
+        - A wide surface is a wall, or several bodies. What reaches out of it unseen must not hold
+          the robot for good, so the robot may come as near as SURFACE_GAP.
+
+        `constraints`: of the decision. `near`: the near returns of which they were made.
+        """
+        i: cython.Py_ssize_t
+        point: cython.Py_ssize_t
+        rows: ConstraintRows = constraints.rows
+        placed: PlacedPoints = constraints.placed
+        near.find_surfaces()
+        self._keep(rows)
+        for i in range(rows.count):
+            point = rows.source[i]
+            if point >= placed.contacts:
+                rows.cap[i] = maximum(rows.cap[i], self._cap_out(i, point, rows, placed, near))
+        self.is_active = True
+        self.slow.put(rows, constraints.axes)
+        return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(-1.0, check=True)
+    def _cap_out(
+        self,
+        row: cython.Py_ssize_t,
+        point: cython.Py_ssize_t,
+        rows: ConstraintRows,
+        placed: PlacedPoints,
+        near: NearObstacles,
+    ) -> cython.double:
+        """The m/s at which a place of a locked robot may close on a point that is no contact.
+
+        `row`: the constraint of the place. Its gap is the distance of the place from the point.
+        """
+        gap: cython.double = rows.gap[row]
+        surface_gap: cython.double = near.surface_gap[placed.near_index[point]]
+        if surface_gap == surface_gap:
+            gap += surface_gap - placed.scan_gap[point]  # less noise
+            return min((gap - SURFACE_GAP) / SURFACE_TIME, CREEP_SPEED)
+        contact: cython.double = placed.contact[point]
+        if placed.gap[point] <= contact:
+            return 0.0 if row == placed.first_row[point] else CREEP_SPEED
+        room: cython.double = 0.5 * (gap - contact)
+        return min(room / (placed.age[point] + DECISION_PERIOD), CREEP_SPEED)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _keep(self, rows: ConstraintRows) -> cython.int:
+        """Store the caps, which `end` gives back."""
+        i: cython.Py_ssize_t
+        if len(self._kept_cap) < rows.all:
+            self._kept_cap = doubles(len(rows.cap))
+        for i in range(rows.all):
+            self._kept_cap[i] = rows.cap[i]
 
     @cython.cfunc
     @cython.exceptval(-1)

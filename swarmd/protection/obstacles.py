@@ -13,6 +13,7 @@ from swarmd.core.buffers import checked, checked_indices, doubles, indices, view
 from swarmd.protection.barrier_assumptions import OTHER, REACTION, Assumptions
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.outline import Outline
+from swarmd.protection.surfaces import find_surface_gaps
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -133,6 +134,8 @@ class NearObstacles:
     """
 
     points: Points
+    # m, for each point, from the wide surface that it is on; NaN: on none. See `find_surfaces`.
+    surface_gap: cython.double[::1]
     contacts: cython.Py_ssize_t  # the first points
     rays: Points  # unit vectors of the rays of contacts, in `x` and `y`
     is_near: cython.bint  # an obstacle is so near that the envelope (envelope.py) holds
@@ -143,6 +146,9 @@ class NearObstacles:
     _directions: cython.double[::1]  # x and y of each ray; x is NaN where they are not known yet
     # The points before they are sorted, and two orders of them.
     _unsorted: Points
+    _unsorted_gap: cython.double[::1]  # as `surface_gap`
+    _returns: cython.Py_ssize_t  # the first unsorted points, in the order of their rays
+    _has_surfaces: cython.bint  # `surface_gap` is known
     _order: cython.longlong[::1]
     _spare: cython.longlong[::1]
     _assumptions: Assumptions
@@ -160,12 +166,15 @@ class NearObstacles:
         self._assumptions, self._outline = assumptions, outline
         self._motion, self._layer = motion, layer
         self.points, self._unsorted = Points(_ROOM), Points(_ROOM)
+        self.surface_gap, self._unsorted_gap = doubles(_ROOM), doubles(_ROOM)
         self._order, self._spare = indices(_ROOM), indices(_ROOM)
         self.rays = Points(16)
         self._bearings, self._directions = NO_NUMBERS, doubles(2)
 
     def check_indices(self) -> None:
         """ValueError unless the contacts are among the points, each with a ray."""
+        if not 0 <= self._returns <= self._unsorted.count:
+            raise ValueError(f"{self._returns} returns of {self._unsorted.count} points")
         if not 0 <= self.contacts <= min(len(self.points.x), len(self.rays.x)):
             raise ValueError(f"{self.contacts} contacts of {len(self.points.x)} points")
 
@@ -260,7 +269,8 @@ class NearObstacles:
         if len(self._order) < len(self._unsorted.x):
             self._order = indices(len(self._unsorted.x))
             self._spare = indices(len(self._unsorted.x))
-        self.has_contact = False
+        self.has_contact = self._has_surfaces = False
+        self._returns = 0
         self.points.count = self.rays.count = self._unsorted.count = self.contacts = 0
 
         # 2. The kinds of the returns.
@@ -367,7 +377,7 @@ class NearObstacles:
                     least_near_gap = gap
                 if gap <= binding_range:
                     near_count += 1
-        unsorted.count = near_count
+        unsorted.count = self._returns = near_count
         self._set_min_gap(least_range, least_gap)
         return least_near_gap
 
@@ -429,6 +439,33 @@ class NearObstacles:
         for i in range(unsorted.count):
             points.kind[rays.count + i] = unsorted.kind[self._order[i]]
         points.count = rays.count + unsorted.count
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def find_surfaces(self) -> cython.int:
+        """Set `surface_gap`, once for each scan: only a robot that creeps needs it.
+
+        Contacts and hidden obstacles are on no wide surface.
+        """
+        i: cython.Py_ssize_t
+        unsorted: Points = self._unsorted
+        if self._has_surfaces:
+            return 0
+        if len(self._unsorted_gap) < unsorted.count:
+            self._unsorted_gap = doubles(len(unsorted.x))
+        if len(self.surface_gap) < self.points.count:
+            self.surface_gap = doubles(len(self.points.x))
+        find_surface_gaps(
+            unsorted.x, unsorted.y, unsorted.gap, self._returns, self._unsorted_gap
+        )
+        for i in range(self._returns, unsorted.count):
+            self._unsorted_gap[i] = NAN
+        for i in range(self.contacts):
+            self.surface_gap[i] = NAN
+        for i in range(unsorted.count):
+            self.surface_gap[self.contacts + i] = self._unsorted_gap[self._order[i]]
+        self._has_surfaces = True
+        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
