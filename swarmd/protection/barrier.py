@@ -123,7 +123,7 @@ class Barrier:
         assumptions = Assumptions(platform, settings)
         outline = Outline(platform)
         if settings.walls_stand is not None:
-            self._walls = StandingWalls(platform, settings.walls_stand)
+            self._walls = StandingWalls(platform, settings.walls_stand, settings.unseen_extent)
         self._feasible = feasible = FeasibleSet(assumptions, outline, self._walls)
         self._projection = Projection()
         self._stop = StopCheck(assumptions, outline, feasible.constraints)
@@ -173,6 +173,11 @@ class Barrier:
         if self._walls is not None:
             self._walls.is_trusted = is_trusted
 
+    def hear(self, diagonal: float) -> None:
+        """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
+        if self._walls is not None:
+            self._walls.hear(diagonal)
+
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
 
@@ -214,7 +219,8 @@ class Barrier:
             memory.update(scan, geometry, moved, motion.driven(), motion.seconds)
             if len(memory.bearings):
                 hidden = view(_rays_and_ranges(memory.bearings, memory.nearest))
-        near.take_scan(ranges, scan.range_min, ages, hidden)
+        filled = NO_NUMBERS if scan.filled is None else view(scan.filled)
+        near.take_scan(ranges, scan.range_min, ages, filled, hidden)
         self._feasible.situation.is_known = False
 
     def _newest_age(self, scan: Scan) -> float:

@@ -1,0 +1,538 @@
+"""Bare returns: the returns of walls that stand from which nothing sticks out by more than `foot`.
+
+A return of a wall that stands (kind WALL) becomes a return of the kind BARE_WALL if all conditions
+hold in this scan. The numbers are those of the method that tests the condition.
+
+1. `_take_stretch`. The return is of the kind WALL, and a member of a *stretch*: rays of one long
+   run that follow each other, each measured in this scan and on the line of the run. Neighbouring
+   members are less than _PART m apart: no platform of swarmd is narrower in the scan plane. Rays
+   that the scan did not measure may lie between two members, but no ray that ends before or behind
+   the line. A stretch has at most _LOST_SECTORS sectors of such rays: a row of legs has more.
+2. `_is_flat`, `_take_stretch`. The stretch is at least as long as `length` and as the longest
+   diagonal of all platforms heard (`longest_heard`), and bends with a radius of at least
+   _FLAT_RADIUS m.
+3. `_mark_candidates`. Both neighbour rays are members of the same stretch: no return beside a lost
+   ray, or at the end of a stretch, is bare.
+4. `_deny_returns`, `_deny_hidden`. Nothing that is not of the run lies within `extent` m
+   (`unseen_extent`) of the return: no return at any range, no remembered ray, no return too close
+   to measure, no obstacle in the memory of the blind zone. Places that others told are compared
+   where the constraints are made (`ToldPlaces`).
+5. `_deny_unmeasured`. No sector of rays without a measurement, in which a part of _PART m may stand
+   before the wall, lies within `extent` m: lost rays, masks, blind and frozen sectors, black or
+   transparent surfaces, open space.
+
+Rays that an earlier scan filled, and rays of an earlier revolution, were not measured.
+
+Not known here: what lies below or above the scan plane and has no part in it, and a part narrower
+than _PART whose returns are lost. docs/safety.md names both.
+
+Part of the library of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmd.core.buffers import doubles, indices
+from swarmd.core.values import Platform
+from swarmd.protection.barrier_assumptions import BARE_WALL, WALL
+from swarmd.protection.obstacles import REACH
+from swarmd.protection.outline import Outline
+from swarmd.protection.walls.straight_runs import Run, StraightRuns
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, fabs, hypot, sqrt
+else:
+    from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
+
+# m, the narrowest part of any platform in the scan plane. The lidar heads of TurtleBots have
+# diameters of 0.072 and 0.11 m.
+_PART = cython.declare(cython.double, 0.05)
+# Sectors of rays without a measurement within a stretch. Of 150 rays of which 1 % are lost, 98 of
+# 100 scans have no more. A row of legs of 12 cm has more along 1 m.
+_LOST_SECTORS = cython.declare(cython.Py_ssize_t, 4)
+# m: a stretch bends with a larger radius. Noise of 1 cm changes 1 / radius of a stretch of 1 m by
+# some 0.03 / m (one standard deviation). A tank of 5 m radius has 0.2 / m.
+_FLAT_RADIUS = cython.declare(cython.double, 10.0)
+_LEAST_MEMBERS = cython.declare(cython.Py_ssize_t, 20)  # members of a stretch
+# rad: the sum of the angles between the rays of a sector from which on the sector has no bound.
+_WIDE_SECTOR = cython.declare(cython.double, 1.0)
+
+# What this scan knows of a ray.
+_UNMEASURED = cython.declare(cython.longlong, 0)
+_RETURN = cython.declare(cython.longlong, 1)
+_TOO_CLOSE = cython.declare(cython.longlong, 2)
+
+
+@cython.final
+@cython.cclass
+class BareReturns:
+    """The bare returns of one scan."""
+
+    longest_heard: cython.double  # m, the longest diagonal of the platforms of all peers
+    _length: cython.double  # m, the least length of a stretch
+    _extent: cython.double  # m, `unseen_extent`
+    _outline: Outline
+    _range_min: cython.double
+    _rays: cython.Py_ssize_t
+    # For each ray.
+    _state: cython.longlong[::1]  # _UNMEASURED, _RETURN or _TOO_CLOSE
+    _x: cython.double[::1]  # m, the place of a finite range, measured or filled
+    _y: cython.double[::1]
+    _hides_from: cython.double[::1]  # m from the lidar, of an unmeasured ray: a part may hide there
+    _is_member: cython.longlong[::1]  # 1: measured, and on the line of the present run
+    _along: cython.double[::1]  # m along the line of the present run, of a member
+    _across: cython.double[::1]
+    _is_candidate: cython.longlong[::1]
+    _stretch: cython.longlong[::1]  # the members of the present stretch
+
+    def __init__(self, platform: Platform, length: float, extent: float) -> None:
+        """`length`: m, the least length of a wall. `extent`: m, the `unseen_extent`."""
+        self.longest_heard = 0.0
+        self._length, self._extent = length, extent
+        self._outline, self._range_min = Outline(platform), platform.scan.range_min
+        self._allocate(len(platform.scan.bearings))
+
+    def check_indices(self) -> None:
+        """ValueError unless each array has a number for each ray."""
+        if len(self._state) < self._rays:
+            raise ValueError(f"{self._rays} rays in arrays of {len(self._state)}")
+
+    def _allocate(self, rays: int) -> None:
+        """Make the arrays anew, for so many rays."""
+        self._state, self._is_member = indices(rays), indices(rays)
+        self._is_candidate, self._stretch = indices(rays), indices(rays)
+        self._x, self._y = doubles(rays), doubles(rays)
+        self._along, self._across = doubles(rays), doubles(rays)
+        self._hides_from = doubles(rays)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def mark(
+        self,
+        kinds: cython.longlong[::1],
+        runs: StraightRuns,
+        ranges: cython.const_double[::1],
+        directions: cython.double[::1],
+        ages: cython.const_double[::1],
+        filled: cython.const_double[::1],
+        hidden: cython.double[:, ::1],
+    ) -> cython.int:
+        """Change the kind of each bare return from WALL to BARE_WALL; 1 if there is any.
+
+        `runs`: the straight runs of this scan. The other arguments are those of
+        `ReturnLayer.observe`; directions of all rays are set.
+        """
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        is_any: cython.bint = False
+        self._rays = len(ranges)
+        if len(self._state) < self._rays:
+            self._allocate(self._rays)
+        self._place_rays(ranges, directions, ages, filled, runs.oldest)
+        self._find_hiding(directions)
+        for j in range(runs.count):
+            run: Run = runs.runs[j]
+            if not run.is_long:
+                continue  # a short run at a corner may be a body
+            self._find_members(run, runs)
+            if not self._find_stretches(run, runs, kinds):
+                continue
+            self._deny_returns(run, runs, directions)
+            self._deny_hidden(run, runs, hidden)
+            self._deny_unmeasured(run, runs, directions)
+            for i in range(self._rays):
+                if self._is_candidate[i]:
+                    kinds[i] = BARE_WALL
+                    is_any = True
+        return is_any
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _place_rays(
+        self,
+        ranges: cython.const_double[::1],
+        directions: cython.double[::1],
+        ages: cython.const_double[::1],
+        filled: cython.const_double[::1],
+        oldest: cython.double,
+    ) -> cython.int:
+        """Find what this scan knows of each ray, and the place of each finite range.
+
+        `oldest`: s, the greatest age of a ray of this revolution.
+        """
+        i: cython.Py_ssize_t
+        outline: Outline = self._outline
+        for i in range(self._rays):
+            distance: cython.double = ranges[i]
+            is_filled: cython.bint = len(filled) > 0 and filled[i] != 0.0
+            is_of_revolution: cython.bint = len(ages) == 0 or ages[i] <= oldest
+            self._x[i] = outline.lidar_x + distance * directions[2 * i]
+            self._y[i] = outline.lidar_y + distance * directions[2 * i + 1]
+            if distance == -INFINITY:
+                self._state[i] = _TOO_CLOSE
+            elif 0.0 < distance < INFINITY and is_of_revolution and not is_filled:
+                self._state[i] = _RETURN
+            else:
+                self._state[i] = _UNMEASURED
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_hiding(self, directions: cython.double[::1]) -> cython.int:
+        """Find from which distance on a part may hide along each unmeasured ray.
+
+        A part of _PART m fits between the two measured rays at the edges of a sector from the
+        distance on at which these rays are _PART m apart. No part is within the own outline.
+        """
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._rays
+        first: cython.Py_ssize_t = 0
+        while first < n and self._state[first] == _UNMEASURED:
+            first += 1
+        # Each measured ray ends the sector behind the measured ray before; without one, the whole
+        # turn is one sector.
+        begin: cython.Py_ssize_t = first if first < n else 0
+        last: cython.Py_ssize_t = begin
+        angle: cython.double = 0.0 if first < n else INFINITY
+        for k in range(begin + 1, begin + n + 1):
+            i: cython.Py_ssize_t = k % n
+            before: cython.Py_ssize_t = (k - 1) % n
+            angle += hypot(
+                directions[2 * i] - directions[2 * before],
+                directions[2 * i + 1] - directions[2 * before + 1],
+            )
+            if self._state[i] == _UNMEASURED and k < begin + n:
+                continue
+            self._set_hiding(last, k, angle, directions)
+            last = k
+            angle = 0.0
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _set_hiding(
+        self,
+        last: cython.Py_ssize_t,
+        end: cython.Py_ssize_t,
+        angle: cython.double,
+        directions: cython.double[::1],
+    ) -> cython.int:
+        """Set `_hides_from` of the rays from `last` to `end`; indices beyond n wrap around.
+
+        `angle`: rad, the width of the sector.
+        """
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._rays
+        least: cython.double = 0.0 if angle >= _WIDE_SECTOR else _PART / angle if angle > 0.0 else INFINITY
+        for k in range(last, end + 1):
+            i: cython.Py_ssize_t = k % n
+            if self._state[i] == _UNMEASURED:
+                outline: cython.double = self._outline.along_ray(
+                    directions[2 * i], directions[2 * i + 1]
+                )
+                self._hides_from[i] = outline if outline > least else least
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_members(self, run: Run, runs: StraightRuns) -> cython.int:
+        """Find the rays of this scan that are on the line of a run; no ray is a candidate yet."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for i in range(self._rays):
+            self._is_member[i] = self._is_candidate[i] = 0
+        for k in range(run.length + 1):
+            along: cython.double = runs.along(run, k)
+            ray: cython.Py_ssize_t = runs.ray[runs.return_of(run, k)]
+            is_on_line: cython.bint = along == along  # NaN for a return off the line
+            if is_on_line and self._state[ray] == _RETURN:
+                self._is_member[ray] = 1
+                self._along[ray] = along
+                self._across[ray] = self._height(run, runs, self._x[ray], self._y[ray])
+        return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def _height(
+        self, run: Run, runs: StraightRuns, x: cython.double, y: cython.double
+    ) -> cython.double:
+        """m by which a place lies before the line of a run, seen from the lidar; < 0: behind."""
+        side: cython.double = run.ux * (runs.lidar_y - run.y) - run.uy * (runs.lidar_x - run.x)
+        height: cython.double = run.ux * (y - run.y) - run.uy * (x - run.x)
+        return height if side >= 0.0 else -height
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_stretches(
+        self, run: Run, runs: StraightRuns, kinds: cython.longlong[::1]
+    ) -> cython.int:
+        """Find the stretches of a run, and mark their candidates; 1 if there is a candidate."""
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._rays
+        first: cython.Py_ssize_t = runs.ray[run.first]
+        last: cython.Py_ssize_t = runs.ray[runs.return_of(run, run.length)]
+        steps: cython.Py_ssize_t = last - first if last >= first else last - first + n
+        count: cython.Py_ssize_t = 0  # members of the present stretch
+        lost: cython.Py_ssize_t = 0  # sectors of unmeasured rays in it
+        is_lost: cython.bint = False  # the ray before was not measured
+        is_any: cython.bint = False
+        for k in range(steps + 1):
+            i: cython.Py_ssize_t = (first + k) % n
+            if self._state[i] == _UNMEASURED:
+                is_lost = True
+                continue
+            is_next: cython.bint = False
+            if self._is_member[i] and count:
+                before: cython.Py_ssize_t = self._stretch[count - 1]
+                spacing: cython.double = hypot(
+                    self._x[i] - self._x[before], self._y[i] - self._y[before]
+                )
+                is_next = spacing < _PART
+            if not is_next:  # ends the stretch before this ray
+                is_any = self._take_stretch(count, lost, kinds) or is_any
+                count = lost = 0
+            elif is_lost:
+                lost += 1
+            is_lost = False
+            if self._is_member[i]:
+                self._stretch[count] = i
+                count += 1
+        return self._take_stretch(count, lost, kinds) or is_any
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _take_stretch(
+        self, count: cython.Py_ssize_t, lost: cython.Py_ssize_t, kinds: cython.longlong[::1]
+    ) -> cython.int:
+        """Mark the candidates of the present stretch, if it is long and flat; 1 if there are any.
+
+        `count`: its members. `lost`: its sectors of unmeasured rays.
+        """
+        if count < _LEAST_MEMBERS or lost > _LOST_SECTORS:
+            return 0
+        first: cython.Py_ssize_t = self._stretch[0]
+        last: cython.Py_ssize_t = self._stretch[count - 1]
+        length: cython.double = fabs(self._along[last] - self._along[first])
+        if not (length >= self._length and length >= self.longest_heard):
+            return 0
+        return self._is_flat(count) and self._mark_candidates(count, kinds)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_flat(self, count: cython.Py_ssize_t) -> cython.int:
+        """1 if the first `count` of `_stretch` bend with a radius of at least _FLAT_RADIUS m.
+
+        A parabola is fitted by least squares, as in `StraightRuns._is_straight`.
+        """
+        k: cython.Py_ssize_t
+        mean: cython.double = 0.0
+        for k in range(count):
+            mean += self._along[self._stretch[k]]
+        mean /= count
+        variance: cython.double = 0.0
+        third: cython.double = 0.0
+        for k in range(count):
+            off: cython.double = self._along[self._stretch[k]] - mean
+            variance += off * off
+            third += off * off * off
+        variance /= count
+        third /= count
+        if not variance > 0.0:
+            return 0
+        covariance: cython.double = 0.0
+        square: cython.double = 0.0
+        for k in range(count):
+            off = self._along[self._stretch[k]] - mean
+            # The square of the place, less what a shift and a turn of the line explain.
+            bend: cython.double = off * off - off * third / variance - variance
+            covariance += bend * self._across[self._stretch[k]]
+            square += bend * bend
+        # The radius is 1 / (2 * covariance / square).
+        return 2.0 * fabs(covariance) * _FLAT_RADIUS <= square
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _mark_candidates(
+        self, count: cython.Py_ssize_t, kinds: cython.longlong[::1]
+    ) -> cython.int:
+        """Mark the members of a stretch of the kind WALL whose neighbour rays are members, too."""
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._rays
+        is_any: cython.bint = False
+        for k in range(1, count - 1):
+            i: cython.Py_ssize_t = self._stretch[k]
+            is_behind: cython.bint = self._stretch[k - 1] == (i - 1 + n) % n
+            is_before: cython.bint = self._stretch[k + 1] == (i + 1) % n
+            if is_behind and is_before and kinds[i] == WALL:
+                self._is_candidate[i] = 1
+                is_any = True
+        return is_any
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _deny_returns(
+        self, run: Run, runs: StraightRuns, directions: cython.double[::1]
+    ) -> cython.int:
+        """Deny candidates near a range that is not of the run, measured or filled.
+
+        A filled range on the line of the run is an earlier return of the wall. A return too close
+        to measure is anywhere between the lidar and `range_min`, or the outline if it is farther.
+        """
+        i: cython.Py_ssize_t
+        for i in range(self._rays):
+            if self._is_member[i]:
+                continue
+            if self._state[i] == _TOO_CLOSE:
+                ray_x: cython.double = directions[2 * i]
+                ray_y: cython.double = directions[2 * i + 1]
+                outline: cython.double = self._outline.along_ray(ray_x, ray_y)
+                farthest: cython.double = outline if outline > self._range_min else self._range_min
+                self._deny_along(run, runs, ray_x, ray_y, 0.0, farthest)
+                continue
+            x: cython.double = self._x[i]
+            y: cython.double = self._y[i]
+            is_finite: cython.bint = x - x == 0.0 and y - y == 0.0
+            if not is_finite:
+                continue
+            is_filled_wall: cython.bint = (
+                self._state[i] == _UNMEASURED and runs.is_on_line(run, x, y) != 0
+            )
+            if not is_filled_wall:
+                self._deny_beside(run, runs, x, y)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _deny_hidden(
+        self, run: Run, runs: StraightRuns, hidden: cython.double[:, ::1]
+    ) -> cython.int:
+        """Deny candidates near an obstacle in the memory of the blind zone.
+
+        The obstacle is between its least distance from the lidar and `range_min`.
+        """
+        i: cython.Py_ssize_t
+        for i in range(len(hidden)):
+            least: cython.double = hidden[i, 2]
+            farthest: cython.double = least if least > self._range_min else self._range_min
+            self._deny_along(run, runs, hidden[i, 0], hidden[i, 1], least, farthest)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _deny_unmeasured(
+        self, run: Run, runs: StraightRuns, directions: cython.double[::1]
+    ) -> cython.int:
+        """Deny candidates near rays without a measurement along which a part may hide."""
+        i: cython.Py_ssize_t
+        for i in range(self._rays):
+            if self._state[i] == _UNMEASURED and self._hides_from[i] < REACH + self._extent:
+                ray_x: cython.double = directions[2 * i]
+                ray_y: cython.double = directions[2 * i + 1]
+                farthest: cython.double = REACH + self._extent
+                self._deny_along(run, runs, ray_x, ray_y, self._hides_from[i], farthest)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _deny_along(
+        self,
+        run: Run,
+        runs: StraightRuns,
+        ray_x: cython.double,
+        ray_y: cython.double,
+        least: cython.double,
+        farthest: cython.double,
+    ) -> cython.int:
+        """Deny candidates near the part of a ray between two distances from the lidar.
+
+        Only the part before the line of the run counts, up to a height of `_extent` m.
+        """
+        # 1. The heights above the line at both ends, and at most `_extent` above and 0 below it.
+        low_height: cython.double = self._height(
+            run, runs, runs.lidar_x + least * ray_x, runs.lidar_y + least * ray_y
+        )
+        far_height: cython.double = self._height(
+            run, runs, runs.lidar_x + farthest * ray_x, runs.lidar_y + farthest * ray_y
+        )
+        rise: cython.double = far_height - low_height
+        begin: cython.double = least
+        end: cython.double = farthest
+        if rise < 0.0:  # towards the line
+            if low_height <= 0.0 or far_height >= self._extent:
+                return 0
+            begin = _at_height(self._extent, low_height, rise, least, farthest)
+            end = _at_height(0.0, low_height, rise, least, farthest)
+        elif low_height >= self._extent:
+            return 0
+        elif rise > 0.0:  # away from the line
+            end = _at_height(self._extent, low_height, rise, least, farthest)
+        # 2. What lies within `_extent` m of this part along the line, or a little more.
+        first: cython.double = self._place(run, runs, ray_x, ray_y, begin)
+        last: cython.double = self._place(run, runs, ray_x, ray_y, end)
+        if first > last:
+            first, last = last, first
+        return self._deny(first - self._extent, last + self._extent)
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def _place(
+        self,
+        run: Run,
+        runs: StraightRuns,
+        ray_x: cython.double,
+        ray_y: cython.double,
+        distance: cython.double,
+    ) -> cython.double:
+        """m along the line of a run, of the place on a ray at a distance from the lidar."""
+        x: cython.double = runs.lidar_x + distance * ray_x - run.x
+        y: cython.double = runs.lidar_y + distance * ray_y - run.y
+        return run.ux * x + run.uy * y
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _deny_beside(
+        self, run: Run, runs: StraightRuns, x: cython.double, y: cython.double
+    ) -> cython.int:
+        """Deny candidates within `_extent` m of a place, measured from the line of the run."""
+        height: cython.double = self._height(run, runs, x, y)
+        if not fabs(height) <= self._extent:
+            return 0
+        half: cython.double = sqrt(self._extent * self._extent - height * height)
+        place: cython.double = run.ux * (x - run.x) + run.uy * (y - run.y)
+        return self._deny(place - half, place + half)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _deny(self, first: cython.double, last: cython.double) -> cython.int:
+        """Deny the candidates between two places along the line of the present run."""
+        i: cython.Py_ssize_t
+        for i in range(self._rays):
+            if self._is_candidate[i] and first <= self._along[i] <= last:
+                self._is_candidate[i] = 0
+        return 0
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _at_height(
+    height: cython.double,
+    low_height: cython.double,
+    rise: cython.double,
+    least: cython.double,
+    farthest: cython.double,
+) -> cython.double:
+    """The distance along a ray at which it has a height above a line, within its two ends.
+
+    `low_height`: m at the distance `least`. `rise`: m up to the distance `farthest`; not 0.
+    """
+    distance: cython.double = least + (farthest - least) * (height - low_height) / rise
+    distance = distance if distance > least else least
+    return distance if distance < farthest else farthest
