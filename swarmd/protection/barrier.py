@@ -220,7 +220,7 @@ class Barrier:
             if len(memory.bearings):
                 hidden = view(_rays_and_ranges(memory.bearings, memory.nearest))
         filled = NO_NUMBERS if scan.filled is None else view(scan.filled)
-        near.take_scan(ranges, scan.range_min, ages, filled, hidden)
+        near.take_scan(ranges, scan.range_min, ages, filled, scan.borrowed, hidden)
         self._feasible.situation.is_known = False
 
     def _newest_age(self, scan: Scan) -> float:

@@ -66,6 +66,7 @@ class ReturnLayer:
         directions: cython.double[::1],
         ages: cython.const_double[::1],
         filled: cython.const_double[::1],
+        borrowed: cython.Py_ssize_t,
         hidden: cython.double[:, ::1],
         motion: ScanMotion,
     ) -> None:
@@ -77,6 +78,7 @@ class ReturnLayer:
                 with `wants_all` for all rays.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
             filled: (n,) 1 for each ray that the scan did not measure; empty: all are 0.
+            borrowed: how many rays, the first ones, are of the scan before (see `Scan`).
             hidden: (m, 3), as of `NearObstacles.take_scan`.
             motion: when and where the scan was taken.
         """
@@ -248,6 +250,7 @@ class NearObstacles:
         range_min: cython.double,
         ages: cython.const_double[::1],
         filled: cython.const_double[::1],
+        borrowed: cython.Py_ssize_t,
         hidden: cython.double[:, ::1],
     ) -> None:
         """Replace the near obstacles by those of a scan, hidden obstacles included.
@@ -261,6 +264,7 @@ class NearObstacles:
             range_min: m, the least range that the lidar measures.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
             filled: (n,) 1 for each ray that the scan did not measure; empty: all are 0.
+            borrowed: how many rays, the first ones, are of the scan before (see `Scan`).
             hidden: (m, 3) unit vector from the lidar to each hidden obstacle, and the least
                 distance of the obstacle from the lidar in m.
         """
@@ -287,7 +291,7 @@ class NearObstacles:
         layer: ReturnLayer | None = self._layer
         if layer is not None:
             self._find_directions(ranges, layer.wants_all)
-            layer.observe(ranges, self._directions, ages, filled, hidden, self._motion)
+            layer.observe(ranges, self._directions, ages, filled, borrowed, hidden, self._motion)
 
         # 3. Gaps in m up to which an obstacle matters: for the envelope, and for constraints.
         # `extra_age` in s: how much older than usual the oldest ray may be.

@@ -181,8 +181,16 @@ class Deskewer:
             self._filled_count = 0
         else:
             self._filled_count = len(moved[0]) - len(ranges)
-            filled = _behind_filled(scan.filled, self._filled_count, len(ranges))
-            result = _scan_with(scan, moved[0], moved[1], moved[2], self._newest_age, filled)
+            filled = _behind_borrowed(scan.filled, self._filled_count)
+            result = _scan_with(
+                scan,
+                moved[0],
+                moved[1],
+                moved[2],
+                self._newest_age,
+                filled,
+                self._filled_count,
+            )
         self._last_scan, self._last_at = result, newest_at
         return result
 
@@ -362,25 +370,20 @@ def _scan_with(
     ages: Array | None,
     newest_age: cython.double,
     filled: NDArray[np.bool_] | None,
+    borrowed: cython.Py_ssize_t = 0,
 ) -> Scan:
-    """A copy of a scan with other ranges, bearings, ages and filled rays."""
+    """A copy of a scan with other ranges, bearings and ages, and other unmeasured rays."""
     limits = scan.range_min, scan.range_max
-    return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age, filled)
+    return Scan(
+        scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age, filled, borrowed
+    )
 
 
 @cython.cfunc
-def _behind_filled(
-    filled: NDArray[np.bool_] | None, before: cython.Py_ssize_t, count: cython.Py_ssize_t
-) -> Any:
-    """`Scan.filled` of `before` rays of the scan before, and behind them `count` rays of a scan.
-
-    `filled`: of these `count` rays.
-    """
-    if before == 0:
+def _behind_borrowed(filled: NDArray[np.bool_] | None, borrowed: cython.Py_ssize_t) -> Any:
+    """`Scan.filled` of a scan before whose rays there are `borrowed` rays of the scan before."""
+    if borrowed == 0 or filled is None:
         return filled
-    whole = np.zeros(before + count, np.bool_)
-    whole[:before] = True
-    if filled is not None:
-        whole[before:] = filled
+    whole = np.concatenate((np.zeros(borrowed, np.bool_), filled))
     whole.setflags(write=False)
     return whole

@@ -21,7 +21,8 @@ hold in this scan. The numbers are those of the method that tests the condition.
    before the wall, lies within `extent` m: lost rays, masks, blind and frozen sectors, black or
    transparent surfaces, open space.
 
-Rays that an earlier scan filled, and rays of an earlier revolution, were not measured.
+Rays that an earlier scan filled, rays of an earlier revolution, and rays that were borrowed from
+the scan before were not measured.
 
 Not known here: what lies below or above the scan plane and has no part in it, and a part narrower
 than _PART whose returns are lost. docs/safety.md names both.
@@ -33,6 +34,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles, indices
 from swarmd.core.values import Platform
 from swarmd.protection.barrier_assumptions import BARE_WALL, WALL
@@ -66,6 +68,7 @@ _WIDE_SECTOR = cython.declare(cython.double, 1.0)
 _UNMEASURED = cython.declare(cython.longlong, 0)
 _RETURN = cython.declare(cython.longlong, 1)
 _TOO_CLOSE = cython.declare(cython.longlong, 2)
+_BORROWED = cython.declare(cython.longlong, 3)  # of the scan before, and not in the order of rays
 
 
 @cython.final
@@ -79,8 +82,9 @@ class BareReturns:
     _outline: Outline
     _range_min: cython.double
     _rays: cython.Py_ssize_t
+    _borrowed: cython.Py_ssize_t  # of these, the first ones
     # For each ray.
-    _state: cython.longlong[::1]  # _UNMEASURED, _RETURN or _TOO_CLOSE
+    _state: cython.longlong[::1]  # _UNMEASURED, _RETURN, _TOO_CLOSE or _BORROWED
     _x: cython.double[::1]  # m, the place of a finite range, measured or filled
     _y: cython.double[::1]
     _hides_from: cython.double[::1]  # m from the lidar, of an unmeasured ray: a part may hide there
@@ -101,6 +105,8 @@ class BareReturns:
         """ValueError unless each array has a number for each ray."""
         if len(self._state) < self._rays:
             raise ValueError(f"{self._rays} rays in arrays of {len(self._state)}")
+        if not 0 <= self._borrowed <= self._rays:
+            raise ValueError(f"{self._borrowed} rays of {self._rays} are borrowed")
 
     def _allocate(self, rays: int) -> None:
         """Make the arrays anew, for so many rays."""
@@ -120,6 +126,7 @@ class BareReturns:
         directions: cython.double[::1],
         ages: cython.const_double[::1],
         filled: cython.const_double[::1],
+        borrowed: cython.Py_ssize_t,
         hidden: cython.double[:, ::1],
     ) -> cython.int:
         """Change the kind of each bare return from WALL to BARE_WALL; 1 if there is any.
@@ -131,6 +138,7 @@ class BareReturns:
         j: cython.Py_ssize_t
         is_any: cython.bint = False
         self._rays = len(ranges)
+        self._borrowed = borrowed
         if len(self._state) < self._rays:
             self._allocate(self._rays)
         self._place_rays(ranges, directions, ages, filled, runs.oldest)
@@ -173,7 +181,9 @@ class BareReturns:
             is_of_revolution: cython.bint = len(ages) == 0 or ages[i] <= oldest
             self._x[i] = outline.lidar_x + distance * directions[2 * i]
             self._y[i] = outline.lidar_y + distance * directions[2 * i + 1]
-            if distance == -INFINITY:
+            if i < self._borrowed:
+                self._state[i] = _BORROWED
+            elif distance == -INFINITY:
                 self._state[i] = _TOO_CLOSE
             elif 0.0 < distance < INFINITY and is_of_revolution and not is_filled:
                 self._state[i] = _RETURN
@@ -190,28 +200,38 @@ class BareReturns:
         distance on at which these rays are _PART m apart. No part is within the own outline.
         """
         k: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._rays
+        own: cython.Py_ssize_t = self._rays - self._borrowed  # rays of this scan
         first: cython.Py_ssize_t = 0
-        while first < n and self._state[first] == _UNMEASURED:
+        while first < own and self._state[self._own_ray(first)] == _UNMEASURED:
             first += 1
-        # Each measured ray ends the sector behind the measured ray before; without one, the whole
-        # turn is one sector.
-        begin: cython.Py_ssize_t = first if first < n else 0
+        # 1. Each measured ray ends the sector behind the measured ray before; without one, the
+        # whole turn is one sector.
+        begin: cython.Py_ssize_t = first if first < own else 0
         last: cython.Py_ssize_t = begin
-        angle: cython.double = 0.0 if first < n else INFINITY
-        for k in range(begin + 1, begin + n + 1):
-            i: cython.Py_ssize_t = k % n
-            before: cython.Py_ssize_t = (k - 1) % n
-            angle += hypot(
-                directions[2 * i] - directions[2 * before],
-                directions[2 * i + 1] - directions[2 * before + 1],
-            )
-            if self._state[i] == _UNMEASURED and k < begin + n:
+        angle: cython.double = 0.0 if first < own else INFINITY
+        for k in range(begin + 1, begin + own + 1):
+            i: cython.Py_ssize_t = self._own_ray(k)
+            angle += _between(directions, self._own_ray(k - 1), i)
+            if self._state[i] == _UNMEASURED and k < begin + own:
                 continue
             self._set_hiding(last, k, angle, directions)
             last = k
             angle = 0.0
+        # 2. The borrowed rays are a sector, which is one ray wider than they are.
+        if self._borrowed:
+            angle = 2.0 * TURN / own if own else INFINITY
+            for k in range(1, self._borrowed):
+                angle += _between(directions, k - 1, k)
+            for k in range(self._borrowed):
+                self._hide(k, angle, directions)
         return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(-2)
+    def _own_ray(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
+        """The index of a ray of this scan; the first ray follows the last one."""
+        return self._borrowed + number % (self._rays - self._borrowed)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -222,20 +242,28 @@ class BareReturns:
         angle: cython.double,
         directions: cython.double[::1],
     ) -> cython.int:
-        """Set `_hides_from` of the rays from `last` to `end`; indices beyond n wrap around.
+        """Set `_hides_from` of the unmeasured rays of this scan from number `last` to `end`.
 
         `angle`: rad, the width of the sector.
         """
         k: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._rays
-        least: cython.double = 0.0 if angle >= _WIDE_SECTOR else _PART / angle if angle > 0.0 else INFINITY
         for k in range(last, end + 1):
-            i: cython.Py_ssize_t = k % n
+            i: cython.Py_ssize_t = self._own_ray(k)
             if self._state[i] == _UNMEASURED:
-                outline: cython.double = self._outline.along_ray(
-                    directions[2 * i], directions[2 * i + 1]
-                )
-                self._hides_from[i] = outline if outline > least else least
+                self._hide(i, angle, directions)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _hide(
+        self, ray: cython.Py_ssize_t, angle: cython.double, directions: cython.double[::1]
+    ) -> cython.int:
+        """Set `_hides_from` of a ray in a sector of `angle` rad."""
+        least: cython.double = 0.0 if angle >= _WIDE_SECTOR else _PART / angle if angle > 0.0 else INFINITY
+        outline: cython.double = self._outline.along_ray(
+            directions[2 * ray], directions[2 * ray + 1]
+        )
+        self._hides_from[ray] = outline if outline > least else least
         return 0
 
     @cython.cfunc
@@ -274,16 +302,19 @@ class BareReturns:
     ) -> cython.int:
         """Find the stretches of a run, and mark their candidates; 1 if there is a candidate."""
         k: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._rays
-        first: cython.Py_ssize_t = runs.ray[run.first]
-        last: cython.Py_ssize_t = runs.ray[runs.return_of(run, run.length)]
-        steps: cython.Py_ssize_t = last - first if last >= first else last - first + n
+        own: cython.Py_ssize_t = self._rays - self._borrowed
+        first: cython.Py_ssize_t = runs.ray[run.first] - self._borrowed
+        last: cython.Py_ssize_t = runs.ray[runs.return_of(run, run.length)] - self._borrowed
+        # A run that begins or ends with a borrowed ray begins or ends at the first ray.
+        first = first if first > 0 else 0
+        last = last if last > 0 else 0
+        steps: cython.Py_ssize_t = last - first if last >= first else last - first + own
         count: cython.Py_ssize_t = 0  # members of the present stretch
         lost: cython.Py_ssize_t = 0  # sectors of unmeasured rays in it
         is_lost: cython.bint = False  # the ray before was not measured
         is_any: cython.bint = False
         for k in range(steps + 1):
-            i: cython.Py_ssize_t = (first + k) % n
+            i: cython.Py_ssize_t = self._own_ray(first + k)
             if self._state[i] == _UNMEASURED:
                 is_lost = True
                 continue
@@ -363,12 +394,12 @@ class BareReturns:
     ) -> cython.int:
         """Mark the members of a stretch of the kind WALL whose neighbour rays are members, too."""
         k: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._rays
         is_any: cython.bint = False
         for k in range(1, count - 1):
             i: cython.Py_ssize_t = self._stretch[k]
-            is_behind: cython.bint = self._stretch[k - 1] == (i - 1 + n) % n
-            is_before: cython.bint = self._stretch[k + 1] == (i + 1) % n
+            number: cython.Py_ssize_t = i - self._borrowed
+            is_behind: cython.bint = self._own_ray(self._stretch[k - 1] - self._borrowed + 1) == i
+            is_before: cython.bint = self._own_ray(number + 1) == self._stretch[k + 1]
             if is_behind and is_before and kinds[i] == WALL:
                 self._is_candidate[i] = 1
                 is_any = True
@@ -400,9 +431,8 @@ class BareReturns:
             is_finite: cython.bint = x - x == 0.0 and y - y == 0.0
             if not is_finite:
                 continue
-            is_filled_wall: cython.bint = (
-                self._state[i] == _UNMEASURED and runs.is_on_line(run, x, y) != 0
-            )
+            is_measured: cython.bint = self._state[i] == _RETURN
+            is_filled_wall: cython.bint = not is_measured and runs.is_on_line(run, x, y) != 0
             if not is_filled_wall:
                 self._deny_beside(run, runs, x, y)
         return 0
@@ -431,7 +461,8 @@ class BareReturns:
         """Deny candidates near rays without a measurement along which a part may hide."""
         i: cython.Py_ssize_t
         for i in range(self._rays):
-            if self._state[i] == _UNMEASURED and self._hides_from[i] < REACH + self._extent:
+            is_measured: cython.bint = self._state[i] == _RETURN or self._state[i] == _TOO_CLOSE
+            if not is_measured and self._hides_from[i] < REACH + self._extent:
                 ray_x: cython.double = directions[2 * i]
                 ray_y: cython.double = directions[2 * i + 1]
                 farthest: cython.double = REACH + self._extent
@@ -517,6 +548,19 @@ class BareReturns:
             if self._is_candidate[i] and first <= self._along[i] <= last:
                 self._is_candidate[i] = 0
         return 0
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(-1.0, check=True)
+def _between(
+    directions: cython.double[::1], ray: cython.Py_ssize_t, other: cython.Py_ssize_t
+) -> cython.double:
+    """rad between two rays that are near each other, to 1 % up to 0.5 rad."""
+    return hypot(
+        directions[2 * ray] - directions[2 * other],
+        directions[2 * ray + 1] - directions[2 * other + 1],
+    )
 
 
 @cython.cfunc

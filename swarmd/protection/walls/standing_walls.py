@@ -170,6 +170,7 @@ class StandingWalls(ReturnLayer):
         directions: cython.double[::1],
         ages: cython.const_double[::1],
         filled: cython.const_double[::1],
+        borrowed: cython.Py_ssize_t,
         hidden: cython.double[:, ::1],
         motion: ScanMotion,
     ) -> None:
@@ -195,7 +196,7 @@ class StandingWalls(ReturnLayer):
         self.has_bare_walls = False
         if bare is not None and self.has_kinds:
             self.has_bare_walls = bare.mark(
-                self.kinds, self._runs, ranges, directions, ages, filled, hidden
+                self.kinds, self._runs, ranges, directions, ages, filled, borrowed, hidden
             )
 
     @cython.cfunc
