@@ -41,7 +41,7 @@ from swarmd.core.values import (
     TouchZone,
     Twist,
 )
-from swarmd.protection.barrier_assumptions import Assumptions
+from swarmd.protection.barrier_assumptions import OTHER, Assumptions
 from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion
@@ -151,6 +151,14 @@ class Barrier:
     def has_walls(self) -> bool:
         """True if walls that have stood are assumed to stand on (`walls_stand`)."""
         return self._walls is not None
+
+    def kinds(self) -> list[int]:
+        """The kind of the return of each ray of the last scan, such as BARE_WALL."""
+        walls = self._walls
+        count = len(self._feasible.near.bearings)
+        if walls is None or not walls.has_kinds:
+            return [OTHER] * count
+        return [walls.kinds[i] for i in range(count)]
 
     @property
     def moved_wall(self) -> MovedWall | None:

@@ -48,7 +48,8 @@ class ReturnLayer:
     """A layer that tells the kinds of returns, off by default: without it each return is OTHER.
 
     The kind of a return gives the speed at which its obstacle may approach
-    (`Assumptions.speed_of`), and the caps of its constraints.
+    (`Assumptions.speed_of`), how far the obstacle extends (`Assumptions.extent_of`), and the caps
+    of its constraints.
     """
 
     kinds: cython.longlong[::1]  # of the last scan: the kind of the return of each ray

@@ -19,7 +19,7 @@ hold in this scan. The numbers are those of the method that tests the condition.
    where the constraints are made (`ToldPlaces`).
 5. `_deny_unmeasured`. No sector of rays without a measurement, in which a part of _PART m may stand
    before the wall, lies within `extent` m: lost rays, masks, blind and frozen sectors, black or
-   transparent surfaces, open space.
+   transparent surfaces, open space beside the end of the wall.
 
 Rays that an earlier scan filled, rays of an earlier revolution, and rays that were borrowed from
 the scan before were not measured.
@@ -61,7 +61,7 @@ _LOST_SECTORS = cython.declare(cython.Py_ssize_t, 4)
 # some 0.03 / m (one standard deviation). A tank of 5 m radius has 0.2 / m.
 _FLAT_RADIUS = cython.declare(cython.double, 10.0)
 _LEAST_MEMBERS = cython.declare(cython.Py_ssize_t, 20)  # members of a stretch
-# rad: the sum of the angles between the rays of a sector from which on the sector has no bound.
+# rad: a sector as wide may be open space.
 _WIDE_SECTOR = cython.declare(cython.double, 1.0)
 
 # What this scan knows of a ray.
@@ -88,6 +88,7 @@ class BareReturns:
     _x: cython.double[::1]  # m, the place of a finite range, measured or filled
     _y: cython.double[::1]
     _hides_from: cython.double[::1]  # m from the lidar, of an unmeasured ray: a part may hide there
+    _is_open: cython.longlong[::1]  # 1: an unmeasured ray of a sector as wide as open space
     _is_member: cython.longlong[::1]  # 1: measured, and on the line of the present run
     _along: cython.double[::1]  # m along the line of the present run, of a member
     _across: cython.double[::1]
@@ -114,7 +115,7 @@ class BareReturns:
         self._is_candidate, self._stretch = indices(rays), indices(rays)
         self._x, self._y = doubles(rays), doubles(rays)
         self._along, self._across = doubles(rays), doubles(rays)
-        self._hides_from = doubles(rays)
+        self._hides_from, self._is_open = doubles(rays), indices(rays)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -259,7 +260,8 @@ class BareReturns:
         self, ray: cython.Py_ssize_t, angle: cython.double, directions: cython.double[::1]
     ) -> cython.int:
         """Set `_hides_from` of a ray in a sector of `angle` rad."""
-        least: cython.double = 0.0 if angle >= _WIDE_SECTOR else _PART / angle if angle > 0.0 else INFINITY
+        self._is_open[ray] = angle >= _WIDE_SECTOR
+        least: cython.double = _PART / angle if angle > 0.0 else INFINITY
         outline: cython.double = self._outline.along_ray(
             directions[2 * ray], directions[2 * ray + 1]
         )
@@ -458,7 +460,11 @@ class BareReturns:
     def _deny_unmeasured(
         self, run: Run, runs: StraightRuns, directions: cython.double[::1]
     ) -> cython.int:
-        """Deny candidates near rays without a measurement along which a part may hide."""
+        """Deny candidates near rays without a measurement along which a part may hide.
+
+        A ray towards open space counts only if it would meet the line of the run nearby: each
+        robot beside a wall has rays without a return along the wall.
+        """
         i: cython.Py_ssize_t
         for i in range(self._rays):
             is_measured: cython.bint = self._state[i] == _RETURN or self._state[i] == _TOO_CLOSE
@@ -466,6 +472,11 @@ class BareReturns:
                 ray_x: cython.double = directions[2 * i]
                 ray_y: cython.double = directions[2 * i + 1]
                 farthest: cython.double = REACH + self._extent
+                height: cython.double = self._height(
+                    run, runs, runs.lidar_x + farthest * ray_x, runs.lidar_y + farthest * ray_y
+                )
+                if self._is_open[i] and height > 0.0:
+                    continue
                 self._deny_along(run, runs, ray_x, ray_y, self._hides_from[i], farthest)
         return 0
 
