@@ -213,7 +213,9 @@ class NearObstacles:
         """Find the directions of all rays with a range up to REACH m, or of all rays."""
         i: cython.Py_ssize_t
         for i in range(len(ranges)):
-            if (wants_all or ranges[i] <= REACH) and self._directions[2 * i] != self._directions[2 * i]:
+            if (wants_all or ranges[i] <= REACH) and self._directions[2 * i] != self._directions[
+                2 * i
+            ]:
                 self._find_direction(i)
 
     @cython.cfunc

@@ -374,9 +374,7 @@ def _scan_with(
 ) -> Scan:
     """A copy of a scan with other ranges, bearings and ages, and other unmeasured rays."""
     limits = scan.range_min, scan.range_max
-    return Scan(
-        scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age, filled, borrowed
-    )
+    return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age, filled, borrowed)
 
 
 @cython.cfunc

@@ -249,7 +249,7 @@ def test_a_robot_drives_beside_its_foot_and_not_nearer(name: str) -> None:
     for foot, gap, least, most in (
         (0.05, 0.16, 0.03, 0.1),
         (0.05, 0.078, 0.0, 0.016),
-        (0.0, 0.028, 0.0, 0.016),
+        (0.0, 0.055, 0.02, 0.1),
         (0.06, 0.088, 0.0, 0.016),
     ):
         ahead = Line(front + gap, -3.0, front + gap, 3.0)
@@ -397,7 +397,7 @@ def test_no_return_beside_a_strip_that_the_lidar_misses_is_bare(what: str, width
         seen = Watcher().watch([wall(y, -3.0, x), wall(y, x + width, 3.0), *behind])
         assert seen.at_fault(strip, 0.01) == 0
         if what == "black":
-            assert seen.at_fault(wall(y, x + 0.03, x + width - 0.03)) == 0
+            assert seen.at_fault(wall(y, x + 0.02, x + width - 0.02)) == 0
         assert Watcher().watch([wall(y)]).at_fault(strip) > 5
 
 
@@ -497,7 +497,7 @@ def test_a_told_place_gives_the_returns_near_it_their_extent() -> None:
     far = ToldObstacle(-3.0, 0.0, 0.2, 0.1)
     assert seen.decide(request, [far]) == seen.decide(request)
     # Behind the wall, where the disc itself limits a robot that drives along the wall hardly.
-    beside = ToldObstacle(0.3, y + 0.75, 0.3, 0.1)
+    beside = ToldObstacle(0.3, y + 0.45, 0.3, 0.1)
     plain = Watcher(walls_stand={"length": 1.0, "seconds": 1.0}).watch([wall(y)])
     assert seen.decide(request, [beside]).linear == plain.decide(request, [beside]).linear
     assert seen.decide(request, [beside]).linear < seen.decide(request).linear
