@@ -15,8 +15,8 @@ import numpy as np
 from msgspec import Struct, structs
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.settings.platforms import load_platform
 from swarmd.protection.walls.walls_settings import LEAST_LENGTH_WITH_FOOT
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
@@ -424,7 +424,8 @@ def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any
     """A platform under one of MODES, with these settings of the barrier.
 
     orca: the barrier with avoidance. walls_stand: the same, and walls that have stood are assumed
-    to stand. walls_foot: the same, with a `foot`. ghost: no protection, and a body that others pass through.
+    to stand. walls_foot: the same, with a `foot`. ghost: no protection, and a body that others pass
+    through.
     """
     avoiding = ("orca", *_WALLS)
     of_mode = "barrier" if mode in avoiding else "off" if mode == "ghost" else mode

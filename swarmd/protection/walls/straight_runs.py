@@ -241,10 +241,11 @@ class StraightRuns:
     @cython.cfunc
     @cython.exceptval(-1)
     def _bridge(self) -> cython.int:
-        """Let single rays without a return not end a chain, if the scan has at most _LOST_ALONE of them.
+        """Let single rays without a return not end a chain.
 
         A sensor may lose a ray here and there, and reports it as a ray without a return. The
-        returns on both sides must be less than _BRIDGED m apart. A row of bodies has more such gaps.
+        returns on both sides must be less than _BRIDGED m apart. A scan with more than _LOST_ALONE
+        of these rays keeps all cuts: a row of bodies has more such gaps.
         """
         k: cython.Py_ssize_t
         bridged: cython.Py_ssize_t = 0
