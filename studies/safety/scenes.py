@@ -15,6 +15,7 @@ import numpy as np
 from msgspec import Struct, structs
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.protection.walls.walls_settings import LEAST_LENGTH_WITH_FOOT
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
@@ -30,11 +31,13 @@ MODES = (
     "barrier",
     "orca",
     "walls_stand",
+    "walls_foot",
     "potential_field",
     "stop_zone",
     "off",
     "ghost",
 )
+_WALLS = ("walls_stand", "walls_foot")
 ATTACKERS = "attackers"
 """The group of attacking robots, and the prefix of their platform."""
 DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(2000, 10_000)
@@ -42,6 +45,7 @@ DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(2000, 10_000)
 looked at by now."""
 
 _LEAST_WALL = 0.5  # m, the default of `walls_stand.length`
+_FOOT = 0.05  # m, `walls_stand.foot` of mode `walls_foot`, or `unseen_extent` if it is less
 _MIXED_SPEED = 0.4  # m/s: the speed that all robots of a mixed swarm assume of others
 _MIXED_KEEP_OUT = 0.92  # m: keeps robots out of a Jackal's blind zone
 
@@ -384,8 +388,8 @@ def kinds_of(platform: str) -> tuple[str, ...]:
 
 def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
     barrier: dict[str, Any] = {"unseen_extent": 0.0} if scene.visibility == "body" else {}
-    if scene.mode == "walls_stand":
-        barrier |= {"walls_stand": _walls_stand(kinds_of(scene.platform))}
+    if scene.mode in _WALLS:
+        barrier |= {"walls_stand": _walls_stand(kinds_of(scene.platform), scene.mode, barrier)}
     if scene.platform == "mixed":
         barrier |= {"others_speed": _MIXED_SPEED}
         barrier |= {} if scene.is_told else {"keep_out": _MIXED_KEEP_OUT}
@@ -400,23 +404,34 @@ def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _walls_stand(kinds: Iterable[str]) -> dict[str, float]:
-    """The declaration that walls stand: these are longer than any of these kinds of robots."""
-    extents = [np.hypot(*np.ptp(load_platform(kind).footprint, axis=0)) for kind in kinds]
-    return {"length": max(_LEAST_WALL, 1.1 * float(max(extents)))}
+def _walls_stand(kinds: Iterable[str], mode: str, barrier: Mapping[str, Any]) -> dict[str, float]:
+    """The declaration that walls stand: these are longer than any of these kinds of robots.
+
+    With mode `walls_foot` they are at least as long as a `foot` needs, and stick out by _FOOT m at
+    most. `barrier`: further settings of all kinds.
+    """
+    platforms = [load_platform(kind) for kind in kinds]
+    extents = [np.hypot(*np.ptp(platform.footprint, axis=0)) for platform in platforms]
+    length = max(_LEAST_WALL, 1.1 * float(max(extents)))
+    if mode != "walls_foot":
+        return {"length": length}
+    settings = [{**platform.protection["barrier"], **barrier} for platform in platforms]
+    foot = min(_FOOT, *(float(one["unseen_extent"]) for one in settings))
+    return {"length": max(LEAST_LENGTH_WITH_FOOT, length), "foot": foot}
 
 
 def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any]:
     """A platform under one of MODES, with these settings of the barrier.
 
     orca: the barrier with avoidance. walls_stand: the same, and walls that have stood are assumed
-    to stand. ghost: no protection, and a body that others pass through.
+    to stand. walls_foot: the same, with a `foot`. ghost: no protection, and a body that others pass
+    through.
     """
-    avoiding = ("orca", "walls_stand")
+    avoiding = ("orca", *_WALLS)
     of_mode = "barrier" if mode in avoiding else "off" if mode == "ghost" else mode
     protection: dict[str, Any] = {"mode": of_mode}
     protection["avoidance"] = "orca" if mode in avoiding else "none"
-    walls = {"walls_stand": _walls_stand((kind,))} if mode == "walls_stand" else {}
+    walls = {"walls_stand": _walls_stand((kind,), mode, barrier)} if mode in _WALLS else {}
     if barrier or walls:
         protection["barrier"] = {**walls, **barrier}
     found: dict[str, Any] = {"extends": kind, "protection": protection}

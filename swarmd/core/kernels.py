@@ -72,6 +72,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.surfaces",
         "swarmd.protection.obstacles",
         "swarmd.protection.walls.straight_runs",
+        "swarmd.protection.walls.bare_returns",
         "swarmd.protection.walls.standing_walls",
         "swarmd.protection.touch_zone",
         "swarmd.protection.constraints",

@@ -258,12 +258,14 @@ class WallsStandSummary(Struct, frozen=True):
     """The assumption that walls which have stood do not begin to move (`walls_stand`).
 
     The assumption is for walls that are straight for `length` m and have stood for `seconds`.
-    `is_used`: False once protection has seen such a wall move.
+    `is_used`: False once protection has seen such a wall move. `foot`: m by which such walls stick
+    out at most; None: as all obstacles.
     """
 
     length: Metres
     seconds: Seconds
     is_used: bool = True
+    foot: Metres | None = None
 
 
 class FenceSummary(Struct, frozen=True, kw_only=True):

@@ -95,6 +95,11 @@ class Scan(Struct, frozen=True, eq=False):
       None in a conditioned scan: all rays have the same time.
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
       `latency`; None for a raw scan.
+    - `filled`: (n,) bool, True for each ray of a conditioned scan that this scan did not measure,
+      and whose range comes from an earlier scan or from the rays beside it. None: no such ray.
+    - `borrowed`: how many rays, the first ones, are those of the scan before. They fill a sector
+      that this scan did not measure, since the robot turned against the sensor. They are not among
+      the rays of `filled`.
 
     While the order of the rays is unknown, the ages are bounds: `newest_age` is the mean age of the
     rays, and each of `ages` is half of the duration of the scan. No ray is older than their sum.
@@ -108,6 +113,8 @@ class Scan(Struct, frozen=True, eq=False):
     range_max: float
     ages: Array | None = None
     newest_age: float | None = None
+    filled: NDArray[np.bool_] | None = None
+    borrowed: int = 0
 
 
 MAX_STEP, MAX_SPEED = 0.5, 10.0

@@ -41,7 +41,7 @@ from swarmd.core.values import (
     TouchZone,
     Twist,
 )
-from swarmd.protection.barrier_assumptions import Assumptions
+from swarmd.protection.barrier_assumptions import OTHER, Assumptions
 from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion
@@ -123,7 +123,7 @@ class Barrier:
         assumptions = Assumptions(platform, settings)
         outline = Outline(platform)
         if settings.walls_stand is not None:
-            self._walls = StandingWalls(platform, settings.walls_stand)
+            self._walls = StandingWalls(platform, settings.walls_stand, settings.unseen_extent)
         self._feasible = feasible = FeasibleSet(assumptions, outline, self._walls)
         self._projection = Projection()
         self._stop = StopCheck(assumptions, outline, feasible.constraints)
@@ -152,6 +152,14 @@ class Barrier:
         """True if walls that have stood are assumed to stand on (`walls_stand`)."""
         return self._walls is not None
 
+    def kinds(self) -> list[int]:
+        """The kind of the return of each ray of the last scan, such as BARE_WALL."""
+        walls = self._walls
+        count = len(self._feasible.near.bearings)
+        if walls is None or not walls.has_kinds:
+            return [OTHER] * count
+        return [walls.kinds[i] for i in range(count)]
+
     @property
     def moved_wall(self) -> MovedWall | None:
         """The wall that the last scan showed to move, against `walls_stand`; None without one."""
@@ -172,6 +180,11 @@ class Barrier:
         """Whether the assumption `walls_stand` holds; False after it was found violated."""
         if self._walls is not None:
             self._walls.is_trusted = is_trusted
+
+    def hear(self, diagonal: float) -> None:
+        """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
+        if self._walls is not None:
+            self._walls.hear(diagonal)
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
@@ -214,7 +227,8 @@ class Barrier:
             memory.update(scan, geometry, moved, motion.driven(), motion.seconds)
             if len(memory.bearings):
                 hidden = view(_rays_and_ranges(memory.bearings, memory.nearest))
-        near.take_scan(ranges, scan.range_min, ages, hidden)
+        filled = NO_NUMBERS if scan.filled is None else view(scan.filled)
+        near.take_scan(ranges, scan.range_min, ages, filled, scan.borrowed, hidden)
         self._feasible.situation.is_known = False
 
     def _newest_age(self, scan: Scan) -> float:

@@ -29,7 +29,9 @@ REACTION = cython.declare(cython.double, REACTION_TIME)
 """s from a decision to the first response of the base."""
 OTHER = cython.declare(cython.longlong, 0)
 WALL = cython.declare(cython.longlong, 1)
-"""The kinds of obstacles: one of which nothing is known, and a wall that stands."""
+BARE_WALL = cython.declare(cython.longlong, 2)
+"""The kinds of obstacles: one of which nothing is known, a wall that stands, and a wall that stands
+and from which nothing extends farther than `foot` beyond its return."""
 
 
 @cython.final
@@ -40,6 +42,7 @@ class Assumptions:
     others_speed: cython.double  # m/s, fastest surface of any other object
     standing_speed: cython.double  # m/s, the same for an obstacle of the kind WALL
     unseen_extent: cython.double  # m by which objects extend beyond their part in the scan plane
+    foot: cython.double  # m, the same for an obstacle of the kind BARE_WALL
     margin: cython.double  # m kept free for range noise
     braking_linear: cython.double  # m/s2, least deceleration of the base
     braking_angular: cython.double  # rad/s2
@@ -65,6 +68,9 @@ class Assumptions:
         binding = BindingRange(platform, settings, TICK)
         self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
         self.standing_speed = settings.standing_speed
+        walls = settings.walls_stand
+        has_foot = walls is not None and walls.foot is not None
+        self.foot = walls.foot if has_foot else settings.unseen_extent
         self.has_kinds = self.standing_speed < self.others_speed
         self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
         self.envelope_range = binding.for_envelope()
@@ -81,7 +87,14 @@ class Assumptions:
     @cython.exceptval(check=False)
     def speed_of(self, kind: cython.longlong) -> cython.double:
         """The m/s at which an obstacle of a kind may approach."""
-        return self.standing_speed if kind == WALL else self.others_speed
+        return self.others_speed if kind == OTHER else self.standing_speed
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def extent_of(self, kind: cython.longlong) -> cython.double:
+        """The m by which an obstacle of a kind may extend beyond its return."""
+        return self.foot if kind == BARE_WALL else self.unseen_extent
 
     @cython.cfunc
     @cython.inline

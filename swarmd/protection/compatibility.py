@@ -72,6 +72,14 @@ def sees(own: Body, peer: Body) -> bool | None:
     return peer.lowest <= own.scan_plane <= peer.highest
 
 
+def longest_diagonal(bodies: Iterable[Body | None]) -> float:
+    """A bound in m of the longest diagonal of the outlines of peers; 0 without a peer.
+
+    An outline lies within its radius around the axle. inf if a peer tells nothing of its body.
+    """
+    return max((math.inf if body is None else 2.0 * body.radius for body in bodies), default=0.0)
+
+
 def assumed_speed(platform: Platform) -> float | None:
     """The speed of others in m/s that protection assumes; None except in mode `barrier`."""
     barrier = barrier_settings(platform)

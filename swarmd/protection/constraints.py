@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.buffers import checked, checked_indices, doubles, indices
 from swarmd.core.values import Limits
-from swarmd.protection.barrier_assumptions import OTHER, REACTION, WALL, Assumptions
+from swarmd.protection.barrier_assumptions import BARE_WALL, OTHER, REACTION, WALL, Assumptions
 from swarmd.protection.closing_speed import (
     CREEP_SPEED,
     DECISION_PERIOD,
@@ -274,7 +274,7 @@ def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> c
     """
     j: cython.Py_ssize_t
     for j in range(chunk.count):
-        if chunk.kind[j] == WALL:
+        if chunk.kind[j] != OTHER:
             linear: cython.double = (
                 chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
             )
@@ -302,7 +302,7 @@ def _set_corner_wall_caps(
     """
     j: cython.Py_ssize_t
     for j in range(begin, end):
-        if chunk.kind[j] == WALL:
+        if chunk.kind[j] != OTHER:
             distance: cython.double = chunk.row_gap[j]
             dx: cython.double = (chunk.x[j] - corner_x) / distance
             dy: cython.double = (chunk.y[j] - corner_y) / distance
@@ -313,11 +313,68 @@ def _set_corner_wall_caps(
 
 @cython.final
 @cython.cclass
+class ToldPlaces:
+    """Circles in the predicted base frame in which an unseen obstacle may be, its parts included.
+
+    A return in such a circle has the full `unseen_extent`, also if it is of the kind BARE_WALL.
+    """
+
+    count: cython.Py_ssize_t
+    x: cython.double[::1]  # m
+    y: cython.double[::1]
+    reach: cython.double[::1]  # m
+
+    def __init__(self) -> None:
+        self._allocate(8)
+
+    def check_indices(self) -> None:
+        """ValueError unless the circles are within the arrays."""
+        if not 0 <= self.count <= min(len(self.x), len(self.y), len(self.reach)):
+            raise ValueError(f"{self.count} circles in {len(self.x)}")
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def begin(self, room: cython.Py_ssize_t) -> cython.int:
+        """Drop all circles, and make room for `room` circles."""
+        self.count = 0
+        if len(self.x) < room:
+            self._allocate(room + room // 2)
+
+    def _allocate(self, room: cython.Py_ssize_t) -> None:
+        """Make all arrays anew."""
+        self.x, self.y, self.reach = doubles(room), doubles(room), doubles(room)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def add(self, x: cython.double, y: cython.double, reach: cython.double) -> cython.int:
+        """Add a circle; `begin` must have made room."""
+        self.x[self.count] = x
+        self.y[self.count] = y
+        self.reach[self.count] = reach
+        self.count += 1
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def hold(self, x: cython.double, y: cython.double) -> cython.int:
+        """1 if a place is in a circle. A place or circle of NaN counts as in."""
+        k: cython.Py_ssize_t
+        for k in range(self.count):
+            dx: cython.double = x - self.x[k]
+            dy: cython.double = y - self.y[k]
+            is_outside: cython.bint = sqrt(dx * dx + dy * dy) > self.reach[k]
+            if not is_outside:
+                return 1
+        return 0
+
+
+@cython.final
+@cython.cclass
 class Constraints:
     """The constraints of one decision, made of the placed points."""
 
     rows: ConstraintRows
     placed: PlacedPoints
+    told: ToldPlaces
     axes: SpeedAxes
     touch: TouchSector
     _chunk: Chunk
@@ -327,6 +384,7 @@ class Constraints:
     def __init__(self, assumptions: Assumptions, outline: Outline, touch: TouchSector) -> None:
         self._assumptions, self._outline = assumptions, outline
         self.rows, self.placed = ConstraintRows(), PlacedPoints()
+        self.told = ToldPlaces()
         self.axes = SpeedAxes()
         self.touch, self._chunk = touch, Chunk()
         self.axes.angular_limit = assumptions.angular_limit
@@ -373,6 +431,7 @@ class Constraints:
         frame: PlanarPose,
         age: cython.double,
         free: cython.double,
+        bare_free: cython.double,
     ) -> cython.int:
         """Place the first `placed.seen` returns of the scan, and add their constraints.
 
@@ -384,6 +443,7 @@ class Constraints:
             frame: the pose of the scan in the predicted base frame.
             age: s from the newest ray until the command takes effect.
             free: m that must stay free around each return.
+            bare_free: m, the same around a return of the kind BARE_WALL outside of all `told`.
         """
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
@@ -414,8 +474,14 @@ class Constraints:
                     chunk.x[in_chunk] = frame.x + cos_yaw * x - sin_yaw * y
                     chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
                     chunk.free[in_chunk], chunk.age[in_chunk] = free, ray_age
-                    chunk.radius[in_chunk], chunk.kind[in_chunk] = 0.0, kinds[taken]
-                    chunk.others[in_chunk] = assumptions.speed_of(kinds[taken])
+                    kind: cython.longlong = kinds[taken]
+                    if kind == BARE_WALL:
+                        if self.told.hold(chunk.x[in_chunk], chunk.y[in_chunk]):
+                            kind = WALL
+                        else:
+                            chunk.free[in_chunk] = bare_free
+                    chunk.radius[in_chunk], chunk.kind[in_chunk] = 0.0, kind
+                    chunk.others[in_chunk] = assumptions.speed_of(kind)
                     placed.scan_gap[placed_count + in_chunk] = gaps[taken]
                     placed.near_index[placed_count + in_chunk] = taken
                     in_chunk += 1
@@ -660,7 +726,7 @@ class Constraints:
         row_gap: cython.p_double = checked(rows.gap, row + count)
         source: cython.p_longlong = checked_indices(rows.source, row + count)
         for j in range(count):
-            if cap[j] <= 0.0 and chunk.kind[j] != WALL:
+            if cap[j] <= 0.0 and chunk.kind[j] == OTHER:
                 half_gap: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
                 # The obstacle may have moved since the scan, so the time begins at the scan.
                 speed: cython.double = half_gap / (chunk.age[j] + DECISION_PERIOD) - reserve
@@ -708,7 +774,7 @@ class Constraints:
         # 1. Finds the strictest limits below the limit of the platform. A point stays -1 without
         # such a limit.
         for j in range(chunk.count):
-            if chunk.kind[j] == WALL:
+            if chunk.kind[j] != OTHER:
                 continue  # such a wall does not approach
             nx: cython.double = chunk.normal_x[j]
             ny: cython.double = chunk.normal_y[j]

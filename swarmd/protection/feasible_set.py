@@ -12,7 +12,13 @@ from swarmd.core.odometry_trail import LONGEST_EXTRAPOLATION
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.closing_speed import DECISION_PERIOD
 from swarmd.protection.comparisons import is_same, maximum
-from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints, SpeedAxes
+from swarmd.protection.constraints import (
+    ConstraintRows,
+    Constraints,
+    PlacedPoints,
+    SpeedAxes,
+    ToldPlaces,
+)
 from swarmd.protection.dead_reckoning import (
     DeadReckoning,
     PlanarPose,
@@ -237,13 +243,16 @@ class FeasibleSet:
         unknown_s: cython.double = not_extrapolated + self.motion.first_use_delay
         odometry_error: cython.double = unknown_s * assumptions.surface_speed
         free: cython.double = assumptions.margin + assumptions.unseen_extent + odometry_error
+        bare_free: cython.double = assumptions.margin + assumptions.foot + odometry_error
+        if near.has_bare_walls():
+            self._place_told(odometry_age, not_extrapolated)
 
         # 3. Adds the constraints of returns, then of the touch zone (directions in which the robot
         # may touch), then of discs. `age`: of the newest ray when the command takes effect.
         age: cython.double = self.situation.now - self.motion.measured_at + REACTION
         binding_range: cython.double = assumptions.binding_range(age + self.motion.oldest)
         constraints.begin(near, self.discs.count, binding_range)
-        constraints.add_seen(near, self._frame, age, free)
+        constraints.add_seen(near, self._frame, age, free, bare_free)
         if self.touch.is_granted:
             constraints.allow_touch()
         self._add_discs(odometry_age, not_extrapolated)
@@ -261,6 +270,35 @@ class FeasibleSet:
         has_only_returns: cython.bint = not (self.touch.is_granted or self.discs.count)
         self.creeping.is_active = False
         self.creeping.is_possible = assumptions.may_creep and near.is_near and has_only_returns
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _place_told(
+        self, odometry_age: cython.double, not_extrapolated: cython.double
+    ) -> cython.int:
+        """Set the circles of `constraints.told`: within `unseen_extent` m of each disc.
+
+        All discs count, not only those that can constrain the robot themselves. The obstacle of a
+        disc may have moved since its measurement. The arguments are those of `_add_discs`.
+        """
+        k: cython.Py_ssize_t
+        assumptions: Assumptions = self.assumptions
+        told: ToldPlaces = self.constraints.told
+        table: cython.double[:, ::1] = self.discs.table
+        pose: PlanarPose = self._disc_pose
+        moved: cython.double = not_extrapolated * assumptions.surface_speed  # m, at most
+        told.begin(len(table))
+        for k in range(len(table)):
+            age: cython.double = table[k, DISC_AGE]
+            self.reckoning.find_pose(odometry_age, age, pose)
+            pose.set_relative(pose, self._predicted)
+            cos_yaw: cython.double = cos(pose.yaw)
+            sin_yaw: cython.double = sin(pose.yaw)
+            x: cython.double = cos_yaw * table[k, DISC_X] - sin_yaw * table[k, DISC_Y]
+            y: cython.double = sin_yaw * table[k, DISC_X] + cos_yaw * table[k, DISC_Y]
+            reach: cython.double = table[k, DISC_RADIUS] + assumptions.unseen_extent + moved
+            reach += assumptions.others_speed * (age + REACTION)
+            told.add(pose.x + x, pose.y + y, reach)
 
     @cython.cfunc
     @cython.exceptval(-1)

@@ -49,11 +49,14 @@ class ReturnLayer:
     """A layer that tells the kinds of returns, off by default: without it each return is OTHER.
 
     The kind of a return gives the speed at which its obstacle may approach
-    (`Assumptions.speed_of`), and the caps of its constraints.
+    (`Assumptions.speed_of`), how far the obstacle extends (`Assumptions.extent_of`), and the caps
+    of its constraints.
     """
 
     kinds: cython.longlong[::1]  # of the last scan: the kind of the return of each ray
     has_kinds: cython.bint  # the last scan has a return that is not OTHER
+    has_bare_walls: cython.bint  # the last scan has a return of the kind BARE_WALL
+    wants_all: cython.bint  # `observe` needs the directions of all rays
 
     def __init__(self, rays: int) -> None:
         self.kinds = indices(rays)
@@ -64,14 +67,21 @@ class ReturnLayer:
         ranges: cython.const_double[::1],
         directions: cython.double[::1],
         ages: cython.const_double[::1],
+        filled: cython.const_double[::1],
+        borrowed: cython.Py_ssize_t,
+        hidden: cython.double[:, ::1],
         motion: ScanMotion,
     ) -> None:
-        """Take in a scan: set `kinds` and `has_kinds`.
+        """Take in a scan: set `kinds`, `has_kinds` and `has_bare_walls`.
 
         Args:
             ranges: (n,) m. -inf: a return too close to measure, inf: no return.
-            directions: (2n,) the unit vector (x, y) along each ray; set for rays up to REACH.
+            directions: (2n,) the unit vector (x, y) along each ray; set for rays up to REACH, and
+                with `wants_all` for all rays.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
+            filled: (n,) 1 for each ray that the scan did not measure; empty: all are 0.
+            borrowed: how many rays, the first ones, are of the scan before (see `Scan`).
+            hidden: (m, 3), as of `NearObstacles.take_scan`.
             motion: when and where the scan was taken.
         """
 
@@ -179,6 +189,13 @@ class NearObstacles:
             raise ValueError(f"{self.contacts} contacts of {len(self.points.x)} points")
 
     @cython.cfunc
+    @cython.exceptval(-1)
+    def has_bare_walls(self) -> cython.int:
+        """1 if a return of the last scan is of the kind BARE_WALL."""
+        layer: ReturnLayer | None = self._layer
+        return layer is not None and layer.has_bare_walls
+
+    @cython.cfunc
     def set_bearings(self, bearings: Array) -> None:
         """Take the rays of other bearings; their directions are found when they are needed."""
         i: cython.Py_ssize_t
@@ -199,11 +216,15 @@ class NearObstacles:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _find_directions(self, ranges: cython.const_double[::1]) -> cython.int:
-        """Find the directions of all rays with a range up to REACH m."""
+    def _find_directions(
+        self, ranges: cython.const_double[::1], wants_all: cython.bint
+    ) -> cython.int:
+        """Find the directions of all rays with a range up to REACH m, or of all rays."""
         i: cython.Py_ssize_t
         for i in range(len(ranges)):
-            if ranges[i] <= REACH and self._directions[2 * i] != self._directions[2 * i]:
+            if (wants_all or ranges[i] <= REACH) and self._directions[2 * i] != self._directions[
+                2 * i
+            ]:
                 self._find_direction(i)
 
     @cython.cfunc
@@ -240,6 +261,8 @@ class NearObstacles:
         ranges: cython.const_double[::1],
         range_min: cython.double,
         ages: cython.const_double[::1],
+        filled: cython.const_double[::1],
+        borrowed: cython.Py_ssize_t,
         hidden: cython.double[:, ::1],
     ) -> None:
         """Replace the near obstacles by those of a scan, hidden obstacles included.
@@ -252,6 +275,8 @@ class NearObstacles:
             ranges: (n,) m, -inf for a return too close to measure, inf for no return.
             range_min: m, the least range that the lidar measures.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
+            filled: (n,) 1 for each ray that the scan did not measure; empty: all are 0.
+            borrowed: how many rays, the first ones, are of the scan before (see `Scan`).
             hidden: (m, 3) unit vector from the lidar to each hidden obstacle, and the least
                 distance of the obstacle from the lidar in m.
         """
@@ -261,6 +286,8 @@ class NearObstacles:
             raise IndexError(f"{count} ranges, but {len(self._bearings)} rays")
         if len(ages) > 0 and len(ages) != count:
             raise IndexError(f"{count} ranges, but {len(ages)} ages")
+        if len(filled) > 0 and len(filled) != count:
+            raise IndexError(f"{count} ranges, but {len(filled)} filled or not")
 
         # 1. Makes room, and drops the obstacles of the last scan.
         self.points.reserve(room)
@@ -276,8 +303,8 @@ class NearObstacles:
         # 2. The kinds of the returns.
         layer: ReturnLayer | None = self._layer
         if layer is not None:
-            self._find_directions(ranges)
-            layer.observe(ranges, self._directions, ages, self._motion)
+            self._find_directions(ranges, layer.wants_all)
+            layer.observe(ranges, self._directions, ages, filled, borrowed, hidden, self._motion)
 
         # 3. Gaps in m up to which an obstacle matters: for the envelope, and for constraints.
         # `extra_age` in s: how much older than usual the oldest ray may be.

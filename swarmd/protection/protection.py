@@ -153,6 +153,11 @@ class Protection:
         """s until walls that are near have stood; 0 without such walls."""
         return self._mode.wall_patience(now) if self._has_walls and is_barrier(self._mode) else 0.0
 
+    def hear(self, diagonal: float) -> None:
+        """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
+        if is_barrier(self._mode):
+            self._mode.hear(diagonal)
+
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
         self._scan_seq, self._scan, self._last_context = scan.seq, scan, None

@@ -34,7 +34,7 @@ from swarmd.core.messages import (
 )
 from swarmd.core.told import Told
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
-from swarmd.protection.compatibility import Accepts
+from swarmd.protection.compatibility import Accepts, longest_diagonal
 from swarmd.protection.decision import Decision, DecisionContext
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
@@ -248,6 +248,7 @@ class Robot(Ticker):
 
     def _on_peers(self, one: events.PeersInput, now: float) -> None:
         robots: dict[tuple[str, str], list[str]] = {}  # peers with an equal finding share an event
+        self._protection.hear(longest_diagonal(one.bodies.values()))
         for finding in self._sensors.on_peers(one.bodies):
             robots.setdefault((finding.kind, finding.text), []).append(finding.robot)
             self._due_at = self._quiet_until = -math.inf

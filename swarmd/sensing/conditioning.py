@@ -183,7 +183,11 @@ class ScanConditioner:
             return Reason.INVALID_SCAN
         ranges.setflags(write=False)  # pattern and memory share the array
         limits = self._range_min, self._range_max
-        return Scan(scan.seq, stamp, ranges, self._bearings, *limits, self._ages, self._latency)
+        filled = self._rays.filled
+        if filled is not None:
+            filled.setflags(write=False)
+        bearings, ages, latency = self._bearings, self._ages, self._latency
+        return Scan(scan.seq, stamp, ranges, bearings, *limits, ages, latency, filled)
 
     @cython.cfunc
     def _has_form(self, scan: Scan) -> cython.bint:

@@ -17,6 +17,7 @@ from array import array
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
@@ -152,7 +153,7 @@ class Deskewer:
             # The order of the rays is not known: no ray is moved, and the platform's latency is the
             # age of the mean ray, for which the whole scan counts.
             bounds = self._bounds_of(len(scan.ranges), ages)
-            return _scan_with(scan, scan.ranges, scan.bearings, bounds, self._latency)
+            return _scan_with(scan, scan.ranges, scan.bearings, bounds, self._latency, scan.filled)
         if ages is None and self._sweep is None:
             return scan
         ranges, bearings = scan.ranges, scan.bearings
@@ -174,11 +175,22 @@ class Deskewer:
 
         # 3. The new scan. Its first rays may come from the scan before, see `_move_scan_rays`.
         if moved is None:
-            result = _scan_with(scan, ranges, bearings, self._ray_ages, self._newest_age)
+            result = _scan_with(
+                scan, ranges, bearings, self._ray_ages, self._newest_age, scan.filled
+            )
             self._filled_count = 0
         else:
-            result = _scan_with(scan, moved[0], moved[1], moved[2], self._newest_age)
-            self._filled_count = len(result.ranges) - len(ranges)
+            self._filled_count = len(moved[0]) - len(ranges)
+            filled = _behind_borrowed(scan.filled, self._filled_count)
+            result = _scan_with(
+                scan,
+                moved[0],
+                moved[1],
+                moved[2],
+                self._newest_age,
+                filled,
+                self._filled_count,
+            )
         self._last_scan, self._last_at = result, newest_at
         return result
 
@@ -352,8 +364,24 @@ def _timed_rays(bearings: Array, ages: Array | None, sweep: Sweep | None) -> Tim
 
 @cython.cfunc
 def _scan_with(
-    scan: Scan, ranges: Array, bearings: Array, ages: Array | None, newest_age: cython.double
+    scan: Scan,
+    ranges: Array,
+    bearings: Array,
+    ages: Array | None,
+    newest_age: cython.double,
+    filled: NDArray[np.bool_] | None,
+    borrowed: cython.Py_ssize_t = 0,
 ) -> Scan:
-    """A copy of a scan with other ranges, bearings and ages."""
+    """A copy of a scan with other ranges, bearings and ages, and other unmeasured rays."""
     limits = scan.range_min, scan.range_max
-    return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age)
+    return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age, filled, borrowed)
+
+
+@cython.cfunc
+def _behind_borrowed(filled: NDArray[np.bool_] | None, borrowed: cython.Py_ssize_t) -> Any:
+    """`Scan.filled` of a scan before whose rays there are `borrowed` rays of the scan before."""
+    if borrowed == 0 or filled is None:
+        return filled
+    whole = np.concatenate((np.zeros(borrowed, np.bool_), filled))
+    whole.setflags(write=False)
+    return whole

@@ -100,11 +100,13 @@ _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": 
 class RayMemory:
     """Interprets the ranges of a scan by the memory of each ray. Times in s, angles rad, ranges m.
 
-    `known_at`: see `ScanConditioner`. `far_returns`: of the last scan with returns.
+    `known_at`: see `ScanConditioner`. `far_returns`: of the last scan with returns. `filled`: (n,)
+    bool, the rays that the last scan did not measure; None without such a ray.
     """
 
     known_at = cython.declare(cython.double, visibility="readonly")
     far_returns = cython.declare(cython.Py_ssize_t, visibility="public")
+    filled: Array | None = cython.declare(object, visibility="readonly")
     _range_min: cython.double
     _range_max: cython.double
     _max_gap: cython.double
@@ -170,6 +172,7 @@ class RayMemory:
         if self._interpret_ranges(ranges):
             self._interpret_zeros(ranges, now)
         unknown_count: cython.Py_ssize_t = self._remember(ranges, now)
+        self.filled = np.isnan(np.asarray(ranges)) if unknown_count else None
         if 2 * unknown_count > len(ranges):  # fewer than half of the rays are known
             return False
         self.known_at = now

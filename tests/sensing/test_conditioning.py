@@ -251,6 +251,21 @@ def test_masked_rays_are_unknown_and_filled_by_the_nearer_edge(scans: Any) -> No
     assert got[[357, 358, 359, 0, 1]].tolist() == [2.0] * 5
 
 
+@pytest.mark.parametrize("scans", FORMS, ids=["text", "used"])
+def test_a_scan_names_the_rays_that_it_did_not_measure(scans: Any) -> None:
+    """Lost packets of an LDS, unknown rays and masks, but no ray that passed through."""
+    mask = (math.radians(55), math.radians(61))
+    conditioner = scans.ScanConditioner(replace(LDS, mask=(mask,)), guesses_near=False)
+    first = conditioner.take(raw_scan(raw(2.0, (5, np.inf)), 1), DRIVING, 0.2)
+    assert np.flatnonzero(first.filled).tolist() == [*range(55, 62)]
+    ranges = raw(2.0, ([100, 101], 0.0), (200, np.nan), (5, np.inf))
+    second = conditioner.take(raw_scan(ranges, 2), DRIVING, 0.4)
+    assert np.flatnonzero(second.filled).tolist() == [*range(55, 62), 100, 101, 200]
+    assert (second.ranges[second.filled] == 2.0).all()
+    plain = scans.ScanConditioner(LDS)
+    assert plain.take(raw_scan(raw(2.0), 1), DRIVING, 0.2).filled is None
+
+
 def test_memory_follows_the_bearing_when_the_rays_change() -> None:
     conditioner = ScanConditioner(SPEC)
     conditioned(conditioner, raw(2.0, (90, 0.5)), 1)

@@ -92,6 +92,8 @@ def test_a_turn_against_the_sensor_is_filled_from_the_scan_before() -> None:
         (filled, _), (twice, _) = against.scan(seq), along.scan(seq)
     assert filled.ages is not None
     assert len(filled.ranges) - N == pytest.approx(2.0 * PERIOD / math.tau * N, abs=3.0)
+    assert (filled.borrowed, twice.borrowed) == (len(filled.ranges) - N, 0)
+    assert filled.filled is None
     assert filled.ages.max() > PERIOD
     assert len(twice.ranges) == N
 

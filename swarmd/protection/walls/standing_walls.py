@@ -33,6 +33,7 @@ from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.obstacles import ReturnLayer
 from swarmd.protection.settings import ODOMETRY_SHARE
+from swarmd.protection.walls.bare_returns import BareReturns
 from swarmd.protection.walls.straight_runs import SPACING, Run, StraightRuns
 from swarmd.protection.walls.walls_settings import STILL, WallsStand
 
@@ -123,6 +124,7 @@ class StandingWalls(ReturnLayer):
     _seconds: cython.double
     _period: cython.double  # s of a revolution of the lidar
     _runs: StraightRuns  # of the last scan
+    _bare: BareReturns  # None unless `walls_stand` has a `foot`
     _walls: list[Wall]  # _WALLS, of which the first `_wall_count` are in use
     _wall_count: cython.Py_ssize_t
     # What `_overlap` has found: the ends of the part of a run beside a wall in m along the run, and
@@ -136,16 +138,26 @@ class StandingWalls(ReturnLayer):
     _turn: cython.double
     _resets: cython.Py_ssize_t
 
-    def __init__(self, platform: Platform, walls_stand: WallsStand) -> None:
+    def __init__(self, platform: Platform, walls_stand: WallsStand, extent: float) -> None:
+        """`extent`: m, the `unseen_extent` of the platform."""
         ReturnLayer.__init__(self, len(platform.scan.bearings))
         self._length, self._seconds = walls_stand.length, walls_stand.seconds
         self.patience = 1.5 * walls_stand.seconds
         self._period = 1.0 / platform.scan.rate
         self.is_trusted = True
         self.ripe_at = -INFINITY
-        self._runs = StraightRuns(platform, walls_stand.length)
+        has_foot = walls_stand.foot is not None
+        self._runs = StraightRuns(platform, walls_stand.length, bridges=has_foot)
+        self.wants_all = has_foot
+        if has_foot:
+            self._bare = BareReturns(platform, walls_stand.length, extent)
         self._walls = [Wall() for _ in range(_WALLS)]
         self.forget()
+
+    def hear(self, diagonal: float) -> None:
+        """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
+        if self._bare is not None:
+            self._bare.longest_heard = diagonal
 
     def forget(self) -> None:
         """Forget all walls: each must stand anew."""
@@ -157,6 +169,9 @@ class StandingWalls(ReturnLayer):
         ranges: cython.const_double[::1],
         directions: cython.double[::1],
         ages: cython.const_double[::1],
+        filled: cython.const_double[::1],
+        borrowed: cython.Py_ssize_t,
+        hidden: cython.double[:, ::1],
         motion: ScanMotion,
     ) -> None:
         """Take in a scan, and set `moved` if it shows a moved wall."""
@@ -177,6 +192,12 @@ class StandingWalls(ReturnLayer):
         self._runs.find(ranges, directions, ages)
         self._compare(motion)
         self.has_kinds = self.has_kinds and self.is_trusted
+        bare: BareReturns | None = self._bare
+        self.has_bare_walls = False
+        if bare is not None and self.has_kinds:
+            self.has_bare_walls = bare.mark(
+                self.kinds, self._runs, ranges, directions, ages, filled, borrowed, hidden
+            )
 
     @cython.cfunc
     @cython.exceptval(-1)

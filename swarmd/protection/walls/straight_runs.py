@@ -24,9 +24,9 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other one
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import NAN, fabs, hypot, sqrt
+    from cython.cimports.libc.math import INFINITY, NAN, fabs, hypot, sqrt
 else:
-    from swarmd.core.cython_shadow import NAN, fabs, hypot, sqrt
+    from swarmd.core.cython_shadow import INFINITY, NAN, fabs, hypot, sqrt
 
 # m between neighbouring returns of a surface: less than a Burger's 0.14 m, and more than the 0.07 m
 # of an e-puck2 and the 0.11 m of a Thymio.
@@ -42,6 +42,10 @@ _THROUGH = cython.declare(cython.double, 0.05)  # m behind the line: the ray pas
 # tank of 1 m radius in 97 of 100.
 _LEAST_RADIUS = cython.declare(cython.double, 1.5)
 _FEWEST = cython.declare(cython.Py_ssize_t, 5)  # returns of a run
+# What `_bridge` permits: m between two returns, and single rays without a return in a scan. Of 150
+# rays beside a wall of which 1 % are lost, 99.6 of 100 scans have no more.
+_BRIDGED = cython.declare(cython.double, 0.05)
+_LOST_ALONE = cython.declare(cython.Py_ssize_t, 5)
 # Periods: an older ray is of an earlier revolution. If the robot turns against the lidar, the
 # newest ray of some directions is older than a period.
 _LATE_RAY = cython.declare(cython.double, 1.5)
@@ -92,15 +96,19 @@ class StraightRuns:
     lidar_x: cython.double
     lidar_y: cython.double
     _length: cython.double  # m of a long run
-    _oldest: cython.double  # s, the greatest age of a ray of this revolution
+    oldest: cython.double  # s, the greatest age of a ray of this revolution
     _returns: cython.Py_ssize_t
+    _bridges: cython.bint  # single rays without a return between near returns do not end a chain
+    _is_single: cython.longlong[::1]  # of each return: 1 if it is cut by a single ray
     _is_cut: cython.longlong[::1]  # of each return: 1 if a ray before passes through
     _sums: cython.double[::1]  # _SUMS for each return: the sums over all returns before it
     _places: cython.double[::1]  # of the returns on the line of a run: m along and across the line
     _stack: cython.longlong[::1]
 
-    def __init__(self, platform: Platform, length: float) -> None:
-        self._length, self._oldest = length, _LATE_RAY * (1.0 / platform.scan.rate)
+    def __init__(self, platform: Platform, length: float, *, bridges: bool = False) -> None:
+        """`bridges`: a ray that was lost alone does not end a chain, see `_bridge`."""
+        self._length, self.oldest = length, _LATE_RAY * (1.0 / platform.scan.rate)
+        self._bridges = bridges
         self.lidar_x, self.lidar_y = platform.scan.offset
         self.runs, self._stack = [Run() for _ in range(_RUNS)], indices(_STACK)
         self._allocate(len(platform.scan.bearings))
@@ -108,6 +116,7 @@ class StraightRuns:
     def _allocate(self, rays: cython.Py_ssize_t) -> None:
         """Make the arrays of a scan anew, for so many rays."""
         self.ray, self._is_cut = indices(rays), indices(rays)
+        self._is_single = indices(rays)
         self.x, self.y, self._sums = doubles(rays), doubles(rays), doubles(_SUMS * (rays + 1))
         self._places = doubles(2 * rays)
 
@@ -124,6 +133,8 @@ class StraightRuns:
         if len(self.ray) < len(ranges):
             self._allocate(len(ranges))
         self._place(ranges, directions, ages)
+        if self._bridges:
+            self._bridge()
         self._find_runs()
         self._join_runs()
         for j in range(self.count):
@@ -198,15 +209,17 @@ class StraightRuns:
         k: cython.Py_ssize_t = 0
         has_ages: cython.bint = len(ages) > 0
         is_cut: cython.bint = False
+        passing: cython.Py_ssize_t = 0  # rays that pass through since the return before
         for i in range(_SUMS):
             self._sums[i] = 0.0
         for i in range(len(ranges)):
-            is_of_revolution: cython.bint = not has_ages or ages[i] <= self._oldest
+            is_of_revolution: cython.bint = not has_ages or ages[i] <= self.oldest
             if not is_of_revolution:
                 continue
             distance: cython.double = ranges[i]
             if not distance <= REACH:  # the ray passes through
                 is_cut = True
+                passing += 1
                 continue
             if not distance > 0.0:  # -inf: too close to measure
                 continue
@@ -214,13 +227,36 @@ class StraightRuns:
             y: cython.double = self.lidar_y + distance * directions[2 * i + 1]
             self.x[k], self.y[k] = x, y
             self.ray[k], self._is_cut[k] = i, is_cut
+            self._is_single[k] = passing == 1 and i > 0 and ranges[i - 1] == INFINITY
             self._add_to_sums(k, x, y)
             is_cut = False
+            passing = 0
             k += 1
         self._returns = k
         # The first return follows the last return, so a ray behind the last return counts, too.
         if k and is_cut:
             self._is_cut[0] = True
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _bridge(self) -> cython.int:
+        """Let single rays without a return not end a chain.
+
+        A sensor may lose a ray here and there, and reports it as a ray without a return. The
+        returns on both sides must be less than _BRIDGED m apart. A scan with more than _LOST_ALONE
+        of these rays keeps all cuts: a row of bodies has more such gaps.
+        """
+        k: cython.Py_ssize_t
+        bridged: cython.Py_ssize_t = 0
+        for k in range(1, self._returns):
+            if self._is_single[k] and self._are_within(_BRIDGED, k - 1, k):
+                bridged += 1
+        if bridged > _LOST_ALONE:
+            return 0
+        for k in range(1, self._returns):
+            if self._is_single[k] and self._are_within(_BRIDGED, k - 1, k):
+                self._is_cut[k] = 0
         return 0
 
     @cython.cfunc
@@ -476,8 +512,14 @@ class StraightRuns:
     def along(self, run: Run, number: cython.Py_ssize_t) -> cython.double:
         """m along a run of its return `number`; NaN for a return that is not on the line."""
         place: cython.Py_ssize_t = self.return_of(run, number)
-        dx: cython.double = self.x[place] - run.x
-        dy: cython.double = self.y[place] - run.y
-        if not fabs(run.ux * dy - run.uy * dx) <= _ON_LINE:
+        if not self.is_on_line(run, self.x[place], self.y[place]):
             return NAN
-        return run.ux * dx + run.uy * dy
+        return run.ux * (self.x[place] - run.x) + run.uy * (self.y[place] - run.y)
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(-1)
+    def is_on_line(self, run: Run, x: cython.double, y: cython.double) -> cython.int:
+        """1 if a place is so near the line of a run that a return there stands with the run."""
+        across: cython.double = run.ux * (y - run.y) - run.uy * (x - run.x)
+        return fabs(across) <= _ON_LINE

@@ -61,9 +61,10 @@ def test_sparse_scenes_have_more_room(platform: str) -> None:
 def test_robots_have_the_protection_mode_of_the_scene(mode: str) -> None:
     scene = Scene("goals", "burger", mode=mode)
     protection = next(iter(scenario(scene).robots.values())).protection
-    words = {"ghost": "off"} | dict.fromkeys(("orca", "walls_stand"), "barrier")
+    words = {"ghost": "off"} | dict.fromkeys(("orca", "walls_stand", "walls_foot"), "barrier")
     assert protection["mode"] == words.get(mode, mode)
-    assert protection["avoidance"] == ("orca" if mode in ("orca", "walls_stand") else "none")
+    avoids = mode in ("orca", "walls_stand", "walls_foot")
+    assert protection["avoidance"] == ("orca" if avoids else "none")
 
 
 def test_a_third_attacks_and_is_not_protected() -> None:
@@ -241,3 +242,15 @@ def test_a_wall_that_stands_is_longer_than_each_robot_of_the_scene(platform: str
     declared = {one.protection["barrier"]["walls_stand"]["length"] for one in robots}
     assert len(declared) == 1
     assert declared.pop() > longest
+
+
+@pytest.mark.parametrize(
+    ("platform", "visibility", "foot"),
+    [("turtlebot4", "real", 0.05), ("burger", "body", 0.0), ("mixed", "real", 0.05)],
+)
+def test_a_declared_foot_is_at_most_the_unseen_extent(
+    platform: str, visibility: str, foot: float
+) -> None:
+    robots = scenario(Scene("goals", platform, visibility, mode="walls_foot")).robots.values()
+    walls = [one.protection["barrier"]["walls_stand"] for one in robots]
+    assert {(wall["length"], wall["foot"]) for wall in walls} == {(1.0, foot)}
