@@ -18,7 +18,6 @@ import math
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple, replace
 
@@ -75,10 +74,6 @@ _ALONG_WALL = cython.declare(cython.double, 0.2)
 # Cosine of the angle between the request and the way through an opening: below it, the request
 # leads away from the opening.
 _LEADS_AWAY = cython.declare(cython.double, -0.25)
-# rad: a request farther to the side is taken for a turn
-_SIDEWAYS = cython.declare(cython.double, 1.3)
-# rad from straight back within which a turn keeps the direction behind the robot
-_REVERSED = cython.declare(cython.double, 0.5)
 # s after which the robot ignores an opening that it has not passed
 _GIVE_UP = cython.declare(cython.double, 240.0)
 # s of a requested turn that are looked ahead: for a base without an angular limit, and the bounds.
@@ -95,7 +90,6 @@ _IN_BESIDE = cython.declare(cython.double, 0.05)
 _ALIGNED = cython.declare(cython.double, 0.5)
 _ALIGNED_SHARE = cython.declare(cython.double, 0.25)
 _BEYOND = cython.declare(cython.double, 0.35)  # m beyond an opening at which the opening is passed
-_DEEP = cython.declare(cython.double, 0.2)  # m: a deeper opening is a corridor
 
 # What the tracks (other moving objects that the lidar shows) do.
 _PERSISTS = cython.declare(cython.double, 1.0)  # s after which a track is no part of a wall
@@ -112,10 +106,6 @@ _IN_WALL = cython.declare(cython.double, 0.05)
 _THRESHOLD = cython.declare(cython.double, 0.3)
 # m along the axis: a new track before this place comes from the robot's side.
 _FIRST_SEEN_IN = cython.declare(cython.double, -0.1)
-# m back from its farthest place: the track comes out again
-_BACKS_OUT = cython.declare(cython.double, 0.1)
-# m, in addition to the depth, within which a track that comes is met
-_MEETING = cython.declare(cython.double, 0.8)
 # A track comes from the side of the robot, or from the other side of the opening.
 _THIS_SIDE = cython.declare(cython.double, -1.0)
 _OTHER_SIDE = cython.declare(cython.double, 1.0)
@@ -130,15 +120,11 @@ _QUEUE_FAR = cython.declare(cython.double, 1.6)
 _CLEAR_TIMES = (0.5, 1.5)  # s for which nothing has come out before a robot enters
 # s for which a robot that was last seen in an opening may still be there
 _HIDDEN = cython.declare(cython.double, 6.0)
-# s for which a robot gives way again, if it has passed an opening within the last _RECENTLY s.
-_PASSED_TIMES, _RECENTLY = (6.0, 10.0), 120.0
 # s after a passage in which the robot lets robots pass that wait on its side
 _LETS_PASS = cython.declare(cython.double, 90.0)
 # s and m: with less a robot in an opening tries the other way
 _STUCK = cython.declare(cython.double, 6.0)
 _PROGRESS = cython.declare(cython.double, 0.03)
-# s behind a robot that does not go on, after which the robot clears the way
-_HELD_TIME = cython.declare(cython.double, 10.0)
 
 # How the robot drives.
 # m before an opening, where a robot turns into its axis
@@ -157,13 +143,6 @@ _OFF_AXIS_NEAR = cython.declare(cython.double, 0.35)
 _OFF_AXIS_SHARE = cython.declare(cython.double, 0.25)
 # m ahead on the axis: the place to which a robot drives (pure pursuit)
 _PURSUIT = cython.declare(cython.double, 0.15)
-# m to the side for each s by which rays to the left are younger than rays to the right: a robot in
-# a corridor keeps away from the wall whose rays are older.
-_LEAN = cython.declare(cython.double, 0.1)
-_LEAN_FROM = cython.declare(cython.double, 0.15)  # m before a corridor from which the robot does so
-# rad: the bearing of the walls beside, and how far around it
-_ABEAM = cython.declare(cython.double, 1.0)
-_ABEAM_WIDTH = cython.declare(cython.double, 0.6)
 # m beside and before an opening that a robot leaves free for others
 _BESIDE = cython.declare(cython.double, 0.5)
 _FREE = cython.declare(cython.double, 1.4)
@@ -171,9 +150,6 @@ _FARTHER_BESIDE = cython.declare(cython.double, 0.15)  # m beside that, to which
 # m before an opening at least, and m back
 _ASIDE_FAR = cython.declare(cython.double, 0.4)
 _ASIDE_STEP = cython.declare(cython.double, 0.1)
-# m to another robot below which a place to wait is taken
-_TAKEN = cython.declare(cython.double, 0.4)
-_NEXT_PLACE, _PLACES = 0.4, 4  # m back to the next place to wait, and the number of places
 # rad within which a waiting robot faces the place where it will line up
 _FACES = cython.declare(cython.double, 0.2)
 _FACING = cython.declare(cython.double, 0.5)  # rad/s, of its turn to that place: below _TURNING
@@ -185,8 +161,6 @@ _BACK_AIM = cython.declare(cython.double, 0.4)
 # rad/s at most, and share of the speed, while backing out
 _BACK_TURN = cython.declare(cython.double, 0.3)
 _BACK_SHARE = cython.declare(cython.double, 0.5)
-# rad: a goal farther to the side is reached backwards
-_BACKS_TO = cython.declare(cython.double, 2.0)
 _GAIN = cython.declare(cython.double, 3.0)  # 1/s: rad/s for each rad that the heading is off
 _SPEEDS = (0.14, 0.1, 0.07, 0.04)  # m/s; protection lets a robot creep at the last
 # m/s of speed that are worth a change of the turn by 1 rad/s
@@ -195,8 +169,6 @@ _TURN_COST = cython.declare(cython.double, 0.15)
 _UNKNOWN_SPEED_SHARE = cython.declare(cython.double, 0.5)
 
 # The middle of the opening, as the returns of its posts show it.
-# m: an opening whose middle is farther off is forgotten and looked for anew
-_WRONG_BY = cython.declare(cython.double, 0.1)
 _WEIGHT = cython.declare(cython.double, 0.03)  # weight of a new measurement of the axis
 # m within which returns are posts, and their gap is the opening
 _AT_POST = cython.declare(cython.double, 0.1)
@@ -254,9 +226,8 @@ class _Traffic(Struct, frozen=True, gc=False):
 
     is_busy: bool = False  # a robot comes out
     is_behind: bool = False  # another robot that wants to pass is nearer: this robot is behind
-    is_met: bool = False  # this robot is in the opening; a robot comes towards it from deeper in
     is_close: bool = False  # another robot that goes in is close ahead
-    is_queued: bool = False  # a robot that has not come out waits on the side of this robot
+    is_queued: bool = False  # another robot is near the opening, on the side of this robot
 
 
 @cython.final
@@ -276,23 +247,19 @@ class RightOfWay:
     _y: cython.double
     _yaw: cython.double
     _trail: OdometryTrail
+    # s, when the robot last passed an opening among others
     _passed_at = cython.declare(cython.double, visibility="public")
-    # m to the left of the axis at which the robot drives in a corridor
-    _lean: cython.double
     _speed: cython.double  # m/s; the fastest speed requested so far, as in recovery
     _opening: Opening | None  # the chosen one; None: requests pass
     _sign: cython.double  # 1 or -1: the way through, along the angle of the opening or opposite
     _chosen_at: cython.double  # when the opening was chosen
-    _wanted_yaw: cython.double  # rad, the direction of the request in the frame of the odometry
     # By the id of a track. `_sides`: _THIS_SIDE or _OTHER_SIDE, from which the track came.
-    # `_farthest`: its farthest place in m along the axis. `_seen_since`: in s.
+    # `_seen_since`: in s.
     _sides: dict[int, Any] = cython.declare(dict, visibility="readonly")
-    _farthest: dict[int, float]
     _seen_since: dict[int, float]
     # By the id of a track that came out: s, when the robot last saw the track in the opening.
     # Dropped when the robot sees the track elsewhere.
     _within_at: dict[int, float]
-    _came_out: set[int]  # ids of the tracks that have come out to this side
     _progress_along: cython.double  # m along the axis: where the robot last made progress
     _progress_at: cython.double  # s, when this was
     _is_backing: cython.bint
@@ -302,8 +269,6 @@ class RightOfWay:
     _is_lined_up: cython.bint
     # m to the left: the middle measured between the posts less that of the sightings; None before.
     _middle_offset: float | None = cython.declare(object)
-    _held_since: cython.double  # when the robot began to wait for a robot ahead
-    _held_along: cython.double  # m along the axis, where this was
 
     def __init__(
         self, clearance: Clearance, limits: Limits, seed: str, returns: ScanReturns | None = None
@@ -334,11 +299,9 @@ class RightOfWay:
     def _release(self) -> None:
         """Drop the chosen opening: requests pass until another opening is on the way."""
         self._opening, self._middle_offset, self.state = None, None, WayState.NONE
-        self._wanted_yaw = self._keep_clear_for = self._waiting_side = 0.0
-        self._sides, self._farthest, self._seen_since, self._within_at = {}, {}, {}, {}
-        self._came_out = set()
+        self._keep_clear_for = self._waiting_side = 0.0
+        self._sides, self._seen_since, self._within_at = {}, {}, {}
         self._progress_along = self._progress_at = self._busy_at = -INFINITY
-        self._held_along = -INFINITY
         self._is_backing, self._is_lined_up = False, False
 
     @property
@@ -361,19 +324,10 @@ class RightOfWay:
 
     @cython.ccall
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
-        """Take in a conditioned scan; `offset` in m is the place of the sensor in the base frame.
-
-        Sets `_lean`.
-        """
+        """Take in a conditioned scan; `offset`: m, the place of the sensor in the base frame."""
         odometry = context.odometry
         # Read with each scan: the tracker takes in the scan next.
         tracks: tuple[Track, ...] = () if self._surroundings is None else self._surroundings.tracks
-        ages = scan.ages if self._opening is not None else None
-        if ages is not None and len(ages) == len(scan.bearings):
-            left_ages = ages[np.abs(scan.bearings - _ABEAM) < _ABEAM_WIDTH]
-            right_ages = ages[np.abs(scan.bearings + _ABEAM) < _ABEAM_WIDTH]
-            if len(left_ages) and len(right_ages):
-                self._lean = _LEAN * float(right_ages.mean() - left_ages.mean())
         if odometry is None or context.odometry_age is None:
             return
         self.on_odometry(odometry)
@@ -429,11 +383,13 @@ class RightOfWay:
             return requested
         # m/s, the fastest that was requested so far.
         self._speed = max(self._speed, speed_of(linear, lateral))
-        self._wanted_yaw = self._requested_yaw(linear, angular, lateral, yaw)
+        # rad, the direction of the request. A request to drive backwards counts as one without
+        # that speed.
+        wanted_yaw: cython.double = yaw + atan2(lateral + self._lead * angular, max(linear, 0.0))
 
         # 2. Chooses an opening, if none is chosen, and places the robot in its frame.
         if self._opening is None:
-            self._choose(base_x, base_y, now)
+            self._choose(base_x, base_y, wanted_yaw, now)
         opening: Opening | None = self._opening
         if opening is None:
             return requested
@@ -448,8 +404,8 @@ class RightOfWay:
         tracks: tuple[Track, ...] = surroundings.tracks
         is_passed: cython.bint = along > depth + _BEYOND
         if is_passed and tracks:
-            self._passed_at = now  # others are near: next time this robot lets them pass longer
-        cos_to_request: cython.double = cos(self._wanted_yaw - opening.angle) * self._sign
+            self._passed_at = now  # others are near: next time this robot lets them pass
+        cos_to_request: cython.double = cos(wanted_yaw - opening.angle) * self._sign
         is_too_long: cython.bint = now - self._chosen_at > _GIVE_UP
         if is_passed or along < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
             self._release()
@@ -469,50 +425,26 @@ class RightOfWay:
                 x, y = opening.to_local(x, y, self._sign)
                 others.append(_PlacedTrack(id, x - begin, y))
         self._seen_since = seen_since
-        for by_track in (self._sides, self._farthest):
-            for id in by_track.keys() - seen_since.keys():
-                del by_track[id]
-        self._came_out &= seen_since.keys()
+        for id in self._sides.keys() - seen_since.keys():
+            del self._sides[id]
         place = _Place(along, aside, heading, depth, opening.half)
         return self._decide_state(place, others, now, safe_for, points)
 
     @cython.cfunc
-    def _requested_yaw(
-        self,
-        linear: cython.double,
-        angular: cython.double,
-        lateral: cython.double,
-        yaw: cython.double,
-    ) -> cython.double:
-        """The direction of a request (m/s, rad/s) in rad in the frame of the odometry.
-
-        `yaw` in rad is that of the robot. A request to drive backwards counts as one without that
-        speed. A request to turn on the spot does not say how far the robot wants to turn. So the
-        direction of the last request stays in force if that direction lies on the side of the turn,
-        or straight behind the robot.
-        """
-        bearing = atan2(lateral + self._lead * angular, max(linear, 0.0))
-        if fabs(bearing) > _SIDEWAYS and lateral == 0.0:
-            bearing_before = remainder(self._wanted_yaw - yaw, TURN)
-            if bearing_before * bearing > 0.0 and fabs(bearing_before) > _SIDEWAYS:
-                bearing = bearing_before
-            elif PI - fabs(bearing_before) < _REVERSED:
-                bearing = copysign(PI, bearing)
-        return yaw + bearing
-
-    @cython.cfunc
-    def _choose(self, x: cython.double, y: cython.double, now: cython.double) -> None:
+    def _choose(
+        self, x: cython.double, y: cython.double, wanted_yaw: cython.double, now: cython.double
+    ) -> None:
         """Choose the nearest opening through which the request leads, or into whose wall it leads.
 
         Sets `_opening` and `_sign` (the direction through the opening), and resets what belongs to
         another opening. Nothing changes if no opening is on the way. `x`, `y`: the place in m of
-        the base in the frame of the odometry.
+        the base in the frame of the odometry. `wanted_yaw` in rad: the direction of the request.
         """
         opening: Opening
         nearest, chosen = INFINITY, None
         for opening in self._openings.known:
             # 1. Skips an opening that was seen too rarely, or whose wall the request leads along.
-            angle: cython.double = remainder(self._wanted_yaw - opening.angle, TURN)
+            angle: cython.double = remainder(wanted_yaw - opening.angle, TURN)
             if opening.hits < SIGHTINGS or fabs(fabs(angle) - 0.5 * PI) < _ALONG_WALL:
                 continue
 
@@ -538,24 +470,21 @@ class RightOfWay:
             return
 
         # 4. Begins with the chosen opening.
-        wanted_yaw: cython.double = self._wanted_yaw
         self._release()
-        self._wanted_yaw, self._chosen_at = wanted_yaw, now
+        self._chosen_at = now
         self._opening, self._sign = chosen
-        if now - self._passed_at < _RECENTLY:
-            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_PASSED_TIMES)
 
     @cython.cfunc
     def _judge_traffic(self, place: _Place, others: list[_PlacedTrack], now: float) -> _Traffic:
         """What the other robots before and in the opening do.
 
-        Stores in `_sides` from which side each track came, in `_farthest` how far each track came,
-        in `_within_at` which tracks are in the opening, and in `_came_out` which have left it.
+        Stores in `_sides` from which side each track came, and in `_within_at` which tracks are in
+        the opening.
 
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
         moving objects) in the same frame. `now`: s.
         """
-        is_busy = is_behind = is_met = is_close = is_queued = False
+        is_busy = is_behind = is_close = is_queued = False
         for id, along, aside in map(astuple, others):
             # 1. The side from which the track came. The side stays while the track is within or
             # near the opening.
@@ -563,10 +492,7 @@ class RightOfWay:
             is_within = -_THRESHOLD < along < place.depth + _THRESHOLD
             if not is_within:
                 self._within_at.pop(id, None)
-                if came_from == _OTHER_SIDE and along < 0.0:
-                    self._came_out.add(id)
-            is_near = abs(aside) < _QUEUE_FAR and -_QUEUE_FAR < along < -_QUEUE_NEAR
-            is_queued |= is_near and id not in self._came_out
+            is_queued |= abs(aside) < _QUEUE_FAR and -_QUEUE_FAR < along < -_QUEUE_NEAR
             if came_from is None or not is_within:
                 border = _FIRST_SEEN_IN if came_from is None else 0.5 * place.depth
                 came_from = self._sides[id] = _THIS_SIDE if along < border else _OTHER_SIDE
@@ -575,21 +501,13 @@ class RightOfWay:
             max_aside = place.half_width + (-_NARROWER if along > -_IN_WALL else _WIDER)
             if not -_BEFORE < along < place.depth + _AFTER or abs(aside) > max_aside:
                 continue
-            # How far it came; forgotten once it is back more than _LINE_UP before the opening.
-            farthest = max(self._farthest.get(id, along) if along > -_LINE_UP else along, along)
-            self._farthest[id] = farthest
 
             # 3. What the track does.
-            backs_out = farthest > -_IN and along < farthest - _BACKS_OUT
             is_ahead = along > place.along
-            if came_from == _OTHER_SIDE or backs_out:
-                # The track comes out. Compares the m that each robot would have to back out.
-                own_m, other_m = place.along + _IN, place.depth + _IN - along
+            if came_from == _OTHER_SIDE:  # the track comes out
                 is_in_or_through = along < place.depth + _IN
-                if place.is_in and is_ahead:
-                    meets = along - place.along < _MEETING + place.depth
-                    is_met |= meets and other_m > max(own_m, 0.0)
-                elif is_in_or_through or along - place.depth < -place.along:
+                is_met = place.is_in and is_ahead  # neither counts as out: both try to pass
+                if not is_met and (is_in_or_through or along - place.depth < -place.along):
                     is_busy = True  # the track is in or through the opening, or nearer to it
                     if is_within:
                         self._within_at[id] = now
@@ -597,7 +515,7 @@ class RightOfWay:
                 is_close |= along - place.along < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
             elif hypot(along + _LINE_UP, aside) < place.to_line_up:
                 is_behind = True  # the track is nearer to the place to line up
-        return _Traffic(is_busy, is_behind, is_met, is_close, is_queued)
+        return _Traffic(is_busy, is_behind, is_close, is_queued)
 
     @cython.cfunc
     def _decide_state(
@@ -610,8 +528,6 @@ class RightOfWay:
     ) -> Twist:
         """The command at a place before or in the chosen opening; sets `state`.
 
-        ZERO if the opening turns out to be wrong; then it is forgotten, and none is chosen.
-
         Args:
             place: the place of this robot in the frame of the opening.
             others: the tracks (other moving objects) in the same frame.
@@ -622,34 +538,26 @@ class RightOfWay:
         # 1. Corrects all places by the measured middle of the opening.
         self._find_middle(place, points)
         middle_offset = self._middle_offset or 0.0
-        if abs(middle_offset) > _WRONG_BY and self._openings.forget(self._opening):
-            self._release()  # the sightings took a robot for a post
-            return ZERO
         place = replace(place, aside=place.aside - middle_offset)
         others = [_PlacedTrack(o.id, o.along, o.aside - middle_offset) for o in others]
 
         # 2. Judges the traffic. The time to keep clear counts from the last decision with traffic,
         # and is random, so that two robots do not enter together. Then the state.
         traffic = self._judge_traffic(place, others, now)
-        self._update_progress(place, traffic, now)
-        if traffic.is_met or traffic.is_busy or self._is_backing:
-            has_passed = now - self._passed_at < _RECENTLY
+        self._update_progress(place, now)
+        if traffic.is_busy or self._is_backing:
             self._busy_at = now
-            self._keep_clear_for = self._rng.uniform(
-                *(_PASSED_TIMES if has_passed else _CLEAR_TIMES)
-            )
+            self._keep_clear_for = self._rng.uniform(*_CLEAR_TIMES)
         self.state = self._next_state(place, traffic, now)
-        return self._request(place, others, safe_for)
+        return self._request(place, safe_for)
 
     @cython.cfunc
-    def _update_progress(self, place: _Place, traffic: _Traffic, now: float) -> None:
+    def _update_progress(self, place: _Place, now: float) -> None:
         """Set `_is_backing`, and store where and when the robot last made progress."""
         is_stuck = now - max(self._progress_at, self._chosen_at) > _STUCK
         has_moved = abs(place.along - self._progress_along) > _PROGRESS
         if not place.is_in:
             self._is_backing = False
-        elif traffic.is_met:
-            self._is_backing = True
         elif is_stuck:  # tries the other way
             self._is_backing = not self._is_backing
         elif not has_moved:
@@ -661,11 +569,10 @@ class RightOfWay:
         """The state by the first of eight rules whose condition is true.
 
         The state before does not count. What the rules remember does, and is updated: whether the
-        robot is lined up (on the axis before the opening), and since when a robot ahead holds the
-        robot.
+        robot is lined up (on the axis before the opening).
         """
-        # Rule 1: a robot in an opening that meets a robot coming towards it backs out until it has
-        # left the opening. A robot that made no progress for _STUCK s reverses its direction.
+        # Rule 1: a robot in an opening that made no progress for _STUCK s, as one that has met
+        # another robot, reverses its direction.
         if self._is_backing:
             return WayState.BACK
 
@@ -676,14 +583,12 @@ class RightOfWay:
         # Rules 3 and 4: the robot must give way
         # a) while a robot comes out, and for a random time after that;
         # b) while another robot that wants to pass is nearer to the opening;
-        # c) for a time after it stood for _HELD_TIME s behind a robot that does not go on;
-        # d) while a robot that was last seen in the opening may still be there;
-        # e) for _LETS_PASS s after a passage, while a robot that has not come out of the opening
-        #    waits on its side.
+        # c) while a robot that was last seen in the opening may still be there;
+        # d) for _LETS_PASS s after a passage, while another robot is near the opening on this side.
         hidden_for = _HIDDEN + self._keep_clear_for
         self._within_at = {id: at for id, at in self._within_at.items() if now - at < hidden_for}
-        lets_pass = traffic.is_queued and now - self._passed_at < _LETS_PASS
         keeps_clear = now - self._busy_at < self._keep_clear_for
+        lets_pass = traffic.is_queued and now - self._passed_at < _LETS_PASS
         if keeps_clear or traffic.is_behind or self._within_at or lets_pass:
             return self._giving_way(place)
 
@@ -698,13 +603,7 @@ class RightOfWay:
         if not self._is_lined_up:
             return WayState.GO
 
-        # Rule 6: another robot that goes in is close ahead; or rules 3 and 4 (by case c) after
-        # _HELD_TIME s without progress behind a robot that is close ahead.
-        if not traffic.is_close or place.along > self._held_along + _PROGRESS:
-            self._held_since, self._held_along = now, place.along
-        elif now - self._held_since > _HELD_TIME:
-            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_CLEAR_TIMES) + _HIDDEN
-            return self._giving_way(place)
+        # Rule 6: another robot that goes in is close ahead.
         if traffic.is_close:
             return WayState.WAIT
 
@@ -716,17 +615,16 @@ class RightOfWay:
     def _giving_way(self, place: _Place) -> WayState:
         """Rule 3 where others can pass the robot: it stands. Rule 4 elsewhere: it clears the way.
 
-        The robot counts as not lined up and not held from now on.
+        The robot counts as not lined up from now on.
         """
-        self._is_lined_up, self._held_along = False, -INFINITY
+        self._is_lined_up = False
         return WayState.WAIT if place.leaves_free else WayState.ASIDE
 
     @cython.cfunc
-    def _request(self, place: _Place, others: list[_PlacedTrack], safe_for: Allows) -> Twist:
+    def _request(self, place: _Place, safe_for: Allows) -> Twist:
         """The command of the present state at a place in the frame of the opening.
 
-        `others`: the tracks (other moving objects) in the same frame. `safe_for` gives the command
-        that protection would make of any command.
+        `safe_for` gives the command that protection would make of any command.
         """
         state = self.state
         if state is WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
@@ -734,9 +632,7 @@ class RightOfWay:
             turn: cython.double = min(max(remainder(behind, TURN), -_BACK_TURN), _BACK_TURN)
             return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), safe_for)
         if state is WayState.IN or state is WayState.LINE:
-            is_in_corridor = place.depth > _DEEP and place.along > -_LEAN_FROM
-            lean = self._lean if is_in_corridor and state is WayState.IN else 0.0
-            return self._fastest(self._drive(place.along + _PURSUIT, lean, place), safe_for)
+            return self._fastest(self._drive(place.along + _PURSUIT, 0.0, place), safe_for)
         if state is WayState.APPROACH:
             return self._drive(place.along + _PURSUIT, 0.0, place)
         if state is WayState.GO:
@@ -748,7 +644,8 @@ class RightOfWay:
                 self._waiting_side = copysign(1.0, place.aside)
             elif not self._waiting_side:
                 self._waiting_side = -1.0
-            along, aside = self._waiting_place(place, others)
+            along = min(place.along, -_ASIDE_FAR) - _ASIDE_STEP
+            aside = self._waiting_side * (place.half_width + _BESIDE + _FARTHER_BESIDE)
             return self._drive(along, aside, place)
         # A robot that waits faces the place where it will line up.
         bearing: cython.double = atan2(-place.aside, -_LINE_UP - place.along) - place.heading
@@ -756,19 +653,6 @@ class RightOfWay:
         if not place.leaves_free or fabs(error) < _FACES:
             return ZERO
         return Twist(0.0, min(max(_GAIN * error, -_FACING), _FACING))
-
-    def _waiting_place(self, place: _Place, others: list[_PlacedTrack]) -> tuple[float, float]:
-        """The place to wait on the chosen side: m along the axis, and m to its left.
-
-        The first of _PLACES places that no other robot takes, from the opening back; else the last.
-        """
-        aside = self._waiting_side * (place.half_width + _BESIDE + _FARTHER_BESIDE)
-        along = min(place.along, -_ASIDE_FAR) - _ASIDE_STEP
-        for _ in range(_PLACES - 1):
-            if all(math.hypot(o.along - along, o.aside - aside) > _TAKEN for o in others):
-                break
-            along -= _NEXT_PLACE
-        return along, aside
 
     @cython.cfunc
     def _find_middle(self, place: _Place, points: Points) -> None:
@@ -818,19 +702,12 @@ class RightOfWay:
     def _drive(self, goal_along: float, goal_aside: float, place: _Place) -> Twist:
         """The command that drives from `place` to a goal, both in the frame of the opening.
 
-        `goal_along` and `goal_aside` in m: the goal along the axis, and to the left of the axis. A
-        robot near or in the opening drives backwards to a goal behind it.
+        `goal_along` and `goal_aside` in m: the goal along the axis, and to the left of the axis.
         """
         bearing = math.atan2(goal_aside - place.aside, goal_along - place.along) - place.heading
         yaw_error = math.remainder(bearing, TURN)
-        speed = self._speed
-        is_near = place.along > -_LINE_UP and abs(place.aside) < place.half_width
-        is_goal_behind = goal_along < place.along and abs(yaw_error) > _BACKS_TO
-        if is_near and is_goal_behind:
-            yaw_error = math.remainder(yaw_error - math.pi, TURN)
-            speed = -speed
         turn = min(max(_GAIN * yaw_error, -self._angular_limit), self._angular_limit)
-        return Twist(speed * math.pow(max(math.cos(yaw_error), 0.0), 2.0), turn)
+        return Twist(self._speed * math.pow(max(math.cos(yaw_error), 0.0), 2.0), turn)
 
 
 @cython.cfunc
