@@ -342,7 +342,6 @@ class Barrier:
             creeping.end(rows, axes)
             projection.x, projection.y = present_x, present_y
 
-
     @cython.cfunc
     @cython.exceptval(-1)
     def _creep_out(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:

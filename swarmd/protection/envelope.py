@@ -152,7 +152,6 @@ class Envelope:
             self.row_x[i], self.row_y[i] = normal_x, normal_y
             self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
 
-
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
     def fastest_corner(

@@ -229,16 +229,36 @@ def points(platform: Platform, scan: Scan) -> list[Array]:
 
 
 @given(PLATFORM, st.integers(0, RAYS - 1), SHARE, SHARE)
-def test_never_closes_along_a_ray_too_close_to_measure(
+@example(BURGER, 1, 1.0, 0.0)
+def test_only_creeps_along_a_ray_too_close_to_measure(
     platform: Platform, ray: int, v: float, w: float
 ) -> None:
+    """A contact forbids to close across the outline, and to close faster along its ray.
+
+    With 0 along the ray too, a flank in contact holds robots side by side for good.
+    """
     scan = seeing(platform, [(ray, -1.0)])
     safe = decided(platform, scan, request_of(platform, v, w)).safe
     bearing = float(platform.scan.bearings[ray])
     way = np.array([math.cos(bearing), math.sin(bearing)])
     at = edge_along(platform, way)
-    closing = safe.linear * way[0] + safe.angular * (at[0] * way[1] - at[1] * way[0])
-    assert closing <= 1e-9
+    assert closing_speed(safe, at, way) <= CREEP_SPEED + 1e-9
+    sides = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    across = [
+        side
+        for side in sides
+        if abs(float((platform.footprint @ side).max() - at @ side)) < 1e-9  # the edge of the ray
+    ]
+    if len(across) == 1:  # not at a corner
+        assert closing_speed(safe, at, across[0]) <= 1e-9
+
+
+def closing_speed(command: Twist, at: Array, way: Array) -> float:
+    """The speed in m/s along `way` of a place of the outline."""
+    lever = float(at[0] * way[1] - at[1] * way[0])
+    return (
+        command.linear * float(way[0]) + command.lateral * float(way[1]) + command.angular * lever
+    )
 
 
 def edge_along(platform: Platform, way: Array) -> Array:
