@@ -102,7 +102,7 @@ def _ranked_gap(
     most: cython.Py_ssize_t,
     count: cython.Py_ssize_t,
 ) -> cython.double:
-    """The gap in m with rank RANK_SHARE among return `at` and up to `most` returns to either side."""
+    """The gap in m with rank RANK_SHARE among return `at` and up to `most` to either side."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     reach: cython.Py_ssize_t = min(most, RANK_RAYS)
