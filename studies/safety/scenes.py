@@ -25,6 +25,8 @@ MIXED = ("burger", "waffle_pi", "jackal")
 """The kinds of robots in a mixed swarm."""
 KINDS = (*MIXED, "turtlebot4", "rosbot_xl")
 TURTLEBOTS = ("burger", "waffle_pi")
+CREEPING = (*TURTLEBOTS, "turtlebot4", "rosbot_xl")
+"""The kinds of robots that creep out beside a wall: without `keep_out` or a ring."""
 PLATFORMS = (*KINDS, "mixed")
 VISIBILITIES = ("body", "real")
 MODES = (
@@ -86,7 +88,9 @@ class Family(Struct, frozen=True, kw_only=True):
     lidar, actuation: values over realism `realistic`. door: width of the opening of an inner wall
     through the middle, in bodies. poles: their radii in m. tells: whether attackers tell Jackals
     where they are. is_own: a pattern of the project, which avoids others. is_claimed: whether the
-    claim of docs/safety.md covers it.
+    claim of docs/safety.md covers it. beside: the protected robots start in pairs along the walls,
+    so many m from the wall and from each other: nearer than a robot that does not creep leaves; 0:
+    they start anywhere.
     """
 
     pattern: str = "goals"
@@ -101,6 +105,7 @@ class Family(Struct, frozen=True, kw_only=True):
     tells: bool = True
     is_own: bool = False
     is_claimed: bool = True
+    beside: float = 0.0
     platforms: tuple[str, ...] = PLATFORMS
     visibilities: tuple[str, ...] = VISIBILITIES
 
@@ -180,6 +185,10 @@ FAMILIES: Mapping[str, Family] = {
         actuation={"linear_acceleration": 0.7, "angular_acceleration": 2.1},
         is_claimed=False,
     ),
+    # Robots that creep: two side by side at a wall, alone and from attackers.
+    "creep_pairs": Family(pattern="random_twists", beside=0.05, platforms=CREEPING),
+    "creep_ram": Family(pattern="random_twists", attack="ram", beside=0.05, platforms=CREEPING),
+    "creep_flank": Family(pattern="random_twists", attack="flank", beside=0.05, platforms=CREEPING),
     # What protection may take for a wall, or for a part of one.
     "beside_wall": Family(
         **_movers(places=_at_walls(0.09), **{**_BODY, "rests": 4.0}, moves=3.0),
@@ -469,6 +478,9 @@ def _groups(scene: Scene) -> dict[str, dict[str, Any]]:
             "pattern": scene.of.pattern,
             "parameters": _parameters(scene),
         }
+        if scene.of.beside:
+            poses = _pairs(scene, kind, count - scene.attackers)
+            groups[kind]["start"] = {"layout": "list", "poses": poses}
         if scene.attackers:
             groups[f"{ATTACKERS}-{kind}"] = {
                 "platform": f"{ATTACKERS}-{kind}",
@@ -476,6 +488,23 @@ def _groups(scene: Scene) -> dict[str, dict[str, Any]]:
                 **_attack(scene, attack_speed(scene, kind)),
             }
     return groups
+
+
+def _pairs(scene: Scene, kind: str, count: int) -> list[list[float]]:
+    """Poses of robots in pairs along the walls, nose to tail, from one wall to the next."""
+    rear, front = np.sort(load_platform(kind).footprint[:, 0])[[0, -1]]
+    left = float(load_platform(kind).footprint[:, 1].max())
+    half, beside = 0.5 * scene.room.side, scene.of.beside
+    length = float(front - rear)
+    poses = []
+    for robot in range(count):
+        pair, second = divmod(robot, 2)
+        wall, row = pair % len(_SIDES), pair // len(_SIDES)
+        along = (0.5 - second) * (length + beside) + 3.0 * row * length
+        cos, sin = np.cos(np.radians(_SIDES[wall])), np.sin(np.radians(_SIDES[wall]))
+        x, y = half - beside - left, along - 0.5 * float(front + rear)
+        poses.append([float(cos * x - sin * y), float(sin * x + cos * y), _SIDES[wall] - 90.0])
+    return poses
 
 
 def _attack(scene: Scene, speed: float) -> dict[str, Any]:

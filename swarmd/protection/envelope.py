@@ -34,7 +34,7 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import hypot
 
-SURFACE_GAP = cython.declare(cython.double, 0.01)
+SURFACE_GAP = cython.declare(cython.double, 0.0125)
 """m that a creeping robot keeps to a wide surface, as the scan shows it."""
 SURFACE_TIME = cython.declare(cython.double, 0.5)
 """s in which a creeping robot may use up the rest of the gap to a wide surface."""
@@ -151,7 +151,6 @@ class Envelope:
             normal_y: cython.double = -side_x / length
             self.row_x[i], self.row_y[i] = normal_x, normal_y
             self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
-
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)

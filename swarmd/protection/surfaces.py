@@ -97,9 +97,12 @@ def _is_step(
 @cython.cfunc
 @cython.exceptval(-1.0, check=True)
 def _ranked_gap(
-    gap: cython.double[::1], at: cython.Py_ssize_t, most: cython.Py_ssize_t, count: cython.Py_ssize_t
+    gap: cython.double[::1],
+    at: cython.Py_ssize_t,
+    most: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
 ) -> cython.double:
-    """The gap in m with rank RANK_SHARE among return `at` and up to `most` returns to either side."""
+    """The gap in m with rank RANK_SHARE among return `at` and up to `most` to either side."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     reach: cython.Py_ssize_t = min(most, RANK_RAYS)

@@ -219,6 +219,133 @@ def test_corners_can_stop_before_the_unseen_extent(
             assert closing <= CREEP_SPEED + 1e-9 or own + theirs <= distance - free + 1e-9
 
 
+FACES = st.lists(
+    st.tuples(st.floats(0.0, 0.5), st.sampled_from([0.0, 90.0, 180.0, 270.0, 45.0, 200.0])),
+    min_size=1,
+    max_size=3,
+)
+
+
+def beside(platform: Platform, faces: Sequence[tuple[float, float]], more: Returns = ()) -> Scan:
+    """A scan of endless walls, each at a gap in m and in a direction in degrees, and of returns."""
+    ranges = np.full(len(platform.scan.bearings), math.inf)
+    for ray, share in more:
+        ranges[ray] = platform.scan.range_min + 2.0 * share if share >= 0.0 else -math.inf
+    for gap, direction in faces:
+        way = np.array([math.cos(math.radians(direction)), math.sin(math.radians(direction))])
+        distance = float((platform.footprint @ way).max() + gap - way @ platform.scan.offset)
+        bearings = platform.scan.bearings
+        towards = np.cos(bearings - math.radians(direction))
+        seen = np.where(towards > 1e-3, distance / np.maximum(towards, 1e-3), math.inf)
+        ranges = np.minimum(ranges, seen)
+    ranges[ranges > platform.scan.range_max] = math.inf
+    ranges[ranges < platform.scan.range_min] = -math.inf
+    return scan_from(platform, ranges, platform.scan.bearings)
+
+
+CREEPING = [
+    under_barrier(load_platform(name))
+    for name in ("burger", "waffle_pi", "turtlebot4", "rosbot_xl")
+]
+VISIBLE = [under_barrier(one, unseen_extent=0.0) for one in CREEPING]
+
+
+@given(st.sampled_from([*CREEPING, *VISIBLE]), FACES, NEAR_RETURNS, SHARE, SHARE, SHARE, AGE)
+@example(CREEPING[2], [(0.05, 270.0)], [], 1.0, 0.0, 0.0, 0.0)
+@example(CREEPING[2], [(0.05, 270.0)], [(3, 0.05)], 1.0, 0.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.005, 270.0), (0.01, 90.0)], [(0, 0.0)], 1.0, 0.0, 0.0, 0.0)
+@example(CREEPING[3], [(0.05, 270.0), (0.05, 0.0)], [], 1.0, 1.0, 1.0, 0.1)
+def test_what_may_touch_is_approached_at_creep_speed_by_each_place(
+    platform: Platform, faces: list[tuple[float, float]], returns: Returns, v: float, w: float,
+    aside: float, age: float,
+) -> None:  # fmt: skip
+    """The claim is 2 cm/s (docs/safety.md). Contacts and locked robots creep together, too.
+
+    Either no corner moves faster than CREEP_SPEED, so that no place of the outline does; or the
+    robot can stop before each return, and none is so near that it may touch unseen.
+    """
+    settings = platform.protection["barrier"]
+    scan, straight = beside(platform, faces, returns), request_of(platform, v, w)
+    requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
+    safe = decided(platform, scan, requested, age=age).safe
+    fastest = max(
+        math.hypot(safe.linear - safe.angular * y, safe.lateral + safe.angular * x)
+        for x, y in platform.footprint.tolist()
+    )
+    if fastest <= CREEP_SPEED + 1e-9:
+        return
+    assert not np.isneginf(scan.ranges).any()  # a contact: the slow envelope holds
+    along = np.array([requested.linear, requested.lateral])
+    along = along / np.hypot(*along) if along.any() else np.array([1.0, 0.0])
+    free = settings["margin"] + settings["unseen_extent"]
+    unseen = platform.scan.latency + age
+    for point in points(platform, scan):
+        gap, at, towards = outline_point(platform.footprint, point)
+        assert gap > free
+        closing = closing_speed(safe, at, towards)
+        lever = float(at[0] * towards[1] - at[1] * towards[0])
+        braking = abs(float(along @ towards)) * settings["braking_linear"]
+        braking = max(braking + abs(lever) * settings["braking_angular"], 0.02)
+        own = closing * TICK + closing**2 / (2.0 * braking)
+        theirs = settings["others_speed"] * (unseen + TICK + closing / braking)
+        assert closing <= 1e-9 or own + theirs <= gap - free + 1e-9
+
+
+@pytest.mark.parametrize("platform", CREEPING, ids=lambda one: one.name)
+@pytest.mark.parametrize("direction", [90.0, 270.0])
+def test_a_robot_beside_a_wall_creeps_along_it(platform: Platform, direction: float) -> None:
+    """It is locked: a turn swings a corner in, and a straight line closes on returns ahead."""
+    scan = beside(platform, [(0.1, direction)])
+    for v in (1.0, -1.0):
+        safe = decided(platform, scan, request_of(platform, v, 0.0)).safe
+        assert safe.linear == pytest.approx(v * CREEP_SPEED, rel=1e-6)
+        assert safe.angular == pytest.approx(0.0, abs=1e-9)
+    assert decided(platform, scan, ZERO).safe == ZERO
+
+
+@pytest.mark.parametrize("platform", CREEPING[1:], ids=lambda one: one.name)
+def test_a_creeping_robot_keeps_off_the_wall(platform: Platform) -> None:
+    """A corner of a robot that turns closes on the wall no longer, once the wall is at 1 cm."""
+    turn = request_of(platform, 0.0, 1.0)
+    away, near = (
+        decided(platform, beside(platform, [(gap, 270.0)]), turn).safe for gap in (0.1, 0.01)
+    )
+    assert away.angular > 0.0
+    assert near.angular == pytest.approx(0.0, abs=1e-6)
+
+
+def test_only_a_locked_robot_creeps_at_a_wall() -> None:
+    """A robot with its nose at a wall may back off, and so it does not creep on."""
+    robot = CREEPING[2]
+    scan = beside(robot, [(0.1, 0.0)])
+    assert decided(robot, scan, Twist(0.2)).safe.linear <= 1e-9
+    assert decided(robot, scan, Twist(-0.2)).safe.linear == pytest.approx(-CREEP_SPEED)
+
+
+@pytest.mark.parametrize("width", [0.25, 0.4])
+def test_only_a_wide_surface_may_be_closed_on(width: float) -> None:
+    """What is narrower may be the head of a robot, whose body reaches farther unseen."""
+    robot = CREEPING[2]
+    walls = beside(robot, [(0.1, 270.0)])  # locks it
+    x = 0.5 * width * np.linspace(-1.0, 1.0, 200)
+    place = np.stack((x + 0.3, np.full(200, 0.17 + 0.15)), axis=1) - robot.scan.offset
+    ranges = walls.ranges.copy()
+    rays = np.round(np.degrees(np.arctan2(place[:, 1], place[:, 0]))).astype(int) % RAYS
+    ranges[rays] = np.minimum(ranges[rays], np.hypot(*place.T))
+    safe = decided(robot, scan_from(robot, ranges, robot.scan.bearings), Twist(0.2)).safe
+    assert (safe.linear > 0.01) is (width > 0.3)
+
+
+def test_a_told_obstacle_and_a_circle_keep_a_robot_from_creeping_out() -> None:
+    """What is not seen where it is may be anywhere within its disc."""
+    robot, ahead = CREEPING[2], Twist(0.2)
+    scan = beside(robot, [(0.1, 270.0)])
+    told = (ToldObstacle(0.0, 1.0, 0.3, 0.0),)
+    assert decided(robot, scan, ahead).safe.linear == pytest.approx(CREEP_SPEED)
+    assert decided(robot, scan, ahead, told=told).safe == ZERO
+    assert decided(under_barrier(robot, keep_out=0.3), scan, ahead).safe == ZERO
+
+
 def points(platform: Platform, scan: Scan) -> list[Array]:
     """The returns as points in the base frame."""
     return [
@@ -229,16 +356,36 @@ def points(platform: Platform, scan: Scan) -> list[Array]:
 
 
 @given(PLATFORM, st.integers(0, RAYS - 1), SHARE, SHARE)
-def test_never_closes_along_a_ray_too_close_to_measure(
+@example(BURGER, 1, 1.0, 0.0)
+def test_only_creeps_along_a_ray_too_close_to_measure(
     platform: Platform, ray: int, v: float, w: float
 ) -> None:
+    """A contact forbids to close across the outline, and to close faster along its ray.
+
+    With 0 along the ray too, a flank in contact holds robots side by side for good.
+    """
     scan = seeing(platform, [(ray, -1.0)])
     safe = decided(platform, scan, request_of(platform, v, w)).safe
     bearing = float(platform.scan.bearings[ray])
     way = np.array([math.cos(bearing), math.sin(bearing)])
     at = edge_along(platform, way)
-    closing = safe.linear * way[0] + safe.angular * (at[0] * way[1] - at[1] * way[0])
-    assert closing <= 1e-9
+    assert closing_speed(safe, at, way) <= CREEP_SPEED + 1e-9
+    sides = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    across = [
+        side
+        for side in sides
+        if abs(float((platform.footprint @ side).max() - at @ side)) < 1e-9  # the edge of the ray
+    ]
+    if len(across) == 1:  # not at a corner
+        assert closing_speed(safe, at, across[0]) <= 1e-9
+
+
+def closing_speed(command: Twist, at: Array, way: Array) -> float:
+    """The speed in m/s along `way` of a place of the outline."""
+    lever = float(at[0] * way[1] - at[1] * way[0])
+    return (
+        command.linear * float(way[0]) + command.lateral * float(way[1]) + command.angular * lever
+    )
 
 
 def edge_along(platform: Platform, way: Array) -> Array:
