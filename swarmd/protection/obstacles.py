@@ -193,7 +193,9 @@ class NearObstacles:
     def has_bare_walls(self) -> cython.int:
         """1 if a return of the last scan is of the kind BARE_WALL."""
         layer: ReturnLayer | None = self._layer
-        return layer is not None and layer.has_bare_walls
+        if layer is None:
+            return 0
+        return layer.has_bare_walls != 0
 
     @cython.cfunc
     def set_bearings(self, bearings: Array) -> None:

@@ -163,7 +163,7 @@ class BareReturns:
                 if self._is_candidate[i]:
                     kinds[i] = BARE_WALL
                     is_any = True
-        return is_any
+        return is_any != 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -236,8 +236,12 @@ class BareReturns:
     @cython.inline
     @cython.exceptval(-2)
     def _own_ray(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """The index of a ray of this scan; the first ray follows the last one."""
-        return self._borrowed + number % (self._rays - self._borrowed)
+        """The index of a ray of this scan; the first ray follows the last one.
+
+        `number`: from 0 to below twice the rays of this scan.
+        """
+        own: cython.Py_ssize_t = self._rays - self._borrowed
+        return self._borrowed + (number - own if number >= own else number)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -333,15 +337,19 @@ class BareReturns:
                 )
                 is_next = spacing < _PART
             if not is_next:  # ends the stretch before this ray
-                is_any = self._take_stretch(count, lost, kinds) or is_any
-                count = lost = 0
+                if self._take_stretch(count, lost, kinds):
+                    is_any = True
+                count = 0
+                lost = 0
             elif is_lost:
                 lost += 1
             is_lost = False
             if self._is_member[i]:
                 self._stretch[count] = i
                 count += 1
-        return self._take_stretch(count, lost, kinds) or is_any
+        if self._take_stretch(count, lost, kinds):
+            is_any = True
+        return is_any != 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -352,14 +360,16 @@ class BareReturns:
 
         `count`: its members. `lost`: its sectors of unmeasured rays.
         """
-        if count < _LEAST_MEMBERS or lost > _LOST_SECTORS:
+        if count < 1 or lost > _LOST_SECTORS:
             return 0
         first: cython.Py_ssize_t = self._stretch[0]
         last: cython.Py_ssize_t = self._stretch[count - 1]
         length: cython.double = fabs(self._along[last] - self._along[first])
         if not (length >= self._length and length >= self.longest_heard):
             return 0
-        return self._is_flat(count) and self._mark_candidates(count, kinds)
+        if not self._is_flat(count):
+            return 0
+        return self._mark_candidates(count, kinds)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -368,6 +378,8 @@ class BareReturns:
 
         A parabola is fitted by least squares, as in `StraightRuns._is_straight`.
         """
+        if count < _LEAST_MEMBERS:
+            return 0
         k: cython.Py_ssize_t
         mean: cython.double = 0.0
         for k in range(count):
@@ -408,7 +420,7 @@ class BareReturns:
             if is_behind and is_before and kinds[i] == WALL:
                 self._is_candidate[i] = 1
                 is_any = True
-        return is_any
+        return is_any != 0
 
     @cython.cfunc
     @cython.exceptval(-1)

@@ -240,8 +240,8 @@ def test_without_a_foot_no_return_is_bare(kernel: Any) -> None:
 def test_a_robot_drives_beside_its_foot_and_not_nearer(name: str) -> None:
     """It may drive along the wall, and towards the wall until margin and foot are left."""
     along, towards = Twist(0.1, 0.0), Twist(0.1, 0.0)
-    beside = wall(side(name, 0.12))
-    near = Watcher(name).watch([beside])
+    beside = wall(side(name, 0.08))
+    near = Watcher(name, walls_stand=WALLS | {"foot": 0.0}).watch([beside])
     plain = Watcher(name, walls_stand={"length": 1.0, "seconds": 1.0}).watch([beside])
     assert near.decide(along).linear == 0.1
     assert plain.decide(along).linear < 0.1
@@ -274,16 +274,16 @@ def test_no_return_beside_a_housing_is_bare(name: str, peer: str, lost: float) -
     """
     y = side(name, 0.2)
     control = Watcher(name).watch([wall(y)])
-    for gap in (0.015, 0.055, 0.095):
-        for x in (-0.55, -0.35, 0.3, 0.4, 0.5, 0.6):
+    would_be = 0
+    for gap, memory in ((0.015, ()), (0.055, (wall(y),)), (0.095, ())):
+        for x in (-0.5, 0.3, 0.4, 0.55):
             body = housing(peer, x, gap, y, lost)
-            assert control.at_fault(body) > 5
-            for memory in ((), (wall(y),)):
-                seen = Watcher(name).watch([wall(y), body], memory=memory)
-                assert seen.at_fault(body) == 0
-                # It came just now, before a wall that has stood.
-                late = Watcher(name).watch([wall(y)]).see([wall(y), body], memory=memory)
-                assert late.at_fault(body) == 0
+            would_be += control.at_fault(body)
+            assert Watcher(name).watch([wall(y), body], memory=memory).at_fault(body) == 0
+        # It came just now, before a wall that has stood.
+        late = Watcher(name).watch([wall(y)]).see([wall(y), body], memory=memory)
+        assert late.at_fault(body) == 0
+    assert would_be > 30
 
 
 @pytest.mark.parametrize("angle", [5.0, 10.0, 20.0, 30.0])
@@ -381,7 +381,8 @@ def test_no_return_beside_a_recess_with_a_robot_in_it_is_bare(depth: float, lost
         niche += [Line(x, y, x, y + depth), Line(x + 0.4, y, x + 0.4, y + depth)]
         inside = Round(x + 0.2, y + depth - 0.04, 0.036, lost)
         seen = Watcher().watch([*niche, inside])
-        assert seen.at_fault(wall(y + depth, x, x + 0.4)) == 0
+        assert seen.bare.any()
+        assert not (seen.bare & (seen.y > y + 0.036)).any()
         assert seen.at_fault(inside) == 0
         assert Watcher().watch([wall(y)]).at_fault(inside) > 5 or depth > 0.2
 
@@ -401,7 +402,7 @@ def test_no_return_beside_a_strip_that_the_lidar_misses_is_bare(what: str, width
         assert Watcher().watch([wall(y)]).at_fault(strip) > 5
 
 
-@pytest.mark.parametrize("angle", [5.0, 15.0, 30.0, 60.0, 90.0])
+@pytest.mark.parametrize("angle", [10.0, 20.0, 45.0, 90.0])
 def test_no_return_of_a_door_ajar_is_bare(angle: float) -> None:
     """A leaf of 0.8 m in a wall, which opens towards the robot."""
     y = side("turtlebot4", 0.2)
