@@ -67,7 +67,7 @@ _SAME_AXIS = cython.declare(cython.double, 0.14)
 _SAME_HALF = cython.declare(cython.double, 0.08)
 _SAME_SPAN = cython.declare(cython.double, 0.2)
 _SAME_ANGLE = cython.declare(cython.double, 0.4)
-# Weight of a sighting's lengths, of which others may hide a part.
+# Weight of the lengths of a new sighting: others may hide a part of what it shows.
 _LENGTH_WEIGHT = cython.declare(cython.double, 0.4)
 SIGHTINGS = cython.declare(cython.longlong, 2)
 """Sightings of an opening before right of way uses it."""
@@ -383,8 +383,9 @@ class Opening:
     def update(self, sighting: Opening) -> cython.int:
         """Take in another sighting: a weighted mean of place, angle and lengths.
 
-        The weight falls with the number of sightings, down to a tenth. The middle moves only across
-        the axis of the opening: along the axis, `first` and `last` say where the opening lies.
+        The weight of the place and the angle falls with the number of sightings, down to a tenth;
+        that of the lengths does not. The middle moves only across the axis of the opening: along
+        the axis, `first` and `last` say where the opening lies.
         """
         weight: cython.double = 1.0 / min(self.hits + 1, 10)
         turn: cython.double = sighting.angle - self.angle
@@ -434,6 +435,13 @@ class Openings:
     def clear(self) -> None:
         """Forget all openings."""
         self.known = []
+
+    @cython.ccall
+    def forget(self, opening: object) -> cython.bint:
+        """Forget one opening; False if it was not remembered."""
+        before = len(self.known)
+        self.known = [known for known in self.known if known is not opening]
+        return len(self.known) < before
 
     def observe(
         self,

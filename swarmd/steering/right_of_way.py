@@ -2,9 +2,8 @@
 
 A robot remembers the openings in walls that its scans show (openings.py). If the command that the
 pattern requests leads into a wall, the robot drives to the nearest opening in that wall. The robot
-waits beside an opening while other robots come out of the opening. When two robots meet within an
-opening, the robot that is deeper in goes on and the other robot backs out, and gives way for a
-random time.
+waits beside an opening while other robots come out of the opening. A robot in an opening that makes
+no progress backs out, and gives way for a random time.
 
 The result replaces the command that the pattern requested. Avoidance, recovery and protection
 treat the result as a requested command.
@@ -74,6 +73,10 @@ _ALONG_WALL = cython.declare(cython.double, 0.2)
 # Cosine of the angle between the request and the way through an opening: below it, the request
 # leads away from the opening.
 _LEADS_AWAY = cython.declare(cython.double, -0.25)
+# rad: a request farther to the side is taken for a turn
+_SIDEWAYS = cython.declare(cython.double, 1.3)
+# rad from straight back within which a turn keeps the direction behind the robot
+_REVERSED = cython.declare(cython.double, 0.5)
 # s after which the robot ignores an opening that it has not passed
 _GIVE_UP = cython.declare(cython.double, 240.0)
 # s of a requested turn that are looked ahead: for a base without an angular limit, and the bounds.
@@ -106,6 +109,8 @@ _IN_WALL = cython.declare(cython.double, 0.05)
 _THRESHOLD = cython.declare(cython.double, 0.3)
 # m along the axis: a new track before this place comes from the robot's side.
 _FIRST_SEEN_IN = cython.declare(cython.double, -0.1)
+# m back from its farthest place: the track comes out again
+_BACKS_OUT = cython.declare(cython.double, 0.1)
 # A track comes from the side of the robot, or from the other side of the opening.
 _THIS_SIDE = cython.declare(cython.double, -1.0)
 _OTHER_SIDE = cython.declare(cython.double, 1.0)
@@ -120,6 +125,8 @@ _QUEUE_FAR = cython.declare(cython.double, 1.6)
 _CLEAR_TIMES = (0.5, 1.5)  # s for which nothing has come out before a robot enters
 # s for which a robot that was last seen in an opening may still be there
 _HIDDEN = cython.declare(cython.double, 6.0)
+# s for which a robot gives way again, if it has passed an opening within the last _RECENTLY s.
+_PASSED_TIMES, _RECENTLY = (6.0, 10.0), 120.0
 # s after a passage in which the robot lets robots pass that wait on its side
 _LETS_PASS = cython.declare(cython.double, 90.0)
 # s and m: with less a robot in an opening tries the other way
@@ -161,6 +168,8 @@ _BACK_AIM = cython.declare(cython.double, 0.4)
 # rad/s at most, and share of the speed, while backing out
 _BACK_TURN = cython.declare(cython.double, 0.3)
 _BACK_SHARE = cython.declare(cython.double, 0.5)
+# rad: a goal farther to the side is reached backwards
+_BACKS_TO = cython.declare(cython.double, 2.0)
 _GAIN = cython.declare(cython.double, 3.0)  # 1/s: rad/s for each rad that the heading is off
 _SPEEDS = (0.14, 0.1, 0.07, 0.04)  # m/s; protection lets a robot creep at the last
 # m/s of speed that are worth a change of the turn by 1 rad/s
@@ -169,6 +178,8 @@ _TURN_COST = cython.declare(cython.double, 0.15)
 _UNKNOWN_SPEED_SHARE = cython.declare(cython.double, 0.5)
 
 # The middle of the opening, as the returns of its posts show it.
+# m: an opening whose middle is farther off is forgotten and looked for anew
+_WRONG_BY = cython.declare(cython.double, 0.1)
 _WEIGHT = cython.declare(cython.double, 0.03)  # weight of a new measurement of the axis
 # m within which returns are posts, and their gap is the opening
 _AT_POST = cython.declare(cython.double, 0.1)
@@ -227,7 +238,7 @@ class _Traffic(Struct, frozen=True, gc=False):
     is_busy: bool = False  # a robot comes out
     is_behind: bool = False  # another robot that wants to pass is nearer: this robot is behind
     is_close: bool = False  # another robot that goes in is close ahead
-    is_queued: bool = False  # another robot is near the opening, on the side of this robot
+    is_queued: bool = False  # a robot that has not come out waits on the side of this robot
 
 
 @cython.final
@@ -247,19 +258,21 @@ class RightOfWay:
     _y: cython.double
     _yaw: cython.double
     _trail: OdometryTrail
-    # s, when the robot last passed an opening among others
     _passed_at = cython.declare(cython.double, visibility="public")
     _speed: cython.double  # m/s; the fastest speed requested so far, as in recovery
     _opening: Opening | None  # the chosen one; None: requests pass
     _sign: cython.double  # 1 or -1: the way through, along the angle of the opening or opposite
     _chosen_at: cython.double  # when the opening was chosen
+    _wanted_yaw: cython.double  # rad, the direction of the request in the frame of the odometry
     # By the id of a track. `_sides`: _THIS_SIDE or _OTHER_SIDE, from which the track came.
-    # `_seen_since`: in s.
+    # `_farthest`: its farthest place in m along the axis. `_seen_since`: in s.
     _sides: dict[int, Any] = cython.declare(dict, visibility="readonly")
+    _farthest: dict[int, float]
     _seen_since: dict[int, float]
     # By the id of a track that came out: s, when the robot last saw the track in the opening.
     # Dropped when the robot sees the track elsewhere.
     _within_at: dict[int, float]
+    _came_out: set[int]  # ids of the tracks that have come out to this side
     _progress_along: cython.double  # m along the axis: where the robot last made progress
     _progress_at: cython.double  # s, when this was
     _is_backing: cython.bint
@@ -299,8 +312,9 @@ class RightOfWay:
     def _release(self) -> None:
         """Drop the chosen opening: requests pass until another opening is on the way."""
         self._opening, self._middle_offset, self.state = None, None, WayState.NONE
-        self._keep_clear_for = self._waiting_side = 0.0
-        self._sides, self._seen_since, self._within_at = {}, {}, {}
+        self._wanted_yaw = self._keep_clear_for = self._waiting_side = 0.0
+        self._sides, self._farthest, self._seen_since, self._within_at = {}, {}, {}, {}
+        self._came_out = set()
         self._progress_along = self._progress_at = self._busy_at = -INFINITY
         self._is_backing, self._is_lined_up = False, False
 
@@ -383,13 +397,11 @@ class RightOfWay:
             return requested
         # m/s, the fastest that was requested so far.
         self._speed = max(self._speed, speed_of(linear, lateral))
-        # rad, the direction of the request. A request to drive backwards counts as one without
-        # that speed.
-        wanted_yaw: cython.double = yaw + atan2(lateral + self._lead * angular, max(linear, 0.0))
+        self._wanted_yaw = self._requested_yaw(linear, angular, lateral, yaw)
 
         # 2. Chooses an opening, if none is chosen, and places the robot in its frame.
         if self._opening is None:
-            self._choose(base_x, base_y, wanted_yaw, now)
+            self._choose(base_x, base_y, now)
         opening: Opening | None = self._opening
         if opening is None:
             return requested
@@ -404,8 +416,8 @@ class RightOfWay:
         tracks: tuple[Track, ...] = surroundings.tracks
         is_passed: cython.bint = along > depth + _BEYOND
         if is_passed and tracks:
-            self._passed_at = now  # others are near: next time this robot lets them pass
-        cos_to_request: cython.double = cos(wanted_yaw - opening.angle) * self._sign
+            self._passed_at = now  # others are near: next time this robot lets them pass longer
+        cos_to_request: cython.double = cos(self._wanted_yaw - opening.angle) * self._sign
         is_too_long: cython.bint = now - self._chosen_at > _GIVE_UP
         if is_passed or along < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
             self._release()
@@ -425,26 +437,50 @@ class RightOfWay:
                 x, y = opening.to_local(x, y, self._sign)
                 others.append(_PlacedTrack(id, x - begin, y))
         self._seen_since = seen_since
-        for id in self._sides.keys() - seen_since.keys():
-            del self._sides[id]
+        for by_track in (self._sides, self._farthest):
+            for id in by_track.keys() - seen_since.keys():
+                del by_track[id]
+        self._came_out &= seen_since.keys()
         place = _Place(along, aside, heading, depth, opening.half)
         return self._decide_state(place, others, now, safe_for, points)
 
     @cython.cfunc
-    def _choose(
-        self, x: cython.double, y: cython.double, wanted_yaw: cython.double, now: cython.double
-    ) -> None:
+    def _requested_yaw(
+        self,
+        linear: cython.double,
+        angular: cython.double,
+        lateral: cython.double,
+        yaw: cython.double,
+    ) -> cython.double:
+        """The direction of a request (m/s, rad/s) in rad in the frame of the odometry.
+
+        `yaw` in rad is that of the robot. A request to drive backwards counts as one without that
+        speed. A request to turn on the spot does not say how far the robot wants to turn. So the
+        direction of the last request stays in force if that direction lies on the side of the turn,
+        or straight behind the robot.
+        """
+        bearing = atan2(lateral + self._lead * angular, max(linear, 0.0))
+        if fabs(bearing) > _SIDEWAYS and lateral == 0.0:
+            bearing_before = remainder(self._wanted_yaw - yaw, TURN)
+            if bearing_before * bearing > 0.0 and fabs(bearing_before) > _SIDEWAYS:
+                bearing = bearing_before
+            elif PI - fabs(bearing_before) < _REVERSED:
+                bearing = copysign(PI, bearing)
+        return yaw + bearing
+
+    @cython.cfunc
+    def _choose(self, x: cython.double, y: cython.double, now: cython.double) -> None:
         """Choose the nearest opening through which the request leads, or into whose wall it leads.
 
         Sets `_opening` and `_sign` (the direction through the opening), and resets what belongs to
         another opening. Nothing changes if no opening is on the way. `x`, `y`: the place in m of
-        the base in the frame of the odometry. `wanted_yaw` in rad: the direction of the request.
+        the base in the frame of the odometry.
         """
         opening: Opening
         nearest, chosen = INFINITY, None
         for opening in self._openings.known:
             # 1. Skips an opening that was seen too rarely, or whose wall the request leads along.
-            angle: cython.double = remainder(wanted_yaw - opening.angle, TURN)
+            angle: cython.double = remainder(self._wanted_yaw - opening.angle, TURN)
             if opening.hits < SIGHTINGS or fabs(fabs(angle) - 0.5 * PI) < _ALONG_WALL:
                 continue
 
@@ -470,16 +506,19 @@ class RightOfWay:
             return
 
         # 4. Begins with the chosen opening.
+        wanted_yaw: cython.double = self._wanted_yaw
         self._release()
-        self._chosen_at = now
+        self._wanted_yaw, self._chosen_at = wanted_yaw, now
         self._opening, self._sign = chosen
+        if now - self._passed_at < _RECENTLY:
+            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_PASSED_TIMES)
 
     @cython.cfunc
     def _judge_traffic(self, place: _Place, others: list[_PlacedTrack], now: float) -> _Traffic:
         """What the other robots before and in the opening do.
 
-        Stores in `_sides` from which side each track came, and in `_within_at` which tracks are in
-        the opening.
+        Stores in `_sides` from which side each track came, in `_farthest` how far each track came,
+        in `_within_at` which tracks are in the opening, and in `_came_out` which have left it.
 
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
         moving objects) in the same frame. `now`: s.
@@ -492,7 +531,10 @@ class RightOfWay:
             is_within = -_THRESHOLD < along < place.depth + _THRESHOLD
             if not is_within:
                 self._within_at.pop(id, None)
-            is_queued |= abs(aside) < _QUEUE_FAR and -_QUEUE_FAR < along < -_QUEUE_NEAR
+                if came_from == _OTHER_SIDE and along < 0.0:
+                    self._came_out.add(id)
+            is_near = abs(aside) < _QUEUE_FAR and -_QUEUE_FAR < along < -_QUEUE_NEAR
+            is_queued |= is_near and id not in self._came_out
             if came_from is None or not is_within:
                 border = _FIRST_SEEN_IN if came_from is None else 0.5 * place.depth
                 came_from = self._sides[id] = _THIS_SIDE if along < border else _OTHER_SIDE
@@ -501,12 +543,18 @@ class RightOfWay:
             max_aside = place.half_width + (-_NARROWER if along > -_IN_WALL else _WIDER)
             if not -_BEFORE < along < place.depth + _AFTER or abs(aside) > max_aside:
                 continue
+            # How far it came; forgotten once it is back more than _LINE_UP before the opening.
+            farthest = max(self._farthest.get(id, along) if along > -_LINE_UP else along, along)
+            self._farthest[id] = farthest
 
             # 3. What the track does.
+            backs_out = farthest > -_IN and along < farthest - _BACKS_OUT
             is_ahead = along > place.along
-            if came_from == _OTHER_SIDE:  # the track comes out
+            if came_from == _OTHER_SIDE or backs_out:
+                # The track comes out. Two robots that meet within the opening both go on until one
+                # of them is stuck: a robot that backed out at once passed no more often.
+                is_met = place.is_in and is_ahead
                 is_in_or_through = along < place.depth + _IN
-                is_met = place.is_in and is_ahead  # neither counts as out: both try to pass
                 if not is_met and (is_in_or_through or along - place.depth < -place.along):
                     is_busy = True  # the track is in or through the opening, or nearer to it
                     if is_within:
@@ -528,6 +576,8 @@ class RightOfWay:
     ) -> Twist:
         """The command at a place before or in the chosen opening; sets `state`.
 
+        ZERO if the opening turns out to be wrong; then it is forgotten, and none is chosen.
+
         Args:
             place: the place of this robot in the frame of the opening.
             others: the tracks (other moving objects) in the same frame.
@@ -538,6 +588,9 @@ class RightOfWay:
         # 1. Corrects all places by the measured middle of the opening.
         self._find_middle(place, points)
         middle_offset = self._middle_offset or 0.0
+        if abs(middle_offset) > _WRONG_BY and self._openings.forget(self._opening):
+            self._release()  # the sightings took a robot for a post
+            return ZERO
         place = replace(place, aside=place.aside - middle_offset)
         others = [_PlacedTrack(o.id, o.along, o.aside - middle_offset) for o in others]
 
@@ -546,8 +599,11 @@ class RightOfWay:
         traffic = self._judge_traffic(place, others, now)
         self._update_progress(place, now)
         if traffic.is_busy or self._is_backing:
+            has_passed = now - self._passed_at < _RECENTLY
             self._busy_at = now
-            self._keep_clear_for = self._rng.uniform(*_CLEAR_TIMES)
+            self._keep_clear_for = self._rng.uniform(
+                *(_PASSED_TIMES if has_passed else _CLEAR_TIMES)
+            )
         self.state = self._next_state(place, traffic, now)
         return self._request(place, safe_for)
 
@@ -584,11 +640,12 @@ class RightOfWay:
         # a) while a robot comes out, and for a random time after that;
         # b) while another robot that wants to pass is nearer to the opening;
         # c) while a robot that was last seen in the opening may still be there;
-        # d) for _LETS_PASS s after a passage, while another robot is near the opening on this side.
+        # d) for _LETS_PASS s after a passage, while a robot that has not come out of the opening
+        #    waits on its side.
         hidden_for = _HIDDEN + self._keep_clear_for
         self._within_at = {id: at for id, at in self._within_at.items() if now - at < hidden_for}
-        keeps_clear = now - self._busy_at < self._keep_clear_for
         lets_pass = traffic.is_queued and now - self._passed_at < _LETS_PASS
+        keeps_clear = now - self._busy_at < self._keep_clear_for
         if keeps_clear or traffic.is_behind or self._within_at or lets_pass:
             return self._giving_way(place)
 
@@ -702,12 +759,19 @@ class RightOfWay:
     def _drive(self, goal_along: float, goal_aside: float, place: _Place) -> Twist:
         """The command that drives from `place` to a goal, both in the frame of the opening.
 
-        `goal_along` and `goal_aside` in m: the goal along the axis, and to the left of the axis.
+        `goal_along` and `goal_aside` in m: the goal along the axis, and to the left of the axis. A
+        robot near or in the opening drives backwards to a goal behind it.
         """
         bearing = math.atan2(goal_aside - place.aside, goal_along - place.along) - place.heading
         yaw_error = math.remainder(bearing, TURN)
+        speed = self._speed
+        is_near = place.along > -_LINE_UP and abs(place.aside) < place.half_width
+        is_goal_behind = goal_along < place.along and abs(yaw_error) > _BACKS_TO
+        if is_near and is_goal_behind:
+            yaw_error = math.remainder(yaw_error - math.pi, TURN)
+            speed = -speed
         turn = min(max(_GAIN * yaw_error, -self._angular_limit), self._angular_limit)
-        return Twist(self._speed * math.pow(max(math.cos(yaw_error), 0.0), 2.0), turn)
+        return Twist(speed * math.pow(max(math.cos(yaw_error), 0.0), 2.0), turn)
 
 
 @cython.cfunc

@@ -163,6 +163,14 @@ STATES: dict[str, tuple[list[Step], WayState]] = {
     "back to 2.1 m": ([CHOSEN, Step(-2.1)], WayState.NONE),
     "a request 80 deg off": ([CHOSEN, Step(-1.0, 0.0, 1.4)], WayState.APPROACH),
     "a request 115 deg off": ([CHOSEN, Step(-1.0, 0.0, 2.0)], WayState.NONE),
+    "a turn to the request, past straight back": (
+        [SEEN, ASIDE, Step(-0.4, 0.5, 2.68, requested=LEFT, pause=0.5)],
+        WayState.GO,
+    ),
+    "a turn to the request, from straight back": (
+        [SEEN, ASIDE, Step(-0.4, 0.5, 2.04, requested=LEFT, pause=0.5)],
+        WayState.GO,
+    ),
     "not passed for 230 s": ([CHOSEN, Step(-1.0, seconds=0.1, pause=230.0)], WayState.APPROACH),
     "not passed for 245 s": ([CHOSEN, Step(-1.0, seconds=0.1, pause=245.0)], WayState.NONE),
     "a request of zero": ([CHOSEN, Step(-1.0, requested=ZERO)], WayState.NONE),
@@ -224,6 +232,15 @@ STATES: dict[str, tuple[list[Step], WayState]] = {
     "8 s after another was hidden": (
         [CHOSEN, COMES_OUT, Step(-1.0, 0.9, pause=8.0, seconds=0.1)],
         WayState.GO,
+    ),
+    "another that backs out again": (
+        [
+            LINED_UP,
+            Step(-0.6, there={1: (-0.2, 0.0)}, seconds=1.5),
+            Step(-0.6, there={1: (0.05, 0.0)}),
+            Step(-0.6, there={1: (-0.15, 0.0)}),
+        ],
+        WayState.ASIDE,
     ),
     "another that has gone in": (
         [
@@ -296,10 +313,20 @@ STATES: dict[str, tuple[list[Step], WayState]] = {
         [LINED_UP, Step(-0.1, seconds=4.0), Step(-0.08, seconds=4.0)],
         WayState.BACK,
     ),
+    "5 s after a passage among others": (
+        [*PASSED, Step(1.0, 0.0, math.pi, seconds=5.0)],
+        WayState.ASIDE,
+    ),
+    "11 s after a passage among others": (
+        [*PASSED, Step(1.0, 0.0, math.pi), Step(1.0, 0.0, math.pi, pause=10.5)],
+        WayState.APPROACH,
+    ),
     "after a passage alone": (
         [CHOSEN, Step(0.0), Step(0.5, seconds=0.1), *TURNS, Step(1.0, 0.0, math.pi)],
         WayState.APPROACH,
     ),
+    "110 s after a passage": ([Step(-1.0, passed=110.0)], WayState.ASIDE),
+    "130 s after a passage": ([Step(-1.0, passed=130.0)], WayState.APPROACH),
     "85 s after a passage, another waits": (
         [CHOSEN, Step(-1.0, 0.9, there=WAITING, seconds=1.5, passed=85.0)],
         WayState.WAIT,
@@ -455,13 +482,18 @@ def test_a_robot_enters_sooner_if_it_sees_that_the_last_robot_has_come_out(
     assert ride.state() is state
 
 
-def test_a_robot_that_has_passed_lets_others_pass_on_its_side() -> None:
+@pytest.mark.parametrize(("comes_out", "state"), [(False, WayState.WAIT), (True, WayState.GO)])
+def test_a_robot_that_has_passed_lets_those_pass_that_wait_on_its_side(
+    comes_out: bool, state: WayState
+) -> None:
     ride, place = Ride(), near(-1.0, 0.9)
     ride.at(near(-1.0))
     ride.way._passed_at = ride.now
+    if comes_out:
+        ride.at(place, track(1, 1.0, -0.9), seconds=2.0)
     waiting = track(1, 0.3, -1.8)
     ride.at(place, waiting, seconds=30.0)
-    assert ride.state() is WayState.WAIT
+    assert ride.state() is state
     ride.at(place, waiting, seconds=65.0)
     assert ride.state() is WayState.GO
 
@@ -486,7 +518,7 @@ def test_a_robot_beside_the_middle_of_an_opening_lines_up_again() -> None:
     ride.at(near(-0.5))
     asked = ride.at(near(-0.2, 0.08))
     assert ride.state() is WayState.GO
-    assert (asked.linear, asked.angular != 0.0) == (0.0, True)  # turns to where it lines up
+    assert asked.linear < 0.0  # backs out as it has come
 
 
 @pytest.mark.parametrize("off", [0.03, -0.03])
@@ -500,7 +532,7 @@ def test_a_robot_steers_to_the_middle_that_the_posts_show(off: float) -> None:
     assert asked.angular * off > 0.0  # a single scan changes the middle little
 
 
-def test_traffic_is_judged_by_the_middle_that_the_posts_show() -> None:
+def test_an_opening_whose_posts_are_elsewhere_is_looked_for_anew() -> None:
     ride = Ride()
     ride.at(near(-0.5))
     posts = np.array(((0.5, 0.08 + HALF), (0.5, 0.08 - HALF)))
@@ -508,6 +540,25 @@ def test_traffic_is_judged_by_the_middle_that_the_posts_show() -> None:
     assert ride.state() is WayState.LINE
     ride.at(near(-0.5), track(1, 0.5, 0.15), points=posts, seconds=1.5)  # between these posts
     assert ride.state() is WayState.ASIDE
+    ride = Ride()
+    ride.at(near(-0.5))
+    posts = np.array(((0.5, 0.15 + HALF), (0.5, 0.15 - HALF)))
+    assert ride.at(near(-0.5), points=posts, seconds=0.1) is ZERO
+    assert ride.state() is WayState.NONE
+    ride.at(near(-0.5))
+    assert ride.state() is WayState.LINE
+
+
+def test_a_robot_that_has_passed_lets_others_go_first() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    ride.way._passed_at = ride.now - 20.0
+    ride.at(near(-1.0), track(1, 1.0), seconds=2.0)
+    ride.at(near(-1.0, 0.9), track(1, 1.0, -0.9))
+    ride.at(near(-1.0, 0.9), seconds=9.0)
+    assert ride.state() is WayState.WAIT
+    ride.at(near(-1.0, 0.9), seconds=9.0)
+    assert ride.state() is WayState.GO
 
 
 def test_a_robot_whose_request_leads_away_is_free_again() -> None:
