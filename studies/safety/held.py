@@ -63,7 +63,7 @@ SWARMS: Mapping[str, Swarm] = {
     ),
     "ten Waffle Pis, 5 x 5 m": Swarm("waffle_pi", 10, "random_walk", 5.0, 240.0, "real", _ANYWHERE),
     "`swarmctl demo`: seven Waffle Pis gather": Swarm(
-        "waffle_pi", 7, "attraction", 6.0, 60.0, "body", {"layout": "row"}
+        "waffle_pi", 7, "attraction", 6.3, 60.0, "body", {"layout": "random", "clearance": 0.3}
     ),
 }
 
