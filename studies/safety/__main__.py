@@ -139,7 +139,7 @@ def _add_beside(verb: argparse.ArgumentParser) -> None:
     """The options of `beside`."""
     verb.add_argument("--platforms", nargs="+", choices=platform_names(), default=platform_names())
     verb.add_argument("--things", nargs="+", choices=beside.THINGS, default=tuple(beside.THINGS))
-    verb.add_argument("--gaps", nargs="+", type=float, default=beside.FEW_GAPS, help="in m")
+    verb.add_argument("--gaps", nargs="+", type=float, help="in m")
     verb.add_argument("--headings", nargs="+", type=float, default=beside.HEADINGS)
     verb.add_argument("--modes", nargs="+", choices=beside.MODES, default=beside.MODES[:3])
     verb.add_argument("--seeds", type=_count, default=1, help="of each cell")

@@ -35,7 +35,9 @@ from swarmd.sim.world.geometry import gaps, transform
 
 GAPS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
 FEW_GAPS = (0.05, 0.1, 0.2, 0.3, 0.4)
-"""m between the outline and the thing: all of them, and those of a run of minutes."""
+FEWER_GAPS = (0.05, 0.2)
+"""m between the outline and the thing: all of them; those of a run of minutes beside a wall, and
+beside other things."""
 HEADINGS = (0.0, 45.0, 90.0, 180.0)
 """Degrees: 0 and 180 along the thing, which is on the left or on the right; 90 with the nose to
 it."""
@@ -303,11 +305,14 @@ def _known(values: Any) -> Any:
 def cells(
     platforms: Iterable[str],
     things: Iterable[str],
-    gaps_: Sequence[float],
+    gaps_: Sequence[float] | None,
     headings: Sequence[float],
     modes: Iterable[str],
 ) -> list[Cell]:
-    """The cells of a table: a control has the wall alone, with the robot along it."""
+    """The cells of a table: a control has the wall alone, with the robot along it.
+
+    `gaps_`: None for FEW_GAPS beside a wall, and FEWER_GAPS beside other things.
+    """
     found = []
     for mode in modes:
         is_control = mode in ("off", "still")
@@ -315,7 +320,7 @@ def cells(
             if is_control and beside != "wall":
                 continue
             for platform in platforms:
-                for gap in gaps_:
+                for gap in gaps_ or (FEW_GAPS if beside == "wall" else FEWER_GAPS):
                     some = headings[:1] if is_control else headings
                     found += [Cell(platform, beside, gap, heading, mode) for heading in some]
     return found
