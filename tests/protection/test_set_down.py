@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from swarmd.protection.modes import make_mode, narrowest_passage
@@ -9,6 +11,7 @@ from swarmd.protection.set_down import set_down
 from swarmd.settings.platforms import load_platform
 from swarmd.texts.values import centimetres
 
+ROBOTS = Path(__file__).parents[2] / "docs" / "robots"
 # docs/robots/README.md: m from walls, m around the lidar.
 PAGE = [
     ("burger", "0.20 m", None),
@@ -26,6 +29,13 @@ def test_each_platform_names_its_distance(name: str, gap: str, lidar: float | No
     found = set_down(platform, narrowest_passage(make_mode(platform)))
     assert found is not None
     assert (centimetres(found.gap), found.lidar) == (gap, lidar)
+
+
+@pytest.mark.parametrize(("name", "gap", "lidar"), PAGE)
+def test_the_page_of_each_robot_names_it(name: str, gap: str, lidar: float | None) -> None:
+    page = (ROBOTS / f"{name}.md").read_text()
+    assert f"{gap} from walls" in page
+    assert lidar is None or f"{lidar:.2f} m of its lidar" in page
 
 
 @pytest.mark.parametrize("name", ["epuck2", "thymio"])
