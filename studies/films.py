@@ -64,7 +64,7 @@ def shots() -> Mapping[str, Shot]:
     beside_wall = Shot(
         scenario=beside.scenario_for(cell, beside.place_of(cell)),
         title="A TurtleBot 4 set down 0.3 m from a wall",
-        stop=90.0,
+        stop=60.0,
         seed=cell.seed,
         colour="state",
     )

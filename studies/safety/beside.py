@@ -25,7 +25,9 @@ from studies.safety.judge import collisions
 from studies.safety.runs import Kept, carry_out_missing, commit
 from studies.safety.scenes import protected
 from swarmd.core.values import Array
+from swarmd.protection.compatibility import body_of, sees
 from swarmd.protection.modes import make_mode, narrowest_passage
+from swarmd.protection.set_down import set_down
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
@@ -202,7 +204,7 @@ def place_of(cell: Cell) -> Place:
 
 
 def scenario_for(cell: Cell, place: Place) -> Scenario:
-    """The scenario of a cell."""
+    """The scenario of a cell; a robot that its own kind does not see tells where it is."""
     protection: dict[str, Any] = {}
     if cell.mode == "off":
         protection = {"mode": "off"}
@@ -214,6 +216,8 @@ def scenario_for(cell: Cell, place: Place) -> Scenario:
     parked = {"pattern": "drive", "parameters": {"speed": 0.0}}
     walks = {"pattern": "random_walk"}
     robots = {_ROBOT: (place.pose, parked if cell.mode == "still" else walks)}
+    body = body_of(load_platform(cell.platform))
+    is_told = place.other is not None and not sees(body, body)
     if place.other is not None:
         robots[_OTHER] = place.other, parked
     return scenario_of(
@@ -223,6 +227,7 @@ def scenario_for(cell: Cell, place: Place) -> Scenario:
             "trace_rate": 20.0,
             "lidar_visibility": "real",
             "realism": "realistic",
+            "radio": {"range_and_bearing": is_told},
             "arena": {"size": [2.0 * _HALF, 2.0 * _HALF], **place.arena},
             "platforms": platforms,
             "groups": {
@@ -311,7 +316,7 @@ def cells(
 ) -> list[Cell]:
     """The cells of a table: a control has the wall alone, with the robot along it.
 
-    `gaps_`: None for FEW_GAPS beside a wall, and FEWER_GAPS beside other things.
+    `gaps_`: None for FEW_GAPS and `named_gap` beside a wall, and FEWER_GAPS beside other things.
     """
     found = []
     for mode in modes:
@@ -320,10 +325,24 @@ def cells(
             if is_control and beside != "wall":
                 continue
             for platform in platforms:
-                for gap in gaps_ or (FEW_GAPS if beside == "wall" else FEWER_GAPS):
+                for gap in gaps_ or _few_gaps(platform, beside, mode):
                     some = headings[:1] if is_control else headings
                     found += [Cell(platform, beside, gap, heading, mode) for heading in some]
     return found
+
+
+def named_gap(platform: str) -> float | None:
+    """m from walls at which the platform says that it may be set down, in whole centimetres."""
+    loaded = load_platform(platform)
+    found = set_down(loaded, narrowest_passage(make_mode(loaded)))
+    return None if found is None else math.ceil(100.0 * found.gap - 1e-6) / 100.0
+
+
+def _few_gaps(platform: str, beside: str, mode: str) -> Sequence[float]:
+    if beside != "wall":
+        return FEWER_GAPS
+    named = named_gap(platform) if mode == "platform" else None
+    return FEW_GAPS if named is None or named in FEW_GAPS else (*FEW_GAPS, named)
 
 
 def _recorded(cell: Cell, code: str, *, at: str) -> Record:
@@ -465,12 +484,15 @@ def by_gap(runs: Runs, before: Runs, mode: str = "platform") -> str:
     and seeds; after an arrow those of `runs`.
     """
     some = [cell for cell in runs if cell.mode == mode]
-    gaps_ = sorted({cell.gap for cell in some})
-    rows = [["beside", "robot", *(f"{gap:g} m" for gap in gaps_)]]
+    named = {platform: named_gap(platform) for platform in {cell.platform for cell in some}}
+    gaps_ = sorted(
+        {cell.gap for cell in some if cell.gap in GAPS or cell.gap != named[cell.platform]}
+    )
+    rows = [["beside", "robot", *(f"{gap:g} m" for gap in gaps_), "the distance that it names"]]
     places = dict.fromkeys((cell.beside, cell.platform) for cell in sorted(some))
     for beside, platform in sorted(places, key=lambda place: (list(THINGS).index(place[0]), place)):
         row = [beside, f"`{platform}`"]
-        for gap in gaps_:
+        for gap in (*gaps_, named[platform]):
             of = [c for c in some if (c.beside, c.platform, c.gap) == (beside, platform, gap)]
             now = _least([runs[cell] for cell in of])
             was = _least([before[cell] for cell in of if cell in before])

@@ -29,7 +29,7 @@ from studies.safety.beside import (
     simulate,
     summary,
 )
-from swarmd.settings.platforms import load_platform
+from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.geometry import gaps, transform
 
 FOUND = Found(
@@ -141,3 +141,9 @@ def test_cells_without_motion_get_more_seeds(
     records = beside.carry_out(wanted, (1, 3, 4), 1, tmp_path / "runs.jsonl")
     counts = [sum(one.task.beside == thing for one in records) for thing in ("wall", "pole", "box")]
     assert counts == [4, 3, 1]
+
+
+@pytest.mark.parametrize("platform", platform_names())
+def test_each_platform_has_a_scenario_beside_a_robot_of_its_kind(platform: str) -> None:
+    cell = Cell(platform, "robot", 0.2, 0.0)
+    assert len(scenario_for(cell, place_of(cell)).robots) == 2
