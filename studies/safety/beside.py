@@ -316,7 +316,8 @@ def cells(
 ) -> list[Cell]:
     """The cells of a table: a control has the wall alone, with the robot along it.
 
-    `gaps_`: None for FEW_GAPS and `named_gap` beside a wall, and FEWER_GAPS beside other things.
+    `gaps_`: None for FEW_GAPS beside a wall, FEWER_GAPS beside other things, and `named_gap` beside
+    a wall and in a corridor.
     """
     found = []
     for mode in modes:
@@ -339,10 +340,11 @@ def named_gap(platform: str) -> float | None:
 
 
 def _few_gaps(platform: str, beside: str, mode: str) -> Sequence[float]:
-    if beside != "wall":
-        return FEWER_GAPS
-    named = named_gap(platform) if mode == "platform" else None
-    return FEW_GAPS if named is None or named in FEW_GAPS else (*FEW_GAPS, named)
+    """Those of a table of minutes; in the middle of a corridor the named gap is on both sides."""
+    some = FEW_GAPS if beside == "wall" else FEWER_GAPS
+    has_named = beside in ("wall", "corridor") and mode == "platform"
+    named = named_gap(platform) if has_named else None
+    return some if named is None or named in some else (*some, named)
 
 
 def _recorded(cell: Cell, code: str, *, at: str) -> Record:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from studies.safety import beside
+from studies.safety import beside, runs
 from studies.safety.beside import (
     HEADINGS,
     THINGS,
@@ -137,6 +137,8 @@ def test_cells_without_motion_get_more_seeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(beside, "simulate", lambda cell: FOUND if cell.beside == "pole" else LEFT)
+    monkeypatch.setattr(beside, "commit", lambda: "0123456")
+    monkeypatch.setattr(runs, "fingerprint", lambda: "these sources")
     wanted = [Cell("burger", thing, 0.05, 0.0) for thing in ("wall", "pole", "box")]
     records = beside.carry_out(wanted, (1, 3, 4), 1, tmp_path / "runs.jsonl")
     counts = [sum(one.task.beside == thing for one in records) for thing in ("wall", "pole", "box")]
