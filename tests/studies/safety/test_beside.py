@@ -24,6 +24,7 @@ from studies.safety.beside import (
     cells,
     keep,
     load,
+    named_gap,
     place_of,
     scenario_for,
     simulate,
@@ -40,6 +41,7 @@ LEFT = replace(
     FOUND, near=0.21, far=0.5, left=95.0, seconds=96.0, held=0.1, touches=1, hardest=0.008
 )
 
+EVIDENCE = Path(__file__).parents[3] / "docs" / "evidence"
 WANTED = 0.1  # m
 WITHIN = 40.0  # s
 CREEP = 0.015  # m/s
@@ -59,7 +61,7 @@ LEAVE = [
     ("burger", "wall", 0.08, 45.0),
     ("burger", "robot", 0.05, 90.0),
     ("rosbot_xl", "wall", 0.2, 0.0),
-    ("rosbot_xl", "corner", 0.2, 0.0),
+    ("rosbot_xl", "corner", 0.2, 180.0),
     # These do not creep: from the distance that their page names they drive off.
     ("jackal", "wall", 0.74, 0.0),
     ("epuck2", "wall", 0.05, 0.0),
@@ -82,6 +84,50 @@ def test_a_robot_that_may_not_creep_keeps_its_circle_free() -> None:
     found = simulate(Cell("jackal", "wall", 0.3, 0.0), at_most=10.0, at_least=10.0)
     assert (found.touches, found.reason) == (0, "protection")
     assert found.far < WANTED
+
+
+CREEPERS = ("burger", "waffle_pi", "turtlebot4", "rosbot_xl")
+
+
+def kept() -> dict[Cell, Found]:
+    """The values of the runs of docs/evidence/beside.md."""
+    return load(EVIDENCE / "beside.jsonl")
+
+
+def test_beside_a_wall_each_platform_leaves_from_the_distance_that_it_names() -> None:
+    named = {name: named_gap(name) for name in platform_names()}
+    left = {
+        cell.platform: found.left
+        for cell, found in kept().items()
+        if cell.mode == "platform" and cell.beside == "wall" and cell.gap == named[cell.platform]
+    }
+    assert left.keys() >= {*CREEPERS, "jackal", "crazyflie"}
+    assert None not in left.values()
+
+
+def test_no_robot_that_creeps_was_at_fault_or_touched_faster_than_it_creeps() -> None:
+    some = [
+        found
+        for cell, found in kept().items()
+        if cell.mode == "platform" and cell.platform in CREEPERS
+    ]
+    assert len(some) >= 100
+    assert sum(found.faults for found in some) == 0
+    assert max(found.hardest for found in some) <= CREEP + 5e-4
+
+
+def test_no_robot_that_creeps_stood_beside_a_wall_and_the_control_did() -> None:
+    runs = kept()
+    at_wall = [
+        found
+        for cell, found in runs.items()
+        if cell.beside == "wall" and cell.mode == "platform" and cell.platform in CREEPERS
+    ]
+    resting = [
+        found for cell, found in runs.items() if cell.mode == "still" and cell.platform in CREEPERS
+    ]
+    assert min(found.far for found in at_wall) >= WANTED
+    assert max(found.far for found in resting) < 0.001
 
 
 @pytest.mark.parametrize("thing", THINGS)
