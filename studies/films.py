@@ -1,4 +1,4 @@
-"""A short film of each pattern: PATTERN/film.gif for its page, and demo.gif for README.md.
+"""A short film of each pattern, PATTERN/film.gif for its page, and FIGURES for docs/figures.
 
 `make films` runs it.
 """
@@ -12,22 +12,29 @@ from pathlib import Path
 from typing import Any
 
 from studies.outcomes.catalog import MODULES
+from studies.safety import beside
 from swarmd.core.errors import unknown
 from swarmd.sim.film.film import FilmSettings, make_film
 from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.view.trace_source import RecordedRun
 from swarmd.texts.values import megabytes
 
+FIGURES = ("demo", "beside_wall")
+"""The films of pages of docs/, not of a pattern."""
 SECONDS = 6.0
 """How long a film is, without its last frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
-    """The first `stop` s of a scenario, with values by dotted key, and how they are filmed."""
+    """The first `stop` s of a scenario, with values by dotted key, and how they are filmed.
 
-    scenario: str
+    `scenario`: its name, or the scenario itself, to which `sets` does not apply.
+    """
+
+    scenario: str | Scenario
     title: str
     stop: float
     sets: Mapping[str, Any] = field(default_factory=dict)
@@ -45,7 +52,7 @@ def _film_of(pattern: str) -> Shot:
 
 
 def shots() -> Mapping[str, Shot]:
-    """The films by name: `demo`, and that of each pattern."""
+    """The films by name: those of FIGURES, and that of each pattern."""
     demo = Shot(
         scenario="paper_exp2",
         title="Seven robots agree on a distance, and keep it",
@@ -53,22 +60,33 @@ def shots() -> Mapping[str, Shot]:
         colour="opinion",
         size=640,
     )
-    return {"demo": demo, **{name: _film_of(name) for name in MODULES}}
+    cell = beside.Cell("turtlebot4", "wall", 0.3, 0.0)
+    beside_wall = Shot(
+        scenario=beside.scenario_for(cell, beside.place_of(cell)),
+        title="A TurtleBot 4 set down 0.3 m from a wall",
+        stop=60.0,
+        seed=cell.seed,
+        colour="state",
+    )
+    figures = dict(zip(FIGURES, (demo, beside_wall), strict=True))
+    return {**figures, **{name: _film_of(name) for name in MODULES}}
 
 
 def shoot(name: str, out: Path) -> Path:
     """Simulate and film one shot; the file."""
     shot = shots()[name]
-    scenario = load_scenario(shot.scenario, {"duration": shot.stop, **shot.sets})
+    scenario = shot.scenario
+    if isinstance(scenario, str):
+        scenario = load_scenario(scenario, {"duration": shot.stop, **shot.sets})
     settings = FilmSettings(
         colour=shot.colour,
         speed=shot.stop / SECONDS,
         size=shot.size,
         stop=shot.stop,
     )
-    path = out / f"{name}.gif" if name == "demo" else out / name / "film.gif"
+    path = out / f"{name}.gif" if name in FIGURES else out / name / "film.gif"
     path.parent.mkdir(parents=True, exist_ok=True)
-    run = RecordedRun(simulate_run(scenario, shot.seed), scenario.fields)
+    run = RecordedRun(simulate_run(scenario, shot.seed, seconds=shot.stop), scenario.fields)
     make_film(run, path, shot.title, settings)
     return path
 

@@ -41,7 +41,9 @@ INNER = {
         "docs/drivers",
     ],
     "docs/evidence/README": [
-        *_inside("docs/evidence", "safety", "barrier", "avoidance", "kin", "sensing", "goals"),
+        *_inside(
+            "docs/evidence", "safety", "beside", "barrier", "avoidance", "kin", "sensing", "goals"
+        ),
         *_inside("docs/evidence", "faults", "network", "security", "simulation"),
         *("docs/paper", "docs/ros_faults", "benchmarks/README"),
         "ARCHITECTURE",

@@ -60,6 +60,8 @@ from swarmd.network.access import robot_access
 from swarmd.network.members.neighbor_settings import NeighborSettings
 from swarmd.protection.compatibility import assumed_speed, body_of, sees
 from swarmd.protection.fence.fence_settings import FenceSettings
+from swarmd.protection.modes import make_mode, narrowest_passage
+from swarmd.protection.set_down import set_down
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
 from swarmd.security.roster import Roster
 from swarmd.settings.driver_options import BaseOptions
@@ -100,7 +102,7 @@ from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
 from swarmd.sim.world.scalar_fields import Field
-from swarmd.texts.values import short_number
+from swarmd.texts.values import centimetres, short_number
 from swarmd.texts.why import SENTENCES
 from tests.histories.invariants import RULES
 from tests.sequences.figures import read_figures
@@ -333,6 +335,18 @@ def mixed() -> Iterator[str]:
         )
     heads = ("platform", "scan plane [m]", "opaque [m]", "`surface_speed` [m/s]")
     yield _table((*heads, "assumes [m/s]", "does not see", "assumes less than the speed of"), rows)
+
+
+def distances() -> Iterator[str]:
+    """The distance from walls at which a robot of each platform may be set down."""
+    rows = []
+    for name in platform_names():
+        platform = load_platform(name)
+        found = set_down(platform, narrowest_passage(make_mode(platform)))
+        if found is not None:
+            around = "-" if found.lidar is None else f"{found.lidar:.2f} m"
+            rows.append((f"`{name}`", centimetres(found.gap), around, centimetres(found.unseen)))
+    yield _table(("platform", "from walls", "free around the lidar", "assumed unseen"), rows)
 
 
 def rules() -> Iterator[str]:
@@ -706,6 +720,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "driver_options": driver_options,
     "ros_options": ros_options,
     "mixed": mixed,
+    "set_down": distances,
     "rules": rules,
     "words": words,
     "scenarios": scenarios,

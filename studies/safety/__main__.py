@@ -1,9 +1,10 @@
-"""`python -m studies.safety hours | progress | encounters | tracks | one`: docs/evidence/safety.md.
+"""`python -m studies.safety VERB`: docs/evidence/safety.md and docs/evidence/beside.md.
 
 hours: robot-hours over all scenes. progress: goals reached in each mode. encounters: how robots get
-past each other in each mode. tracks: the errors of tracks. one: a single run with every collision
-and those at fault. Runs of hours, progress and encounters that build/safety has from the same
-sources are not repeated.
+past each other in each mode. beside: a robot that is set down beside a wall. held: how much of
+their time robots stand that nothing but protection holds. tracks: the errors of tracks. one: a
+single run with every collision and those at fault. Runs that build/safety has from the same sources
+are not repeated.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.table import machine
-from studies.safety import encounters, hours, progress, tracking
+from studies.kept import print_parts
+from studies.safety import beside, encounters, held, hours, progress, tracking
 from studies.safety.columns import COLUMNS
 from studies.safety.driven import faults
 from studies.safety.judge import collisions
@@ -33,6 +35,7 @@ from studies.safety.scenes import (
     scenario,
 )
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.settings.platforms import platform_names
 
 Options = argparse.Namespace
 
@@ -109,6 +112,12 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--first-seed", type=_seed, help="counts up from it")
     verb.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, help="processes")
     verb.add_argument("--out", type=Path, default=Path("build/safety"))
+    _add_beside(verbs.add_parser("beside", help="A robot that is set down beside something."))
+    verb = verbs.add_parser("held", help="How long robots stand that only protection holds.")
+    verb.add_argument("--modes", nargs="+", choices=held.MODES, default=held.MODES)
+    verb.add_argument("--seeds", type=_count, default=5, help="of each swarm")
+    verb.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, help="processes")
+    verb.add_argument("--out", type=Path, default=Path("build/safety"))
     verb = verbs.add_parser("tracks", help="Errors of tracks, for several lidars.")
     verb.add_argument("--seeds", type=_count, default=3, help="how many")
     verb.add_argument("--duration", type=float, default=60.0, help="of a run in s")
@@ -126,10 +135,51 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_beside(verb: argparse.ArgumentParser) -> None:
+    """The options of `beside`."""
+    verb.add_argument("--platforms", nargs="+", choices=platform_names(), default=platform_names())
+    verb.add_argument("--things", nargs="+", choices=beside.THINGS, default=tuple(beside.THINGS))
+    verb.add_argument("--gaps", nargs="+", type=float, help="in m")
+    verb.add_argument("--headings", nargs="+", type=float, default=beside.HEADINGS)
+    verb.add_argument("--modes", nargs="+", choices=beside.MODES, default=beside.MODES[:3])
+    verb.add_argument("--seeds", type=_count, default=1, help="of each cell")
+    verb.add_argument("--unmoved", type=_count, default=1, help="of a cell without motion")
+    verb.add_argument("--at-wall", type=_count, default=1, help="of a cell beside a plain wall")
+    verb.add_argument(
+        "--full", action="store_true", help="all gaps; 5 seeds without motion, 20 at a plain wall"
+    )
+    verb.add_argument("--each", action="store_true", help="print a row for each run")
+    verb.add_argument("--keep", type=Path, metavar="FILE", help="write the values of each run")
+    verb.add_argument("--before", type=Path, metavar="FILE", help="such values, to compare with")
+    verb.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, help="processes")
+    verb.add_argument("--out", type=Path, default=Path("build/safety"))
+
+
+def _run_beside(options: Options) -> None:
+    """Do the runs of `beside` that are missing, and print its tables."""
+    gaps = beside.GAPS if options.full else options.gaps
+    seeds = (1, 5, 20) if options.full else (options.seeds, options.unmoved, options.at_wall)
+    wanted = beside.cells(options.platforms, options.things, gaps, options.headings, options.modes)
+    records = beside.carry_out(wanted, seeds, options.jobs, options.out / "beside.jsonl")
+    if options.keep:
+        beside.keep(records, options.keep)
+    runs = beside.values_of(records)
+    before = beside.load(options.before) if options.before else {}
+    cpu = sum(one.cpu for one in records) / 60.0
+    about = f"{len(records)} runs, {cpu:.0f} CPU-minutes."
+    print_parts(
+        {
+            "beside": f"{beside.summary(runs, before)}\n\n{about}",
+            "beside_gaps": beside.by_gap(runs, before),
+            **({"beside_each": beside.each(runs)} if options.each else {}),
+        }
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     options = _parser().parse_args(arguments)
-    if options.verb == "one":
-        _run_one(options)
+    if options.verb in _RUNS:
+        _RUNS[options.verb](options)
         return
     seeds = DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS
     if options.verb in ("hours", "encounters") and options.first_seed is not None:
@@ -166,6 +216,18 @@ def _run_one(options: Options) -> None:
     if told:
         print("Told:", *told, sep="\n")
     print("Sums:", *(f"  {name}: {cell(found)}" for name, cell in COLUMNS.items()), sep="\n")
+
+
+def _run_held(options: Options) -> None:
+    records = held.carry_out(options.modes, options.seeds, options.jobs, options.out / "held.jsonl")
+    print_parts({"held": held.table(records)})
+
+
+_RUNS: Mapping[str, Callable[[Options], None]] = {
+    "one": _run_one,
+    "beside": _run_beside,
+    "held": _run_held,
+}
 
 
 if __name__ == "__main__":

@@ -27,12 +27,13 @@ from swarmd.network.settings import ONLY_HERE
 from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
 from swarmd.protection.modes import make_mode, narrowest_passage
+from swarmd.protection.set_down import set_down
 from swarmd.protection.settings import SLOW_SHARE, BarrierSettings
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.settings import DaemonSettings
 from swarmd.texts.doctor import of_machine, of_network
-from swarmd.texts.status import passage_text
+from swarmd.texts.status import passage_text, set_down_text
 
 CHECK_TIMEOUT = 4.2  # s for all checks: with starting and ending Python, 5 s
 MIN_DRIVER_TIMEOUT = 3.0  # s for the driver, even if the other checks took long
@@ -76,9 +77,17 @@ def _platform_text(settings: DaemonSettings) -> str:
 
 
 def _check_passage(settings: DaemonSettings) -> list[Finding]:
-    """The narrowest passages of mode `barrier`; other modes have none."""
+    """The narrowest passages of mode `barrier`, and the distance from walls at the start.
+
+    Other modes have none.
+    """
     passage = narrowest_passage(make_mode(settings.platform))
-    return [] if passage is None else [Finding("passes", True, passage_text(passage))]
+    place = set_down(settings.platform, passage)
+    findings = [] if passage is None else [Finding("passes", True, passage_text(passage))]
+    return [
+        *findings,
+        *([] if place is None else [Finding("set down", True, set_down_text(place))]),
+    ]
 
 
 def peers_text(settings: DaemonSettings) -> str:

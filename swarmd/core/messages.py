@@ -254,6 +254,19 @@ class NarrowestPassage(Struct, frozen=True):
     meeting: Metres
 
 
+class SetDown(Struct, frozen=True, kw_only=True):
+    """Where a robot may be set down, so that protection lets it drive off at once.
+
+    - `gap`: m from its outline to walls and other obstacles, at least.
+    - `lidar`: m around its lidar that must be free; None: no such circle.
+    - `unseen`: m by which protection assumes that obstacles extend beyond what the lidar shows.
+    """
+
+    gap: Metres
+    lidar: Metres | None = None
+    unseen: Metres = 0.0
+
+
 class WallsStandSummary(Struct, frozen=True):
     """The assumption that walls which have stood do not begin to move (`walls_stand`).
 
@@ -436,6 +449,9 @@ class Status(Struct, frozen=True, kw_only=True):
     - `places`: where the robot knows its neighbors to be, in its base frame, in a line for each.
     - `programs`: the Zenoh programs whose liveliness tokens the robot sees.
     - `words`: what each word of an operator means to the robot, as its platform's file says.
+    - `set_down`: None if the protection mode has no such distance.
+    - `held_for`: for how many s protection has kept a robot in place that asks for motion and has
+      free floor ahead or behind; None below 10 s.
     """
 
     robot: Name
@@ -481,6 +497,8 @@ class Status(Struct, frozen=True, kw_only=True):
     keys: KeySummary | None = None
     programs: Annotated[tuple[Name, ...], shown("Health", "programs")] = ()
     words: dict[Word, Line] = {}
+    set_down: Annotated[SetDown | None, shown("Protection", "set down")] = None
+    held_for: Annotated[Seconds | None, shown("Protection", "held for", "s")] = None
 
 
 class Motion(Struct, frozen=True, array_like=True):

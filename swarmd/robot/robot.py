@@ -43,6 +43,7 @@ from swarmd.robot.peers import POSE_TIMEOUT
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
+from swarmd.robot.standing import HELD_TIME, StandingWatch
 from swarmd.robot.state import Lifecycle, StateMachine
 from swarmd.robot.status import decision_summary, make_status, status_reason
 from swarmd.robot.timeouts import STATUS_PERIOD
@@ -139,6 +140,7 @@ class Robot(Ticker):
             id, self._lifecycle, self._goals, self._protection, self._sensors, now
         )
         self._duty = DutyCycle()  # counts the ticks of a run in which protection is active
+        self._standing = StandingWatch(platform)
         self._published: tuple[object, ...] = ()  # the values of the last published status
         self._decide(None, now)  # the first decision: zero, since no scan has arrived
 
@@ -326,7 +328,13 @@ class Robot(Ticker):
     def status(self, now: float) -> Status:
         """The status at `now`."""
         return make_status(
-            self._lifecycle, self._sensors, self.decision, self._duty, now, self._protection
+            self._lifecycle,
+            self._sensors,
+            self.decision,
+            self._duty,
+            now,
+            self._protection,
+            self._standing.held_for(now) if self.is_running else None,
         )
 
     def motion(self, now: float) -> Motion | None:
@@ -449,12 +457,23 @@ class Robot(Ticker):
         The status is due if a value that peers act on has changed, or after STATUS_PERIOD.
         """
         self._is_status_due = False  # nothing has changed since this check
+        self._watch_standing(now)
         current_values = self._status_values()
         is_recent = now - self._published_at < STATUS_PERIOD
         if current_values == self._published and is_recent:
             return False
         self._published, self._published_at = current_values, now
         return True
+
+    def _watch_standing(self, now: float) -> None:
+        """Notice a robot that protection keeps in place, and log that it does."""
+        sensors = self._sensors
+        odometry = sensors.odometry
+        pose = None if odometry is None else odometry.pose
+        if self._standing.update(self.decision, pose, sensors.scan, now):
+            text = f"protection has held it for {HELD_TIME:.0f} s, with free floor"
+            self._events.log("held", text, now)
+            self._events.advance(now)
 
     def _status_values(self) -> tuple[object, ...]:
         """The values whose change must be published before STATUS_PERIOD has passed."""

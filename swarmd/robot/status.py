@@ -23,6 +23,7 @@ from swarmd.core.values import Platform, Scalar
 from swarmd.core.verbs import shortened
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import Decision, LayerSettings
+from swarmd.protection.set_down import set_down
 from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import MAX_TEXT, Lifecycle
@@ -52,12 +53,13 @@ def make_status(
     duty: DutyCycle,
     now: float,
     protection: Protection,
+    held_for: float | None = None,
 ) -> Status:
     """The status that a robot publishes, in the bounds of the message: long texts are cut.
 
     `duty`: the share of the run's ticks in which protection was active. `now` and all times of the
     lifecycle are in s on the own clock; the status contains durations in s. The daemon adds the
-    health of its own loop.
+    health of its own loop. `held_for`: see `StandingWatch.held_for`.
     """
     identity, setup = lifecycle.identity, lifecycle.identity.setup
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
@@ -106,6 +108,8 @@ def make_status(
         ),
         goal=lifecycle.goals.status(now),
         words=dict(identity.platform.words.get(setup.driver, {})),
+        set_down=set_down(identity.platform, protection.passage),
+        held_for=held_for,
         **_layers(identity.platform, setup.settings, sensors, decision, protection, now),
     )
 

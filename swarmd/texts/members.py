@@ -101,6 +101,7 @@ def health(view: MembersView) -> Iterator[str]:
     yield from _emergency_stops(view, statuses)
     yield from _reported_faults(statuses)
     yield from incompatible(statuses)
+    yield from _held(statuses)
     yield from offered(statuses)
     yield from key_warnings(statuses, time.time())
     if insecure := [s.robot for s in statuses if s.profile != "dev" and not s.is_secured]:
@@ -193,6 +194,14 @@ def incompatible(statuses: Iterable[Status]) -> Iterator[str]:
                 peers.append(peer.robot)
     for (holds, text), (own, peers) in pairs.items():
         yield f"{', '.join(own)} {'held by' if holds else 'beside'} {', '.join(peers)}: {text}"
+
+
+def _held(statuses: Iterable[Status]) -> Iterator[str]:
+    """A line for the robots that protection has kept in place for long, with free floor."""
+    held = [(one.robot, one.held_for) for one in statuses if one.held_for is not None]
+    if held:
+        names = ", ".join(f"{robot} ({seconds(time_held)})" for robot, time_held in held)
+        yield f"held by protection, with free floor: {names}; swarmctl describe {held[0][0]}"
 
 
 def _report(report: Mapping[str, Scalar]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -20,6 +19,7 @@ from swarmd.core.messages import (
     RecordingSummary,
     Sandbox,
     ScanDelaySummary,
+    SetDown,
     State,
     Status,
     WallsStandSummary,
@@ -28,7 +28,14 @@ from swarmd.protection.fence.fence_settings import fence_text
 from swarmd.protection.walls.walls_settings import walls_stand_text
 from swarmd.texts.keys import day
 from swarmd.texts.shown_fields import Texts, shown_lines
-from swarmd.texts.values import megabytes, quantity, sandbox_text, seconds, short_number
+from swarmd.texts.values import (
+    centimetres,
+    megabytes,
+    quantity,
+    sandbox_text,
+    seconds,
+    short_number,
+)
 from swarmd.texts.why import activity, obstacles, stop_text
 
 _LEAST_COST = 0.005  # m/s that the text names
@@ -113,14 +120,21 @@ def body_text(body: Body) -> str:
 def passage_text(passage: NarrowestPassage) -> str:
     """The narrowest passages in one line, in whole centimetres that suffice."""
     door, corridor, meeting = (
-        f"{math.ceil(100.0 * width - 1e-6) / 100.0:.2f} m"
-        for width in (passage.door, passage.corridor, passage.meeting)
+        centimetres(width) for width in (passage.door, passage.corridor, passage.meeting)
     )
     return (
         f"doors of {door} and corridors of {corridor} or wider: its width and the gap that"
         f" protection keeps on each side; corridors of {meeting} let two such robots pass each"
         " other, with a gap between them too"
     )
+
+
+def set_down_text(one: SetDown) -> str:
+    """Where the robot may be set down, in one line, in whole centimetres that suffice."""
+    text = f"{centimetres(one.gap)} or more from walls and other obstacles"
+    if one.lidar is not None:
+        text += f", and {one.lidar:.2f} m around its lidar free"
+    return f"{text}; nearer it may stand, or leave at a creep"
 
 
 def _state(status: Status) -> list[tuple[str, str]]:
@@ -208,6 +222,7 @@ _TEXTS: Texts = MappingProxyType(
         ProcessUsage: lambda usage: f"{usage.cpu:.0%} of a core, {megabytes(usage.memory)}",
         RecordingSummary: lambda one: f"{one.file}, {megabytes(one.size)}, {one.dropped} dropped",
         Sandbox: sandbox_text,
+        SetDown: set_down_text,
         WallsStandSummary: walls_stand_text,
     }
 )

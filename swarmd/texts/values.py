@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,11 @@ def seconds(value: float) -> str:
     if value < 99.95:
         return f"{value:.1f} s"
     return f"{value / 60:.0f} min" if value < 5400 else f"{value / 3600:.0f} h"
+
+
+def centimetres(length: float) -> str:
+    """A length of m in whole centimetres that suffice: `0.40 m` for 0.395."""
+    return f"{math.ceil(100.0 * length - 1e-6) / 100.0:.2f} m"
 
 
 def sandbox_text(sandbox: Sandbox) -> str:

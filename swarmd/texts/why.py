@@ -19,7 +19,7 @@ from swarmd.core.messages import (
 from swarmd.core.verbs import shortened
 from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.shown_fields import shown_lines
-from swarmd.texts.values import NOTHING, printable, seconds
+from swarmd.texts.values import NOTHING, centimetres, printable, seconds
 
 _SAME_OBSTACLE = math.radians(10.0)
 MAX_STOPS = 3
@@ -114,7 +114,7 @@ SENTENCES = {
     Reason.LOW_BATTERY: f"its battery is low{{detail}}; charge it, then {_START}",
     **{reason: present for reason, (present, _) in HOLDS.items()},
     Reason.NO_REQUESTED_COMMAND: "the pattern requests no motion",
-    Reason.PROTECTION: "protection holds it{gap}",
+    Reason.PROTECTION: "protection holds it{gap}{remedy}",
 }
 """Sentence of each reason, with the fields that `why` fills in."""
 
@@ -184,6 +184,7 @@ def _text_if_standing(robot: str, status: Status) -> str:
         late=NOTHING if status.scan_delay is None else seconds(status.scan_delay.added),
         driver=f" ({status.health.driver})" if status.health.driver else "",
         gap=_gap(status.decision),
+        remedy=_remedy(status),
         peer=_peer(status),
     )
 
@@ -305,3 +306,21 @@ def _gap(decision: DecisionSummary) -> str:
         return _limit(decision)
     gap = decision.min_gap
     return f": the nearest obstacle is {gap:.2f} m away" if gap is not None else ""
+
+
+def _remedy(status: Status) -> str:
+    """Why a robot stands for long with free floor, and what to do; empty while it does not."""
+    if status.held_for is None:
+        return ""
+    text = f"; so for {seconds(status.held_for)}, with free floor"
+    wanted = status.set_down
+    if wanted is None:
+        return f"{text}: move it away from the obstacle"
+    if wanted.unseen > 0.0:
+        text += f", since up to {centimetres(wanted.unseen)} of an obstacle may be unseen"
+    text += f": set it down {centimetres(wanted.gap)} from walls"
+    if wanted.lidar is not None:
+        text += f" ({wanted.lidar:.2f} m from its lidar)"
+    if status.walls_stand is None:
+        text += ", or declare `walls_stand` where no wall moves"
+    return text

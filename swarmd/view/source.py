@@ -13,7 +13,7 @@ import numpy as np
 
 from swarmd.core.messages import LimitingObstacle, Reason, Status
 from swarmd.core.values import Array, Platform
-from swarmd.texts.values import printable
+from swarmd.texts.values import printable, seconds
 from swarmd.texts.why import lost_base, protection_word_of, standing_of
 from swarmd.view.playback import Playback
 
@@ -265,7 +265,8 @@ def _reason(status: Status) -> str:
     reason = _WORDS.get(status.reason, name) if status.reason else ""
     lost = lost_base(status) if status.reason is not Reason.DRIVER_LOST else ""
     avoiding = status.decision.avoiding if status.reason is Reason.PROTECTION else ""
-    parts = (reason, avoiding, status.detail, f"base lost ({lost})" if lost else "")
+    held = "" if status.held_for is None else f"for {seconds(status.held_for)} with free floor"
+    parts = (reason, avoiding, held, status.detail, f"base lost ({lost})" if lost else "")
     return printable(": ".join(filter(None, parts)).replace(": by ", " by "))
 
 

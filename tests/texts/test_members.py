@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from functools import partial
 from pathlib import Path
@@ -201,6 +202,15 @@ def test_names_robots_with_problems() -> None:
         "two daemons have one id: r1",
         "driver lost: r5 (no odometry for 2 s)",
     ]
+
+
+def test_names_robots_that_protection_keeps_in_place() -> None:
+    held = make_member("r1", held_for=12.0), make_member("r2"), make_member("r3", held_for=64.0)
+    members = {member.robot: member for member in held}
+    view = MembersView(members=members, answered=frozenset(members))
+    lines = [line for line in health(view) if "free floor" in line]
+    assert len(lines) == 1
+    assert re.findall(r"r\d \([^)]+\)", lines[0]) == ["r1 (12.0 s)", "r3 (64.0 s)"]
 
 
 def test_names_robots_whose_emergency_stops_would_not_outlive_a_restart() -> None:

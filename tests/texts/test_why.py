@@ -18,7 +18,9 @@ from swarmd.core.messages import (
     LimitingObstacle,
     Presence,
     Reason,
+    SetDown,
     State,
+    WallsStandSummary,
 )
 from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.why import absence, obstacles, standing_time, stop_text, why
@@ -194,3 +196,38 @@ def test_the_page_of_the_robot_has_each_hold_once() -> None:
     rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
     named = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
     assert sorted(named) == sorted(re.findall(r'= "(\w+)"', holds))
+
+
+def standing_beside_wall(**changes: Any) -> str:
+    """Why a robot stands that an obstacle 0.30 m away on its left limits."""
+    decision = DecisionSummary(
+        requested_linear=0.3, is_active=True, rows=(LimitingObstacle(math.pi / 2.0, 0.3, 0.0),)
+    )
+    place = SetDown(gap=0.395, unseen=0.24)
+    fields = {"reason": Reason.PROTECTION, "decision": decision, "set_down": place, **changes}
+    return why(make_member(**fields))
+
+
+def test_a_robot_that_is_held_for_long_names_cause_and_remedy() -> None:
+    text = standing_beside_wall(held_for=12.0)
+    assert re.findall(r"[\d.]+ (?:m|s|deg)\b", text) == [
+        *("90 deg", "0.30 m", "12.0 s", "0.24 m", "0.40 m"),
+    ]
+    assert "`walls_stand`" in text
+    assert "0.40 m" not in standing_beside_wall(held_for=None)
+
+
+def test_the_remedy_names_the_circle_of_a_lidar_and_no_wall_that_is_declared() -> None:
+    place = SetDown(gap=0.735, lidar=0.92, unseen=0.29)
+    text = standing_beside_wall(
+        held_for=12.0, set_down=place, walls_stand=WallsStandSummary(length=1.0, seconds=2.0)
+    )
+    assert "0.74 m" in text
+    assert "0.92 m" in text
+    assert "walls_stand" not in text
+
+
+def test_a_mode_without_such_a_distance_names_none() -> None:
+    text = standing_beside_wall(held_for=12.0, set_down=None)
+    assert re.findall(r"[\d.]+ m\b", text) == ["0.30 m"]
+    assert "walls_stand" not in text
