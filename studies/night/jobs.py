@@ -191,6 +191,20 @@ JOBS: Sequence[Job] = (
     _study("tracks", "docs/evidence", 5.0, "tracks", "--seeds", "20", module="safety"),
     _study("processors", "docs/evidence", 10.0, "variants", has_verdict=True),
     _study("ros_faults", "docs", 6.0, module="ros"),
+    Job(
+        "rivals",
+        "benchmarks",
+        ("-m", "benchmarks.rivals"),
+        20.0,
+        (
+            "benchmarks.rivals.__main__",
+            "benchmarks.rivals.argos_steps",
+            "benchmarks.rivals.enki_steps",
+            "benchmarks.rivals.irsim_steps",
+            "benchmarks.rivals.swarmd_steps",
+            "benchmarks.rivals.vmas_steps",
+        ),
+    ),
 )
 """What readers would miss most comes first."""
 
