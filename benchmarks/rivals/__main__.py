@@ -32,9 +32,9 @@ RAYS = (8, 24, 360)
 RANGES = {8: 1.2, 24: 1.2, 360: 3.5}
 """The range of the rays in m by their number."""
 NEAR = 0.5  # m; from what is nearer ahead a robot turns
-ROUNDS = 5
-SECONDS = 1.0  # of the processor, for a sample
-LIMIT = 40  # CPU-s of a program: a cell that takes longer stays empty, and so do larger swarms
+ROUNDS = 3
+SECONDS = 0.5  # of the processor, for a sample
+LIMIT = 30  # CPU-s of a program: a cell that takes longer stays empty, and so do larger ones
 TASKS = ("navigation_360", "navigation", "flocking", "discovery", "sampling")
 """The tasks of vmas_steps.py, which runs in another interpreter."""
 VMAS_RAYS = {"navigation_360": 360, "discovery": 27}  # of an agent; 12 in the others
@@ -240,7 +240,7 @@ def measured(
 ) -> dict[tuple[str, int, int], list[Sample | None]]:
     """The samples of each cell (name, robots, rays) by round.
 
-    A cell that failed is not repeated, nor tried with more robots.
+    A cell that failed is not repeated, nor tried with more robots or rays.
     """
     samples: dict[tuple[str, int, int], list[Sample | None]] = {}
     for number in range(rounds):
@@ -252,9 +252,9 @@ def measured(
                         continue
                     of_cell = samples.setdefault((one.name, robots, count), [])
                     has_failed = any(
-                        None in samples.get((one.name, fewer, count), ())
-                        for fewer in sizes
-                        if fewer <= robots
+                        None in found_before
+                        for (name, fewer, less), found_before in samples.items()
+                        if name == one.name and fewer <= robots and less <= count
                     )
                     words = (robots, count, RANGES[count], NEAR, seconds)
                     command = (*found[one.name], *map(str, words), *one.words)

@@ -39,7 +39,7 @@ def test_a_simulator_that_is_missing_is_named_with_the_remedy_and_the_others_sta
     assert missing == ["absent is left out: no argos3; give ARGOS=/prefix."]
 
 
-def test_what_failed_once_is_not_tried_again_nor_with_more_robots(
+def test_what_failed_once_is_not_tried_again_nor_with_more_robots_or_rays(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ran: list[str] = []
@@ -49,10 +49,10 @@ def test_what_failed_once_is_not_tried_again_nor_with_more_robots(
 
     monkeypatch.setattr("benchmarks.rivals.__main__.sample", fail)
     one = Simulator("one", "", lambda: ("one",))
-    samples = measured([one], {"one": ("one",)}, (7, 100), (24,), rounds=2, seconds=1.0)
+    samples = measured([one], {"one": ("one",)}, (7, 100), (24, 360), rounds=2, seconds=1.0)
 
     assert ran == ["7"]
-    assert samples["one", 100, 24] == [None, None]
+    assert samples["one", 100, 360] == [None, None]
 
 
 @pytest.mark.integration
