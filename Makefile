@@ -20,6 +20,8 @@ timed = began=$$(date +%s); $(2) && echo "  $(1): $$(($$(date +%s) - began)) s"
 LOCKED := $(if $(shell command -v flock),flock $(VENV)/lock)
 # Not $(MAKE), which `make -n` would run, too.
 REST := env -u MAKEFLAGS make --no-print-directory
+# Lists that are installed while the kernels are compiled; by default they wait until they are needed.
+BESIDE ?=
 ARGS ?=
 # The lanes of the tests, by their marks: `make test` runs SHORT, and `make test-all` the others, too.
 SHORT = not (integration or long) or smoke
@@ -236,7 +238,7 @@ $(VENV)/complete: $(VENV)/interpreted
 	@echo "Installing the rest: the kernels, and packages that draw, film, record and serve pages."
 	@$(call install,tools that build it,build-system.requires)
 	@$(BIN)/python setup.py --quiet build_ext --inplace >$(VENV)/kernels.log 2>&1 & trap "kill $$!" INT TERM; \
-	  $(call install,packages that draw and record,$(addprefix project.optional-dependencies.,plot web record)); \
+	  $(call install,packages that draw and record,$(addprefix project.optional-dependencies.,plot web record) $(BESIDE)); \
 	  status=$$?; $(COMPILE_PACKAGES); \
 	  kill -0 $$! 2>/dev/null && echo "  kernels: the compiler is at work"; wait; exit $$status
 	@$(COMPILE)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from swarmd.sim.experiments.executor import Executor
     from swarmd.sim.experiments.results import Results
     from swarmd.sim.scenarios.scenario import Scenario
     from swarmd.sim.trace import Trace
@@ -44,17 +45,24 @@ BAR = "1 m"
 
 def main() -> None:
     """Do all runs, print the tables, and draw the picture."""
-    options, folder = kept.chosen("benchmark_suite", __doc__), kept.kept_folder("benchmark_suite")
+    options = kept.chosen("benchmark_suite", __doc__, takes_executor=True)
+    with kept.executor_on(options.on) as executor:
+        _measure(options.seeds, options.jobs, executor)
+
+
+def _measure(seeds: int, jobs: int, executor: Executor | None) -> None:
+    folder = kept.kept_folder("benchmark_suite")
     save(figure_of(task_names()), kept.FIGURES / "benchmark_suite.png")
     kept.print_parts(
         {
             part: table(
                 results_of(
                     task,
-                    range(options.seeds),
+                    range(seeds),
                     patterns,
-                    folder / f"{options.seeds}-{part}",
-                    options.jobs,
+                    folder / f"{seeds}-{part}",
+                    jobs,
+                    executor,
                 )
                 for task in task_names()
             )
@@ -64,7 +72,12 @@ def main() -> None:
 
 
 def results_of(
-    task: str, seeds: Sequence[int], patterns: Sequence[str], folder: Path, jobs: int
+    task: str,
+    seeds: Sequence[int],
+    patterns: Sequence[str],
+    folder: Path,
+    jobs: int,
+    executor: Executor | None = None,
 ) -> Results:
     """The runs of a task with these patterns, or those of its file, as `swarmctl exp bench`."""
     effective = load_scenario(task).effective
@@ -74,6 +87,7 @@ def results_of(
         set={"plugin_dir": str(Path(stand.__file__).parent)} if STAND in patterns else None,
         sweep={"pattern": list(patterns or effective["patterns"])},
         jobs=jobs,
+        executor=executor,
         out=folder / Path(task).stem,
         traces=False,
         metrics=[effective["metric"]],

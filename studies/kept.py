@@ -8,9 +8,10 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 import numpy as np
@@ -20,6 +21,9 @@ from swarmd.core.files import write_whole
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import Progress
 from swarmd.sim.experiments.statistics import mean_interval
+
+if TYPE_CHECKING:
+    from swarmd.sim.experiments.executor import Executor
 
 T = TypeVar("T")
 
@@ -33,12 +37,35 @@ def kept_folder(study: str) -> Path:
     return Path("build") / study / digest_of([f"studies.{study}"])[:8]
 
 
-def chosen(study: str, about: str | None, words: Sequence[str] | None = None) -> argparse.Namespace:
-    """The options `seeds` and `jobs` of a command."""
+def chosen(
+    study: str,
+    about: str | None,
+    words: Sequence[str] | None = None,
+    *,
+    takes_executor: bool = False,
+) -> argparse.Namespace:
+    """The options `seeds` and `jobs` of a command, and `on` if it takes an executor."""
     parser = argparse.ArgumentParser(prog=f"python -m studies.{study}", description=about)
     parser.add_argument("--seeds", type=int, default=SEEDS, help=f"of each kind of run [{SEEDS}]")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
+    if takes_executor:
+        parser.add_argument("--on", metavar="ADDRESS", help="a Dask scheduler, for the runs")
     return parser.parse_args(words)
+
+
+@contextmanager
+def executor_on(address: str | None) -> Iterator[Executor | None]:
+    """The executor of a Dask cluster for `simulate`; None, for processes here, without an address.
+
+    ConfigError if no scheduler answers.
+    """
+    if address is None:
+        yield None
+        return
+    from swarmd.sim.experiments.executor import dask_cluster
+
+    with dask_cluster(address, warn=lambda line: print(line, file=sys.stderr)) as executor:
+        yield executor
 
 
 def print_parts(parts: Mapping[str, str]) -> None:

@@ -5,6 +5,8 @@ Prints the tables of docs/missions.md. The same command resumes.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from benchmarks.table import markdown
@@ -14,6 +16,9 @@ from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
+
+if TYPE_CHECKING:
+    from swarmd.sim.experiments.executor import Executor
 
 SPOT = "benchmark/aggregation_on_spot"
 SEARCH, PATROL, FORAGE = MISSIONS = (
@@ -71,21 +76,26 @@ def rows_of(mission: str, results: Results) -> list[tuple[str, str]]:
 
 def main() -> None:
     """Do all runs, and print the tables."""
-    options, folder = kept.chosen("missions", __doc__), kept.kept_folder("missions")
+    options = kept.chosen("missions", __doc__, takes_executor=True)
+    with kept.executor_on(options.on) as executor:
+        _measure(options.seeds, options.jobs, executor)
+
+
+def _measure(seeds: int, jobs: int, executor: Executor | None) -> None:
+    folder = kept.kept_folder("missions")
     rows = [("mission", "measured", "mean (95 %), or runs")]
     for mission in MISSIONS:
         results = simulate(
             mission,
-            options.seeds,
-            jobs=options.jobs,
-            out=folder / f"{options.seeds}-{mission}",
+            seeds,
+            jobs=jobs,
+            executor=executor,
+            out=folder / f"{seeds}-{mission}",
             on_progress=kept.on_progress(mission),
         )
         rows += [(f"`{mission}`", *cells) for cells in rows_of(mission, results)]
     patterns = "gather_on_dark_floor", "random_walk"
-    spot = results_of(
-        SPOT, range(options.seeds), patterns, folder / str(options.seeds), options.jobs
-    )
+    spot = results_of(SPOT, range(seeds), patterns, folder / str(seeds), jobs, executor)
     kept.print_parts({"missions": markdown(rows), "mission_on_spot": table([spot])})
 
 

@@ -275,20 +275,23 @@ def draw(by_run: Runs) -> None:
 
 def main() -> None:
     """Do all runs, the most important first, print the tables and draw the figures."""
-    options, folder = kept.chosen("paper", __doc__), kept.kept_folder("paper")
-    by_run = {
-        (name, law, seeds is FRESH): simulate(
-            SCENARIOS[name],
-            seeds[: len(seeds) * options.seeds // kept.SEEDS],
-            set=changes(name, law),
-            sweep={"lidar_visibility": list(VISIBILITIES[: 1 if law == STILL else 2])},
-            jobs=options.jobs,
-            out=folder / f"{options.seeds}-{name}-{law}{'-fresh' * (seeds is FRESH)}",
-            on_progress=kept.on_progress(f"{name}, {law}"),
-        )
-        for law, seeds, names in PLAN
-        for name in names
-    }
+    options = kept.chosen("paper", __doc__, takes_executor=True)
+    folder = kept.kept_folder("paper")
+    with kept.executor_on(options.on) as executor:
+        by_run = {
+            (name, law, seeds is FRESH): simulate(
+                SCENARIOS[name],
+                seeds[: len(seeds) * options.seeds // kept.SEEDS],
+                set=changes(name, law),
+                sweep={"lidar_visibility": list(VISIBILITIES[: 1 if law == STILL else 2])},
+                jobs=options.jobs,
+                executor=executor,
+                out=folder / f"{options.seeds}-{name}-{law}{'-fresh' * (seeds is FRESH)}",
+                on_progress=kept.on_progress(f"{name}, {law}"),
+            )
+            for law, seeds, names in PLAN
+            for name in names
+        }
     if options.seeds == kept.SEEDS:
         draw(by_run)
     kept.print_parts({**tables(by_run), "paper_ideal_search": searches()})

@@ -252,18 +252,21 @@ def draw(results: Mapping[str, Results]) -> None:
 
 def main() -> None:
     """Do all runs, print the tables and draw the figures."""
-    options, folder = kept.chosen("paper_exp2", __doc__), kept.kept_folder("paper_exp2")
-    results = {
-        name: simulate(
-            scenario,
-            options.seeds,
-            set=changes,
-            jobs=options.jobs,
-            out=folder / f"{options.seeds}-{name}",
-            on_progress=kept.on_progress(name),
-        )
-        for name, scenario, changes in PLAN
-    }
+    options = kept.chosen("paper_exp2", __doc__, takes_executor=True)
+    folder = kept.kept_folder("paper_exp2")
+    with kept.executor_on(options.on) as executor:
+        results = {
+            name: simulate(
+                scenario,
+                options.seeds,
+                set=changes,
+                jobs=options.jobs,
+                executor=executor,
+                out=folder / f"{options.seeds}-{name}",
+                on_progress=kept.on_progress(name),
+            )
+            for name, scenario, changes in PLAN
+        }
     if options.seeds == kept.SEEDS:
         draw(results)
     kept.print_parts(tables(results))

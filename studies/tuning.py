@@ -7,6 +7,7 @@ the tables of both pages. The same command resumes.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 from benchmarks.table import markdown
 from studies import kept, stand
+from swarmd.sim.experiments.executor import Executor, on_executor
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.experiments.statistics import interval, number
@@ -52,7 +54,13 @@ SEARCHES: Mapping[str, tuple[str, Mapping[str, str], Mapping[str, Any]]] = {
 
 def main() -> None:
     """Do both searches, and print their tables."""
-    options, folder = kept.chosen("tuning", __doc__), kept.kept_folder("tuning")
+    options = kept.chosen("tuning", __doc__, takes_executor=True)
+    with kept.executor_on(options.on) as executor:
+        _measure(options, executor)
+
+
+def _measure(options: argparse.Namespace, executor: Executor | None) -> None:
+    folder = kept.kept_folder("tuning")
     parts = {}
     for name, (group, shown, search) in SEARCHES.items():
         found = tune(
@@ -63,6 +71,7 @@ def main() -> None:
             held_out=50 * options.seeds // kept.SEEDS,
             candidates=5,
             jobs=options.jobs,
+            runner=None if executor is None else on_executor(executor),
             out=folder / f"{options.seeds}-{name}",
             on_step=lambda line: print(line, file=sys.stderr, flush=True),
         )
@@ -72,6 +81,7 @@ def main() -> None:
             found.held_out,
             set={**search["set"], **still},
             jobs=options.jobs,
+            executor=executor,
             out=folder / f"{options.seeds}-{name}-still",
         )
         parts[name] = part_of(shown, found, control)

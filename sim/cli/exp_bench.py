@@ -24,6 +24,7 @@ from swarmd.sim.cli.options import (
     new_folder,
     out_option,
     output_option,
+    set_option,
     warn_of_few,
 )
 from swarmd.texts.values import counted
@@ -50,6 +51,7 @@ def _tasks(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     " each task].",
 )
 @plugin_dir_option
+@set_option
 @seeds_option
 @jobs_option
 @engine_options
@@ -62,6 +64,7 @@ def bench(
     tasks: tuple[str, ...],
     patterns: tuple[str, ...],
     plugin_dir: Path | None,
+    sets: tuple[str, ...],
     seeds: str,
     jobs: int | None,
     on: str | None,
@@ -92,15 +95,16 @@ def bench(
         standings,
         task_of,
     )
-    from swarmd.sim.experiments.plan import parse_seeds
+    from swarmd.sim.experiments.plan import parse_seeds, parse_sets
     from swarmd.sim.scenarios.scenariofile import TASKS, task_names
 
     scenarios = [t if t.endswith(".yaml") else f"{TASKS}/{t}" for t in tasks] or task_names()
     if len({Path(scenario).stem for scenario in scenarios}) < len(scenarios):
         raise ConfigError("a task is given twice, or two files have one name; keep one")
     chosen, folder_of_patterns = _patterns_and_folder(patterns, plugin_dir)
+    values = parse_sets(sets)
     found = [
-        plan_of_task(scenario, parse_seeds(seeds), chosen, folder_of_patterns, on_misfit=warn)
+        plan_of_task(scenario, parse_seeds(seeds), chosen, folder_of_patterns, warn, values)
         for scenario in scenarios
     ]
     planned = [one for one in found if one is not None]
@@ -112,6 +116,7 @@ def bench(
     options = {
         "--pattern": patterns,
         "--plugin-dir": plugin_dir,
+        "--set": sets,
         "--seeds": seeds,
         "--on": on,
         "--scheduler-file": scheduler_file,

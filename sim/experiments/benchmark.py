@@ -7,9 +7,10 @@ scenario's key `pattern`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from swarmd.core.errors import ConfigError
 from swarmd.plugins import find_pattern, is_pattern_path, pattern_at
@@ -32,16 +33,25 @@ def plan_of_task(
     patterns: Sequence[str] = (),
     plugin_dir: Path | None = None,
     on_misfit: Callable[[str], object] = str,
+    values: Mapping[str, Any] | None = None,
 ) -> tuple[Plan, Metric] | None:
     """The runs of a scenario with each pattern, and the scenario's metric.
 
     None if there is no pattern to run. `patterns`: names or paths, empty for those of the
     scenario's file. `on_misfit` is called with a line for each of `patterns` that needs what the
-    robots do not provide. ConfigError for an unknown pattern, for a fault of the file, and unless
-    the file names a metric with a better direction. A metric of a Python file is refused: it would
-    run code of the author of the scenario.
+    robots do not provide. `values`: overrides by dotted key.
+
+    ConfigError for an unknown pattern, for a fault of the file or of `values`, and unless the file
+    names a metric with a better direction. A metric of a Python file is refused: it would run code
+    of the author of the scenario.
     """
-    sets = {} if plugin_dir is None else {"plugin_dir": str(plugin_dir)}
+    sets = dict(values or {})
+    if _KEY in sets:
+        raise ConfigError(f"--set {_KEY}: a task runs several; give --pattern NAME")
+    if plugin_dir is not None and "plugin_dir" in sets:
+        raise ConfigError("--plugin-dir and --set plugin_dir=..: keep one of them")
+    if plugin_dir is not None:
+        sets["plugin_dir"] = str(plugin_dir)
     loaded = load_scenario(scenario, sets)
     name = loaded.effective["metric"]
     try:

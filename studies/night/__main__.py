@@ -2,7 +2,8 @@
 
 A job runs unless its results were made from the same sources; each ends with its file and its parts
 of pages. After a kill the same command goes on. `--plan` shows the jobs with their CPU-minutes, and
-for named jobs their sources and which of them have changed.
+for named jobs their sources and which of them have changed. With `--on ADDRESS` a Dask cluster does
+the runs of the jobs that go through `simulate`; the others run here.
 """
 
 from __future__ import annotations
@@ -73,8 +74,10 @@ def overview() -> list[str]:
     return markdown(rows).splitlines()
 
 
-def carry_out(job: Job, lock: int) -> bool:
+def carry_out(job: Job, lock: int, on: str | None = None) -> bool:
     """Run a job, which inherits the descriptor `lock`, and keep its results.
+
+    `on`: the address of a Dask scheduler, whose workers do the runs if the job takes an executor.
 
     Returns whether it has ended well.
     """
@@ -86,6 +89,8 @@ def carry_out(job: Job, lock: int) -> bool:
     begin = _seconds_of_children()
     with (LOGS / f"{job.name}.log").open("a") as log:
         words = [sys.executable, *job.arguments]
+        if on is not None and job.takes_executor:
+            words += ["--on", on]
         try:
             done = subprocess.run(
                 words,
@@ -134,6 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--shard", default="1/1", metavar="K/N", help="the K-th of N parts of the jobs"
     )
+    parser.add_argument("--on", metavar="ADDRESS", help="a Dask scheduler: tls://HOST:8786")
     options = parser.parse_args(arguments)
     names = [job.name for job in JOBS]
     for name in options.jobs:
@@ -147,6 +153,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.plan:
         print(plan(chosen, is_detailed=bool(options.jobs), is_all=options.all))
         return 0
+    if options.on is not None:
+        from studies.kept import executor_on
+
+        with executor_on(options.on):
+            pass  # ConfigError before the first job if no scheduler answers
     LOGS.mkdir(parents=True, exist_ok=True)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     lock = os.open(LOGS / "lock", os.O_RDWR | os.O_CREAT)
@@ -161,7 +172,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if job.is_kept and not options.all:
             continue
         print(f"{job.name}: some {job.estimate:.1f} CPU-minutes, {job.command}", flush=True)
-        bad += not carry_out(job, lock)
+        if options.on is not None and not job.takes_executor:
+            print(f"{job.name}: runs here, since it does not go through `simulate`", flush=True)
+        bad += not carry_out(job, lock, options.on)
         write_parts({OVERVIEW: "\n".join(overview())})
     return 1 if bad else 0
 

@@ -42,7 +42,8 @@ class Job(Struct, frozen=True):
     name: of the file of results, `folder/name.json`, and of the part of a page that the program
     prints, unless it prints several. arguments: of Python. minutes: the CPU-minutes that it may
     take, before it has been measured. modules: what decides the results beside the program itself.
-    has_verdict: the program ends with 1 if its tables are whole and bad.
+    has_verdict: the program ends with 1 if its tables are whole and bad. takes_executor: its runs
+    may be done by a Dask cluster, with `--on ADDRESS`.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Job(Struct, frozen=True):
     minutes: float
     modules: tuple[str, ...] = ()
     has_verdict: bool = False
+    takes_executor: bool = False
 
     @property
     def command(self) -> str:
@@ -142,9 +144,17 @@ def _study(
     *words: str,
     module: str = "",
     has_verdict: bool = False,
+    takes_executor: bool = False,
 ) -> Job:
     arguments = ("-m", f"studies.{module or name}", *words)
-    return Job(name, folder, arguments, minutes, has_verdict=has_verdict)
+    return Job(
+        name,
+        folder,
+        arguments,
+        minutes,
+        has_verdict=has_verdict,
+        takes_executor=takes_executor,
+    )
 
 
 JOBS: Sequence[Job] = (
@@ -154,13 +164,13 @@ JOBS: Sequence[Job] = (
         for path in sorted(ROOT.joinpath(*STUDIES.split(".")).glob("*.py"))
         if path.stem != "__init__"
     ),
-    _study("paper", "docs", 43.0),
-    _study("paper_exp2", "docs", 2.0),
+    _study("paper", "docs", 43.0, takes_executor=True),
+    _study("paper_exp2", "docs", 2.0, takes_executor=True),
     _study("robot_hours_walls_stand", "docs/evidence", 20.0, "--walls-stand", module="robot_hours"),
     _study("learning", "docs", 6.0),
-    _study("missions", "docs", 14.0),
-    _study("tuning", "docs", 10.0),
-    _study("benchmark_suite", "docs", 85.0),
+    _study("missions", "docs", 14.0, takes_executor=True),
+    _study("tuning", "docs", 10.0, takes_executor=True),
+    _study("benchmark_suite", "docs", 85.0, takes_executor=True),
     _study("voting", "docs", 60.0),
     _study("faults", "docs/evidence", 60.0),
     _study(
@@ -203,6 +213,21 @@ JOBS: Sequence[Job] = (
     _study("tracks", "docs/evidence", 5.0, "tracks", "--seeds", "20", module="safety"),
     _study("processors", "docs/evidence", 10.0, "variants", has_verdict=True),
     _study("ros_faults", "docs", 6.0, module="ros"),
+    Job("executors", "docs", ("-m", "benchmarks.executors"), 10.0),
+    Job(
+        "rivals",
+        "benchmarks",
+        ("-m", "benchmarks.rivals"),
+        20.0,
+        (
+            "benchmarks.rivals.__main__",
+            "benchmarks.rivals.argos_steps",
+            "benchmarks.rivals.enki_steps",
+            "benchmarks.rivals.irsim_steps",
+            "benchmarks.rivals.swarmd_steps",
+            "benchmarks.rivals.vmas_steps",
+        ),
+    ),
 )
 """What readers would miss most comes first."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import runpy
 import signal
 import subprocess
@@ -11,12 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from tests.support.processes import CAP, wait_until
 
 pytestmark = pytest.mark.integration
 ROOT = Path(__file__).resolve().parents[2]
-NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+SEARCH = ROOT / "examples" / "notebooks" / "mission_search.ipynb"
+NOTEBOOKS = sorted({*SEARCH.parent.glob("*.ipynb")} - {SEARCH})
+SMALL = "TRIALS, SEEDS, HELD_OUT, DURATION, JOBS = 1, range(1), range(9, 10), 1.0, 1"
 CELL_TIME = 60  # s
 MARK = "SWARMD_TEST_NOTEBOOK"
 
@@ -40,6 +44,24 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert any("applied" in text for text in texts)
     if path.stem == "first_swarm":
         assert any("<svg" in text for text in texts)
+
+
+def test_the_search_for_missions_ends_with_held_out_seeds_and_controls(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("optuna.logging.set_verbosity", lambda level: None)  # of all of optuna
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    cells = json.loads(SEARCH.read_text())["cells"]
+    assert all(not cell.get("outputs") for cell in cells)
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    names: dict[str, Any] = {}
+    for cell in code:  # in this process, since a kernel of its own takes as long as the runs
+        is_given = "parameters" in cell["metadata"].get("tags", ())
+        exec(SMALL if is_given else "".join(cell["source"]), names)
+    told = capsys.readouterr().out
+    assert yaml.safe_load(told.partition("\n\n")[0])["mission"].startswith("Trial 0")
+    assert list(names["rows"]) == ["found", "by hand", "random walk", "robots that stand"]
+    assert all(0.0 <= values.mean() <= 1.0 for values in names["rows"].values())
 
 
 def marked(name: str) -> list[str]:

@@ -67,6 +67,16 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
+CLUSTER = """
+from contextlib import contextmanager
+
+@contextmanager
+def executor_on(address):
+    print("asked for", address)
+    yield None
+"""
+
+
 def night(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "studies.night", *words]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -338,3 +348,33 @@ def test_each_kept_part_stands_on_a_page_as_its_file_says() -> None:
         if job.made is not None and not isinstance(job, PatternJob):
             for name in job.made.parts:
                 assert job.made.text(name) in written[name], "`python -m studies.night` writes it"
+
+
+def test_a_cluster_does_the_runs_of_jobs_that_take_an_executor(checkout: Path) -> None:
+    (checkout / "studies/kept.py").write_text(CLUSTER)
+    (checkout / "studies/beta.py").write_text("import sys\nprint(sys.argv[1:])\n")
+    jobs = (
+        (checkout / "studies/night/jobs.py")
+        .read_text()
+        .replace(
+            "1.0),)\n",
+            '1.0), Job("delta", "docs", ("-m", "studies.beta"), 1.0, takes_executor=True))\n',
+        )
+    )
+    (checkout / "studies/night/jobs.py").write_text(jobs)
+    page = checkout / "docs/page.md"
+    parts = (f"<!-- results: {name} -->\n<!-- end of results -->\n" for name in ("beta", "delta"))
+    page.write_text("".join(parts))
+
+    done = night(checkout, "--on", "tcp://127.0.0.1:8786")
+
+    assert done.returncode == 0, done.stderr
+    told = done.stdout.splitlines()
+    assert "asked for tcp://127.0.0.1:8786" in told
+    assert [line.partition(":")[0] for line in told if "runs here" in line] == ["beta"]
+    made = {
+        name: msgspec.json.decode((checkout / f"docs/{name}.json").read_bytes())["parts"]
+        for name in ("beta", "delta")
+    }
+    assert made["beta"] == {"beta": ["[]"]}
+    assert made["delta"] == {"delta": ["['--on', 'tcp://127.0.0.1:8786']"]}

@@ -112,6 +112,19 @@ def test_without_patterns_those_of_the_file_are_swept() -> None:
     assert len(plan.runs) == 8
 
 
+def test_overrides_hold_in_every_run_of_a_task_and_leave_the_pattern_to_its_option() -> None:
+    found = plan_of_task("benchmark/doorway", [0], values={"duration": 7.0})
+    assert found is not None
+    plan, _ = found
+    assert [variant.effective["duration"] for variant in plan.variants] == [7.0] * len(
+        plan.variants
+    )
+    with pytest.raises(ConfigError, match="--pattern"):
+        plan_of_task("benchmark/doorway", [0], values={"pattern": "patrol"})
+    with pytest.raises(ConfigError, match="plugin_dir"):
+        plan_of_task("benchmark/doorway", [0], [], Path("mine"), values={"plugin_dir": "yours"})
+
+
 def results_of(metric: str, values: Mapping[str, Sequence[float | None]]) -> Results:
     """Results of a task: the metric by pattern, in runs with the seeds 0, 1, .."""
     variants = tuple(
