@@ -12,6 +12,9 @@ STARTED: list[str] = []
 """What was started since the last test began, without HELPERS."""
 HELPERS = {"git", "fc-list"}
 """Programs that code runs for some milliseconds: for a commit, for the first list of fonts."""
+WORKER = "swarmd.sim.experiments.pool"
+"""The module of the worker in which `simulate` does its runs: the first call of a process starts
+one for all calls, so that it belongs to no test."""
 
 
 def _noticed(start: Callable[..., Any]) -> Callable[..., Any]:
@@ -19,7 +22,8 @@ def _noticed(start: Callable[..., Any]) -> Callable[..., Any]:
 
     def noticed(self: Any, *words: Any, **options: Any) -> Any:
         command = words[0] if words else options.get("args", self)
-        if not (isinstance(command, list | tuple) and command[0] in HELPERS):
+        is_list = isinstance(command, list | tuple)
+        if not (is_list and (command[0] in HELPERS or WORKER in command)):
             STARTED.append(repr(command))
         return start(self, *words, **options)
 
