@@ -268,21 +268,21 @@ def worker_functions() -> _Functions:
 class _KeptWorkers:
     """The worker that this process keeps between two calls, so that a loop of calls starts one.
 
-    A kept worker ends with this process, at the latest. It is used again only in the folder and
-    with the environment in which it started, since runs read both.
+    A kept worker ends with this process, at the latest. Each job gets the present folder and
+    environment; a change of a variable that acts at the start of a process takes a new worker.
     """
 
     def __init__(self) -> None:
         self._worker: _Worker | None = None
         self._lock = threading.Lock()
-        # By folder and environment; a worker of the same has the same.
-        self._functions: tuple[object, _Functions] | None = None
+        # With the variables that a worker had at its start.
+        self._functions: tuple[Mapping[str, str], _Functions] | None = None
 
     def take(self) -> _Worker | None:
         """The kept worker if it may be used here and now; else None."""
         with self._lock:
             worker, self._worker = self._worker, None
-        if worker is None or worker.is_ready(_surroundings()):
+        if worker is None or worker.is_ready():
             return worker
         worker.kill()
         return None
@@ -299,16 +299,16 @@ class _KeptWorkers:
 
     def functions(self) -> _Functions:
         """What a worker of this process computes with; starts a worker if that is not known."""
-        surroundings = _surroundings()
+        at_start = _surroundings().at_start
         with self._lock:
             known = self._functions
-        if known is not None and known[0] == surroundings:
+        if known is not None and known[0] == at_start:
             return known[1]
         worker = self.take() or _Worker()
         functions = worker.functions()
         self.give(worker)
         with self._lock:
-            self._functions = surroundings, functions
+            self._functions = at_start, functions
         return functions
 
     def end(self) -> None:
@@ -319,13 +319,33 @@ class _KeptWorkers:
             worker.kill()
 
 
-def _surroundings() -> tuple[str, dict[str, str]]:
-    """The folder and the environment of this process."""
-    try:
+_AT_START = ("PYTHON", "SWARMD_", "LD_", "GLIBC_", "NPY_", "OPENBLAS_", "OMP_", "MKL_", "MUJOCO_")
+
+
+def _acts_at_start(name: str) -> bool:
+    """Whether libraries read a variable of the environment once, as the process starts."""
+    return name.startswith(_AT_START)
+
+
+@dataclass(frozen=True, slots=True)
+class _Surroundings:
+    """The folder and the environment that a process has at a time."""
+
+    folder: str
+    """Empty if it was removed."""
+    environment: Mapping[str, str]
+    at_start: Mapping[str, str]
+    """The variables that act only at the start of a process; `environment` has the others."""
+
+
+def _surroundings() -> _Surroundings:
+    folder = ""
+    with suppress(FileNotFoundError):
         folder = os.getcwd()
-    except FileNotFoundError:  # the folder was removed
-        folder = ""
-    return folder, dict(os.environ)
+    now = dict(os.environ)
+    at_start = {name: text for name, text in now.items() if _acts_at_start(name)}
+    others = {name: text for name, text in now.items() if name not in at_start}
+    return _Surroundings(folder, others, at_start)
 
 
 def _kept_workers() -> _KeptWorkers:
@@ -356,7 +376,7 @@ class _Worker:
         self.is_alive = True  # can take another job
         self.is_of_main_thread = threading.current_thread() is threading.main_thread()
         self.share = 0.0  # simulated share of the job, as last reported
-        self._surroundings = _surroundings()
+        self._at_start = _surroundings().at_start
         self._job: Job | None = None  # the last one
         self._begin = 0  # where the output of the job begins
         self._silence: float | None = 0.0  # s since the last report; None: no time-out any more
@@ -382,9 +402,9 @@ class _Worker:
         """The id of the present job's run."""
         return "" if self._job is None else self._job.run
 
-    def is_ready(self, surroundings: object) -> bool:
-        """Whether the worker waits for a job, and started in these surroundings."""
-        return self._surroundings == surroundings and self._process.poll() is None
+    def is_ready(self) -> bool:
+        """Whether the worker can take a job, and started as it would start now."""
+        return self._at_start == _surroundings().at_start and self._process.poll() is None
 
     def functions(self) -> _Functions:
         """What the worker computes with: waits for its start. SwarmError if it does not start."""
@@ -411,7 +431,7 @@ class _Worker:
         self._silence = 0.0
         self._begin = os.fstat(self._log.fileno()).st_size
         with suppress(OSError):
-            self.pipe.send(job)
+            self.pipe.send((job, _surroundings()))
 
     def receive(self, silence: float, timeout: float) -> JobResult | None:
         """Read what the pipe holds, which must be readable.
@@ -520,8 +540,6 @@ def main(descriptor: int, parent: int) -> None:
     end this process ends.
     """
     die_with_parent(parent)
-    connection = Connection(descriptor)
-    connection.send_bytes(msgspec.msgpack.encode(functions_here()))  # started
     # Imported once, before the forks: modules of jobs, and lazy imports of metrics. A run of two
     # robots and 2 s takes 0.07 s of CPU, and 0.32 s if its fork has to import scipy.
     import scipy.sparse.csgraph
@@ -529,13 +547,14 @@ def main(descriptor: int, parent: int) -> None:
 
     import swarmd.sim.experiments.pool  # noqa: F401
 
-    with connection:
+    with Connection(descriptor) as connection:
+        connection.send_bytes(msgspec.msgpack.encode(functions_here()))  # started
         while True:
             try:
-                job = connection.recv()
+                job, surroundings = connection.recv()
             except EOFError:
                 return
-            _run_in_fork(job, connection)
+            _run_in_fork(job, surroundings, connection)
 
 
 def _send(connection: Connection, report: JobResult | float) -> None:
@@ -543,7 +562,7 @@ def _send(connection: Connection, report: JobResult | float) -> None:
     connection.send_bytes(msgspec.msgpack.encode(report))
 
 
-def _run_in_fork(job: Job, connection: Connection) -> None:
+def _run_in_fork(job: Job, surroundings: _Surroundings, connection: Connection) -> None:
     """Run the job in a forked child process of this worker, and wait for the end of the child.
 
     A fork is a fresh process for each run that has all imports of the worker. The child sends
@@ -558,6 +577,7 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
         die_with_parent(worker_pid)
         # A process that a pattern forks must not write into the pipe of results.
         os.register_at_fork(after_in_child=connection.close)
+        _enter(surroundings)
         _do(job, connection)
         os.write(write_end, b"1")
         os._exit(0)  # without waiting for threads of a pattern
@@ -566,6 +586,18 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
     if not _has_byte(read_end):
         _end_like(os.waitstatus_to_exitcode(status))
     os.close(read_end)
+
+
+def _enter(surroundings: _Surroundings) -> None:
+    """Give this fork the folder and the environment that its user has now.
+
+    What libraries read at the start of the worker stays.
+    """
+    with suppress(OSError):  # the folder was removed
+        os.chdir(surroundings.folder)
+    for name in [name for name in os.environ if not _acts_at_start(name)]:
+        del os.environ[name]
+    os.environ.update(surroundings.environment)
 
 
 def _has_byte(read_end: int) -> bool:
