@@ -32,7 +32,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release earlier test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
+.PHONY: help demo behaviour short-forms kernels wheels archive release earlier test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
 .DELETE_ON_ERROR:
 
 help:
