@@ -34,7 +34,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive release earlier test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
+.PHONY: help demo behaviour short-forms kernels wheels archive release earlier test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
 .DELETE_ON_ERROR:
 
 help:
@@ -58,6 +58,8 @@ help:
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make sequences  every sequence of orders and events on the real robot; ARGS=\"robot --replay run,stop\" repeats one; some six hours of a core"
+	@echo "make behaviour  the ledger of how robots drive, which make test compares; a minute  (ARGS='--against REV': by how much)"
+	@echo "make short-forms  the kept digits of each pattern's short form again; some minutes"
 	@echo "make night     the tables and figures of the pages that are older than the code; hours  (ARGS=--plan shows which, ARGS=paper makes one)"
 	@echo "make evidence  long tests, then make night; hours on two cores"
 	@echo "make films       a short film of each pattern; a few minutes"
@@ -147,6 +149,15 @@ night: kernels
 # ARGS="robot events --depth 5" goes further, for some CPU-hours.
 sequences: kernels
 	@$(BIN)/python -m tests.sequences $(ARGS)
+
+# The ledger of behaviours, which `make test` compares; a minute. ARGS="--against REV" says by how much
+# robots drive otherwise than in a commit, ARGS=--check which ones drive otherwise than the ledger says.
+behaviour: kernels
+	@$(BIN)/python -m studies.behaviour $(ARGS)
+
+# The short forms of all patterns, by which `make test-all` shows that a table is old; some minutes.
+short-forms: kernels
+	@$(BIN)/python -m studies.outcomes --keep-short $(ARGS)
 
 check: static docs wheel bringup
 

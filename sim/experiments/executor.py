@@ -22,8 +22,16 @@ import msgspec
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import read_regular, write_whole
-from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, Shares, one_line, run_jobs
-from swarmd.sim.experiments.provenance import digests_of_folders, made_with
+from swarmd.sim.experiments.pool import (
+    STEP_TIMEOUT,
+    Job,
+    JobResult,
+    Shares,
+    one_line,
+    run_jobs,
+    worker_functions,
+)
+from swarmd.sim.experiments.provenance import deciding, digests_of_folders, made_with
 from swarmd.sim.experiments.store import translated_errors
 from swarmd.sim.metrics.catalog import metric_of
 
@@ -142,22 +150,25 @@ def _ended(calls: Mapping[Call, Job]) -> Iterator[tuple[Call, Job]]:
 def software_of(jobs: Sequence[Job]) -> dict[str, str]:
     """The software of this machine that decides the bits of `jobs`, by name.
 
-    Versions, kernels, processor, the digests of swarmd's code, of the files in folders of plugins,
-    and of custom metrics. ConfigError if the file of a metric is missing or has another digest;
-    SwarmError if a plugin cannot be read.
+    Versions, kernels, the functions of a pinned worker, the digests of swarmd's code, of the files
+    in folders of plugins, and of custom metrics. ConfigError if the file of a metric is missing or
+    has another digest; SwarmError if a plugin cannot be read.
     """
     folders = {job.effective["plugin_dir"] for job in jobs if job.effective.get("plugin_dir")}
     for job in jobs[:1]:
         for origin, digest in job.metrics.items():
             metric_of(origin, digest)
-    return {**made_with(), **digests_of_folders(sorted(folders))}
+    return {**made_with(worker_functions()), **digests_of_folders(sorted(folders))}
 
 
 def difference(own: Mapping[str, str], there: Mapping[str, str]) -> str:
     """The first difference between the software of two machines; empty if their bits are equal.
 
-    The processor counts, too: another one may compute other last bits.
+    The processor counts only if a worker of one of them is not pinned: it may then compute other
+    last bits.
     """
+    if own.get("pinned") == there.get("pinned"):
+        own, there = deciding(own), deciding(there)
     names = (name for name in {**own, **there} if own.get(name) != there.get(name))
     return next(
         (f"{n} is {there.get(n, 'missing')} there, {own.get(n, 'missing')} here" for n in names),

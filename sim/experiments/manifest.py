@@ -17,21 +17,34 @@ from swarmd.core.files import as_text, read_regular, user_path, whole_file
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.sim.experiments.plan import Plan, Shard, Variant, check_seeds
-from swarmd.sim.experiments.provenance import GitState, digests_of_folders, git_state, made_with
+from swarmd.sim.experiments.pool import worker_functions
+from swarmd.sim.experiments.provenance import (
+    GitState,
+    deciding,
+    digests_of_folders,
+    git_state,
+    made_with,
+)
 from swarmd.sim.metrics.catalog import metric_of
 from swarmd.sim.metrics.metric import Better, Metric
 from swarmd.sim.metrics.reported import PREFIXES
 
 NAME = "manifest.json"
 FORMAT = 1
-PROCESSOR = ("machine", "processor", "simd", "libm", "libc", "blas")
+PROCESSOR = ("machine", "processor", "simd", "libm", "functions", "libc", "blas", "pinned")
 """The keys of `made_with` that depend on the machine, which changes last bits at most."""
-_CAUSES = ("code", "libm", "mujoco", "numpy", "scipy", "python", "simd", "blas", "kernels")
+_CAUSES = (
+    *("code", "pinned", "libm", "functions", "mujoco", "numpy", "scipy", "python"),
+    *("simd", "blas", "kernels"),
+)
 """Keys of `made_with`, the likeliest cause of other results first; others are hardly a cause.
-`libm` compares results, the others names; kernels give equal bits compiled and interpreted."""
+`libm` and `functions` compare results, the others names; kernels give equal bits compiled and
+interpreted."""
 _TEXTS = {
     "code": "swarmd's code has changed",
     "libm": "the C library's mathematical functions give other last bits here",
+    "functions": "sums and functions of numpy or of the C library give other last bits here",
+    "pinned": "only one of both was pinned to the functions that every x86-64 has",
     "simd": "the processor is another, with other instructions for numpy",
 }
 
@@ -93,12 +106,14 @@ def manifest_of(
     command: list[str],
     metrics: Iterable[Metric] = (),
     shown: Iterable[str] = (),
+    functions: Mapping[str, str] | None = None,
 ) -> Manifest:
     """The manifest of a plan: its runs, and the software that is installed now.
 
     `traces`: whether traces are kept. `command`: the command line that repeats the experiment.
     `metrics`: custom metrics to measure in addition to the catalog. `shown`: names of the metrics
-    that the user asked for. ConfigError if two custom metrics have the same name, or if a path is
+    that the user asked for. `functions`: what the process computes with that simulates; None: a
+    worker of this process. ConfigError if two custom metrics have the same name, or if a path is
     not UTF-8.
     """
     units = _report_units(plan)
@@ -119,7 +134,7 @@ def manifest_of(
         sets=plain(plan.sets),
         sweep=plain(plan.sweep),
         traces=traces,
-        made_with=made_with(),
+        made_with=made_with(worker_functions() if functions is None else functions),
         git={
             "swarmd": git_state(Path(swarmd.__file__).resolve().parent),
             "scenario": git_state(scenario_file.resolve().parent) if is_file else None,
@@ -216,11 +231,14 @@ def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
     for name in sorted({*old.plugins, *new.plugins}):
         if old.plugins.get(name) != new.plugins.get(name):
             yield f"plugin {name} has changed"
-    others = sorted({*old.made_with, *new.made_with} - set(_CAUSES))
+    before, after = old.made_with, new.made_with
+    if before.get("pinned") == after.get("pinned"):
+        before, after = deciding(before), deciding(after)
+    others = sorted({*before, *after} - set(_CAUSES))
     for name in (*_CAUSES, *others):
-        was, now = old.made_with.get(name, "unknown"), new.made_with.get(name, "unknown")
+        was, now = before.get(name, "unknown"), after.get(name, "unknown")
         if was != now:
-            is_known = name in old.made_with and name in _TEXTS
+            is_known = name in before and name in _TEXTS
             yield _TEXTS[name] if is_known else f"{name} was {was}, now {now}"
 
 

@@ -2,21 +2,28 @@
 
 A worker process takes one job after another. It runs each job in a forked process, which sends
 progress and result through a pipe. The parent process ends a worker whose run makes no progress.
+
+Workers are pinned (`swarmd.core.pin`): their results have equal bits on every x86-64 with the same
+software. A process keeps one worker that has no job, for its next call.
 """
 
 from __future__ import annotations
 
+import atexit
 import math
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.util import find_spec
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -26,6 +33,7 @@ import msgspec
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import partial_path
+from swarmd.core.pin import functions_here, pinned_environment
 from swarmd.core.processes import (
     MAX_OUTPUT,
     die_with_parent,
@@ -111,7 +119,11 @@ class JobResult:
     pattern, with its line of code."""
 
 
+_Functions: TypeAlias = Mapping[str, str]
+"""What a worker computes with, by name: `functions_here`."""
+
 _report = msgspec.msgpack.Decoder(JobResult | float)
+_functions = msgspec.msgpack.Decoder(dict[str, str])
 
 
 def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> JobResult:
@@ -198,9 +210,10 @@ def run_jobs(
     """
     waiting = deque(replace(job, cores=cores, timeout=timeout) for job in jobs)
     workers: dict[Connection, _Worker] = {}  # by pipe
+    kept = _kept_workers()
 
     def start_worker(job: Job) -> None:
-        worker = _Worker()
+        worker = kept.take() or _Worker()
         workers[worker.pipe] = worker
         worker.assign(job)
 
@@ -224,6 +237,8 @@ def run_jobs(
                     continue
                 if worker.is_alive and waiting:
                     worker.assign(waiting.popleft())
+                elif worker.is_alive:
+                    kept.give(workers.pop(pipe))
                 else:
                     workers.pop(pipe).end()
                     if waiting:
@@ -237,6 +252,121 @@ def run_jobs(
             worker.kill()
 
 
+def has_workers() -> bool:
+    """Whether this system has worker processes; Windows has none, and lockstep runs without."""
+    return find_spec("fcntl") is not None
+
+
+def worker_functions() -> _Functions:
+    """What a worker of this process computes with, as the worker itself found it.
+
+    Without workers: this process. SwarmError if the worker does not start.
+    """
+    return _kept_workers().functions() if has_workers() else functions_here()
+
+
+class _KeptWorkers:
+    """The worker that this process keeps between two calls, so that a loop of calls starts one.
+
+    A kept worker ends with this process, at the latest. Each job gets the present folder and
+    environment; a change of a variable that acts at the start of a process takes a new worker.
+    """
+
+    def __init__(self) -> None:
+        self._worker: _Worker | None = None
+        self._lock = threading.Lock()
+        # With the variables that a worker had at its start.
+        self._functions: tuple[Mapping[str, str], _Functions] | None = None
+
+    def take(self) -> _Worker | None:
+        """The kept worker if it may be used here and now; else None."""
+        with self._lock:
+            worker, self._worker = self._worker, None
+        if worker is None or worker.is_ready():
+            return worker
+        worker.kill()
+        return None
+
+    def give(self, worker: _Worker) -> None:
+        """Keep a worker without a job, or end it if another one is kept."""
+        # A worker ends with the thread that started it (`die_with_parent`).
+        if worker.is_of_main_thread:
+            with self._lock:
+                if self._worker is None:
+                    self._worker = worker
+                    return
+        worker.end()
+
+    def functions(self) -> _Functions:
+        """What a worker of this process computes with; starts a worker if that is not known."""
+        at_start = _surroundings().at_start
+        with self._lock:
+            known = self._functions
+        if known is not None and known[0] == at_start:
+            return known[1]
+        worker = self.take() or _Worker()
+        functions = worker.functions()
+        self.give(worker)
+        with self._lock:
+            self._functions = at_start, functions
+        return functions
+
+    def end(self) -> None:
+        """End the kept worker at once."""
+        with self._lock:
+            worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.kill()
+
+
+_AT_START = ("PYTHON", "SWARMD_", "LD_", "GLIBC_", "NPY_", "OPENBLAS_", "OMP_", "MKL_", "MUJOCO_")
+
+
+def _acts_at_start(name: str) -> bool:
+    """Whether libraries read a variable of the environment once, as the process starts."""
+    return name.startswith(_AT_START)
+
+
+@dataclass(frozen=True, slots=True)
+class _Surroundings:
+    """The folder and the environment that a process has at a time."""
+
+    folder: str
+    """Empty if it was removed."""
+    environment: Mapping[str, str]
+    at_start: Mapping[str, str]
+    """The variables that act only at the start of a process; `environment` has the others."""
+
+
+def _surroundings() -> _Surroundings:
+    folder = ""
+    with suppress(FileNotFoundError):
+        folder = os.getcwd()
+    now = dict(os.environ)
+    at_start = {name: text for name, text in now.items() if _acts_at_start(name)}
+    others = {name: text for name, text in now.items() if name not in at_start}
+    return _Surroundings(folder, others, at_start)
+
+
+def _kept_workers() -> _KeptWorkers:
+    """The kept workers of this process: a fork has its own."""
+    return _kept_workers_of(os.getpid())
+
+
+# A process has one such object, as it has one set of children: `simulate` is a function that a
+# script calls in a loop, and no object lives between its calls.
+@cache
+def _kept_workers_of(pid: int) -> _KeptWorkers:
+    kept = _KeptWorkers()
+
+    def end() -> None:
+        if os.getpid() == pid:  # not in a fork, which ends by itself
+            kept.end()
+
+    atexit.register(end)
+    return kept
+
+
 class _Worker:
     """A worker process, its pipe and its job."""
 
@@ -244,8 +374,14 @@ class _Worker:
         import fcntl  # not on Windows, where lockstep runs without workers
 
         self.is_alive = True  # can take another job
+        self.is_of_main_thread = threading.current_thread() is threading.main_thread()
         self.share = 0.0  # simulated share of the job, as last reported
+        self._at_start = _surroundings().at_start
+        self._job: Job | None = None  # the last one
+        self._begin = 0  # where the output of the job begins
+        self._silence: float | None = 0.0  # s since the last report; None: no time-out any more
         self._has_started = False
+        self._functions: _Functions = {}  # of the first report
         self.pipe, theirs = Pipe()
         self._received = bytearray()  # a part of a report
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `kill`
@@ -257,23 +393,45 @@ class _Worker:
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=self._log,
-                env={**os.environ, **_ONE_THREAD},
+                env={**pinned_environment(), **_ONE_THREAD},
                 process_group=0,  # Ctrl-C goes to the parent, which ends the workers
             )
 
     @property
     def run(self) -> str:
         """The id of the present job's run."""
-        return self._job.run
+        return "" if self._job is None else self._job.run
+
+    def is_ready(self) -> bool:
+        """Whether the worker can take a job, and started as it would start now."""
+        return self._at_start == _surroundings().at_start and self._process.poll() is None
+
+    def functions(self) -> _Functions:
+        """What the worker computes with: waits for its start. SwarmError if it does not start."""
+        silence = 0.0
+        last_look = time.monotonic()
+        while not self._functions:
+            is_readable = bool(wait([self.pipe], _POLL_PERIOD))
+            now = time.monotonic()
+            silence += min(now - last_look, 2.0 * _POLL_PERIOD) * core_share()
+            last_look = now
+            failure = self.receive(0.0, math.inf) if is_readable else None
+            if failure is None and silence >= STEP_TIMEOUT:
+                self._end_group()
+                failure = self._failed(f"no sign of life in {STEP_TIMEOUT:g} s")
+            if failure is not None:
+                self.kill()
+                raise SwarmError(f"a worker process did not start: {failure.reason}")
+        return self._functions
 
     def assign(self, job: Job) -> None:
         """Send a job to the worker; if the worker has ended, `receive` returns the failure."""
         self._job = job
         self.share = 0.0
-        self._silence: float | None = 0.0  # s since the last report; None: no time-out any more
+        self._silence = 0.0
         self._begin = os.fstat(self._log.fileno()).st_size
         with suppress(OSError):
-            self.pipe.send(job)
+            self.pipe.send((job, _surroundings()))
 
     def receive(self, silence: float, timeout: float) -> JobResult | None:
         """Read what the pipe holds, which must be readable.
@@ -314,6 +472,11 @@ class _Worker:
                 raise ValueError(size)
             if len(self._received) < end:
                 return
+            if not self._functions:  # before any job, so before any code of others
+                self._functions = _functions.decode(self._received[_SIZE_BYTES:end])
+                del self._received[:end]
+                yield 0.0
+                continue
             # Values alone: a guest's pattern could write a pickle, which would run in this process.
             report = _report.decode(self._received[_SIZE_BYTES:end])
             if isinstance(report, JobResult) and report.run != self.run:
@@ -347,7 +510,7 @@ class _Worker:
     def kill(self) -> None:
         """End the worker with SIGKILL, and remove a partly written trace."""
         self._end_group()
-        remove_partial(self._job.trace)
+        remove_partial(None if self._job is None else self._job.trace)
         self.pipe.close()
         self._log.close()
 
@@ -359,7 +522,7 @@ class _Worker:
 
     def _failed(self, reason: str) -> JobResult:
         self.is_alive = False
-        return JobResult(self._job.run, reason=f"{reason}{self._last_line()}")
+        return JobResult(self.run, reason=f"{reason}{self._last_line()}")
 
     def _last_line(self) -> str:
         """The last line of the worker's output since the assignment of the job, after ": "."""
@@ -385,13 +548,13 @@ def main(descriptor: int, parent: int) -> None:
     import swarmd.sim.experiments.pool  # noqa: F401
 
     with Connection(descriptor) as connection:
-        _send(connection, 0.0)  # started
+        connection.send_bytes(msgspec.msgpack.encode(functions_here()))  # started
         while True:
             try:
-                job = connection.recv()
+                job, surroundings = connection.recv()
             except EOFError:
                 return
-            _run_in_fork(job, connection)
+            _run_in_fork(job, surroundings, connection)
 
 
 def _send(connection: Connection, report: JobResult | float) -> None:
@@ -399,7 +562,7 @@ def _send(connection: Connection, report: JobResult | float) -> None:
     connection.send_bytes(msgspec.msgpack.encode(report))
 
 
-def _run_in_fork(job: Job, connection: Connection) -> None:
+def _run_in_fork(job: Job, surroundings: _Surroundings, connection: Connection) -> None:
     """Run the job in a forked child process of this worker, and wait for the end of the child.
 
     A fork is a fresh process for each run that has all imports of the worker. The child sends
@@ -414,6 +577,7 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
         die_with_parent(worker_pid)
         # A process that a pattern forks must not write into the pipe of results.
         os.register_at_fork(after_in_child=connection.close)
+        _enter(surroundings)
         _do(job, connection)
         os.write(write_end, b"1")
         os._exit(0)  # without waiting for threads of a pattern
@@ -422,6 +586,18 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
     if not _has_byte(read_end):
         _end_like(os.waitstatus_to_exitcode(status))
     os.close(read_end)
+
+
+def _enter(surroundings: _Surroundings) -> None:
+    """Give this fork the folder and the environment that its user has now.
+
+    What libraries read at the start of the worker stays.
+    """
+    with suppress(OSError):  # the folder was removed
+        os.chdir(surroundings.folder)
+    for name in [name for name in os.environ if not _acts_at_start(name)]:
+        del os.environ[name]
+    os.environ.update(surroundings.environment)
 
 
 def _has_byte(read_end: int) -> bool:

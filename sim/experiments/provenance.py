@@ -5,10 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import re
 import subprocess
-from collections.abc import Iterable, Iterator, Set
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Set
 from importlib.machinery import all_suffixes
 from importlib.metadata import version
 from pathlib import Path
@@ -19,7 +17,7 @@ import swarmd
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import read_regular, user_path
 from swarmd.core.kernels import describe_kernels
-from swarmd.core.libm import digest_of_libm
+from swarmd.core.pin import functions_here
 from swarmd.plugins import mission_files, pattern_files
 
 NOT_IN_RUNS = frozenset({"cli", "film", "live", "plots", "report", "testing"})
@@ -38,17 +36,15 @@ class GitState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     is_dirty: bool
 
 
-def made_with() -> dict[str, str]:
-    """Versions of the software and processor features that results depend on, by name.
+def made_with(functions: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Versions of the software and of the functions that results depend on, by name.
 
-    `code` is the digest of swarmd's sources. `simd`: the instruction sets that numpy uses on this
-    processor; they change the last bits of results. `libm`: `digest_of_libm`. `blas`:
-    OPENBLAS_CORETYPE, which overrides OpenBLAS's own choice by processor.
+    `functions`: what the process computes with that simulates, as `functions_here` gives it there;
+    None: this process. `code` is the digest of swarmd's sources.
     """
     import mujoco
     import numpy as np
 
-    simd = np.show_config(mode="dicts")["SIMD Extensions"]
     return {
         "swarmd": version("swarmd"),
         "python": platform.python_version(),
@@ -58,21 +54,18 @@ def made_with() -> dict[str, str]:
         "msgspec": msgspec.__version__,
         "kernels": describe_kernels(),
         "libc": " ".join(platform.libc_ver()).strip() or "unknown",
-        "libm": digest_of_libm(),
-        "machine": f"{platform.system()} {platform.machine()}",
-        "processor": _processor(),
-        "simd": " ".join((*simd.get("baseline", ()), *simd.get("found", ()))),
-        "blas": os.environ.get("OPENBLAS_CORETYPE") or "as the processor is",
+        **(functions_here() if functions is None else functions),
         "code": digest_of_code(Path(swarmd.__file__).parent),
     }
 
 
-def _processor(facts: Path = Path("/proc/cpuinfo")) -> str:
-    """The name of the processor; unknown if the system does not tell."""
-    with suppress(OSError):
-        if found := re.search(r"^model name\s*: (.*)$", facts.read_text(), re.MULTILINE):
-            return found[1]
-    return "unknown"
+def deciding(made: Mapping[str, str]) -> dict[str, str]:
+    """The entries of `made_with` that decide the bits of results.
+
+    A pinned process has equal bits on every x86-64, whatever the name of the processor is.
+    """
+    is_free = made.get("pinned") == "yes"
+    return {name: text for name, text in made.items() if not (is_free and name == "processor")}
 
 
 def digest_of_code(folder: Path) -> str:

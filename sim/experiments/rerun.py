@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -85,9 +85,16 @@ def rerun(
 
 
 def trace_differences(a: Trace, b: Trace) -> list[str]:
-    """The names of the fields that differ between two traces in at least one bit."""
+    """The names of the fields that differ between two traces in at least one bit.
+
+    Where a trace was made (`made` of its meta) is no part of what it holds.
+    """
     names = [field.name for field in fields(Trace)]
-    return [name for name in names if _bits(getattr(a, name)) != _bits(getattr(b, name))]
+    one, other = (
+        replace(trace, meta={k: v for k, v in trace.meta.items() if k != "made"})
+        for trace in (a, b)
+    )
+    return [name for name in names if _bits(getattr(one, name)) != _bits(getattr(other, name))]
 
 
 def first_difference(a: Trace, b: Trace) -> str:

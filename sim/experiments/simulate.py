@@ -26,6 +26,7 @@ from typing import Any, TypeAlias, cast
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.numbers import python_value
+from swarmd.core.pin import functions_here
 from swarmd.plugins import MISSION
 from swarmd.sim.experiments.executor import Executor, on_executor
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
@@ -35,6 +36,7 @@ from swarmd.sim.experiments.pool import (
     Job,
     JobResult,
     Shares,
+    has_workers,
     run_job,
     run_jobs,
 )
@@ -87,14 +89,16 @@ def simulate(
     metrics: Iterable[str | Metric] = (),
     on_progress: OnProgress | None = None,
     executor: Executor | None = None,
+    in_process: bool = False,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
     - `set`: overrides by dotted key of the scenario's file: `{"groups.tb3.count": 5}`.
     - `sweep`: lists of values by dotted key: `{"groups.tb3.parameters.spacing": [0.6, 0.8]}`. Every
       combination is run.
-    - `jobs`: worker processes that do the runs, from scripts and notebooks alike. With 1, this
-      process does the runs. The results are the same, bit by bit.
+    - `jobs`: worker processes that do the runs, from scripts and notebooks alike. The results are
+      the same, bit by bit, with any number and on every x86-64 with the same software: workers are
+      pinned (`swarmd.core.pin`). One worker stays for the next call, until this process ends.
     - `traces`: keep the trace of each run in the folder.
     - `timeout`: a run in a worker process fails after this time in s without progress.
     - `out`: the folder of the experiment, as for `swarmctl exp run`. A repeated call with this
@@ -107,6 +111,8 @@ def simulate(
     - `executor`: does the runs on its workers, in place of `jobs`: a `concurrent.futures.Executor`,
       such as that of Dask (`Client.get_executor`) or `mpi4py.futures`, or an executor of submitit.
       A worker has the same software, else SwarmError names the difference.
+    - `in_process`: this process does the runs, for a debugger. It is not pinned, and the manifest
+      says so: last bits may be others.
     - `on_progress`: called with the progress after each run, and in worker processes also during
       runs. `progress()` of `swarmd.sim.cli.progress` gives the display of `swarmctl exp run`.
 
@@ -124,8 +130,12 @@ def simulate(
     if shard is not None:
         plan = replace(plan, shard=parse_shard(shard))
     custom = beyond_catalog(map(metric_of, metrics))
-    manifest = manifest_of(plan, traces=traces, command=[], metrics=custom)
-    runner = runner_of(jobs, timeout, cores, executor)
+    if in_process and (executor is not None or max(jobs, cores) > 1):
+        raise ConfigError("in_process stands alone; leave out jobs, cores and executor")
+    is_here = in_process or (executor is None and not has_workers())
+    runner = run_here if is_here else runner_of(jobs, timeout, cores, executor)
+    functions = functions_here() if is_here else None
+    manifest = manifest_of(plan, traces=traces, command=[], metrics=custom, functions=functions)
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
         results = run_experiment(manifest, folder, runner, on_progress=on_progress)
@@ -144,7 +154,7 @@ def simulate(
 def runner_of(
     jobs: int = 1, timeout: float = STEP_TIMEOUT, cores: int = 1, executor: Executor | None = None
 ) -> Runner:
-    """What does the runs: `executor`, else `jobs` worker processes, else this process.
+    """What does the runs: `executor`, else `jobs` worker processes; this process without workers.
 
     `timeout`: s without progress after which a run fails, except in this process. `cores`: the
     number of processes that share the robots of a run. ConfigError for `jobs` beside `executor`.
@@ -153,7 +163,7 @@ def runner_of(
         if jobs > 1:
             raise ConfigError(f"jobs is {jobs} beside an executor, whose workers set the number")
         return on_executor(executor, timeout, cores)
-    if max(jobs, cores) > 1:
+    if has_workers():
         return partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
     return run_here
 

@@ -34,6 +34,7 @@ from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
+from swarmd.core.pin import is_pinned, processor
 from swarmd.core.values import Array, Value
 from swarmd.kin.make import KinMaker, hear_many
 from swarmd.kit.behavior import Pattern
@@ -71,6 +72,11 @@ _HUGE_PAGES_AT, _MANY = 5.0, 64  # s, robots; a shorter or smaller run gains les
 _PARTS = 50  # of a run, between which garbage is collected
 
 _NO_PATTERNS: Mapping[str, type[Pattern[Any]]] = MappingProxyType({})
+
+
+def _made() -> dict[str, str]:
+    """What a trace says of the process that made it: `pinned` (`yes`, `no`) and `processor`."""
+    return {"pinned": "yes" if is_pinned() else "no", "processor": processor()}
 
 
 def simulate_run(
@@ -425,7 +431,7 @@ class Lockstep:
         """The trace up to now, complete in the first process; all processes must call this."""
         self._recorder.record_instant(self.world.time, self.commands, self.shells)
         kept = self._process.collect(self._recorder.kept(self._process.rows))
-        meta = dict(meta_of(self.scenario, self.seed))
+        meta = {**meta_of(self.scenario, self.seed), "made": _made()}
         if any(event.fault for event in self.scenario.events):
             meta["said"] = sorted(
                 line for part in self._process.collect(self._said()) for line in part

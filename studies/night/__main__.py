@@ -24,6 +24,7 @@ from studies.night.sources import ROOT, changed_since, commit_of, forget
 from studies.outcomes.outcome import software
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.core.files import lock_file
+from swarmd.core.pin import restart_pinned
 
 LOGS = ROOT / "build" / "night"
 OVERVIEW = "night"
@@ -180,6 +181,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # and so all jobs, whose results are equal on any x86-64
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a reader such as head ends it
     try:
         raise SystemExit(main())

@@ -3,7 +3,8 @@
 Prints a table. Exit code 1 if an outcome is not reached and is not kept as missed, or if as many
 runs as are kept, on such a machine, give other values. `--keep` runs the control, too, writes the
 values of each run and those of the short form beside the pattern, and the table of the pattern's
-page; exit code 0. `--still` prints the control alone: the same runs with robots that never move
+page; exit code 0. `--keep-short` makes the values of the short forms alone again, in some minutes
+for all patterns. `--still` prints the control alone: the same runs with robots that never move
 (studies/outcomes/still.py); exit code 0.
 `tests/studies/test_outcomes.py` tests a few seeds.
 """
@@ -14,6 +15,8 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 from studies.outcomes.catalog import MODULES, short_outcomes
 from studies.outcomes.outcome import (
@@ -22,12 +25,14 @@ from studies.outcomes.outcome import (
     Outcome,
     digits_of,
     keep,
+    keep_short,
     kept_outcomes,
     other_digits,
     renewal,
 )
 from studies.outcomes.still import control_of
 from swarmd.core.errors import SwarmError, unknown
+from swarmd.core.pin import restart_pinned
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -39,11 +44,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--keep", action="store_true", help="write patterns/PATTERN/outcome.json")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
+    form.add_argument("--keep-short", action="store_true", help="write the short forms alone")
     form.add_argument("--still", action="store_true", help="the control: robots that never move")
     options = parser.parse_args(arguments)
     for name in options.patterns:
         if name not in MODULES:
             raise SwarmError(unknown("pattern with outcomes", name, MODULES))
+    if options.keep_short:
+        keep_short_forms(options.patterns or [*MODULES], options.jobs)
+        return 0
     print(f"| pattern | {' | '.join(HEAD)} |\n|---{'|---' * len(HEAD)}|")
     kept, problems = kept_outcomes(), 0
     for name in options.patterns or MODULES:
@@ -67,6 +76,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if problems else 0
 
 
+def keep_short_forms(patterns: Sequence[str], jobs: int) -> None:
+    """Make the short forms of patterns again, so many at a time, and keep their values."""
+    with ProcessPoolExecutor(jobs, mp_context=get_context("fork")) as pool:
+        for name, outcomes in zip(patterns, pool.map(short_outcomes, patterns), strict=True):
+            keep_short(name, outcomes)
+            print(f"{name}: {len(outcomes)} outcomes of the short form are kept", flush=True)
+
+
 def report_digits(kept: Kept, outcomes: Sequence[Outcome]) -> int:
     """Print which values differ from the kept ones, with the remedy; how many outcomes differ."""
     machine = kept.other_machine()
@@ -80,6 +97,7 @@ def report_digits(kept: Kept, outcomes: Sequence[Outcome]) -> int:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # kept digits are compared on any x86-64
     try:
         raise SystemExit(main())
     except SwarmError as error:

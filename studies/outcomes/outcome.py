@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import platform
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from functools import cache
@@ -18,8 +18,10 @@ import numpy as np
 
 from studies.night.pages import with_part
 from studies.night.sources import commit_of, digest_of, sources_of
+from swarmd.core.pin import functions_here, is_pinned
 from swarmd.core.values import Array
 from swarmd.sim.experiments.manifest import PROCESSOR
+from swarmd.sim.experiments.pool import worker_functions
 from swarmd.sim.experiments.provenance import made_with
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import (
@@ -38,10 +40,11 @@ KEPT = "outcome.json"
 """The outcomes that were kept, beside the pattern."""
 PART = "outcomes"
 """The name of the part of a pattern's page."""
-MACHINE = (*PROCESSOR, "processor", "libc", "numpy", "scipy", "mujoco")
+MACHINE = (*PROCESSOR, "numpy", "scipy", "mujoco")
 """The keys of `Kept.made_with` for the machine and its libraries of mathematics.
 
-Lockstep repeats bit by bit where they are equal."""
+Lockstep repeats bit by bit where they are equal; the processor counts only if a side was not
+pinned."""
 SHORT_SEED = 1
 """The seed of the short form."""
 FEW, UNBOUNDED = 20, "-"
@@ -175,9 +178,10 @@ class Kept(msgspec.Struct, frozen=True):
 
     `made_with`: `software`, and the keys `day`, `commit`, `digest` (of the sources that decide the
     values) and `cpu_minutes` (that the values took). `short`: the values of the short form
-    (`catalog.short_outcomes`) by the same software, by which a run of the suite shows that the
-    table is old. `still`: the outcomes of robots that never move (`still.control_of`), in the order
-    of `outcomes`; none if the pattern moves no robot.
+    (`catalog.short_outcomes`), by which a run of the suite shows that the table is old;
+    `short_made_with`: the software that gave them, `made_with` if empty. `still`: the outcomes of
+    robots that never move (`still.control_of`), in the order of `outcomes`; none if the pattern
+    moves no robot.
     """
 
     pattern: str
@@ -186,6 +190,7 @@ class Kept(msgspec.Struct, frozen=True):
     outcomes: tuple[Outcome, ...]
     short: tuple[Digits, ...] = ()
     still: tuple[Outcome, ...] = ()
+    short_made_with: dict[str, str] = {}
 
     @property
     def table(self) -> str:
@@ -211,12 +216,22 @@ class Kept(msgspec.Struct, frozen=True):
         Libraries of mathematics choose their code by processor, and Python 3.12 adds numbers in
         another way than 3.11. So the last digits differ, and later all digits of a run.
         """
-        here, there = software(), self.made_with
-        series = [made.get("python", "").rpartition(".")[0] for made in (here, there)]
-        differing = [key for key in MACHINE if here[key] != there.get(key)]
-        differing += ["python"] * (series[0] != series[1])
-        texts = [f"{key}: {there.get(key, 'unknown')}, here {here[key]}" for key in differing]
-        return ", ".join(texts) or None
+        return other_machine(self.made_with, software())
+
+    def other_machine_of_short(self, here: Mapping[str, str]) -> str | None:
+        """As `other_machine`, of the machine that gave the short form; `here`: `software`."""
+        return other_machine(self.short_made_with or self.made_with, here)
+
+
+def other_machine(there: Mapping[str, str], here: Mapping[str, str]) -> str | None:
+    """What differs between two machines, each as `software` gives it, as text; else None."""
+    series = [made.get("python", "").rpartition(".")[0] for made in (here, there)]
+    is_free = here["pinned"] == there.get("pinned") == "yes"
+    keys = [key for key in MACHINE if not (is_free and key == "processor")]
+    differing = [key for key in keys if here[key] != there.get(key)]
+    differing += ["python"] * (series[0] != series[1])
+    texts = [f"{key}: {there.get(key, 'unknown')}, here {here[key]}" for key in differing]
+    return ", ".join(texts) or None
 
 
 def digits_of(outcomes: Sequence[Outcome]) -> tuple[Digits, ...]:
@@ -238,8 +253,14 @@ def renewal(pattern: str) -> str:
 
 @cache
 def software() -> dict[str, str]:
-    """`made_with`, with the processor and the C library, on which last digits depend, too."""
-    return {**made_with(), "processor": _processor(), "libc": " ".join(platform.libc_ver())}
+    """`made_with` of workers and of this process, with the processor as Linux numbers it.
+
+    `pinned` is `no` unless both are pinned: outcomes are computed in both.
+    """
+    functions = dict(worker_functions())
+    if not is_pinned():
+        functions |= functions_here()
+    return {**made_with(functions), "processor": _processor()}
 
 
 def _processor() -> str:
@@ -271,10 +292,21 @@ def keep(
     commit, digest = commit_of(sources_of(sources)), digest_of(sources)
     origin = {"day": date.today().isoformat(), "commit": commit, "digest": digest}
     made = {**software(), **origin, "cpu_minutes": f"{cpu_minutes:.2f}"}
-    kept = Kept(pattern, seeds, made, tuple(outcomes), digits_of(short), tuple(still))
+    kept = Kept(pattern, seeds, made, tuple(outcomes), digits_of(short), tuple(still), software())
     page = PATTERNS / pattern / "page.md"
     page.write_text(with_part(page.read_text(), PART, kept.table))
     (PATTERNS / pattern / KEPT).write_bytes(as_file(kept))
+
+
+def keep_short(pattern: str, short: Sequence[Outcome]) -> None:
+    """Write the values of the short form into the file of a pattern; its table stays as it is.
+
+    The table stays old if it was old: `made_with` does not change.
+    """
+    file = PATTERNS / pattern / KEPT
+    kept = msgspec.convert(json.loads(file.read_bytes()), Kept)
+    made = msgspec.structs.replace(kept, short=digits_of(short), short_made_with=software())
+    file.write_bytes(as_file(made))
 
 
 def as_file(kept: Kept) -> bytes:
@@ -284,7 +316,7 @@ def as_file(kept: Kept) -> bytes:
     """
     builtins = msgspec.to_builtins(kept)
     text = json.dumps(builtins, ensure_ascii=False, separators=(",", ":")).encode()
-    for start in (b'{"pattern"', b'{"what"', b'"short"'):
+    for start in (b'{"pattern"', b'{"what"', b'"short"', b'"short_made_with"'):
         text = text.replace(start, b"\n" + start)
     return text.strip() + b"\n"
 

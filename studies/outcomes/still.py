@@ -76,6 +76,8 @@ def still_robots(pattern: str) -> Iterator[Motion]:
 
     with (
         patch.object(lockstep, "world_of", still_world),
+        # A worker has the world of other robots: this process does the runs.
+        patch("swarmd.sim.experiments.simulate.has_workers", lambda: False),
         patch.object(point_swarm, "obeyed", still_point),
     ):
         yield motion

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from swarmd.core.pin import pinned_environment
 from swarmd.core.values import Array
 from swarmd.sim.experiments.provenance import made_with
 from swarmd.sim.experiments.rerun import first_difference, trace_differences
@@ -42,6 +43,7 @@ SCENARIOS: Mapping[str, float] = {
 """The s of each scenario."""
 SEED = 1
 FACTS = "facts.json"
+_OLDER = "-AVX,-AVX512F,-SSE4_1,-SSE4_2,-SSSE3,-ERMS,-FSRM"
 _POINTS = 3001  # arguments of a function
 
 
@@ -52,13 +54,16 @@ class Variant(NamedTuple):
     cores: int = 1
     is_equal: bool = True
     """Whether it changes the program alone, and so no bit."""
+    is_pinned: bool = False
+    """Whether its process is pinned: compared with a pinned process, it changes no bit."""
 
 
 def variants() -> dict[str, Variant]:
     """The variants by name that this machine has.
 
     GLIBC_TUNABLES chooses among the functions of glibc on x86-64, NPY_DISABLE_CPU_FEATURES among
-    those of numpy, OPENBLAS_CORETYPE among the products of OpenBLAS.
+    those of numpy, OPENBLAS_CORETYPE among the products of OpenBLAS. Pinned variants are compared
+    with a pinned process, the others with this one as it is.
     """
     found = {
         "another hash seed": Variant({"PYTHONHASHSEED": "7"}),
@@ -80,6 +85,13 @@ def variants() -> dict[str, Variant]:
     blas = {"OPENBLAS_CORETYPE": "Nehalem"}
     found["OpenBLAS of Nehalem"] = Variant(blas, is_equal=False)
     found["all three"] = Variant(processor | blas, is_equal=False)
+    # As processors of other years compute, each pinned: the pin leaves the rest of these words.
+    older = {"GLIBC_TUNABLES": f"glibc.cpu.hwcaps={_OLDER}"}
+    found["pinned, glibc of an older processor"] = Variant(older, is_pinned=True)
+    found["pinned, all three, interpreted kernels"] = Variant(
+        processor | older | {"OPENBLAS_CORETYPE": "Sandybridge", "SWARMD_COMPILED": "0"},
+        is_pinned=True,
+    )
     return found
 
 
@@ -93,10 +105,15 @@ def run_variant(variant: Variant, folder: Path, names: Iterable[str], share: flo
     command = [sys.executable, "-m", "studies.processors", "traces", str(folder)]
     subprocess.run(
         [*command, "--share", str(share), "--cores", str(variant.cores), "--only", *names],
-        env={**os.environ, **variant.environment},
+        env=_environment(variant),
         cwd=ROOT,
         check=True,
     )
+
+
+def _environment(variant: Variant) -> dict[str, str]:
+    environment = {**os.environ, **variant.environment}
+    return pinned_environment(environment) if variant.is_pinned else environment
 
 
 def write_traces(folder: Path, names: Iterable[str], *, share: float = 1.0, cores: int = 1) -> None:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 
 from studies.night.jobs import JOBS
 from studies.outcomes import outcome, still
 from studies.outcomes.__main__ import main
-from studies.outcomes.catalog import MODULES, short_outcomes
+from studies.outcomes.catalog import MODULES
 from studies.outcomes.outcome import (
     SHORT_SEED,
     Outcome,
@@ -23,6 +27,7 @@ from studies.outcomes.outcome import (
     renewal,
     reported,
 )
+from swarmd.core.pin import pinned_environment
 
 pytestmark = pytest.mark.long
 
@@ -39,6 +44,23 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
     ]
 
 
+@pytest.fixture(scope="module")
+def short_forms() -> Iterator[subprocess.Popen[str]]:
+    """A pinned process that answers with the short form of each pattern."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "studies.outcomes.short"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        env=pinned_environment(),
+    ) as process:
+        yield process
+        assert process.stdin is not None
+        process.stdin.close()
+
+
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "pattern",
     [
@@ -46,18 +68,24 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
         for name, module in MODULES.items()
     ],
 )
-def test_one_run_reaches_every_outcome_with_the_kept_digits(pattern: str) -> None:
+def test_one_run_reaches_every_outcome_with_the_kept_digits(
+    pattern: str, short_forms: subprocess.Popen[str]
+) -> None:
     """In its short form. IS_LONG: two seconds of processor time and more, or run by another test;
     tests/patterns has its rules, and tests/sim/lockstep/test_matrix.py runs it in a swarm.
 
-    A run repeats bit by bit on one machine, so any other digit shows that the table is old. On
-    another processor or C library the last digits differ, and soon all: there a small tolerance
-    would fail, and a large one would show nothing. So digits are compared on the machine of the
-    file alone, and elsewhere only the bounds."""
-    outcomes = short_outcomes(pattern)
+    A pinned run repeats bit by bit on any x86-64 with the same libraries, so any other digit shows
+    that the table is old. With another C library the last digits differ, and soon all: there a
+    small tolerance would fail, and a large one would show nothing. So digits are compared with the
+    libraries of the file alone, and elsewhere only the bounds."""
+    assert short_forms.stdin is not None
+    assert short_forms.stdout is not None
+    print(pattern, file=short_forms.stdin, flush=True)
+    answer = json.loads(short_forms.stdout.readline())
+    outcomes = msgspec.convert(answer["outcomes"], tuple[Outcome, ...])
     assert len(outcomes) >= 2
     assert missed(outcomes) == []
-    machine = KEPT[pattern].other_machine()
+    machine = KEPT[pattern].other_machine_of_short(answer["software"])
     if machine is not None:
         pytest.skip(f"bounds reached; digits not compared: {machine}")
     assert other_digits(KEPT[pattern].short, digits_of(outcomes)) == [], renewal(pattern)

@@ -119,13 +119,16 @@ def forked_python() -> Iterator[type[ForkedPython]]:
     with contextlib.ExitStack() as left:
 
         def connect() -> socket.socket:
+            from swarmd.core.pin import pinned_environment
+
             ours, theirs = _connection()
             with theirs:
                 process = subprocess.Popen(
                     [sys.executable, "-P", __file__, str(theirs.fileno())],
                     pass_fds=(theirs.fileno(),),
                     stdin=subprocess.DEVNULL,
-                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                    # Workers of experiments are pinned, which acts at the start of a process alone.
+                    env={**pinned_environment(), "OPENBLAS_NUM_THREADS": "1"},
                     process_group=0,
                 )
             left.callback(process.wait)

@@ -178,7 +178,7 @@ def test_a_wrong_worker_and_the_end_of_the_scheduler_are_one_line_and_keep_finis
         simulate("aggregation", 3, set={"duration": 1}, out=far, on_progress=on_first_run)
     workers: tuple[tuple[str, str, dict[str, str], list[str]], ...] = (
         ("bare", str(ROOT), {}, ["swarmd"]),
-        ("old", "", {"OPENBLAS_CORETYPE": "Nehalem"}, ["blas", "Nehalem"]),
+        ("old", "", {"SWARMD_COMPILED": "0"}, ["kernels", "interpreted"]),
     )
     with dask_cluster(cluster.address) as executor:
         for name, lacks, environment, subjects in workers:

@@ -43,7 +43,7 @@ def test_comes_back_as_it_was_and_gives_the_same_runs(manifest: Manifest, tmp_pa
 def test_says_what_it_was_made_with(manifest: Manifest, duo: Path) -> None:
     made = manifest.made_with
     names = "swarmd python numpy mujoco scipy msgspec kernels code"
-    machine = "machine processor libc libm simd blas"
+    machine = "machine processor libc libm functions simd blas pinned"
     assert set(made) == {*names.split(), *machine.split()}
     assert all(made.values())
     assert list(manifest.plugins) == [f"{duo.parent}/plugins/moody.py"]
@@ -88,6 +88,19 @@ def test_what_is_no_manifest_is_one_line(tmp_path: Path, data: bytes | None) -> 
     assert "\n" not in str(caught.value)
 
 
+def test_another_processor_is_a_difference_only_if_workers_were_not_pinned(
+    manifest: Manifest,
+) -> None:
+    def elsewhere(**made: str) -> Manifest:
+        return msgspec.structs.replace(manifest, made_with={**manifest.made_with, **made})
+
+    assert manifest.made_with["pinned"] == "yes"
+    assert list(differences(manifest, elsewhere(processor="Z80"))) == []
+    free = elsewhere(pinned="no")
+    (found,) = differences(free, elsewhere(pinned="no", processor="Z80"))
+    assert found.endswith(", now Z80")
+
+
 @pytest.mark.parametrize(
     ("changes", "subject"),
     [
@@ -103,7 +116,8 @@ def test_what_is_no_manifest_is_one_line(tmp_path: Path, data: bytes | None) -> 
         ({"made_with": {"simd": "1.0"}}, "instructions for numpy"),
         ({"made_with": {"libm": "0"}}, "the C library's mathematical functions"),
         ({"made_with": {"libc": "glibc 2.1"}}, ", now glibc 2.1"),
-        ({"made_with": {"processor": "Z80"}}, ", now Z80"),
+        ({"made_with": {"functions": "0"}}, "functions of numpy"),
+        ({"made_with": {"pinned": "no"}}, "pinned"),
         ({"made_with": {"new": "1.0"}}, "new was unknown, now 1.0"),
     ],
 )

@@ -16,6 +16,7 @@ from swarmd.sim.experiments.pool import (
     Job,
     JobResult,
     Shares,
+    _kept_workers,
     _Worker,
     run_job,
     run_jobs,
@@ -100,6 +101,7 @@ def test_several_processes_for_a_run_give_its_metrics(duo: Path) -> None:
     for seed in (0, 1):
         assert several[f"s{seed}"].metrics == run_job(job(duo, seed)).metrics is not None
     assert several["s2"].metrics is not None
+    _kept_workers().end()
     assert set(children(os.getpid())) <= before
 
 
@@ -131,6 +133,7 @@ def test_a_process_of_a_run_that_fails_is_named(duo: Path, end: str, words: str)
     assert found["s0"].reason.startswith(f"process {at + 1} of the 3 of this run")
     assert words in found["s0"].reason
     assert found["s1"].metrics is not None
+    _kept_workers().end()
     assert set(children(os.getpid())) <= before
 
 
@@ -178,6 +181,7 @@ def test_a_pattern_that_forks_has_one_result(duo: Path) -> None:
     found = results(run_jobs(jobs, 1, timeout=20.0))
     assert [result.run for result in found] == ["s0", "s1", "s2"]
     assert all(result.metrics is not None for result in found), found
+    _kept_workers().end()
     assert set(children(os.getpid())) <= before
 
 
@@ -190,11 +194,13 @@ def test_a_pattern_that_closes_all_files_costs_its_own_run(duo: Path) -> None:
 
 @pytest.mark.usefixtures("real_starts")
 def test_closing_ends_all_processes(duo: Path) -> None:
+    _kept_workers().end()
     before = set(children(os.getpid()))
     long = [job(duo, seed, None, {"duration": 3600}) for seed in (1, 2)]
     with closing(run_jobs([job(duo, 0), *long], 2)) as found:
         assert next(item.run for item in found if isinstance(item, JobResult)) == "s0"
         assert len(set(children(os.getpid())) - before) == 2
+    _kept_workers().end()
     assert set(children(os.getpid())) <= before
 
 

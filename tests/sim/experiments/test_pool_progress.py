@@ -14,6 +14,7 @@ class InstantWorker:
     """A worker that has the result of each job at once."""
 
     is_alive, share = True, 0.25
+    is_of_main_thread = False  # so that it is not kept
 
     def __init__(self) -> None:
         self.pipe = object()
@@ -36,7 +37,9 @@ def test_progress_is_that_of_runs_under_way_and_none_follows_the_last_result(
     def wait(pipes: Sequence[object], timeout: float) -> Sequence[object]:
         return pipes
 
+    kept = pool._KeptWorkers()
     monkeypatch.setattr(pool, "_Worker", InstantWorker)
+    monkeypatch.setattr(pool, "_kept_workers", lambda: kept)
     monkeypatch.setattr(pool, "wait", wait)
     monkeypatch.setattr(pool, "_PROGRESS_PERIOD", 0.0)
     jobs = [Job(run, {}, 1, None) for run in ("a", "b")]

@@ -128,7 +128,7 @@ def test_sweeps_have_a_variant_for_each_point(duo: Path) -> None:
 
 def test_progress_is_told_after_each_run(duo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told: list[Progress] = []
-    small(duo, on_progress=told.append)
+    small(duo, on_progress=told.append, in_process=True)  # workers report shares of runs, too
     assert [(one.done, one.total, one.failed) for one in told] == [(0, 2, 0), (1, 2, 0), (2, 2, 0)]
     assert [one.worked for one in told] == [0.0, told[0].left / 2, told[0].left]
     assert told[-1].left == 0.0

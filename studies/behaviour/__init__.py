@@ -1,0 +1,1 @@
+"""The ledger of behaviours: how every pattern and part of a robot drives, second by second."""
