@@ -152,7 +152,7 @@ class Watcher:
         self.seq += 1
         self.odometry = Odometry(self.now, at if told is None else told, ZERO)
         limits = spec.range_min, spec.range_max
-        given = is_filled if is_filled.any() else None
+        given = is_filled.astype(np.float64) if is_filled.any() else None
         scan = Scan(self.seq, self.now, ranges, spec.bearings, *limits, None, 0.0, given)
         context = DecisionContext(self.now, 0.0, self.odometry, 0.0)
         self.barrier.observe(scan, self.geometry, context)
