@@ -95,8 +95,8 @@ class Scan(Struct, frozen=True, eq=False):
       None in a conditioned scan: all rays have the same time.
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
       `latency`; None for a raw scan.
-    - `filled`: (n,) bool, True for each ray of a conditioned scan that this scan did not measure,
-      and whose range comes from an earlier scan or from the rays beside it. None: no such ray.
+    - `filled`: (n,) 1 for each ray of a conditioned scan that this scan did not measure, and whose
+      range comes from an earlier scan or from the rays beside it, else 0. None: no such ray.
     - `borrowed`: how many rays, the first ones, are those of the scan before. They fill a sector
       that this scan did not measure, since the robot turned against the sensor. They are not among
       the rays of `filled`.
@@ -113,7 +113,7 @@ class Scan(Struct, frozen=True, eq=False):
     range_max: float
     ages: Array | None = None
     newest_age: float | None = None
-    filled: NDArray[np.bool_] | None = None
+    filled: Array | None = None
     borrowed: int = 0
 
 

@@ -17,7 +17,6 @@ from array import array
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
@@ -369,7 +368,7 @@ def _scan_with(
     bearings: Array,
     ages: Array | None,
     newest_age: cython.double,
-    filled: NDArray[np.bool_] | None,
+    filled: Array | None,
     borrowed: cython.Py_ssize_t = 0,
 ) -> Scan:
     """A copy of a scan with other ranges, bearings and ages, and other unmeasured rays."""
@@ -378,10 +377,10 @@ def _scan_with(
 
 
 @cython.cfunc
-def _behind_borrowed(filled: NDArray[np.bool_] | None, borrowed: cython.Py_ssize_t) -> Any:
+def _behind_borrowed(filled: Array | None, borrowed: cython.Py_ssize_t) -> Any:
     """`Scan.filled` of a scan before whose rays there are `borrowed` rays of the scan before."""
     if borrowed == 0 or filled is None:
         return filled
-    whole = np.concatenate((np.zeros(borrowed, np.bool_), filled))
+    whole = np.concatenate((np.zeros(borrowed), filled))
     whole.setflags(write=False)
     return whole

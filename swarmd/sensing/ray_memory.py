@@ -101,7 +101,7 @@ class RayMemory:
     """Interprets the ranges of a scan by the memory of each ray. Times in s, angles rad, ranges m.
 
     `known_at`: see `ScanConditioner`. `far_returns`: of the last scan with returns. `filled`: (n,)
-    bool, the rays that the last scan did not measure; None without such a ray.
+    1 for each ray that the last scan did not measure, else 0; None without such a ray.
     """
 
     known_at = cython.declare(cython.double, visibility="readonly")
@@ -172,7 +172,7 @@ class RayMemory:
         if self._interpret_ranges(ranges):
             self._interpret_zeros(ranges, now)
         unknown_count: cython.Py_ssize_t = self._remember(ranges, now)
-        self.filled = np.isnan(np.asarray(ranges)) if unknown_count else None
+        self.filled = np.isnan(ranges).astype(np.float64) if unknown_count else None
         if 2 * unknown_count > len(ranges):  # fewer than half of the rays are known
             return False
         self.known_at = now

@@ -156,6 +156,9 @@ def read_only(scan: Scan) -> Scan:
     ages = None if scan.ages is None else scan.ages.copy()
     if ages is not None:
         ages.flags.writeable = False
+    filled = None if scan.filled is None else scan.filled.copy()
+    if filled is not None:
+        filled.flags.writeable = False
     return Scan(
         scan.seq,
         scan.stamp,
@@ -165,6 +168,8 @@ def read_only(scan: Scan) -> Scan:
         scan.range_max,
         ages,
         scan.newest_age,
+        filled,
+        scan.borrowed,
     )
 
 

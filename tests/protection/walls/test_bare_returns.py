@@ -152,7 +152,7 @@ class Watcher:
         self.seq += 1
         self.odometry = Odometry(self.now, at if told is None else told, ZERO)
         limits = spec.range_min, spec.range_max
-        given = is_filled if is_filled.any() else None
+        given = is_filled.astype(np.float64) if is_filled.any() else None
         scan = Scan(self.seq, self.now, ranges, spec.bearings, *limits, None, 0.0, given)
         context = DecisionContext(self.now, 0.0, self.odometry, 0.0)
         self.barrier.observe(scan, self.geometry, context)
@@ -489,6 +489,46 @@ def test_a_single_lost_ray_takes_its_neighbours_alone() -> None:
     control = Watcher().watch([wall(y)]).bare
     seen = Watcher().watch([wall(y)], filled=one).bare
     assert np.flatnonzero(control & ~seen).tolist() == [lost - 1, lost, lost + 1]
+
+
+@pytest.mark.parametrize(("count", "is_bare"), [(4, True), (5, False)])
+def test_a_stretch_has_at_most_four_sectors_of_lost_rays(count: int, is_bare: bool) -> None:
+    """A row of legs has more gaps. The wall is so short that no stretch is left beside them."""
+    y = side("turtlebot4", 0.2)
+
+    def some(bearings: Array) -> NDArray[np.bool_]:
+        return np.isin(np.arange(len(bearings)), 70 + 8 * np.arange(count))
+
+    seen = Watcher().watch([wall(y, -0.6, 0.55)], filled=some)
+    assert bool(seen.bare.any()) == is_bare
+
+
+@pytest.mark.parametrize(("radius", "is_bare"), [(8.0, False), (15.0, True)])
+def test_a_wall_that_bends_is_bare_from_a_radius_of_ten_metres_on(
+    radius: float, is_bare: bool
+) -> None:
+    seen = Watcher("burger").watch([Round(0.0, 0.25 + radius, radius)])
+    assert bool(seen.bare.any()) == is_bare
+
+
+class Remembered:
+    """A memory of the blind zone with one obstacle, `nearest` m from the lidar."""
+
+    def __init__(self, bearing: float, nearest: float) -> None:
+        self.bearings, self.nearest = np.array([bearing]), np.array([nearest])
+
+    def update(self, *_: Any) -> None:
+        """The memory stays as it is."""
+
+
+def test_the_memory_of_the_blind_zone_takes_the_returns_near_it() -> None:
+    """The memory alone: all rays show the wall."""
+    y = side("burger", 0.06)
+    seen = Watcher("burger", FORMS[0]).watch([wall(y)])
+    place = Round(-0.032 + 0.11 * math.cos(1.2), 0.11 * math.sin(1.2), 0.001)
+    assert seen.at_fault(place) > 3
+    seen.barrier._hidden = Remembered(1.2, 0.11)
+    assert seen.see([wall(y)]).at_fault(place) == 0
 
 
 def test_a_told_place_gives_the_returns_near_it_their_extent() -> None:
