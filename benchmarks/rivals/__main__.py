@@ -336,16 +336,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(line, file=sys.stderr, flush=True)
     before = _load()
     samples = measured(chosen, found, given.sizes, given.rays, given.rounds, given.seconds)
-    during = _load()
-    python = next((command for name, command in found.items() if name.startswith("VMAS")), None)
-    steps = learning_table(python, given.rounds, given.seconds)
     conditions = (
         f"{given.rounds} rounds of samples of {given.seconds:g} CPU-s on one processor, in turn."
-        f" Load average (1, 5, 15 min) {before} before, {during} after; {machine()}. A ratio is to"
+        f" Load average (1, 5, 15 min) {before} before, {_load()} after; {machine()}. A ratio is to"
         " the first row in the same round, since the load changes both; then the least and the"
         " greatest ratio."
     )
-    print("\n\n".join([*tables(chosen, samples, given.sizes, given.rays), *missing, conditions]))
+    blocks = [*tables(chosen, samples, given.sizes, given.rays), *missing, conditions]
+    print("\n\n".join(blocks), flush=True)
+    python = next((command for name, command in found.items() if name.startswith("VMAS")), None)
+    steps = learning_table(python, given.rounds, given.seconds)
     print(f"\n<!-- results: rivals_learning -->\n\n{steps}\n\n{conditions}", flush=True)
 
 
