@@ -53,7 +53,7 @@ from swarmd.protection.limiting_obstacles import LimitingRows
 from swarmd.protection.obstacles import NO_NUMBERS, NO_ROWS, NearObstacles
 from swarmd.protection.outline import Outline
 from swarmd.protection.passage import Room
-from swarmd.protection.projection import Projection, is_feasible
+from swarmd.protection.projection import Projection
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import Speeds, StopCheck
 from swarmd.protection.walls.standing_walls import StandingWalls
@@ -72,8 +72,6 @@ else:
 
 SLOW_REQUEST = cython.declare(cython.double, 3.0 * CREEP_SPEED)
 """m/s: a robot with a faster request does not creep towards an obstacle."""
-_LEAST_SHARE = cython.declare(cython.double, 0.1)
-"""Of the creep speed: a locked robot with less stands."""
 _RIPE_TIME = 0.6  # s in which a robot begins to move once walls have stood
 CREEP_GAIN = cython.declare(cython.double, 1e-6)
 """How much nearer to the request creeping must come; the distance is that of the projection."""
@@ -374,31 +372,10 @@ class Barrier:
         )
         if fastest > CREEP_SPEED or not creeping.is_locked(self._feasible.constraints):
             return 0
-        rows: ConstraintRows = self._feasible.constraints.rows
         creeping.begin_out(self._feasible.constraints, self._feasible.near)
-        projection.project(rows, wanted_x, wanted_y)
-        fastest = creeping.slow.fastest_corner(
-            projection.x * axes.limit, projection.y * axes.angular_limit, axes
-        )
-        if fastest < _LEAST_SHARE * CREEP_SPEED:
-            # A turn that has swung the rear to the wall waits until the robot has gone ahead.
-            self._go_straight(rows, CREEP_SPEED / axes.limit)
+        projection.project(self._feasible.constraints.rows, wanted_x, wanted_y)
         self._speeds.linear = projection.x * axes.limit
         self._speeds.angular = projection.y * axes.angular_limit
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _go_straight(self, rows: ConstraintRows, x: cython.double) -> cython.int:
-        """Set `_projection` to ahead or back, `x` of the linear limit, if only one is permitted.
-
-        The other one closes on what is near, and this one opens the gap. Beside a wall both are
-        permitted, and a robot without a request for them stands.
-        """
-        may_go_ahead: cython.bint = is_feasible(rows, x, 0.0)
-        may_go_back: cython.bint = is_feasible(rows, -x, 0.0)
-        if may_go_ahead != may_go_back:
-            self._projection.x = x if may_go_ahead else -x
-            self._projection.y = 0.0
 
 
 def _rays_and_ranges(bearings: Array, nearest: Array) -> Array:

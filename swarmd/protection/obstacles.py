@@ -484,7 +484,9 @@ class NearObstacles:
             self._unsorted_gap = doubles(len(unsorted.x))
         if len(self.surface_gap) < self.points.count:
             self.surface_gap = doubles(len(self.points.x))
-        find_surface_gaps(unsorted.x, unsorted.y, unsorted.gap, self._returns, self._unsorted_gap)
+        find_surface_gaps(
+            unsorted.x, unsorted.y, unsorted.gap, self._returns, self._outline, self._unsorted_gap
+        )
         for i in range(self._returns, unsorted.count):
             self._unsorted_gap[i] = NAN
         for i in range(self.contacts):

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.protection.outline import Outline
+
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
 else:
@@ -22,14 +24,11 @@ SURFACE_SPACING = cython.declare(cython.double, 0.05)
 WIDE_SURFACE = cython.declare(cython.double, 0.3)
 """m: a surface of at least this width is wide. A lidar above the bodies of robots sees parts of
 them that are 6 to 11 cm wide."""
-RANK_RAYS = cython.declare(cython.Py_ssize_t, 8)
-"""Returns to either side among which the gap of a return is ranked, at most."""
-RANK_SHARE = cython.declare(cython.double, 0.4)
-"""The share of these returns that are nearer than the ranked gap. Of a wall it is 0.3 cm too small,
-with a standard deviation of 0.3 cm (that of a single range is 1 cm). A mean would be less noisy,
-and too great before an edge that points at the robot."""
-RANK_BELOW = cython.declare(cython.double, 0.1)
-"""m: a return with a greater gap keeps its own gap."""
+MEAN_RAYS = cython.declare(cython.Py_ssize_t, 5)
+"""Returns to either side that give the mean place of a return, at most: the noise of one ray (sd
+1 cm) becomes 0.3 cm. Before an edge that points at the robot the mean is up to 0.5 cm too far."""
+MEAN_BELOW = cython.declare(cython.double, 0.1)
+"""m: a return with a greater gap keeps its own place."""
 
 
 @cython.cfunc
@@ -39,14 +38,15 @@ def find_surface_gaps(
     y: cython.double[::1],
     gap: cython.double[::1],
     count: cython.Py_ssize_t,
+    outline: Outline,
     surface_gap: cython.double[::1],
 ) -> cython.int:
     """Set the gap in m of each return to the wide surface that it is on; NaN: it is on none.
 
     A surface is a run of returns, of which each two neighbours are at most SURFACE_SPACING apart.
     The first and the last run are one surface if their ends are neighbours. The width of a surface
-    is the diagonal of the box along the axes of the base around its returns. The gap of a return is
-    ranked among those of its neighbours, as many to the left as to the right.
+    is the diagonal of the box along the axes of the base around its returns. The gap is that of the
+    mean place of the return and its neighbours, as many to the left as to the right.
 
     `x`, `y`, `gap`: of the first `count` near returns of a scan, in the order of their rays.
     """
@@ -79,8 +79,9 @@ def find_surface_gaps(
         for i in range(begin, end):
             at = (start + i) % count
             surface_gap[at] = gap[at] if is_wide else NAN
-            if is_wide and gap[at] < RANK_BELOW:
-                surface_gap[at] = _ranked_gap(gap, at, min(i - begin, end - 1 - i), count)
+            if is_wide and gap[at] < MEAN_BELOW:
+                neighbours: cython.Py_ssize_t = min(i - begin, end - 1 - i)
+                surface_gap[at] = _gap_of_mean(x, y, at, neighbours, count, outline)
         begin = end
     return 0
 
@@ -96,26 +97,25 @@ def _is_step(
 
 @cython.cfunc
 @cython.exceptval(-1.0, check=True)
-def _ranked_gap(
-    gap: cython.double[::1],
+def _gap_of_mean(
+    x: cython.double[::1],
+    y: cython.double[::1],
     at: cython.Py_ssize_t,
     most: cython.Py_ssize_t,
     count: cython.Py_ssize_t,
+    outline: Outline,
 ) -> cython.double:
-    """The gap in m with rank RANK_SHARE among return `at` and up to `most` to either side."""
+    """The gap in m of the mean place of return `at` and of up to `most` returns to either side.
+
+    The mean of gaps would be too great where a corner of the outline points at the surface.
+    """
     i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    reach: cython.Py_ssize_t = min(most, RANK_RAYS)
-    first: cython.Py_ssize_t = at - reach + count
+    reach: cython.Py_ssize_t = min(most, MEAN_RAYS)
     total: cython.Py_ssize_t = 2 * reach + 1
-    wanted: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, RANK_SHARE * total)
+    first: cython.Py_ssize_t = at - reach + count
+    sum_x: cython.double = 0.0
+    sum_y: cython.double = 0.0
     for i in range(total):
-        value: cython.double = gap[(first + i) % count]
-        nearer: cython.Py_ssize_t = 0  # returns before `value`; the first of equals comes first
-        for j in range(total):
-            other: cython.double = gap[(first + j) % count]
-            if other < value or (other == value and j < i):
-                nearer += 1
-        if nearer == wanted:
-            return value
-    return gap[at]  # not reached: gaps are numbers
+        sum_x += x[(first + i) % count]
+        sum_y += y[(first + i) % count]
+    return outline.gap_of(sum_x / total, sum_y / total)

@@ -346,6 +346,18 @@ def test_a_told_obstacle_and_a_circle_keep_a_robot_from_creeping_out() -> None:
     assert decided(under_barrier(robot, keep_out=0.3), scan, ahead).safe == ZERO
 
 
+def test_a_flank_in_contact_lets_a_robot_go_ahead_and_back() -> None:
+    """The rays to a robot beside it: ahead closes on the first ones, back on the last ones."""
+    robot = VISIBLE[0]
+    scan = seeing(robot, [(ray, -1.0) for ray in range(55, 106)])
+    for speed in (0.22, -0.22):
+        safe = decided(robot, scan, Twist(speed)).safe
+        assert safe.linear == pytest.approx(math.copysign(CREEP_SPEED, speed), rel=1e-6)
+        assert safe.angular == pytest.approx(0.0, abs=1e-9)
+    for turn in (1.0, -1.0):  # the flank reaches from behind the axle to before it
+        assert decided(robot, scan, Twist(0.0, turn)).safe.angular == pytest.approx(0.0, abs=1e-9)
+
+
 def points(platform: Platform, scan: Scan) -> list[Array]:
     """The returns as points in the base frame."""
     return [
