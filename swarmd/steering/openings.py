@@ -67,6 +67,8 @@ _SAME_AXIS = cython.declare(cython.double, 0.14)
 _SAME_HALF = cython.declare(cython.double, 0.08)
 _SAME_SPAN = cython.declare(cython.double, 0.2)
 _SAME_ANGLE = cython.declare(cython.double, 0.4)
+# Weight of the lengths of a new sighting: others may hide a part of what it shows.
+_LENGTH_WEIGHT = cython.declare(cython.double, 0.4)
 SIGHTINGS = cython.declare(cython.longlong, 2)
 """Sightings of an opening before right of way uses it."""
 _FORGET_SINGLE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
@@ -85,12 +87,6 @@ def _reach(places: cython.double[::1], count: cython.Py_ssize_t) -> cython.doubl
             if reach < places[i] and places[i] - reach <= _MAX_HOLE:
                 reach = places[i]
     return reach
-
-
-@cython.cfunc
-def _grown(old: cython.double, new: cython.double, is_more: cython.bint) -> cython.double:
-    """A filtered length; it grows faster than it shrinks, since a part may be hidden."""
-    return old + (0.4 if is_more else 0.03) * (new - old)
 
 
 @cython.final
@@ -387,8 +383,9 @@ class Opening:
     def update(self, sighting: Opening) -> cython.int:
         """Take in another sighting: a weighted mean of place, angle and lengths.
 
-        The weight falls with the number of sightings, down to a tenth. The middle moves only across
-        the axis of the opening: along the axis, `first` and `last` say where the opening lies.
+        The weight of the place and the angle falls with the number of sightings, down to a tenth;
+        that of the lengths does not. The middle moves only across the axis of the opening: along
+        the axis, `first` and `last` say where the opening lies.
         """
         weight: cython.double = 1.0 / min(self.hits + 1, 10)
         turn: cython.double = sighting.angle - self.angle
@@ -413,11 +410,10 @@ class Opening:
         self.y += weight * cos_angle * side
         self.angle += weight * remainder(turn, PI)
         self.half += weight * (sighting.half - self.half)
-        # Longer lengths count more than shorter ones, see `_grown`.
-        self.first = _grown(self.first, first, first < self.first)
-        self.last = _grown(self.last, last, last > self.last)
-        self.left = _grown(self.left, left, left > self.left)
-        self.right = _grown(self.right, right, right > self.right)
+        self.first += _LENGTH_WEIGHT * (first - self.first)
+        self.last += _LENGTH_WEIGHT * (last - self.last)
+        self.left += _LENGTH_WEIGHT * (left - self.left)
+        self.right += _LENGTH_WEIGHT * (right - self.right)
         self.hits, self.seen_at = self.hits + 1, sighting.seen_at
 
 

@@ -10,7 +10,7 @@ block each other for good.
   1992), and requests little more speed than protection allows. For a faster request, protection
   would choose a command with a turn, since beside a wall a robot that turns away may move faster.
 - Where two robots meet and neither can pass: each backs off for a random time that grows (random
-  backoff, Metcalfe and Boggs 1976). A robot that has come forward since it was last blocked waits.
+  backoff, Metcalfe and Boggs 1976).
 - A robot that can neither turn nor go on takes the fastest twist that protection allows.
 
 A robot in contact creeps by envelope.py (`Creeping`).
@@ -91,9 +91,6 @@ _OTHER_SIDE_COST = cython.declare(cython.double, math.radians(40.0))
 _YIELD_TIME = cython.declare(cython.double, 12.0)  # s, the longest back-off
 # s within which the next block belongs to the same meeting
 _ROUND_TIME = cython.declare(cython.double, 15.0)
-# m of progress since the last block after which a robot waits
-_MIN_GAIN = cython.declare(cython.double, 0.05)
-_WAIT_TIMES = (1.0, 3.0)  # s for which it waits
 # Of the requested speed: with less the robot looks for a narrow passage.
 _LIMITED_SHARE = cython.declare(cython.double, 0.9)
 _PURSUIT_LENGTH = 0.2  # m ahead on the middle line
@@ -132,7 +129,6 @@ class Others(Struct, frozen=True, gc=False):
     are_near: bool = False  # moving objects are near
     are_avoided: bool = False  # the request leads past a moving object
     is_settled: bool = False  # the request gives way at an opening or passes it: recovery ends
-    patience: float = 0.0  # s of blocked motion before recovery begins, at least
 
 
 NO_OTHERS = Others()
@@ -175,8 +171,7 @@ class Recovery:
     _escape: Twist | None  # the twist of state back; None without one
     _back_off_count: cython.longlong
     _back_time: cython.double
-    _patience: cython.double
-    _last_block: tuple[Any, Pose] | None  # its time and pose; None without one
+    _last_block_at: cython.double  # s; -inf without one
     _request: Twist  # the last replacement
     _last_motion: tuple[Any, Pose] | None  # its time and pose; None without one
     _began_at: cython.double
@@ -196,7 +191,7 @@ class Recovery:
         self._turn_weight = math.pow(limits.linear / limits.angular, 2.0)
         self._rng = Random(seed)
         self._side, self._side_until = -1.0, -INFINITY
-        self._back_time, self._patience = _BACK_OFF_TIME, _MOVE_BLOCKED_TIME
+        self._back_time, self._last_block_at = _BACK_OFF_TIME, -INFINITY
         self.reset()
 
     @cython.ccall
@@ -247,10 +242,10 @@ class Recovery:
             return requested
 
         # 2. Before a recovery. A robot that is neither blocked nor stalled keeps its request, which
-        # is led along the middle line in a passage. A blocked robot waits, or begins a recovery.
+        # is led along the middle line in a passage. A blocked robot begins a recovery.
         # `patience`: s of blocked motion before a recovery begins.
-        patience: cython.double = _CROWD_PATIENCE if others.are_near else self._patience
-        is_blocked: cython.bint = self._is_blocked(safe, now, max(patience, others.patience))
+        patience: cython.double = _CROWD_PATIENCE if others.are_near else _MOVE_BLOCKED_TIME
+        is_blocked: cython.bint = self._is_blocked(safe, now, patience)
         if not has_taken_over:
             if not is_blocked and not self._is_stalled(context, points):
                 if others.are_avoided:
@@ -259,8 +254,7 @@ class Recovery:
                 else:
                     self._request = self._through_passage(requested, safe, points)
                 return self._request
-            if self._should_wait(context, points()):  # sets a longer `_patience` for the next block
-                return self._request
+            self._set_back_time(now, points())
             self._start(pattern_request, context, points())
             is_blocked = False  # the request was blocked, not yet the command of the recovery
 
@@ -374,43 +368,23 @@ class Recovery:
         )
 
     @cython.cfunc
-    def _should_wait(self, context: DecisionContext, points: Array) -> cython.bint:
-        """Choose how a robot that has just been blocked gives way; True: it waits.
+    def _set_back_time(self, now: cython.double, points: Array) -> None:
+        """Set `_back_time` of a robot that has just been blocked, and `_back_off_count`.
 
-        If two robots meet between walls, a robot that has come forward since its last block waits
-        once. Otherwise the robot backs off, each time for longer: sets `_back_time`,
-        `_back_off_count` and `_patience`. In the open, or at the first block of a meeting, the
-        back-off is short, since the robots can drive around each other.
+        If two robots meet between walls, each block of the meeting makes the back-off longer. In
+        the open, or at the first block of a meeting, the back-off is short, since the robots can
+        drive around each other.
         """
-        # 1. In the open, or a new meeting.
-        now: cython.double = context.now
-        pose = None if context.odometry is None else context.odometry.pose
-        last_block, self._last_block = self._last_block, None if pose is None else (now, pose)
-        has_waited: cython.bint = (
-            self._patience != _MOVE_BLOCKED_TIME
-        )  # since the last block: set in step 2
-        self._patience = _MOVE_BLOCKED_TIME
-        if (
-            last_block is None
-            or pose is None
-            or not self._is_enclosed(points)
-            or now - last_block[0] > _ROUND_TIME
-        ):
+        is_new: cython.bint = now - self._last_block_at > _ROUND_TIME
+        self._last_block_at = now
+        if is_new or not self._is_enclosed(points):
             self._back_off_count, self._back_time = 0, _BACK_OFF_TIME
-            return False
+            return
 
-        # 2. A further block of the same meeting: waits once after progress.
-        dx, dy = pose.x - last_block[1].x, pose.y - last_block[1].y
-        progress_m: cython.double = cos(pose.yaw) * dx + sin(pose.yaw) * dy
-        if progress_m > _MIN_GAIN and not has_waited:
-            self._patience = self._rng.uniform(*_WAIT_TIMES)
-            return True
-
-        # 3. Else backs off for a random time whose bound doubles with each block.
+        # A random time whose bound doubles with each block.
         self._back_off_count += 1
         longest: cython.double = _BACK_OFF_TIME * 2.0 ** min(self._back_off_count, 4)
         self._back_time = self._rng.uniform(0.5, 1.0) * min(longest, _YIELD_TIME)
-        return False
 
     @cython.cfunc
     def _is_enclosed(self, points: Array) -> cython.bint:
@@ -479,7 +453,7 @@ class Recovery:
 
         # 2. The command of the state.
         if self._state == "back":
-            return self._backing(points)
+            return self._backing()
         yaw_error: cython.double = remainder(self._bearing - self._turned_since_plan(context), TURN)
         if self._state == "turn":
             if fabs(yaw_error) > _HEADING_TOLERANCE:
@@ -491,17 +465,14 @@ class Recovery:
         return Twist(self._speed, turn)
 
     @cython.cfunc
-    def _backing(self, points: Points) -> Twist:
-        """The command of state back; a long back-off follows the middle line of a passage."""
+    def _backing(self) -> Twist:
+        """The command of state back; a long back-off is faster."""
         speed: cython.double = 0.5 * self._speed
         if self._escape is not None:
             return self._escape
         if not self._is_backing:
             return Twist(speed)
-        if self._back_time <= _BACK_OFF_TIME:
-            return Twist(-speed)
-        target = self.middle(-points())  # seen from the rear
-        return Twist(-2.0 * speed, 0.0 if target is None else _turn_to(target))
+        return Twist(-speed if self._back_time <= _BACK_OFF_TIME else -2.0 * speed)
 
     @cython.cfunc
     def _is_fast(self, linear: cython.double, lateral: cython.double) -> cython.bint:

@@ -2,9 +2,8 @@
 
 A robot remembers the openings in walls that its scans show (openings.py). If the command that the
 pattern requests leads into a wall, the robot drives to the nearest opening in that wall. The robot
-waits beside an opening while other robots come out of the opening. When two robots meet within an
-opening, the robot that is deeper in goes on and the other robot backs out, and gives way for a
-random time.
+waits beside an opening while other robots come out of the opening. A robot in an opening that makes
+no progress backs out, and gives way for a random time.
 
 The result replaces the command that the pattern requested. Avoidance, recovery and protection
 treat the result as a requested command.
@@ -18,7 +17,6 @@ import math
 from random import Random
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple, replace
 
@@ -95,7 +93,6 @@ _IN_BESIDE = cython.declare(cython.double, 0.05)
 _ALIGNED = cython.declare(cython.double, 0.5)
 _ALIGNED_SHARE = cython.declare(cython.double, 0.25)
 _BEYOND = cython.declare(cython.double, 0.35)  # m beyond an opening at which the opening is passed
-_DEEP = cython.declare(cython.double, 0.2)  # m: a deeper opening is a corridor
 
 # What the tracks (other moving objects that the lidar shows) do.
 _PERSISTS = cython.declare(cython.double, 1.0)  # s after which a track is no part of a wall
@@ -114,8 +111,6 @@ _THRESHOLD = cython.declare(cython.double, 0.3)
 _FIRST_SEEN_IN = cython.declare(cython.double, -0.1)
 # m back from its farthest place: the track comes out again
 _BACKS_OUT = cython.declare(cython.double, 0.1)
-# m, in addition to the depth, within which a track that comes is met
-_MEETING = cython.declare(cython.double, 0.8)
 # A track comes from the side of the robot, or from the other side of the opening.
 _THIS_SIDE = cython.declare(cython.double, -1.0)
 _OTHER_SIDE = cython.declare(cython.double, 1.0)
@@ -137,8 +132,6 @@ _LETS_PASS = cython.declare(cython.double, 90.0)
 # s and m: with less a robot in an opening tries the other way
 _STUCK = cython.declare(cython.double, 6.0)
 _PROGRESS = cython.declare(cython.double, 0.03)
-# s behind a robot that does not go on, after which the robot clears the way
-_HELD_TIME = cython.declare(cython.double, 10.0)
 
 # How the robot drives.
 # m before an opening, where a robot turns into its axis
@@ -157,13 +150,6 @@ _OFF_AXIS_NEAR = cython.declare(cython.double, 0.35)
 _OFF_AXIS_SHARE = cython.declare(cython.double, 0.25)
 # m ahead on the axis: the place to which a robot drives (pure pursuit)
 _PURSUIT = cython.declare(cython.double, 0.15)
-# m to the side for each s by which rays to the left are younger than rays to the right: a robot in
-# a corridor keeps away from the wall whose rays are older.
-_LEAN = cython.declare(cython.double, 0.1)
-_LEAN_FROM = cython.declare(cython.double, 0.15)  # m before a corridor from which the robot does so
-# rad: the bearing of the walls beside, and how far around it
-_ABEAM = cython.declare(cython.double, 1.0)
-_ABEAM_WIDTH = cython.declare(cython.double, 0.6)
 # m beside and before an opening that a robot leaves free for others
 _BESIDE = cython.declare(cython.double, 0.5)
 _FREE = cython.declare(cython.double, 1.4)
@@ -171,9 +157,6 @@ _FARTHER_BESIDE = cython.declare(cython.double, 0.15)  # m beside that, to which
 # m before an opening at least, and m back
 _ASIDE_FAR = cython.declare(cython.double, 0.4)
 _ASIDE_STEP = cython.declare(cython.double, 0.1)
-# m to another robot below which a place to wait is taken
-_TAKEN = cython.declare(cython.double, 0.4)
-_NEXT_PLACE, _PLACES = 0.4, 4  # m back to the next place to wait, and the number of places
 # rad within which a waiting robot faces the place where it will line up
 _FACES = cython.declare(cython.double, 0.2)
 _FACING = cython.declare(cython.double, 0.5)  # rad/s, of its turn to that place: below _TURNING
@@ -254,7 +237,6 @@ class _Traffic(Struct, frozen=True, gc=False):
 
     is_busy: bool = False  # a robot comes out
     is_behind: bool = False  # another robot that wants to pass is nearer: this robot is behind
-    is_met: bool = False  # this robot is in the opening; a robot comes towards it from deeper in
     is_close: bool = False  # another robot that goes in is close ahead
     is_queued: bool = False  # a robot that has not come out waits on the side of this robot
 
@@ -277,8 +259,6 @@ class RightOfWay:
     _yaw: cython.double
     _trail: OdometryTrail
     _passed_at = cython.declare(cython.double, visibility="public")
-    # m to the left of the axis at which the robot drives in a corridor
-    _lean: cython.double
     _speed: cython.double  # m/s; the fastest speed requested so far, as in recovery
     _opening: Opening | None  # the chosen one; None: requests pass
     _sign: cython.double  # 1 or -1: the way through, along the angle of the opening or opposite
@@ -302,8 +282,6 @@ class RightOfWay:
     _is_lined_up: cython.bint
     # m to the left: the middle measured between the posts less that of the sightings; None before.
     _middle_offset: float | None = cython.declare(object)
-    _held_since: cython.double  # when the robot began to wait for a robot ahead
-    _held_along: cython.double  # m along the axis, where this was
 
     def __init__(
         self, clearance: Clearance, limits: Limits, seed: str, returns: ScanReturns | None = None
@@ -338,7 +316,6 @@ class RightOfWay:
         self._sides, self._farthest, self._seen_since, self._within_at = {}, {}, {}, {}
         self._came_out = set()
         self._progress_along = self._progress_at = self._busy_at = -INFINITY
-        self._held_along = -INFINITY
         self._is_backing, self._is_lined_up = False, False
 
     @property
@@ -361,19 +338,10 @@ class RightOfWay:
 
     @cython.ccall
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
-        """Take in a conditioned scan; `offset` in m is the place of the sensor in the base frame.
-
-        Sets `_lean`.
-        """
+        """Take in a conditioned scan; `offset`: m, the place of the sensor in the base frame."""
         odometry = context.odometry
         # Read with each scan: the tracker takes in the scan next.
         tracks: tuple[Track, ...] = () if self._surroundings is None else self._surroundings.tracks
-        ages = scan.ages if self._opening is not None else None
-        if ages is not None and len(ages) == len(scan.bearings):
-            left_ages = ages[np.abs(scan.bearings - _ABEAM) < _ABEAM_WIDTH]
-            right_ages = ages[np.abs(scan.bearings + _ABEAM) < _ABEAM_WIDTH]
-            if len(left_ages) and len(right_ages):
-                self._lean = _LEAN * float(right_ages.mean() - left_ages.mean())
         if odometry is None or context.odometry_age is None:
             return
         self.on_odometry(odometry)
@@ -555,7 +523,7 @@ class RightOfWay:
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
         moving objects) in the same frame. `now`: s.
         """
-        is_busy = is_behind = is_met = is_close = is_queued = False
+        is_busy = is_behind = is_close = is_queued = False
         for id, along, aside in map(astuple, others):
             # 1. The side from which the track came. The side stays while the track is within or
             # near the opening.
@@ -583,13 +551,11 @@ class RightOfWay:
             backs_out = farthest > -_IN and along < farthest - _BACKS_OUT
             is_ahead = along > place.along
             if came_from == _OTHER_SIDE or backs_out:
-                # The track comes out. Compares the m that each robot would have to back out.
-                own_m, other_m = place.along + _IN, place.depth + _IN - along
+                # The track comes out. Two robots that meet within the opening both go on until one
+                # of them is stuck: a robot that backed out at once passed no more often.
+                is_met = place.is_in and is_ahead
                 is_in_or_through = along < place.depth + _IN
-                if place.is_in and is_ahead:
-                    meets = along - place.along < _MEETING + place.depth
-                    is_met |= meets and other_m > max(own_m, 0.0)
-                elif is_in_or_through or along - place.depth < -place.along:
+                if not is_met and (is_in_or_through or along - place.depth < -place.along):
                     is_busy = True  # the track is in or through the opening, or nearer to it
                     if is_within:
                         self._within_at[id] = now
@@ -597,7 +563,7 @@ class RightOfWay:
                 is_close |= along - place.along < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
             elif hypot(along + _LINE_UP, aside) < place.to_line_up:
                 is_behind = True  # the track is nearer to the place to line up
-        return _Traffic(is_busy, is_behind, is_met, is_close, is_queued)
+        return _Traffic(is_busy, is_behind, is_close, is_queued)
 
     @cython.cfunc
     def _decide_state(
@@ -631,25 +597,23 @@ class RightOfWay:
         # 2. Judges the traffic. The time to keep clear counts from the last decision with traffic,
         # and is random, so that two robots do not enter together. Then the state.
         traffic = self._judge_traffic(place, others, now)
-        self._update_progress(place, traffic, now)
-        if traffic.is_met or traffic.is_busy or self._is_backing:
+        self._update_progress(place, now)
+        if traffic.is_busy or self._is_backing:
             has_passed = now - self._passed_at < _RECENTLY
             self._busy_at = now
             self._keep_clear_for = self._rng.uniform(
                 *(_PASSED_TIMES if has_passed else _CLEAR_TIMES)
             )
         self.state = self._next_state(place, traffic, now)
-        return self._request(place, others, safe_for)
+        return self._request(place, safe_for)
 
     @cython.cfunc
-    def _update_progress(self, place: _Place, traffic: _Traffic, now: float) -> None:
+    def _update_progress(self, place: _Place, now: float) -> None:
         """Set `_is_backing`, and store where and when the robot last made progress."""
         is_stuck = now - max(self._progress_at, self._chosen_at) > _STUCK
         has_moved = abs(place.along - self._progress_along) > _PROGRESS
         if not place.is_in:
             self._is_backing = False
-        elif traffic.is_met:
-            self._is_backing = True
         elif is_stuck:  # tries the other way
             self._is_backing = not self._is_backing
         elif not has_moved:
@@ -661,11 +625,10 @@ class RightOfWay:
         """The state by the first of eight rules whose condition is true.
 
         The state before does not count. What the rules remember does, and is updated: whether the
-        robot is lined up (on the axis before the opening), and since when a robot ahead holds the
-        robot.
+        robot is lined up (on the axis before the opening).
         """
-        # Rule 1: a robot in an opening that meets a robot coming towards it backs out until it has
-        # left the opening. A robot that made no progress for _STUCK s reverses its direction.
+        # Rule 1: a robot in an opening that made no progress for _STUCK s, as one that has met
+        # another robot, reverses its direction.
         if self._is_backing:
             return WayState.BACK
 
@@ -676,9 +639,8 @@ class RightOfWay:
         # Rules 3 and 4: the robot must give way
         # a) while a robot comes out, and for a random time after that;
         # b) while another robot that wants to pass is nearer to the opening;
-        # c) for a time after it stood for _HELD_TIME s behind a robot that does not go on;
-        # d) while a robot that was last seen in the opening may still be there;
-        # e) for _LETS_PASS s after a passage, while a robot that has not come out of the opening
+        # c) while a robot that was last seen in the opening may still be there;
+        # d) for _LETS_PASS s after a passage, while a robot that has not come out of the opening
         #    waits on its side.
         hidden_for = _HIDDEN + self._keep_clear_for
         self._within_at = {id: at for id, at in self._within_at.items() if now - at < hidden_for}
@@ -698,13 +660,7 @@ class RightOfWay:
         if not self._is_lined_up:
             return WayState.GO
 
-        # Rule 6: another robot that goes in is close ahead; or rules 3 and 4 (by case c) after
-        # _HELD_TIME s without progress behind a robot that is close ahead.
-        if not traffic.is_close or place.along > self._held_along + _PROGRESS:
-            self._held_since, self._held_along = now, place.along
-        elif now - self._held_since > _HELD_TIME:
-            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_CLEAR_TIMES) + _HIDDEN
-            return self._giving_way(place)
+        # Rule 6: another robot that goes in is close ahead.
         if traffic.is_close:
             return WayState.WAIT
 
@@ -716,17 +672,16 @@ class RightOfWay:
     def _giving_way(self, place: _Place) -> WayState:
         """Rule 3 where others can pass the robot: it stands. Rule 4 elsewhere: it clears the way.
 
-        The robot counts as not lined up and not held from now on.
+        The robot counts as not lined up from now on.
         """
-        self._is_lined_up, self._held_along = False, -INFINITY
+        self._is_lined_up = False
         return WayState.WAIT if place.leaves_free else WayState.ASIDE
 
     @cython.cfunc
-    def _request(self, place: _Place, others: list[_PlacedTrack], safe_for: Allows) -> Twist:
+    def _request(self, place: _Place, safe_for: Allows) -> Twist:
         """The command of the present state at a place in the frame of the opening.
 
-        `others`: the tracks (other moving objects) in the same frame. `safe_for` gives the command
-        that protection would make of any command.
+        `safe_for` gives the command that protection would make of any command.
         """
         state = self.state
         if state is WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
@@ -734,9 +689,7 @@ class RightOfWay:
             turn: cython.double = min(max(remainder(behind, TURN), -_BACK_TURN), _BACK_TURN)
             return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), safe_for)
         if state is WayState.IN or state is WayState.LINE:
-            is_in_corridor = place.depth > _DEEP and place.along > -_LEAN_FROM
-            lean = self._lean if is_in_corridor and state is WayState.IN else 0.0
-            return self._fastest(self._drive(place.along + _PURSUIT, lean, place), safe_for)
+            return self._fastest(self._drive(place.along + _PURSUIT, 0.0, place), safe_for)
         if state is WayState.APPROACH:
             return self._drive(place.along + _PURSUIT, 0.0, place)
         if state is WayState.GO:
@@ -748,7 +701,8 @@ class RightOfWay:
                 self._waiting_side = copysign(1.0, place.aside)
             elif not self._waiting_side:
                 self._waiting_side = -1.0
-            along, aside = self._waiting_place(place, others)
+            along = min(place.along, -_ASIDE_FAR) - _ASIDE_STEP
+            aside = self._waiting_side * (place.half_width + _BESIDE + _FARTHER_BESIDE)
             return self._drive(along, aside, place)
         # A robot that waits faces the place where it will line up.
         bearing: cython.double = atan2(-place.aside, -_LINE_UP - place.along) - place.heading
@@ -756,19 +710,6 @@ class RightOfWay:
         if not place.leaves_free or fabs(error) < _FACES:
             return ZERO
         return Twist(0.0, min(max(_GAIN * error, -_FACING), _FACING))
-
-    def _waiting_place(self, place: _Place, others: list[_PlacedTrack]) -> tuple[float, float]:
-        """The place to wait on the chosen side: m along the axis, and m to its left.
-
-        The first of _PLACES places that no other robot takes, from the opening back; else the last.
-        """
-        aside = self._waiting_side * (place.half_width + _BESIDE + _FARTHER_BESIDE)
-        along = min(place.along, -_ASIDE_FAR) - _ASIDE_STEP
-        for _ in range(_PLACES - 1):
-            if all(math.hypot(o.along - along, o.aside - aside) > _TAKEN for o in others):
-                break
-            along -= _NEXT_PLACE
-        return along, aside
 
     @cython.cfunc
     def _find_middle(self, place: _Place, points: Points) -> None:

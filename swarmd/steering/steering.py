@@ -14,8 +14,6 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from msgspec.structs import replace
-
 from swarmd.core.avoided import Avoided
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Platform, Scan, TouchZone, Twist
@@ -166,9 +164,6 @@ class Steering:
         allows = _partial(self._protection.permitted, context, touch)
         points = _partial(self._protection.points, context, self._recovery.lookahead)
         passing_request, others = self._pass_others(clipped, context, allows, points)
-        patience = self._protection.wall_patience(context.now)
-        if patience > 0.0:  # recovery waits longer while near walls are about to have stood
-            others = replace(others, patience=patience)
         candidate = self._recovery.replacement(
             passing_request, self._protection.mode_command, context, points, others, allows
         )
