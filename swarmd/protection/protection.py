@@ -149,10 +149,6 @@ class Protection:
         """The free room that the mode needs to drive at `speed` m/s; None: it has no such bound."""
         return self._mode.clearance(speed)
 
-    def wall_patience(self, now: float) -> float:
-        """s until walls that are near have stood; 0 without such walls."""
-        return self._mode.wall_patience(now) if self._has_walls and is_barrier(self._mode) else 0.0
-
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
         self._scan_seq, self._scan, self._last_context = scan.seq, scan, None
