@@ -72,7 +72,6 @@ else:
 
 SLOW_REQUEST = cython.declare(cython.double, 3.0 * CREEP_SPEED)
 """m/s: a robot with a faster request does not creep towards an obstacle."""
-_RIPE_TIME = 0.6  # s in which a robot begins to move once walls have stood
 CREEP_GAIN = cython.declare(cython.double, 1e-6)
 """How much nearer to the request creeping must come; the distance is that of the projection."""
 
@@ -164,17 +163,6 @@ class Barrier:
     def moved_wall(self) -> MovedWall | None:
         """The wall that the last scan showed to move, against `walls_stand`; None without one."""
         return None if self._walls is None else self._walls.moved
-
-    def wall_patience(self, now: float) -> float:
-        """The s that a blocked robot should wait before recovery, since near walls will soon stand.
-
-        0 if all near walls have stood for _RIPE_TIME s at the time `now`, or if the assumption that
-        walls stand was violated.
-        """
-        walls = self._walls
-        if walls is None or not walls.is_trusted or not walls.ripe_at > now - _RIPE_TIME:
-            return 0.0
-        return float(walls.patience)
 
     def trust_walls(self, is_trusted: bool) -> None:
         """Whether the assumption `walls_stand` holds; False after it was found violated."""

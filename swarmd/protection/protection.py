@@ -149,10 +149,6 @@ class Protection:
         """The free room that the mode needs to drive at `speed` m/s; None: it has no such bound."""
         return self._mode.clearance(speed)
 
-    def wall_patience(self, now: float) -> float:
-        """s until walls that are near have stood; 0 without such walls."""
-        return self._mode.wall_patience(now) if self._has_walls and is_barrier(self._mode) else 0.0
-
     def hear(self, diagonal: float) -> None:
         """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
         if is_barrier(self._mode):
@@ -428,10 +424,6 @@ class ProtectionView:
     def clearance(self, speed: float) -> Clearance | None:
         """The free room that the mode needs to drive at `speed` m/s; None: it has no such bound."""
         return self._protection.clearance(speed)
-
-    def wall_patience(self, now: float) -> float:
-        """s until walls that are near have stood; 0 without such walls."""
-        return self._protection.wall_patience(now)
 
     def clip(self, requested: Twist | None) -> Twist:
         """The request within the limits; zero without a finite request."""

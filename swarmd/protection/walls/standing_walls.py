@@ -48,7 +48,6 @@ else:
 
 _odometry_share = cython.declare(cython.double, ODOMETRY_SHARE)
 _still = cython.declare(cython.double, STILL)
-_NEAR = cython.declare(cython.double, 0.5)  # m from the lidar, within which `ripe_at` counts
 # Periods between two scans: after more, a revolution of the lidar was lost.
 _LATE_TURN = cython.declare(cython.double, 1.6)
 _MISSED = cython.declare(cython.Py_ssize_t, 1)  # scans in a row that need not show a wall
@@ -115,10 +114,7 @@ def _bin_at(wall: Wall, run: Run, along: cython.double) -> cython.Py_ssize_t:
 class StandingWalls(ReturnLayer):
     """The walls around one robot that have stood still, and the returns of a scan on them."""
 
-    patience: cython.double  # 1.5 times the s for which a wall must stand
     is_trusted: cython.bint  # False: no return stands, since a wall was found to move
-    # s: the time at which the returns within _NEAR m of this and of all earlier scans have stood
-    ripe_at: cython.double
     moved: MovedWall | None  # MovedWall: what the last scan showed; None without a wall that moved
     _length: cython.double
     _seconds: cython.double
@@ -142,10 +138,8 @@ class StandingWalls(ReturnLayer):
         """`extent`: m, the `unseen_extent` of the platform."""
         ReturnLayer.__init__(self, len(platform.scan.bearings))
         self._length, self._seconds = walls_stand.length, walls_stand.seconds
-        self.patience = 1.5 * walls_stand.seconds
         self._period = 1.0 / platform.scan.rate
         self.is_trusted = True
-        self.ripe_at = -INFINITY
         has_foot = walls_stand.foot is not None
         self._runs = StraightRuns(platform, walls_stand.length, bridges=has_foot)
         self.wants_all = has_foot
@@ -400,7 +394,7 @@ class StandingWalls(ReturnLayer):
     def _mark_standing(self, wall: Wall, run: Run, now: cython.double) -> cython.int:
         """Mark the returns of a run in bins of a wall that have stood, or beside such a bin.
 
-        Sets `kinds` and `has_kinds`, and `ripe_at` by the returns in bins that will stand.
+        Sets `kinds` and `has_kinds`.
         """
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = run.length + 1
@@ -414,8 +408,6 @@ class StandingWalls(ReturnLayer):
             if self._has_stood(wall, bin_of_wall, now):
                 self.kinds[self._runs.ray[place]] = WALL
                 self.has_kinds = True
-            elif 0 <= bin_of_wall < _BINS:
-                self._ripen(place, wall.next_bins[bin_of_wall])
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -449,16 +441,6 @@ class StandingWalls(ReturnLayer):
         for k in range(low if low > 0 else 0, high + 1 if high < _BINS else _BINS):
             since: cython.double = wall.bins[k]
             wall.next_bins[k] = since if since < INFINITY else now
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _ripen(self, place: cython.Py_ssize_t, since: cython.double) -> cython.int:
-        """Note that a return will have stood `_seconds` after `since`, if it is near."""
-        dx: cython.double = self._runs.x[place] - self._runs.lidar_x
-        dy: cython.double = self._runs.y[place] - self._runs.lidar_y
-        is_later: cython.bint = self.ripe_at < since + self._seconds < INFINITY
-        if is_later and dx * dx + dy * dy <= _NEAR * _NEAR:
-            self.ripe_at = since + self._seconds
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -558,8 +540,6 @@ class StandingWalls(ReturnLayer):
         wall.low, wall.high = _BINS // 2 - covered, _BINS // 2 + covered - 1
         for k in range(_BINS):
             wall.bins[k] = motion.measured_at if wall.low <= k <= wall.high else INFINITY
-        for k in range(run.length + 1):
-            self._ripen(self._runs.return_of(run, k), motion.measured_at)
         self._wall_count += 1
         return 0
 

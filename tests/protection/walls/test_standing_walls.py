@@ -430,16 +430,6 @@ def test_a_robot_leaves_a_wall_that_stands_at_its_own_speed(kernel: Any) -> None
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_a_blocked_robot_waits_until_the_wall_has_stood(kernel: Any) -> None:
-    robot = watch(kernel, still(AHEAD), 1.0)
-    assert robot.barrier.wall_patience(robot.now) == 3.0
-    robot = watch(kernel, still(AHEAD), 3.0)
-    assert robot.barrier.wall_patience(robot.now) == 0.0
-    assert watch(kernel, still(moved(1.0)), 1.0).barrier.wall_patience(2.0) == 0.0
-    assert watch(kernel, still(AHEAD), 1.0, walls_stand=None).barrier.wall_patience(2.0) == 0.0
-
-
-@pytest.mark.parametrize("kernel", KERNELS)
 def test_a_body_before_a_wall_that_stands_is_charged(kernel: Any) -> None:
     robot = watch(kernel, still((0.6, -1.0, 0.6, 1.0), (0.2, -0.1, 0.2, 0.1)))
     assert robot.speed() < FAST
