@@ -319,8 +319,8 @@ def _remedy(status: Status) -> str:
     if wanted.unseen > 0.0:
         text += f", since up to {centimetres(wanted.unseen)} of an obstacle may be unseen"
     text += f": set it down {centimetres(wanted.gap)} from walls"
-    if wanted.lidar is not None:
+    if wanted.lidar is not None:  # this circle stays free of walls that stand, too
         text += f" ({wanted.lidar:.2f} m from its lidar)"
-    if status.walls_stand is None:
+    elif status.walls_stand is None:
         text += ", or declare `walls_stand` where no wall moves"
     return text

@@ -217,14 +217,17 @@ def test_a_robot_that_is_held_for_long_names_cause_and_remedy() -> None:
     assert "0.40 m" not in standing_beside_wall(held_for=None)
 
 
-def test_the_remedy_names_the_circle_of_a_lidar_and_no_wall_that_is_declared() -> None:
+def test_the_remedy_names_the_circle_of_a_lidar_which_no_declaration_takes_away() -> None:
     place = SetDown(gap=0.735, lidar=0.92, unseen=0.29)
-    text = standing_beside_wall(
-        held_for=12.0, set_down=place, walls_stand=WallsStandSummary(length=1.0, seconds=2.0)
-    )
+    text = standing_beside_wall(held_for=12.0, set_down=place)
     assert "0.74 m" in text
     assert "0.92 m" in text
     assert "walls_stand" not in text
+
+
+def test_the_remedy_names_no_declaration_that_is_made() -> None:
+    declared = WallsStandSummary(length=1.0, seconds=2.0)
+    assert "walls_stand" not in standing_beside_wall(held_for=12.0, walls_stand=declared)
 
 
 def test_a_mode_without_such_a_distance_names_none() -> None:
