@@ -89,8 +89,8 @@ def _dispatched() -> list[str]:
 def _simd() -> dict[str, list[str]]:
     import numpy as np
 
-    found: dict[str, list[str]] = np.show_config(mode="dicts")["SIMD Extensions"]
-    return found
+    found = np.show_config(mode="dicts")["SIMD Extensions"]
+    return {name: list(names) for name, names in found.items()}
 
 
 def is_pinned() -> bool:

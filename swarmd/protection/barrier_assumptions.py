@@ -69,8 +69,9 @@ class Assumptions:
         self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
         self.standing_speed = settings.standing_speed
         walls = settings.walls_stand
-        has_foot = walls is not None and walls.foot is not None
-        self.foot = walls.foot if has_foot else settings.unseen_extent
+        self.foot = settings.unseen_extent
+        if walls is not None and walls.foot is not None:
+            self.foot = walls.foot
         self.has_kinds = self.standing_speed < self.others_speed
         self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
         self.envelope_range = binding.for_envelope()

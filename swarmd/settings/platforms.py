@@ -350,8 +350,12 @@ def _lacking_for_barrier(file: PlatformFile) -> str:
 
 def _check_layers(file: PlatformFile) -> Iterator[Fault]:
     """Check that the layers of the barrier fit the footprint."""
-    for key, layer in file.protection.barrier.layers.items() if file.protection.barrier else ():
-        extent, cone = file.protection.barrier.unseen_extent, file.scan.cone_deg
+    barrier = file.protection.barrier
+    if barrier is None:
+        return
+    for key, layer in barrier.layers.items():
+        extent = barrier.unseen_extent
+        cone = file.scan.cone_deg
         for keys, text in layer.misfits(file.footprint, extent, math.radians(cone)):
             yield fault_at(("protection", "barrier", key, *keys), text)
 

@@ -53,7 +53,10 @@ def test_numpy_is_asked_for_its_baseline_by_the_names_that_it_has(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """numpy refuses NPY_ENABLE_CPU_FEATURES beside it, and names of its baseline."""
-    from numpy._core._multiarray_umath import __cpu_baseline__, __cpu_dispatch__
+    from numpy._core._multiarray_umath import (  # type: ignore[import-not-found]  # numpy has no types for it
+        __cpu_baseline__,
+        __cpu_dispatch__,
+    )
 
     monkeypatch.setattr(platform, "machine", lambda: "x86_64")
     made = pinned_environment({"NPY_ENABLE_CPU_FEATURES": "AVX2"})

@@ -181,7 +181,8 @@ class Watcher:
     @property
     def bare(self) -> NDArray[np.bool_]:
         """(n,) the rays whose return is bare."""
-        return np.array(self.barrier.kinds()) == BARE
+        kinds = np.array(self.barrier.kinds(), np.int64)
+        return np.equal(kinds, BARE)
 
     def at_fault(self, body: Body, within: float | None = None) -> int:
         """The number of bare returns that are too near to a body."""
@@ -484,7 +485,7 @@ def test_a_single_lost_ray_takes_its_neighbours_alone() -> None:
     lost = 70
 
     def one(bearings: Array) -> NDArray[np.bool_]:
-        return np.arange(len(bearings)) == lost
+        return np.equal(np.arange(len(bearings)), lost)
 
     control = Watcher().watch([wall(y)]).bare
     seen = Watcher().watch([wall(y)], filled=one).bare

@@ -16,7 +16,8 @@ from swarmd.sim.experiments.manifest import read_manifest
 from swarmd.sim.experiments.pool import _kept_workers, worker_functions
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
-from tests.support.processes import children, is_running, wait_until
+from swarmd.testing.driver_contract import is_running
+from tests.support.processes import children, wait_until
 
 pytestmark = pytest.mark.integration
 
