@@ -136,7 +136,7 @@ def _plain(name: str) -> Mapping[str, object]:
 def built(revision: str) -> Path:
     """The folder of a commit, with compiled kernels; ConfigError if there is no such commit.
 
-    Libraries of this checkout serve where their sources are the same, which each library knows.
+    A build takes two CPU-minutes, since files of an archive are newer than those of this checkout.
     """
     done = subprocess.run(
         ["git", "-C", str(ROOT), "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}"],
