@@ -131,7 +131,7 @@ def passage_text(passage: NarrowestPassage) -> str:
 
 def set_down_text(one: SetDown) -> str:
     """Where the robot may be set down, in one line, in whole centimetres that suffice."""
-    text = f"{centimetres(one.gap)} or more from walls and other obstacles"
+    text = f"{centimetres(one.gap)} or more from a wall or another obstacle, farther from a corner"
     if one.lidar is not None:
         text += f", and {one.lidar:.2f} m around its lidar free"
     return f"{text}; nearer it may stand, or leave at a creep"
