@@ -62,5 +62,5 @@ def test_a_robot_whose_lidar_sees_a_post_of_its_own_drives_with_a_mask_alone() -
     masked = OwnPost(dataclasses.replace(BURGER, scan=spec), WALLS)
     for sim, seconds in ((held, 2.0), (masked, 8.0)):
         assert sim.run(Twist(0.22), seconds).touch is None
-    assert abs(held.pose.x) < 0.01
+    assert abs(held.pose.x) <= 0.015 * 2.0  # the post is a contact, beside which it creeps
     assert masked.pose.x > 1.0
