@@ -20,6 +20,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import cast
 
 from swarmd.core.libm import digest_of_libm
 
@@ -90,7 +91,7 @@ def _simd() -> dict[str, list[str]]:
     import numpy as np
 
     found = np.show_config(mode="dicts")["SIMD Extensions"]
-    return {name: list(names) for name, names in found.items()}
+    return cast("dict[str, list[str]]", found)
 
 
 def is_pinned() -> bool:

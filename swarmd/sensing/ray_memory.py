@@ -172,7 +172,7 @@ class RayMemory:
         if self._interpret_ranges(ranges):
             self._interpret_zeros(ranges, now)
         unknown_count: cython.Py_ssize_t = self._remember(ranges, now)
-        self.filled = np.isnan(ranges).astype(np.float64) if unknown_count else None
+        self.filled = np.isnan(np.asarray(ranges)).astype(np.float64) if unknown_count else None
         if 2 * unknown_count > len(ranges):  # fewer than half of the rays are known
             return False
         self.known_at = now

@@ -59,11 +59,12 @@ NO_CLAIM = {
 }
 SEEDS = re.compile(r"^swarmctl exp (?:run|bench)\b.* --seeds (\d+)\b", re.MULTILINE)
 
+HELD = "docs/evidence/beside.md"
 BENCH, PAPER, FIRST = "benchmarks/README.md", "docs/paper.md", "docs/installation.md"
 # What README.md quotes, and where: page, start of the row, and the column of the cell by its head.
 QUOTED = {
-    "for [{1} % of their time](docs/evidence/beside.md#what-it-costs-in-ordinary-runs), for {0} %": (
-        "docs/evidence/beside.md", "nine TurtleBots 4, 5 x 5 m               | as the platform", "held"
+    "[{1} % of their time](docs/evidence/beside.md#what-it-costs-in-ordinary-runs), for {0} %": (
+        HELD, "nine TurtleBots 4, 5 x 5 m               | as the platform", "held"
     ),
     "[{0} % of a core idle, {1} % driving": (BENCH, "CPU, daemon and host, idle / driving", ""),
     "driving, {0} MB](benchmarks/README.md#in-bursts)": (BENCH, "RSS; PSS", ""),
