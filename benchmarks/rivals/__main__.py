@@ -216,7 +216,8 @@ def cell(own: Sequence[Sample | None], other: Sequence[Sample | None]) -> str:
     ]
     speed = f"{_rounded(float(np.median(speeds)))}"
     if not ratios or own is other:
-        least, most = _rounded(min(speeds)), _rounded(max(speeds))
+        least = _rounded(min(speeds))
+        most = _rounded(max(speeds))
         return f"{speed} ({least} to {most})"
     middle, least, most = (
         _rounded(float(value)) for value in np.percentile(ratios, [50.0, 0.0, 100.0])

@@ -57,6 +57,7 @@ def measure(robots: int, seconds: float, words: Mapping[str, Any]) -> tuple[floa
 
 
 if __name__ == "__main__":
-    count, of_rays = int(sys.argv[1]), int(sys.argv[2])
+    count = int(sys.argv[1])
+    of_rays = int(sys.argv[2])
     farthest, turns_at, cpu = map(float, sys.argv[3:6])
     print(*measure(count, cpu, overrides(count, of_rays, farthest, turns_at, sys.argv[6])))

@@ -231,12 +231,14 @@ def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
     for name in sorted({*old.plugins, *new.plugins}):
         if old.plugins.get(name) != new.plugins.get(name):
             yield f"plugin {name} has changed"
-    before, after = old.made_with, new.made_with
+    before = old.made_with
+    after = new.made_with
     if before.get("pinned") == after.get("pinned"):
         before, after = deciding(before), deciding(after)
     others = sorted({*before, *after} - set(_CAUSES))
     for name in (*_CAUSES, *others):
-        was, now = before.get(name, "unknown"), after.get(name, "unknown")
+        was = before.get(name, "unknown")
+        now = after.get(name, "unknown")
         if was != now:
             is_known = name in before and name in _TEXTS
             yield _TEXTS[name] if is_known else f"{name} was {was}, now {now}"

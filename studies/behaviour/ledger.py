@@ -116,7 +116,8 @@ def differences(kept: Scenes, now: Scenes) -> Iterator[tuple[str, str, str]]:
             yield scene, "", "is new" if scene not in kept else "is gone"
             continue
         for robot in sorted({*kept[scene], *now[scene]}):
-            was, drives = kept[scene].get(robot), now[scene].get(robot)
+            was = kept[scene].get(robot)
+            drives = now[scene].get(robot)
             if was is None or drives is None:
                 yield scene, robot, "is new" if was is None else "is gone"
                 continue

@@ -10,7 +10,8 @@ from typing import Any
 import msgspec
 
 ROOT = Path(__file__).resolve().parents[2]
-SECONDS, SEED = 10.0, 1
+SECONDS = 10.0
+SEED = 1
 
 
 class Scene(msgspec.Struct, frozen=True):

@@ -47,7 +47,8 @@ MODES = ("platform", "off", "still", "walls_stand")
 """`platform`: protection as in the platform's file. Controls: protection `off`, and `still`, a
 robot that asks for no motion. `walls_stand`: the platform with walls that are declared to stand."""
 FIRST_SEED = 14_000
-SHORT, LONG = 40.0, 120.0
+SHORT = 40.0
+LONG = 120.0
 """s of a run: each cell has the first, and a robot that is not `AWAY` by then drives on."""
 AWAY = 0.5
 """m from the start at which a robot has left."""
@@ -63,7 +64,8 @@ _BOX = 0.4  # m, side
 _LONG_WALL = 3.0  # m, of a corridor
 _WALL_DEPTH = 1.0  # m, of the walls around the arena, as bodies of the judge
 _POLE_CORNERS = 96  # of the polygon of a pole, which is 0.1 mm smaller than the pole
-_ROBOT, _OTHER = "robot", "parked"
+_ROBOT = "robot"
+_OTHER = "parked"
 
 
 class Cell(Struct, frozen=True, order=True):
@@ -269,7 +271,8 @@ def measure(trace: Trace, row: int, bodies: Sequence[Array], away: float = AWAY)
     off = np.hypot(*(pose[:, :2] - pose[0, :2]).T)
     is_away = off >= away
     outline = transform(trace.footprint(row), pose)
-    side, depth = _HALF, _HALF + _WALL_DEPTH
+    side = _HALF
+    depth = _HALF + _WALL_DEPTH
     walls = [
         _rectangle(side, depth, -depth, depth),
         _rectangle(-depth, -side, -depth, depth),

@@ -494,15 +494,19 @@ def _pairs(scene: Scene, kind: str, count: int) -> list[list[float]]:
     """Poses of robots in pairs along the walls, nose to tail, from one wall to the next."""
     rear, front = np.sort(load_platform(kind).footprint[:, 0])[[0, -1]]
     left = float(load_platform(kind).footprint[:, 1].max())
-    half, beside = 0.5 * scene.room.side, scene.of.beside
+    half = 0.5 * scene.room.side
+    beside = scene.of.beside
     length = float(front - rear)
     poses = []
     for robot in range(count):
         pair, second = divmod(robot, 2)
-        wall, row = pair % len(_SIDES), pair // len(_SIDES)
+        wall = pair % len(_SIDES)
+        row = pair // len(_SIDES)
         along = (0.5 - second) * (length + beside) + 3.0 * row * length
-        cos, sin = np.cos(np.radians(_SIDES[wall])), np.sin(np.radians(_SIDES[wall]))
-        x, y = half - beside - left, along - 0.5 * float(front + rear)
+        cos = np.cos(np.radians(_SIDES[wall]))
+        sin = np.sin(np.radians(_SIDES[wall]))
+        x = half - beside - left
+        y = along - 0.5 * float(front + rear)
         poses.append([float(cos * x - sin * y), float(sin * x + cos * y), _SIDES[wall] - 90.0])
     return poses
 

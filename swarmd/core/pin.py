@@ -25,8 +25,10 @@ from typing import cast
 from swarmd.core.libm import digest_of_libm
 
 _X86_64 = ("x86_64", "AMD64")
-_TUNABLES, _HWCAPS = "GLIBC_TUNABLES", "glibc.cpu.hwcaps"
-_DISABLED, _ENABLED = "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES"
+_TUNABLES = "GLIBC_TUNABLES"
+_HWCAPS = "glibc.cpu.hwcaps"
+_DISABLED = "NPY_DISABLE_CPU_FEATURES"
+_ENABLED = "NPY_ENABLE_CPU_FEATURES"
 _CORE_TYPE = "OPENBLAS_CORETYPE"
 # Variants of libm need FMA and AVX2, or FMA4. Names with _Usable are those before glibc 2.33 (not
 # tried); glibc ignores names that it does not know.

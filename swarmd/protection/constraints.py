@@ -342,7 +342,9 @@ class ToldPlaces:
 
     def _allocate(self, room: cython.Py_ssize_t) -> None:
         """Make all arrays anew."""
-        self.x, self.y, self.reach = doubles(room), doubles(room), doubles(room)
+        self.x = doubles(room)
+        self.y = doubles(room)
+        self.reach = doubles(room)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -480,7 +482,8 @@ class Constraints:
                             kind = WALL
                         else:
                             chunk.free[in_chunk] = bare_free
-                    chunk.radius[in_chunk], chunk.kind[in_chunk] = 0.0, kind
+                    chunk.radius[in_chunk] = 0.0
+                    chunk.kind[in_chunk] = kind
                     chunk.others[in_chunk] = assumptions.speed_of(kind)
                     placed.scan_gap[placed_count + in_chunk] = gaps[taken]
                     placed.near_index[placed_count + in_chunk] = taken

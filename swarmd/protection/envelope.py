@@ -114,7 +114,8 @@ class Envelope:
         """Find the vertices and the constraints, unless they are known for these axes."""
         if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
             self.find_rows(axes)
-            self._along_x, self._along_y = axes.along_x, axes.along_y
+            self._along_x = axes.along_x
+            self._along_y = axes.along_y
 
     @cython.cfunc
     @cython.exceptval(-1)

@@ -176,7 +176,8 @@ class NearObstacles:
         self._assumptions, self._outline = assumptions, outline
         self._motion, self._layer = motion, layer
         self.points, self._unsorted = Points(_ROOM), Points(_ROOM)
-        self.surface_gap, self._unsorted_gap = doubles(_ROOM), doubles(_ROOM)
+        self.surface_gap = doubles(_ROOM)
+        self._unsorted_gap = doubles(_ROOM)
         self._order, self._spare = indices(_ROOM), indices(_ROOM)
         self.rays = Points(16)
         self._bearings, self._directions = NO_NUMBERS, doubles(2)

@@ -56,7 +56,8 @@ if TYPE_CHECKING:
     from swarmd.robot.ticker import DutyCycle, Ticker
 else:
     protections = load_kernel("swarmd.protection.protection")
-    Protection, ProtectionView = protections.Protection, protections.ProtectionView
+    Protection = protections.Protection
+    ProtectionView = protections.ProtectionView
     PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
     _kernel = load_kernel("swarmd.robot.ticker")
     DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker

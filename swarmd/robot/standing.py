@@ -29,8 +29,10 @@ class StandingWatch:
     def __init__(self, platform: Platform) -> None:
         self._geometry = ScanGeometry(platform.scan)
         x, y = platform.footprint.T
-        self._rear, self._front = float(x.min()), float(x.max())
-        self._right, self._left = float(y.min()) + _BESIDE, float(y.max()) - _BESIDE
+        self._rear = float(x.min())
+        self._front = float(x.max())
+        self._right = float(y.min()) + _BESIDE
+        self._left = float(y.max()) - _BESIDE
         self._since = math.inf  # s; inf: protection does not hold the robot
         self._pose: Pose | None = None  # by odometry, at the time `_since`
         self._has_floor = False
@@ -48,10 +50,14 @@ class StandingWatch:
         """
         is_held = decision.reason is Reason.PROTECTION and decision.avoided is None
         if not is_held or pose is None or scan is None:
-            self._since, self._pose, self._has_floor = math.inf, None, False
+            self._since = math.inf
+            self._pose = None
+            self._has_floor = False
             return False
         if self._pose is None or _has_moved(self._pose, pose):
-            self._since, self._pose, self._has_floor = now, pose, False
+            self._since = now
+            self._pose = pose
+            self._has_floor = False
             return False
         if now - self._since < HELD_TIME:
             return False

@@ -53,8 +53,10 @@ _Actions = cython.declare(object, Actions)
 _HostInput = cython.declare(object, HostInput)
 _Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
 _no_permit = cython.declare(object, NO_PERMIT)
-_Steered, _Twist = cython.declare(object, Steered), cython.declare(object, Twist)
-_Avoided, _WayState = cython.declare(object, Avoided), cython.declare(object, WayState)
+_Steered = cython.declare(object, Steered)
+_Twist = cython.declare(object, Twist)
+_Avoided = cython.declare(object, Avoided)
+_WayState = cython.declare(object, WayState)
 _stand = cython.declare(object, Steered(ZERO))  # asked in place of steering that failed
 _STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale until the alarm
 
@@ -65,7 +67,8 @@ def _check_steered(steered: Any) -> cython.int:
     """Raise TypeError or ValueError unless all that steering gave is of the declared types."""
     if type(steered) is not _Steered or type(steered.is_recovering) is not bool:
         raise TypeError("it gave something else than what it asks (Steered)")
-    twist, avoided = steered.twist, steered.avoided
+    twist = steered.twist
+    avoided = steered.avoided
     if type(twist) is not _Twist:
         raise TypeError("it asks something else than a command (Twist)")
     linear: cython.double = twist.linear

@@ -186,7 +186,9 @@ class ScanConditioner:
         filled = self._rays.filled
         if filled is not None:
             filled.setflags(write=False)
-        bearings, ages, latency = self._bearings, self._ages, self._latency
+        bearings = self._bearings
+        ages = self._ages
+        latency = self._latency
         return Scan(scan.seq, stamp, ranges, bearings, *limits, ages, latency, filled)
 
     @cython.cfunc

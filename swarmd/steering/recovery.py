@@ -191,7 +191,8 @@ class Recovery:
         self._turn_weight = math.pow(limits.linear / limits.angular, 2.0)
         self._rng = Random(seed)
         self._side, self._side_until = -1.0, -INFINITY
-        self._back_time, self._last_block_at = _BACK_OFF_TIME, -INFINITY
+        self._back_time = _BACK_OFF_TIME
+        self._last_block_at = -INFINITY
         self.reset()
 
     @cython.ccall

@@ -265,7 +265,8 @@ def test_what_may_touch_is_approached_at_creep_speed_by_each_place(
     robot can stop before each return, and none is so near that it may touch unseen.
     """
     settings = platform.protection["barrier"]
-    scan, straight = beside(platform, faces, returns), request_of(platform, v, w)
+    scan = beside(platform, faces, returns)
+    straight = request_of(platform, v, w)
     requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
     safe = decided(platform, scan, requested, age=age).safe
     fastest = max(
@@ -338,7 +339,8 @@ def test_only_a_wide_surface_may_be_closed_on(width: float) -> None:
 
 def test_a_told_obstacle_and_a_circle_keep_a_robot_from_creeping_out() -> None:
     """What is not seen where it is may be anywhere within its disc."""
-    robot, ahead = CREEPING[2], Twist(0.2)
+    robot = CREEPING[2]
+    ahead = Twist(0.2)
     scan = beside(robot, [(0.1, 270.0)])
     told = (ToldObstacle(0.0, 1.0, 0.3, 0.0),)
     assert decided(robot, scan, ahead).safe.linear == pytest.approx(CREEP_SPEED)

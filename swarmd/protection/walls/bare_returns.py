@@ -102,8 +102,10 @@ class BareReturns:
     def __init__(self, platform: Platform, length: float, extent: float) -> None:
         """`length`: m, the least length of a wall. `extent`: m, the `unseen_extent`."""
         self.longest_heard = 0.0
-        self._length, self._extent = length, extent
-        self._outline, self._range_min = Outline(platform), platform.scan.range_min
+        self._length = length
+        self._extent = extent
+        self._outline = Outline(platform)
+        self._range_min = platform.scan.range_min
         self._allocate(len(platform.scan.bearings))
 
     def check_indices(self) -> None:
@@ -115,11 +117,16 @@ class BareReturns:
 
     def _allocate(self, rays: int) -> None:
         """Make the arrays anew, for so many rays."""
-        self._state, self._is_member = indices(rays), indices(rays)
-        self._is_candidate, self._stretch = indices(rays), indices(rays)
-        self._x, self._y = doubles(rays), doubles(rays)
-        self._along, self._across = doubles(rays), doubles(rays)
-        self._hides_from, self._is_open = doubles(rays), indices(rays)
+        self._state = indices(rays)
+        self._is_member = indices(rays)
+        self._is_candidate = indices(rays)
+        self._stretch = indices(rays)
+        self._x = doubles(rays)
+        self._y = doubles(rays)
+        self._along = doubles(rays)
+        self._across = doubles(rays)
+        self._hides_from = doubles(rays)
+        self._is_open = indices(rays)
 
     @cython.cfunc
     @cython.exceptval(-1)

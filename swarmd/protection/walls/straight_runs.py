@@ -107,7 +107,8 @@ class StraightRuns:
 
     def __init__(self, platform: Platform, length: float, *, bridges: bool = False) -> None:
         """`bridges`: a ray that was lost alone does not end a chain, see `_bridge`."""
-        self._length, self.oldest = length, _LATE_RAY * (1.0 / platform.scan.rate)
+        self._length = length
+        self.oldest = _LATE_RAY * (1.0 / platform.scan.rate)
         self._bridges = bridges
         self.lidar_x, self.lidar_y = platform.scan.offset
         self.runs, self._stack = [Run() for _ in range(_RUNS)], indices(_STACK)

@@ -60,7 +60,8 @@ class Line:
 
     def ranges(self, x: float, y: float, cos: Array, sin: Array) -> Array:
         """(n,) m along each ray; inf: the ray misses the line."""
-        dx, dy = self.to_x - self.x, self.to_y - self.y
+        dx = self.to_x - self.x
+        dy = self.to_y - self.y
         with np.errstate(divide="ignore", invalid="ignore"):
             across = cos * dy - sin * dx
             distance = ((self.x - x) * dy - (self.y - y) * dx) / across
@@ -70,7 +71,8 @@ class Line:
 
     def distance(self, x: Array, y: Array) -> Array:
         """(n,) m from places to the line."""
-        dx, dy = self.to_x - self.x, self.to_y - self.y
+        dx = self.to_x - self.x
+        dy = self.to_y - self.y
         share = np.clip(((x - self.x) * dx + (y - self.y) * dy) / (dx * dx + dy * dy), 0.0, 1.0)
         return np.hypot(x - self.x - share * dx, y - self.y - share * dy)
 
@@ -110,8 +112,10 @@ class Watcher:
         self.platform = robot_of(name, **changes) if changes else ROBOTS[name]
         self.barrier = kernel.Barrier(self.platform)
         self.geometry = ScanGeometry(self.platform.scan)
-        self.rng, self.noise = np.random.default_rng(1), noise
-        self.now, self.seq = 1.0, 0
+        self.rng = np.random.default_rng(1)
+        self.noise = noise
+        self.now = 1.0
+        self.seq = 0
         self.odometry = Odometry(1.0, Pose(), ZERO)
         self.x = self.y = np.empty(0)
 
@@ -129,10 +133,12 @@ class Watcher:
         `memory`: where a lost ray has the range of this scene, as the memory of rays fills it;
         without it a lost ray has no return. `filled`: of the bearings, rays that were not measured.
         """
-        spec, at = self.platform.scan, Pose() if pose is None else pose
+        spec = self.platform.scan
+        at = Pose() if pose is None else pose
         x = at.x + spec.offset[0] * math.cos(at.yaw)
         y = at.y + spec.offset[0] * math.sin(at.yaw)
-        cos, sin = np.cos(spec.bearings + at.yaw), np.sin(spec.bearings + at.yaw)
+        cos = np.cos(spec.bearings + at.yaw)
+        sin = np.sin(spec.bearings + at.yaw)
         ranges, is_lost = self._cast(scene, x, y, cos, sin)
         ranges = ranges + self.noise * self.rng.normal(size=len(ranges))
         is_filled = np.zeros(len(ranges), np.bool_)
@@ -240,7 +246,8 @@ def test_without_a_foot_no_return_is_bare(kernel: Any) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_robot_drives_beside_its_foot_and_not_nearer(name: str) -> None:
     """It may drive along the wall, and towards the wall until margin and foot are left."""
-    along, towards = Twist(0.1, 0.0), Twist(0.1, 0.0)
+    along = Twist(0.1, 0.0)
+    towards = Twist(0.1, 0.0)
     beside = wall(side(name, 0.08))
     near = Watcher(name, walls_stand=WALLS | {"foot": 0.0}).watch([beside])
     plain = Watcher(name, walls_stand={"length": 1.0, "seconds": 1.0}).watch([beside])
@@ -294,7 +301,8 @@ def test_no_return_beside_a_parked_peer_is_bare(end: str, angle: float) -> None:
     faults = 0
     for peer in NAMES:
         platform = load_platform(peer)
-        outline, offset = platform.footprint, platform.scan.offset[0]
+        outline = platform.footprint
+        offset = platform.scan.offset[0]
         radius = float(platform.body["target_radius"])
         to_lidar = {
             "nose": outline[:, 0].max() - offset,
@@ -443,7 +451,8 @@ def test_a_surface_that_flickers_at_the_length_is_bare_in_scans_that_show_it() -
         scene = [wall(y, -0.56 if is_long else -0.44, 0.5)]
         assert bool(seen.see(scene).bare.any()) == is_long
         plain.see(scene)
-        command, charged = seen.decide(request), plain.decide(request)
+        command = seen.decide(request)
+        charged = plain.decide(request)
         assert command == charged or is_long
         assert command.linear >= charged.linear
         assert abs(command.linear) <= 0.3
@@ -516,7 +525,8 @@ class Remembered:
     """A memory of the blind zone with one obstacle, `nearest` m from the lidar."""
 
     def __init__(self, bearing: float, nearest: float) -> None:
-        self.bearings, self.nearest = np.array([bearing]), np.array([nearest])
+        self.bearings = np.array([bearing])
+        self.nearest = np.array([nearest])
 
     def update(self, *_: Any) -> None:
         """The memory stays as it is."""

@@ -75,7 +75,8 @@ def test_a_run_sees_the_present_folder_and_environment(
     for place in places:
         place.mkdir()
     (places[1] / "here").touch()
-    speeds, workers = [], []
+    speeds = []
+    workers = []
     for place, led in zip((*places, places[0]), ("0.05", "0.05", "0.08"), strict=True):
         monkeypatch.chdir(place)
         monkeypatch.setenv("LED", led)

@@ -40,7 +40,8 @@ def trace_of_two(seconds: float) -> Trace:
     """Two robots that drive straight on, ten poses a second; the commands are 0.1 m/s."""
     t = np.arange(round(10 * seconds) + 1) / 10.0
     pose = np.zeros((len(t), 2, 3))
-    pose[:, 0, 0], pose[:, 1, 1] = 0.1 * t, 0.2 * t
+    pose[:, 0, 0] = 0.1 * t
+    pose[:, 1, 1] = 0.2 * t
     trace = trace_of(pose)
     safe = np.full_like(pose, 0.1)
     return replace(trace, safe=safe, requested=safe)
@@ -96,7 +97,8 @@ def drive(*seconds: str) -> Drive:
     return Drive("".join(seconds), (0.0, 0.0, 0.0))
 
 
-A, B = "a" * 8, "b" * 8
+A = "a" * 8
+B = "b" * 8
 
 
 @pytest.mark.parametrize(
@@ -137,7 +139,8 @@ def test_each_field_of_a_second_counts_for_its_robot_alone() -> None:
     safe = trace.safe.copy()
     at = int(np.argmin(np.abs(trace.t - 1.5)))
     safe[at, 1, 0] = np.nextafter(safe[at, 1, 0], 9.0)
-    was, now = drives_of(trace), drives_of(replace(trace, safe=safe))
+    was = drives_of(trace)
+    now = drives_of(replace(trace, safe=safe))
     one, other = trace.ids
     assert now[one] == was[one]
     equal = [a == b for a, b in zip(was[other].hashes, now[other].hashes, strict=True)]
