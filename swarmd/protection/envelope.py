@@ -181,6 +181,7 @@ class Creeping:
     """
 
     is_possible: cython.bint  # in the present situation
+    is_touching: cython.bint  # an obstacle may touch the robot: it keeps the slow envelope
     cap: cython.double  # m/s, set by `allow`
     is_active: cython.bint
     _kept_cap: cython.double[::1]  # the caps of all constraints before they were raised
@@ -308,9 +309,10 @@ class Creeping:
     @cython.cfunc
     @cython.exceptval(-1)
     def end(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
-        """Use the caps and the envelope of a robot that does not creep."""
+        """Use the caps and the envelope of a robot that does not creep, as before `begin`."""
         i: cython.Py_ssize_t
         for i in range(rows.count):
             rows.cap[i] = self._kept_cap[i]
         self.is_active = False
-        self.usual.put(rows, axes)
+        envelope: Envelope = self.slow if self.is_touching else self.usual
+        envelope.put(rows, axes)

@@ -261,7 +261,8 @@ class FeasibleSet:
         # envelope if an obstacle may touch the robot. The envelope counts in `rows.all` alone.
         rows.all = rows.count
         if near.is_near or self.discs.count:
-            if self._is_touching():
+            self.creeping.is_touching = self._is_touching()
+            if self.creeping.is_touching:
                 self.creeping.slow.put(rows, constraints.axes)
             else:
                 self.creeping.usual.put(rows, constraints.axes)

@@ -23,7 +23,7 @@ from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
 from tests.support.barrier_parts import closing_cap, outline_of, separation
-from tests.support.filter_sim import decided, outline_point, under_barrier
+from tests.support.filter_sim import FORMS, decided, outline_point, under_barrier
 from tests.support.protection import Protection
 
 TICK = 0.05
@@ -290,6 +290,29 @@ def test_what_may_touch_is_approached_at_creep_speed_by_each_place(
         own = closing * TICK + closing**2 / (2.0 * braking)
         theirs = settings["others_speed"] * (unseen + TICK + closing / braking)
         assert closing <= 1e-9 or own + theirs <= gap - free + 1e-9
+
+
+@given(st.sampled_from([*CREEPING, *VISIBLE]), FACES, NEAR_RETURNS, SHARE, SHARE, SHARE, SHARE, AGE)
+@example(CREEPING[0], [(0.046, 158.8)], [], 0.92, 0.0, 0.07, 0.51, 0.0)
+@example(CREEPING[1], [(0.0449, 200.0)], [], -1.0, 0.0, 0.4, -0.01, 0.0)
+def test_a_decision_does_not_depend_on_what_was_judged_before(
+    platform: Platform, faces: list[tuple[float, float]], returns: Returns, before: float,
+    before_turn: float, v: float, w: float, age: float,
+) -> None:  # fmt: skip
+    """Steering asks for several commands in one situation; a robot in contact stays slow."""
+    scan, requested = beside(platform, faces, returns), request_of(platform, v, w)
+    geometry = ScanGeometry(platform.scan)
+    for form in FORMS:
+        barriers = form.Barrier(platform), form.Barrier(platform)
+        context = DecisionContext(10.0 + age, age, Odometry(10.0 + age, Pose(), ZERO), 0.0)
+        for barrier in barriers:
+            first = DecisionContext(10.0, 0.0, Odometry(10.0, Pose(), ZERO), 0.0)
+            barrier.observe(scan, geometry, first)
+        barriers[1].decide(request_of(platform, before, before_turn), context, ZERO, None)
+        fresh, later = (one.decide(requested, context, ZERO, None).twist for one in barriers)
+        assert (later.linear, later.angular) == pytest.approx(
+            (fresh.linear, fresh.angular), abs=1e-12, rel=0.0
+        )
 
 
 @pytest.mark.parametrize("platform", CREEPING, ids=lambda one: one.name)
