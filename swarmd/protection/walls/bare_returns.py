@@ -16,8 +16,8 @@ hold in this scan. The numbers are those of the method that tests the condition.
 4. `_deny_returns`, `_deny_hidden`. Nothing that is not of the run lies within `extent` m
    (`unseen_extent`) of the return: no return at any range, no remembered ray, no return too close
    to measure, no obstacle in the memory of the blind zone. Of a return the far side of a head
-   counts, too. Places that others told are compared
-   where the constraints are made (`ToldPlaces`).
+   counts, too, and its shadow, in which another body may stand. Places that others told are
+   compared where the constraints are made (`ToldPlaces`).
 5. `_deny_unmeasured`. No sector of rays without a measurement, in which a part of _PART m may stand
    before the wall, lies within `extent` m: lost rays, masks, blind and frozen sectors, black or
    transparent surfaces, open space beside the end of the wall.
@@ -438,8 +438,10 @@ class BareReturns:
 
         A filled range on the line of the run is an earlier return of the wall. A return too close
         to measure is anywhere between the lidar and `range_min`, or the outline if it is farther.
+        Another body may stand in the shadow of a return, between it and the wall.
         """
         i: cython.Py_ssize_t
+        shadow_end: cython.double = REACH + self._extent
         for i in range(self._rays):
             if self._is_member[i]:
                 continue
@@ -459,6 +461,10 @@ class BareReturns:
             is_filled_wall: cython.bint = not is_measured and runs.is_on_line(run, x, y) != 0
             if not is_filled_wall:
                 self._deny_beside(run, runs, x, y)
+                distance: cython.double = hypot(x - runs.lidar_x, y - runs.lidar_y)
+                self._deny_along(
+                    run, runs, directions[2 * i], directions[2 * i + 1], distance, shadow_end
+                )
         return 0
 
     @cython.cfunc

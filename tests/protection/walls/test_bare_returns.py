@@ -317,6 +317,26 @@ def test_no_return_beside_a_parked_peer_is_bare(end: str, angle: float) -> None:
     assert faults == 0
 
 
+@pytest.mark.parametrize(
+    ("name", "gap", "pole", "body"),
+    [
+        ("turtlebot4", 0.221, Round(-0.38, 0.05, 0.094), Round(-0.72, 0.27, 0.036)),
+        ("waffle_pi", 0.24, Round(-0.36, 0.07, 0.087), Round(-0.63, 0.27, 0.036)),
+        ("burger", 0.30, Round(0.27, 0.19, 0.084), Round(0.32, 0.31, 0.036)),
+    ],
+)
+def test_no_return_beside_the_shadow_of_a_pole_is_bare(
+    name: str, gap: float, pole: Round, body: Round
+) -> None:
+    """A body may stand at the wall in the shadow, farther than `unseen_extent` from the pole."""
+    y = side(name, gap)
+    plain = Watcher(name).watch([wall(y)])
+    seen = Watcher(name).watch([wall(y), pole, body])
+    assert plain.at_fault(body) > 5
+    assert seen.at_fault(body) == 0
+    assert seen.bare.sum() > 10  # the wall on the other side
+
+
 @pytest.mark.parametrize("count", [2, 5, 10])
 @pytest.mark.parametrize("has_background", [False, True])
 @pytest.mark.parametrize("peer", ["burger", "turtlebot4", "thymio"])
