@@ -20,6 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -27,6 +28,7 @@ from importlib.util import find_spec
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, NoReturn, TypeAlias
 
 import msgspec
@@ -289,12 +291,10 @@ class _KeptWorkers:
 
     def give(self, worker: _Worker) -> None:
         """Keep a worker without a job, or end it if another one is kept."""
-        # A worker ends with the thread that started it (`die_with_parent`).
-        if worker.is_of_main_thread:
-            with self._lock:
-                if self._worker is None:
-                    self._worker = worker
-                    return
+        with self._lock:
+            if self._worker is None:
+                self._worker = worker
+                return
         worker.end()
 
     def functions(self) -> _Functions:
@@ -367,6 +367,39 @@ def _kept_workers_of(pid: int) -> _KeptWorkers:
     return kept
 
 
+_Start: TypeAlias = Callable[[], subprocess.Popen[bytes]]
+
+
+def _in_lasting_thread(start: _Start) -> subprocess.Popen[bytes]:
+    """Start a process from a thread that lasts as long as this process.
+
+    A worker ends with the thread that started it (`die_with_parent`), and threads of a caller end,
+    such as those of a server or of an executor's worker.
+    """
+    if threading.current_thread() is threading.main_thread():
+        return start()
+    started: Future[subprocess.Popen[bytes]] = Future()
+    _starts_of(os.getpid()).put((started, start))
+    return started.result()
+
+
+@cache
+def _starts_of(pid: int) -> SimpleQueue[tuple[Future[subprocess.Popen[bytes]], _Start]]:
+    """What the starting thread of this process is to start: a fork has no thread of its parent."""
+    starts = SimpleQueue[tuple[Future[subprocess.Popen[bytes]], _Start]]()
+
+    def serve() -> None:
+        while True:
+            started, start = starts.get()
+            try:
+                started.set_result(start())
+            except BaseException as error:  # of the caller
+                started.set_exception(error)
+
+    threading.Thread(target=serve, name=f"swarmd-workers-{pid}", daemon=True).start()
+    return starts
+
+
 class _Worker:
     """A worker process, its pipe and its job."""
 
@@ -374,7 +407,6 @@ class _Worker:
         import fcntl  # not on Windows, where lockstep runs without workers
 
         self.is_alive = True  # can take another job
-        self.is_of_main_thread = threading.current_thread() is threading.main_thread()
         self.share = 0.0  # simulated share of the job, as last reported
         self._at_start = _surroundings().at_start
         self._job: Job | None = None  # the last one
@@ -387,14 +419,16 @@ class _Worker:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `kill`
         fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)  # also behind `trim_log`
         with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", _MODULE, str(theirs.fileno()), str(os.getpid())],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                stdout=self._log,
-                stderr=self._log,
-                env={**pinned_environment(), **_ONE_THREAD},
-                process_group=0,  # Ctrl-C goes to the parent, which ends the workers
+            self._process = _in_lasting_thread(
+                lambda: subprocess.Popen(
+                    [sys.executable, "-P", "-m", _MODULE, str(theirs.fileno()), str(os.getpid())],
+                    pass_fds=(theirs.fileno(),),
+                    stdin=subprocess.DEVNULL,
+                    stdout=self._log,
+                    stderr=self._log,
+                    env={**pinned_environment(), **_ONE_THREAD},
+                    process_group=0,  # Ctrl-C goes to the parent, which ends the workers
+                )
             )
 
     @property

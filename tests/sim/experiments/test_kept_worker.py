@@ -107,14 +107,23 @@ def test_a_variable_that_acts_at_the_start_takes_a_new_worker_and_a_dead_one_is_
     assert kept() not in (None, second)
 
 
-def test_a_thread_that_ends_leaves_no_worker_that_would_end_with_it(duo: Path) -> None:
+def test_threads_that_end_leave_their_worker_to_the_next_call(duo: Path) -> None:
+    """As those of an executor's worker, or of a server."""
     _kept_workers().end()
-    found: list[int] = []
-    thread = threading.Thread(target=lambda: found.append(len(small(duo).rows)))
-    thread.start()
-    thread.join()
-    assert found == [1]
-    assert kept() is None
+    found: list[tuple[int, int | None]] = []
+
+    def call() -> None:
+        found.append((len(small(duo).rows), kept()))
+
+    for _ in range(2):
+        thread = threading.Thread(target=call)
+        thread.start()
+        thread.join()
+    assert len(small(duo).rows) == 1
+    worker = kept()
+    assert worker is not None
+    assert is_running(worker)
+    assert found == [(1, worker), (1, worker)]
 
 
 SCRIPT = """

@@ -14,7 +14,6 @@ class InstantWorker:
     """A worker that has the result of each job at once."""
 
     is_alive, share = True, 0.25
-    is_of_main_thread = False  # so that it is not kept
 
     def __init__(self) -> None:
         self.pipe = object()
