@@ -58,17 +58,23 @@ def main(words: Sequence[str] | None = None) -> int:
             raise ConfigError(unknown("scene", name, SCENES))
     if options.against is not None:
         return compare(options.against, names)
+    is_whole = options.only is None
+    is_written = is_whole and not options.check and not options.interpreted
+    if is_written and note()["pinned"] != "yes":
+        raise SwarmError(
+            "this machine's workers are not pinned, so no other machine could compare the ledger;"
+            " --check compares without writing it"
+        )
     with TemporaryDirectory(prefix="swarmd-behaviour-") as folder:
         traces = simulated(Path(folder), ROOT, names, is_compiled=not options.interpreted)
     now = {name: drives_of(trace) for name, trace in traces.items()}
     kept = read() if FILE.exists() else Ledger({}, {})
-    is_whole = options.only is None
     chosen = kept.scenes if is_whole else {n: s for n, s in kept.scenes.items() if n in now}
     found = [described(one) for one in differences(chosen, now)]
     if other := kept.other_software():
         print(f"not comparable with {FILE.name}: {other}", file=sys.stderr)
     print("\n".join(found) or f"all {len(now)} scenes: every robot drives as before")
-    if options.check or options.interpreted or not is_whole:
+    if not is_written:
         return 1 if found else 0
     write(Ledger(note(), now))
     print(f"{FILE.relative_to(ROOT)} is written; the commit says what changed for users")

@@ -16,6 +16,7 @@ from studies.behaviour import ledger
 from studies.behaviour.__main__ import main
 from studies.behaviour.in_worker import simulated_scene
 from studies.behaviour.ledger import (
+    RENEWAL,
     Drive,
     Ledger,
     by_how_much,
@@ -27,7 +28,7 @@ from studies.behaviour.ledger import (
     write,
 )
 from studies.behaviour.scenes import SCENES
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.trace import Trace
 from tests.support.behaviour import PATTERNS, assert_drives_as_kept
 from tests.support.traces import trace_of
@@ -168,6 +169,22 @@ def test_a_ledger_is_read_as_it_was_written_and_names_other_software(
     assert made.other_software() == ""
     old = msgspec.structs.replace(made, made_with={**made.made_with, "mujoco": "1.0"})
     assert old.other_software().startswith("mujoco: 1.0, here ")
+
+
+def test_the_ledger_was_made_with_the_versions_that_this_checkout_installs() -> None:
+    """With others each comparison would be skipped, and the gate would pass without it."""
+    made = read().made_with
+    lines = Path("constraints.txt").read_text().splitlines()
+    installed = dict(line.split("==") for line in lines if "==" in line)
+    wanted = {name: installed[name] for name in ("numpy", "scipy")}
+    wanted["mujoco"] = installed["mujoco-core"]
+    assert {**made, **wanted, "pinned": "yes"} == made, f"`{RENEWAL}` writes it again"
+
+
+def test_a_process_that_is_not_pinned_writes_no_ledger(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("studies.behaviour.__main__.note", lambda: {"pinned": "no"})
+    with pytest.raises(SwarmError, match="not pinned"):
+        main([])
 
 
 def test_an_unknown_scene_or_commit_is_refused() -> None:
