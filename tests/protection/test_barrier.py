@@ -23,7 +23,15 @@ from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
 from tests.support.barrier_parts import closing_cap, outline_of, separation
-from tests.support.filter_sim import FORMS, decided, outline_point, under_barrier
+from tests.support.filter_sim import (
+    FORMS,
+    FilterSim,
+    Shape,
+    box,
+    decided,
+    outline_point,
+    under_barrier,
+)
 from tests.support.protection import Protection
 
 TICK = 0.05
@@ -344,6 +352,23 @@ def test_only_a_locked_robot_creeps_at_a_wall() -> None:
     scan = beside(robot, [(0.1, 0.0)])
     assert decided(robot, scan, Twist(0.2)).safe.linear <= 1e-9
     assert decided(robot, scan, Twist(-0.2)).safe.linear == pytest.approx(-CREEP_SPEED)
+
+
+@pytest.mark.parametrize("half", [30.0, 45.0])
+@pytest.mark.parametrize("robot", CREEPING[1:3], ids=lambda one: one.name)
+def test_a_creeping_robot_does_not_touch_an_edge(robot: Platform, half: float) -> None:
+    """The mean place of the returns of an edge that points at the robot is behind the edge."""
+    width = 0.8 * math.tan(math.radians(half))
+    edge = np.array([[0.0, 0.0], [0.8, -width], [0.8, width]])
+    (rear, _), (front, side) = robot.footprint.min(axis=0), robot.footprint.max(axis=0)
+    shapes = (
+        Shape(edge, Pose(front + 0.04, 0.0, 0.0)),
+        box(0.2, 6.0, Pose(rear - 0.15, 0.0, 0.0)),
+        box(6.0, 0.2, Pose(0.0, side + 0.15, 0.0)),
+    )
+    run = FilterSim(robot, shapes).run(Twist(robot.limits.linear), 8.0)
+    assert run.touch is None
+    assert run.min_gap < 0.02
 
 
 @pytest.mark.parametrize("width", [0.25, 0.4])
