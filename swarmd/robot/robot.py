@@ -425,7 +425,10 @@ class Robot(Ticker):
 
     def _log_steering(self, error: Exception, now: float) -> None:
         """Log that steering raised an error or gave a wrong answer, for which the robot stands."""
-        why = " ".join(str(error).split())
+        try:
+            why = " ".join(str(error).split())
+        except Exception:  # of the text itself
+            why = "its text cannot be read"
         text = f"steering failed, the robot stands: {type(error).__name__}: {why}"
         self._events.log("steering", text, now)
         self._events.advance(now)

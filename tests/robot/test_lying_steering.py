@@ -45,6 +45,13 @@ class Liar:
         return self.answer
 
 
+class Mute(Exception):
+    """An error whose text raises an error."""
+
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
 def with_steering(answer: object) -> RobotHarness:
     def make(*args: Any, make_steering: object, **keywords: Any) -> Robot:
         return Robot(*args, make_steering=partial(Liar, answer), **keywords)
@@ -73,6 +80,7 @@ WRONG: dict[str, object] = {
     "avoids nan": Steered(Twist(0.1), False, Avoided(math.nan, 1.0)),
     "raises": ValueError("a line\nand a second one"),
     "raises a lookup": KeyError(3),
+    "raises without a text": Mute(),
 }
 RIGHT: dict[str, object] = {
     "fast": Steered(FAST, True),
