@@ -26,7 +26,8 @@ SCENARIO = "aggregation"
 def wall_time(workers: int, executor: Executor | None) -> float:
     """s that the runs take, on an executor or else in `workers` processes of this machine."""
     start = time.perf_counter()
-    results = simulate(SCENARIO, RUNS, jobs=workers, executor=executor, traces=False)
+    jobs = workers if executor is None else 1
+    results = simulate(SCENARIO, RUNS, jobs=jobs, executor=executor, traces=False)
     assert len(results.runs) == RUNS
     return time.perf_counter() - start
 
