@@ -19,7 +19,7 @@ from swarmd import simulate
 from swarmd.sim.experiments.executor import Executor
 
 RUNS = 40
-ROUNDS = 3
+ROUNDS = 2  # of some ten CPU-minutes
 SCENARIO = "aggregation"
 
 

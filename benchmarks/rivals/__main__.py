@@ -324,7 +324,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS, help="of CPU for a sample")
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
     parser.add_argument("--rays", type=int, nargs="*", default=RAYS, choices=RAYS)
-    parser.add_argument("--only", nargs="*", metavar="NAME", help="simulators beside swarmd")
+    names = dict.fromkeys(one.name.partition(",")[0] for one in SIMULATORS)
+    parser.add_argument("--only", nargs="*", choices=names, help="simulators beside swarmd")
     given = parser.parse_args(arguments)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     chosen = [

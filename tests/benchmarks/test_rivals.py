@@ -7,7 +7,16 @@ from xml.etree import ElementTree
 
 import pytest
 
-from benchmarks.rivals.__main__ import Command, Missing, Simulator, cell, measured, programs, sample
+from benchmarks.rivals.__main__ import (
+    Command,
+    Missing,
+    Simulator,
+    cell,
+    main,
+    measured,
+    programs,
+    sample,
+)
 from benchmarks.rivals.argos_steps import world
 from benchmarks.rivals.swarmd_steps import measure, overrides
 from studies.night.jobs import JOBS
@@ -37,6 +46,14 @@ def test_a_simulator_that_is_missing_is_named_with_the_remedy_and_the_others_sta
 
     assert found == {"here": ("true",)}
     assert missing == ["absent is left out: no argos3; give ARGOS=/prefix."]
+
+
+def test_a_simulator_of_another_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as refused:
+        main(["--only", "Gazebo"])
+
+    assert refused.value.code == 2
+    assert "ARGoS" in capsys.readouterr().err  # one of the names to choose from
 
 
 def test_what_failed_once_is_not_tried_again_nor_with_more_robots_or_rays(
