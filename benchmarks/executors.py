@@ -37,9 +37,12 @@ def on_dask(workers: int) -> float:
     from distributed import Client, LocalCluster
 
     with (
-        LocalCluster(workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster) as client,
     ):
+        client.wait_for_workers(workers)
+        if len(cluster.workers) != workers:
+            raise RuntimeError(f"{len(cluster.workers)} workers where {workers} were wanted")
         executor = client.get_executor(pure=False)
         simulate(SCENARIO, workers, executor=executor, traces=False)
         return wall_time(workers, executor)
