@@ -11,7 +11,7 @@ CPython interprets the files if
 - the environment has SWARMD_COMPILED=0,
 - a library was compiled from other sources than the present files: callers might use functions that
   the library lacks,
-- `_views.abi3.so` is absent or was compiled by another version of Cython. All libraries import this
+- the library `_views` is absent or was compiled by another version of Cython. All libraries import this
   file, which contains Cython's code for memory views.
 
 setup.py runs this file alone, so this file imports no other module of swarmd.
