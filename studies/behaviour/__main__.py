@@ -166,7 +166,7 @@ def built(revision: str) -> Path:
     for cached in ("cython", "joined"):
         if (ROOT / "build" / cached).is_dir():
             shutil.copytree(ROOT / "build" / cached, folder / "build" / cached)
-    for library in ROOT.glob("*/**/*.abi3.so"):
+    for library in ROOT.glob("*/**/*.so"):
         place = library.relative_to(ROOT)
         if place.parts[0] in ("swarmd", "sim", "patterns", "drivers") and not _is_link(place):
             (folder / place).parent.mkdir(parents=True, exist_ok=True)

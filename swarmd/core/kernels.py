@@ -11,7 +11,7 @@ CPython interprets the files if
 - the environment has SWARMD_COMPILED=0,
 - a library was compiled from other sources than the present files: callers might use functions that
   the library lacks,
-- `_views.abi3.so` is absent or was compiled by another version of Cython. All libraries import this
+- the library `_views` is absent or was compiled by another version of Cython. All libraries import this
   file, which contains Cython's code for memory views.
 
 setup.py runs this file alone, so this file imports no other module of swarmd.
@@ -47,19 +47,6 @@ from pathlib import Path
 from typing import Any
 
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
-    "swarmd.kin._kin": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.core.odometry_trail",
-        "swarmd.kin.hypothesis",
-        "swarmd.kin.kin",
-    ),
-    "swarmd.kit._points": ("swarmd.kit.points",),
-    "swarmd.protection._assumption_monitor": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.protection.assumption_monitor",
-    ),
     "swarmd.protection._barrier": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
@@ -85,6 +72,11 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.feasible_set",
         "swarmd.protection.barrier",
     ),
+    "swarmd.protection._assumption_monitor": (
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.protection.assumption_monitor",
+    ),
     "swarmd.protection._blind_zone": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
@@ -97,12 +89,6 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.following",
     ),
     "swarmd.protection._protection": ("swarmd.protection.protection",),
-    "swarmd.robot._ticker": (
-        "swarmd.robot.effects",
-        "swarmd.robot.pattern_run",
-        "swarmd.robot.input_ages",
-        "swarmd.robot.ticker",
-    ),
     "swarmd.sensing._scans": (
         "swarmd.core.angles",
         "swarmd.core.buffers",
@@ -119,6 +105,20 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.sensing.deskew",
         "swarmd.sensing.scan_layout",
         "swarmd.sensing.scan_features",
+    ),
+    "swarmd.robot._ticker": (
+        "swarmd.robot.effects",
+        "swarmd.robot.pattern_run",
+        "swarmd.robot.input_ages",
+        "swarmd.robot.ticker",
+    ),
+    "swarmd.kit._points": ("swarmd.kit.points",),
+    "swarmd.kin._kin": (
+        "swarmd.core.angles",
+        "swarmd.core.buffers",
+        "swarmd.core.odometry_trail",
+        "swarmd.kin.hypothesis",
+        "swarmd.kin.kin",
     ),
     "swarmd.steering._steering": (
         "swarmd.core.angles",
@@ -138,7 +138,9 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
 }
 """By the module name of a library: the kernels in it, each behind those that it imports.
 
-A kernel of `swarmd.core` is compiled into each library that uses it.
+A kernel of `swarmd.core` is compiled into each library that uses it. `load_kernel` takes the first
+of these, so the libraries of what must be right come first: a damaged library of kin or steering
+must not change protection.
 """
 
 KERNELS = tuple(dict.fromkeys(chain.from_iterable(LIBRARIES.values())))

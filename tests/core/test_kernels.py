@@ -69,6 +69,30 @@ def test_a_description_imports_no_kernel() -> None:
 
 
 @pytest.mark.integration
+def test_protection_maps_no_library_of_steering_or_kin(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SWARMD_COMPILED", raising=False)
+    _library("swarmd.protection._barrier")
+    script = (
+        "from pathlib import Path; from swarmd.core.kernels import load_kernel;"
+        "from swarmd.protection.fence.fence_settings import FenceSettings;"
+        "from swarmd.protection.fence.fence_pose import FencePose;"
+        "from swarmd.settings.platforms import load_platform;"
+        "import swarmd.robot.robot;"
+        "Protection = load_kernel('swarmd.protection.protection').Protection;"
+        "fence = FenceSettings(frame='map', polygon=[(0, 0), (4, 0), (4, 4)]);"
+        "made = Protection(load_platform('waffle_pi'), [fence]), FencePose(fence, 1.0);"
+        "print(*{Path(line.split()[-1]).name.split('.')[0]"
+        " for line in Path('/proc/self/maps').read_text().splitlines() if '/swarmd/' in line})"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+
+    mapped = {*done.stdout.split()}
+    assert {"_barrier", "_protection"} <= mapped
+    assert not mapped & {"_kin", "_steering", "_points"}
+
+
+@pytest.mark.integration
 @pytest.mark.parametrize("share", [0.0, 0.00002, 0.003, 0.3, 0.999])
 def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
     share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
