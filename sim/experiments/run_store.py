@@ -189,8 +189,10 @@ class RunStore:
                 path.unlink()
                 return
             gone = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=self.folder))
-            path.rename(gone / key)  # at once: no other process sees a part of it
-            remove_whole(gone)
+            try:
+                path.rename(gone / key)  # at once: no other process sees a part of it
+            finally:
+                remove_whole(gone)
 
     def shrink(self, now: float | None = None) -> None:
         """Remove the entries whose last use is oldest, until the store is within its bound.
