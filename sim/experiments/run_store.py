@@ -52,6 +52,7 @@ _OLD = 3600.0  # s after which an entry that was never finished is removed
 _RESULT, _TRACE, _ASIDE = "result", "trace.npz", "aside"
 _PARTIAL = ".partial-"
 _MAX_RESULT = 1 << 20  # bytes; the metrics of a run take some kB
+_PIECE = 1 << 20  # bytes that are read at a time
 _DIGEST = 64  # hexadecimal digits of a SHA-256
 _FICLONE = 0x40049409  # ioctl_ficlone(2): the copy shares the blocks of the file
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
@@ -193,6 +194,23 @@ class RunStore:
                 path.rename(gone / key)  # at once: no other process sees a part of it
             finally:
                 remove_whole(gone)
+
+    def taken_since(self, begin: float) -> int:
+        """The number of entries that have been there at `begin` (Unix time in s), and used since.
+
+        Whoever measures what a program costs that calls `simulate` asks for it.
+        """
+        count = 0
+        if not self._is_usable():
+            return count
+        with suppress(OSError), os.scandir(self.folder) as found:
+            for item in found:
+                if len(item.name) == _DIGEST and item.is_dir(follow_symlinks=False):
+                    made = item.stat(follow_symlinks=False).st_mtime
+                    with suppress(OSError):
+                        used = os.stat(f"{item.path}/{_RESULT}", follow_symlinks=False).st_mtime
+                        count += made < begin <= used
+        return count
 
     def shrink(self, now: float | None = None) -> None:
         """Remove the entries whose last use is oldest, until the store is within its bound.
@@ -348,5 +366,8 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _digest_of(path: Path) -> str:
+    digest = hashlib.sha256()
     with open_regular(path, os.O_NOFOLLOW) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        while piece := file.read(_PIECE):
+            digest.update(piece)
+    return digest.hexdigest()

@@ -416,6 +416,17 @@ def test_it_is_off_where_it_is_asked(tmp_path: Path) -> None:
     assert known_runs(environ={VARIABLE: OFF}) is None
 
 
+def test_runs_of_this_process_are_neither_taken_nor_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their code may be changed in memory, by a debugger or by a control of a study."""
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "store"))
+    options: dict[str, Any] = {"set": {"duration": 0.1}, "in_process": True, "traces": False}
+    for _ in range(2):
+        assert simulate("dispersion", 1, **options).stored == 0
+    assert not (tmp_path / "store").exists()
+
+
 @pytest.mark.integration
 def test_each_verb_takes_what_another_has_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swarmctl: Swarmctl

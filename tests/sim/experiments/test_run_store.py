@@ -369,6 +369,18 @@ def test_two_processes_may_use_a_store_at_once(trace: Path, tmp_path: Path) -> N
     assert not list(folder.glob(".partial-*"))
 
 
+def test_what_was_taken_since_a_time_is_counted(store: RunStore, trace: Path) -> None:
+    for number in range(4):
+        kept(store, trace, f"{number:064}")
+        used = 1000.0 + number
+        os.utime(store.folder / f"{number:064}" / "result", (used, used))
+        os.utime(store.folder / f"{number:064}", (500.0, 500.0))
+    new = store.folder / f"{3:064}"
+    os.utime(new, (1003.0, 1003.0))  # made and used since
+    assert [store.taken_since(begin) for begin in (999.0, 1002.0, 1002.5, 1004.0)] == [3, 1, 0, 0]
+    assert RunStore(store.folder / "none").taken_since(0.0) == 0
+
+
 def test_what_is_put_aside_is_in_no_use(store: RunStore, trace: Path) -> None:
     kept(store, trace)
     folder = store.put_aside(KEY)
