@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import SwarmError
+from swarmd.core.pin import functions_here
 from swarmd.sim.experiments import run_key
 from swarmd.sim.experiments.known_runs import DONE_AGAIN, KnownRuns, known_runs
 from swarmd.sim.experiments.lessons import _bounded
@@ -419,8 +420,13 @@ def test_it_is_off_where_it_is_asked(tmp_path: Path) -> None:
 def test_runs_of_this_process_are_neither_taken_nor_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Their code may be changed in memory, by a debugger or by a control of a study."""
+    """Their code may be changed in memory, by a debugger or by a control of a study.
+
+    Also not in a process that is pinned, as those of studies are.
+    """
     monkeypatch.setenv(VARIABLE, str(tmp_path / "store"))
+    pinned = {**functions_here(), "pinned": "yes"}
+    monkeypatch.setattr("swarmd.sim.experiments.simulate.functions_here", lambda: pinned)
     options: dict[str, Any] = {"set": {"duration": 0.1}, "in_process": True, "traces": False}
     for _ in range(2):
         assert simulate("dispersion", 1, **options).stored == 0
