@@ -24,7 +24,7 @@ from typing import Any
 
 import swarmd
 from swarmd.core.errors import SwarmError
-from swarmd.core.files import read_regular, user_path
+from swarmd.core.files import read_regular, real_path, user_path
 from swarmd.plugins import MISSION, Origin, pattern_names
 from swarmd.sim.experiments.manifest import NAME as MANIFEST
 from swarmd.sim.experiments.plugin_look import Look, look_at
@@ -139,6 +139,9 @@ class RunKeys:
                 continue
             if not origin.is_file:
                 return f"pattern {name} is of {origin.source}"
+            # Modules beside the target of a link are not among the files of the folder.
+            if not Path(origin.value).is_relative_to(real_path(user_path(place))):
+                return f"{origin.source} is a link out of its folder"
             if origin.value.endswith(MISSION):  # of any of the patterns in its folder
                 more = {n for n, one in origins.items() if one.is_file and not _is_ours(one)}
             else:

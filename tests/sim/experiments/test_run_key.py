@@ -224,7 +224,17 @@ def link_to_nothing(mine: Path) -> str:
     return "link"
 
 
-FAULTS = (compiled, bytecode, reads, makes_one_that_reads, mission, pipe, many, large)
+def link_out(mine: Path) -> str:
+    """The modules beside the target are no files of the folder."""
+    outside = mine.parent / "outside" / "swirl"
+    outside.mkdir(parents=True)
+    (mine / "swirl.py").rename(outside / "pattern.py")
+    (mine / "swirl").mkdir()
+    (mine / "swirl" / "pattern.py").symlink_to(outside / "pattern.py")
+    return "swirl/pattern.py"
+
+
+FAULTS = (link_out, compiled, bytecode, reads, makes_one_that_reads, mission, pipe, many, large)
 
 
 @pytest.mark.parametrize("make", [*FAULTS, link_to_nothing])
