@@ -31,6 +31,10 @@ result.
 
 The folders of others may have these names, too, and are then imported: they are never left out."""
 
+OF_EXPERIMENTS = frozenset({"cores.py", "executor.py", "pool.py"})
+"""The files of `sim/experiments` that a run imports, and what a client asks of a worker: the others
+plan runs, and judge results."""
+
 _SUFFIXES = tuple(all_suffixes())  # of source, compiled code and extension modules
 _GIT_SECONDS = 10.0
 
@@ -77,11 +81,17 @@ def deciding(made: Mapping[str, str]) -> dict[str, str]:
 def digest_of_code(folder: Path) -> str:
     """The SHA-256 of the names and contents of swarmd's Python files and missions.
 
-    Folders that no run imports (NOT_IN_RUNS) are left out. Symbolic links are followed.
+    What no run imports is left out: the folders NOT_IN_RUNS, and the files of `sim/experiments`
+    that are not OF_EXPERIMENTS. Symbolic links are followed.
     """
     digest = hashlib.sha256()
+    experiments = folder / "sim" / "experiments"
     # Without compiled kernels, which differ between machines: `made_with` names their form.
-    sources = [path for path in _python_files(folder, NOT_IN_RUNS) if path.suffix == ".py"]
+    sources = [
+        path
+        for path in _python_files(folder, NOT_IN_RUNS)
+        if path.suffix == ".py" and (path.parent != experiments or path.name in OF_EXPERIMENTS)
+    ]
     for path in (*sources, *mission_files(folder / "config" / "missions")):
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
         digest.update(hashlib.sha256(read_regular(path)).digest())

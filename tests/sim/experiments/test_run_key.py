@@ -15,7 +15,7 @@ import swarmd
 from swarmd.plugins import Origin, pattern_folders
 from swarmd.sim.experiments import run_key
 from swarmd.sim.experiments.pool import Job
-from swarmd.sim.experiments.provenance import NOT_IN_RUNS, digest_of_code
+from swarmd.sim.experiments.provenance import NOT_IN_RUNS, OF_EXPERIMENTS, digest_of_code
 from swarmd.sim.experiments.run_key import RunKeys
 from tests.support.shape import import_closure
 
@@ -307,6 +307,9 @@ def test_no_run_imports_what_the_key_leaves_out() -> None:
     known = set().union(*map(import_closure, ["swarmd.sim.experiments.pool", *patterns]))
     assert {"swarmd.sim.lockstep.lockstep", "swarmd.sim.metrics.catalog"} <= known
     assert not [name for name in known if NOT_IN_RUNS & set(name.split("."))]
+    package = "swarmd.sim.experiments."
+    of_experiments = {name.removeprefix(package) for name in known if name.startswith(package)}
+    assert {f"{name}.py" for name in of_experiments} == OF_EXPERIMENTS - {"executor.py"}
     folders = {path.name for path in PACKAGE.rglob("*") if path.is_dir()}
     linked = {path.name for path in (PACKAGE / "sim").resolve().iterdir()}
     assert folders | linked >= NOT_IN_RUNS
