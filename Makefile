@@ -113,6 +113,8 @@ test test-long test-robot: export PYTHONDONTWRITEBYTECODE =
 test test-long test-robot: export PYTHONUTF8 = 1
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
 test test-long test-robot: export OPENBLAS_NUM_THREADS = 1
+# What is tested or timed is done, not taken from the store of runs.
+test test-long test-robot check docs wheel bench budget arm64: export SWARMD_RUN_STORE = off
 # $(call tested,JOBS,MORE,BEFORE): pytest with so many files at a time. ARGS of test-all (ALL) may pick no
 # test of a lane, with which pytest exits with 5.
 tested = $(COMPILE) tests && { $(3) $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --dist loadfile --no-loadscope-reorder $(2) \

@@ -27,7 +27,7 @@ def wall_time(workers: int, executor: Executor | None) -> float:
     """s that the runs take, on an executor or else in `workers` processes of this machine."""
     start = time.perf_counter()
     jobs = workers if executor is None else 1
-    results = simulate(SCENARIO, RUNS, jobs=jobs, executor=executor, traces=False)
+    results = simulate(SCENARIO, RUNS, jobs=jobs, executor=executor, traces=False, fresh=True)
     assert len(results.runs) == RUNS
     return time.perf_counter() - start
 
@@ -44,7 +44,7 @@ def on_dask(workers: int) -> float:
         if len(cluster.workers) != workers:
             raise RuntimeError(f"{len(cluster.workers)} workers where {workers} were wanted")
         executor = client.get_executor(pure=False)
-        simulate(SCENARIO, workers, executor=executor, traces=False)
+        simulate(SCENARIO, workers, executor=executor, traces=False, fresh=True)
         return wall_time(workers, executor)
 
 

@@ -22,6 +22,7 @@ from xdist.workermanage import WorkerController
 
 from swarmd.core.clock import boottime
 from swarmd.core.kernels import describe_kernels
+from swarmd.sim.experiments.run_store import OFF, VARIABLE
 from swarmd.sim.live import fleet
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
@@ -74,6 +75,7 @@ def pytest_configure(config: pytest.Config) -> None:
             signal.signal(number, usual)
     for name in OF_A_SHELL:
         os.environ.pop(name, None)
+    os.environ[VARIABLE] = OFF  # a test does what it tests; those of the store name a folder
     # Not for a pytest that a test starts.
     config.stash[COUNTS] = os.environ.pop("LANE_COUNTS", "")
     worker = getattr(config, "workerinput", {}).get("workerid", "")

@@ -18,12 +18,13 @@ from swarmd.cli.options import FOLDER, VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, table_lines, warn
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.files import read_regular
-from swarmd.sim.cli.options import need, output_option
+from swarmd.sim.cli.options import fresh_option, need, output_option
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
     from swarmd.cli.plugin_check import Point
+    from swarmd.sim.experiments.known_runs import KnownRuns
     from swarmd.sim.experiments.lessons import Lesson, LessonMark
     from swarmd.sim.experiments.plan import Plan
     from swarmd.sim.experiments.requirements import RequirementFinding
@@ -113,6 +114,7 @@ def lessons(is_json: bool) -> None:
     metavar="SECONDS",
     help="All runs of one pupil together; the others continue [300].",
 )
+@fresh_option
 @output_option
 @click.pass_context
 def check(
@@ -121,6 +123,7 @@ def check(
     lesson: str | None,
     jobs: int | None,
     timeout: float,
+    is_fresh: bool,
     is_json: bool,
 ) -> None:
     """Mark the work of a class: FOLDER holds a folder FOLDER/PUPIL for each pupil.
@@ -136,6 +139,7 @@ def check(
     Exit code 0 if the work of all pupils passes, else 1.
     """
     need("mujoco")
+    from swarmd.sim.experiments.known_runs import known_runs
     from swarmd.sim.experiments.lessons import load_lessons, plan_of_lesson
 
     # 1. The lesson, and the files or folders that pupils handed in.
@@ -156,6 +160,7 @@ def check(
 
     # 2. The mark of each pupil. A row, or in JSON a line on stderr, follows as soon as it is known.
     plan = plan_of_lesson(chosen_lesson) if chosen_lesson.pattern else None
+    known = known_runs(is_fresh=is_fresh)
     works: list[Work] = []
     table = _Table(chosen_lesson, [_pupil(path) for path in pupil_paths])
     try:
@@ -163,7 +168,7 @@ def check(
             table.print_head()
         with signals_end(SIGTERM):
             for path in pupil_paths:
-                work = _marked(path, chosen_lesson, plan, jobs or usable_cores(), timeout)
+                work = _marked(path, chosen_lesson, plan, jobs or usable_cores(), timeout, known)
                 works.append(work)
                 if is_json:
                     warn(f"{len(works)} of {len(pupil_paths)}: {work.pupil} {_verdict(work)}")
@@ -181,7 +186,9 @@ def check(
         if not_done:
             warn(f"not done: {', '.join(not_done)}")
 
-    # 3. What the pupils share, and the exit code.
+    # 3. What was not done again, what the pupils share, and the exit code.
+    for line in [] if known is None else known.lines():
+        warn(line)
     for names in same_files:
         warn(f"the same file: {', '.join(names)}")
     ctx.exit(0 if all(work.is_passed for work in works) else FAILED)
@@ -219,7 +226,14 @@ def _pupil(path: Path) -> str:
     return path.name if path.is_dir() else path.stem
 
 
-def _marked(path: Path, lesson: Lesson, plan: Plan | None, processes: int, timeout: float) -> Work:
+def _marked(
+    path: Path,
+    lesson: Lesson,
+    plan: Plan | None,
+    processes: int,
+    timeout: float,
+    known: KnownRuns | None,
+) -> Work:
     """Check and mark the work of one pupil; a fault of the work is returned, not raised."""
     from swarmd.sim.experiments.lessons import mark_pattern, mark_results
 
@@ -233,7 +247,9 @@ def _marked(path: Path, lesson: Lesson, plan: Plan | None, processes: int, timeo
             checks = _checked(folder, lesson)
             if why := next((_fault(point) for point in checks if point.result != "ok"), ""):
                 return Work(pupil, checks, why=why)
-            mark = mark_pattern(lesson, plan, folder, processes=processes, timeout=timeout)
+            mark = mark_pattern(
+                lesson, plan, folder, processes=processes, timeout=timeout, known=known
+            )
             return Work(pupil, checks, mark, mark.why)
     except (SwarmError, OSError) as error:
         return Work(pupil, checks, why=" ".join(str(error).split()))

@@ -43,6 +43,7 @@ from swarmd.sim.cli.options import (
     engine,
     engine_options,
     folder_argument,
+    fresh_option,
     need,
     new_folder,
     out_option,
@@ -114,6 +115,7 @@ def exp() -> None:
     "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
 )
 @engine_options
+@fresh_option
 @click.option("--no-traces", is_flag=True, help="Keep only metrics; fewer plots are possible.")
 @click.option(
     "--until",
@@ -149,6 +151,7 @@ def run(
     shard: str | None,
     on: str | None,
     scheduler_file: Path | None,
+    is_fresh: bool,
     no_traces: bool,
     until: str | None,
     alpha: float | None,
@@ -223,6 +226,7 @@ def run(
             "--shard": shard,
             "--on": on,
             "--scheduler-file": scheduler_file,
+            "--fresh": is_fresh,
             "--out": folder,
             "--no-traces": no_traces,
             "--until": until,
@@ -244,6 +248,7 @@ def run(
             command=command,
             metrics=chosen or (),
             test=test,
+            is_fresh=is_fresh,
         )
 
     # 5. The statistics and the exit code.

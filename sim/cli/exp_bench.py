@@ -20,6 +20,7 @@ from swarmd.sim.cli.exp_runs import command_line, do_runs, exit_code, jobs_optio
 from swarmd.sim.cli.options import (
     engine,
     engine_options,
+    fresh_option,
     need,
     new_folder,
     out_option,
@@ -55,6 +56,7 @@ def _tasks(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 @seeds_option
 @jobs_option
 @engine_options
+@fresh_option
 @out_option("Folder of the results; interrupted runs in it resume [runs/bench-N].")
 @click.option("--traces", is_flag=True, help="Keep traces, for `exp view` and `exp plot`.")
 @output_option
@@ -69,6 +71,7 @@ def bench(
     jobs: int | None,
     on: str | None,
     scheduler_file: Path | None,
+    is_fresh: bool,
     out: Path | None,
     traces: bool,
     is_json: bool,
@@ -120,6 +123,7 @@ def bench(
         "--seeds": seeds,
         "--on": on,
         "--scheduler-file": scheduler_file,
+        "--fresh": is_fresh,
         "--out": folder,
         "--traces": traces,
     }
@@ -131,7 +135,13 @@ def bench(
             task = task_of(plan)
             warn(f"{number} of {len(planned)}: {task}, {counted(len(plan.variants), 'pattern')}")
             results = do_runs(
-                plan, folder / task, runner, traces=traces, command=command, metrics=[metric]
+                plan,
+                folder / task,
+                runner,
+                traces=traces,
+                command=command,
+                metrics=[metric],
+                is_fresh=is_fresh,
             )
             done.append(results)
             for run, reason in list(results.failures.items())[:1]:

@@ -49,14 +49,17 @@ def do_runs(
     command: list[str],
     metrics: Sequence[Metric],
     test: SequentialTest | None = None,
+    is_fresh: bool = False,
 ) -> Results:
     """Do the runs of a plan that `folder` lacks, with progress on stderr.
 
     `command`: the command line that resumes them, printed after a signal. `metrics`: those to show.
-    `test`: ends the runs when it is decided; None: all runs are done.
+    `test`: ends the runs when it is decided; None: all runs are done. `is_fresh`: no run is taken
+    from the store of runs; else lines on stderr say how many were.
     Before several runs with a pattern of a file, the first second of the first run is tried.
     """
     from swarmd.sim.cli.progress import progress
+    from swarmd.sim.experiments.known_runs import known_runs
     from swarmd.sim.experiments.manifest import manifest_of, plugin_folders
     from swarmd.sim.experiments.sequential import run_until
     from swarmd.sim.experiments.simulate import check_first_second, run_experiment
@@ -69,16 +72,24 @@ def do_runs(
         metrics=beyond_catalog(metrics),
         shown=[metric.name for metric in metrics],
     )
+    known = known_runs(manifest.made_with, is_fresh=is_fresh)
+    does_runs = runner if known is None else known.runner(runner)
     try:
         with signals_end(SIGTERM), progress() as on_progress:
             if plan.runs[1:] and plugin_folders(plan):
-                check_first_second(plan, runner)
+                # With known runs of its own: the trial is no run of the experiment.
+                trial = known_runs(manifest.made_with, is_fresh=is_fresh)
+                check_first_second(plan, runner if trial is None else trial.runner(runner))
             if test is not None:
-                return run_until(test, manifest, folder, runner, on_progress=on_progress)
-            return run_experiment(manifest, folder, runner, on_progress=on_progress)
+                results = run_until(test, manifest, folder, does_runs, on_progress=on_progress)
+            else:
+                results = run_experiment(manifest, folder, does_runs, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
         _tell_how_to_resume(folder, plan, command)
         raise
+    for line in [] if known is None else known.lines():
+        warn(line)
+    return results
 
 
 def _tell_how_to_resume(folder: Path, plan: Plan, command: Sequence[str]) -> None:

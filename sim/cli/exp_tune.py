@@ -16,6 +16,7 @@ from swarmd.cli.output import print_json, signals_end, warn
 from swarmd.sim.cli.options import (
     engine,
     engine_options,
+    fresh_option,
     need,
     new_folder,
     out_option,
@@ -91,6 +92,7 @@ from swarmd.texts.values import printable
     help="Runs at a time; the result does not depend on it [all cores].",
 )
 @engine_options
+@fresh_option
 @click.option(
     "--timeout",
     type=click.FloatRange(min=1.0),
@@ -114,6 +116,7 @@ def tune(
     jobs: int | None,
     on: str | None,
     scheduler_file: Path | None,
+    is_fresh: bool,
     timeout: float | None,
     out: Path | None,
     is_json: bool,
@@ -127,6 +130,7 @@ def tune(
     """
     need("mujoco", "optuna", extra="sim,plot,tune")
     from swarmd.sim.experiments import tune as tuning
+    from swarmd.sim.experiments.known_runs import known_runs
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets
 
     tuning.split_metric(metric)  # a fault of the metric must not leave an empty folder
@@ -136,6 +140,7 @@ def tune(
     )
 
     # The search, with its progress on stderr.
+    known = known_runs(is_fresh=is_fresh)
     bar = progress() if sys.stderr.isatty() else nullcontext()
     try:
         with (
@@ -155,7 +160,7 @@ def tune(
                 pseudo_reality=pseudo_reality,
                 candidates=candidates,
                 out=folder,
-                runner=runner,
+                runner=runner if known is None else known.runner(runner),
                 on_note=lambda note: warn(f"note: {note}"),
                 # Not by click, which writes behind the bar; rich prints lines of sys.stderr above.
                 on_step=lambda line: print(printable(line), file=sys.stderr),
@@ -164,6 +169,9 @@ def tune(
     except (KeyboardInterrupt, SystemExit):
         warn(f"finished runs are kept; to go on, give the same command with --out {folder}")
         raise
+
+    for line in [] if known is None else known.lines():
+        warn(line)
 
     # The result, and its picture if matplotlib is installed.
     if is_json:

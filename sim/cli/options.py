@@ -317,6 +317,15 @@ def workers(jobs: int | None, timeout: float | None, cores: int = 1) -> Runner:
     return partial(run_jobs, processes=processes, timeout=seconds, cores=cores)
 
 
+fresh_option = click.option(
+    "--fresh",
+    "is_fresh",
+    is_flag=True,
+    help="Do all runs, also those whose results the store of runs has, and keep none there; also"
+    " off by SWARMD_RUN_STORE=off.",
+)
+
+
 def engine_options(command: Function) -> Function:
     """Options that name the machines of the runs, as keywords `on` and `scheduler_file`."""
     for option in (

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import read, shown
 from swarmd.sim.experiments.compare import Side, sides_of
 from swarmd.sim.experiments.cores import core_share
+from swarmd.sim.experiments.known_runs import KnownRuns
 from swarmd.sim.experiments.plan import Plan
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_jobs
 from swarmd.sim.experiments.requirements import (
@@ -33,7 +35,7 @@ from swarmd.sim.experiments.requirements import (
     parse_requirement,
 )
 from swarmd.sim.experiments.results import Results
-from swarmd.sim.experiments.simulate import plan_of
+from swarmd.sim.experiments.simulate import Runner, plan_of
 from swarmd.sim.experiments.store import Row
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.protection import FAILED_PATTERNS
@@ -93,13 +95,20 @@ def mark_results(lesson: Lesson, folder: Path) -> LessonMark:
 
 
 def mark_pattern(
-    lesson: Lesson, plan: Plan, folder: Path, *, processes: int, timeout: float
+    lesson: Lesson,
+    plan: Plan,
+    folder: Path,
+    *,
+    processes: int,
+    timeout: float,
+    known: KnownRuns | None = None,
 ) -> LessonMark:
     """Run the lesson's experiment with the pattern in a pupil's folder, and check its targets.
 
     `plan`: of `plan_of_lesson`, whose robots here run the pupil's pattern.
-    `processes`: runs at a time. `timeout`: s of all runs, as `_bounded` counts. The first run that
-    fails ends the experiment, and the reason is `why` of the result.
+    `processes`: runs at a time. `timeout`: s of all runs, as `_bounded` counts. `known`: runs that
+    need not be done; None: all are done. The first run that fails ends the experiment, and the
+    reason is `why` of the result.
     """
     run_by_id = {run.id: run for run in plan.runs}
     # `guest` confines the process of the run to the pupil's folder.
@@ -114,14 +123,14 @@ def mark_pattern(
         for run in plan.runs
     ]
     row_by_id: dict[str, Row] = {}
-    for result in _bounded(jobs, processes, timeout):
+    for result in _bounded(jobs, processes, timeout, known):
         run = run_by_id[result.run]
         if result.metrics is None:
             reason = result.reason.rstrip(": ")  # an error without a text ends in a colon
             return LessonMark(why=f"{run.title}: {reason}")
         if FAILED_PATTERNS in result.errors:
             return LessonMark(why=f"{run.title}: {result.errors[FAILED_PATTERNS]}")
-        row_by_id[run.id] = Row(run, result.metrics, result.wall)
+        row_by_id[run.id] = Row(run, result.metrics, None if result.stored else result.wall)
     if len(row_by_id) < len(jobs):
         done = f"{len(row_by_id)} of {len(jobs)} runs"
         return LessonMark(why=f"the pattern is too slow: {done} are done after {timeout:g} s")
@@ -134,13 +143,19 @@ def mark_pattern(
     return LessonMark(findings, next(_missed(findings), ""))
 
 
-def _bounded(jobs: Sequence[Job], processes: int, timeout: float) -> Iterator[JobResult]:
+def _bounded(
+    jobs: Sequence[Job], processes: int, timeout: float, known: KnownRuns | None
+) -> Iterator[JobResult]:
     """The results that arrive within `timeout` s; the caller may close the iterator early.
 
     At a load above the cores of the machine the seconds count less (`core_share`).
     """
     spent, last = 0.0, time.monotonic()
-    with closing(run_jobs(jobs, processes, min(STEP_TIMEOUT, timeout / 2.0))) as results:
+    step = min(STEP_TIMEOUT, timeout / 2.0)
+    runner: Runner = partial(run_jobs, processes=processes, timeout=step)
+    if known is not None:
+        runner = known.runner(runner)
+    with closing(runner(jobs)) as results:
         for result in results:
             if isinstance(result, JobResult):
                 yield result

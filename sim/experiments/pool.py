@@ -119,6 +119,9 @@ class JobResult:
     errors: Mapping[str, str] = field(default_factory=dict)
     """Why custom metrics have no value, by name; under FAILED_PATTERNS the first error of a
     pattern, with its line of code."""
+    stored: str = ""
+    """The day on which the run was made, if it was taken from the store of runs; empty: it was done
+    now."""
 
 
 _Functions: TypeAlias = Mapping[str, str]
@@ -327,6 +330,11 @@ def _acts_at_start(name: str) -> bool:
     return name.startswith(_AT_START)
 
 
+def variables_at_start() -> dict[str, str]:
+    """The variables of the environment that act as a worker starts, by name."""
+    return {name: text for name, text in os.environ.items() if _acts_at_start(name)}
+
+
 @dataclass(frozen=True, slots=True)
 class _Surroundings:
     """The folder and the environment that a process has at a time."""
@@ -342,9 +350,8 @@ def _surroundings() -> _Surroundings:
     folder = ""
     with suppress(FileNotFoundError):
         folder = os.getcwd()
-    now = dict(os.environ)
-    at_start = {name: text for name, text in now.items() if _acts_at_start(name)}
-    others = {name: text for name, text in now.items() if name not in at_start}
+    at_start = variables_at_start()
+    others = {name: text for name, text in os.environ.items() if name not in at_start}
     return _Surroundings(folder, others, at_start)
 
 

@@ -7,7 +7,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Set
-from importlib.machinery import all_suffixes
+from importlib.machinery import EXTENSION_SUFFIXES, all_suffixes
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,10 +20,20 @@ from swarmd.core.kernels import describe_kernels
 from swarmd.core.pin import functions_here
 from swarmd.plugins import mission_files, pattern_files
 
-NOT_IN_RUNS = frozenset({"cli", "film", "live", "plots", "report", "testing"})
-"""Folders of swarmd that no run imports; a change there changes no result.
+NOT_IN_RUNS = frozenset(
+    (
+        *("acceptance", "calibration", "cli", "client", "daemon", "drivers", "film", "learning"),
+        *("live", "plots", "recording", "replay", "report", "testing", "texts", "view"),
+    )
+)
+"""Folders of swarmd that no run imports, also not within functions; a change there changes no
+result.
 
 The folders of others may have these names, too, and are then imported: they are never left out."""
+
+OF_EXPERIMENTS = frozenset({"cores.py", "executor.py", "pool.py"})
+"""The files of `sim/experiments` that a run imports, and what a client asks of a worker: the others
+plan runs, and judge results."""
 
 _SUFFIXES = tuple(all_suffixes())  # of source, compiled code and extension modules
 _GIT_SECONDS = 10.0
@@ -71,14 +81,33 @@ def deciding(made: Mapping[str, str]) -> dict[str, str]:
 def digest_of_code(folder: Path) -> str:
     """The SHA-256 of the names and contents of swarmd's Python files and missions.
 
-    Folders that no run imports (NOT_IN_RUNS) are left out. Symbolic links are followed.
+    What no run imports is left out: the folders NOT_IN_RUNS, and the files of `sim/experiments`
+    that are not OF_EXPERIMENTS. Symbolic links are followed.
     """
     digest = hashlib.sha256()
+    experiments = folder / "sim" / "experiments"
     # Without compiled kernels, which differ between machines: `made_with` names their form.
-    sources = [path for path in _python_files(folder, NOT_IN_RUNS) if path.suffix == ".py"]
+    sources = [
+        path
+        for path in _python_files(folder, NOT_IN_RUNS)
+        if path.suffix == ".py" and (path.parent != experiments or path.name in OF_EXPERIMENTS)
+    ]
     for path in (*sources, *mission_files(folder / "config" / "missions")):
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
         digest.update(hashlib.sha256(read_regular(path)).digest())
+    return digest.hexdigest()
+
+
+def digest_of_kernels(folder: Path) -> str:
+    """The SHA-256 of the names and contents of swarmd's compiled kernels.
+
+    Beside the digest of the sources: other flags of the compiler give other libraries.
+    """
+    digest = hashlib.sha256()
+    for path in _python_files(folder, NOT_IN_RUNS):
+        if path.name.endswith(tuple(EXTENSION_SUFFIXES)):
+            digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+            digest.update(hashlib.sha256(read_regular(path)).digest())
     return digest.hexdigest()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -250,10 +251,28 @@ class Results:
 
     @property
     def times_real_time(self) -> Array:
-        """Simulated over wall time of each run (runs,); a wall time counts as at least 1 ms."""
+        """Simulated over wall time of each run (runs,); a wall time counts as at least 1 ms.
+
+        NaN for a run that was taken from the store of runs.
+        """
         return np.array(
-            [row.run.variant.effective["duration"] / max(row.wall, 1e-3) for row in self._rows]
+            [
+                math.nan
+                if row.wall is None
+                else row.run.variant.effective["duration"] / max(row.wall, 1e-3)
+                for row in self._rows
+            ]
         )
+
+    @property
+    def stored(self) -> int:
+        """The number of finished runs that were taken from the store of runs."""
+        return sum(row.wall is None for row in self._rows)
+
+    @property
+    def _wall(self) -> float:
+        """s that the runs took that were done."""
+        return sum(row.wall for row in self._rows if row.wall is not None)
 
     def summary(
         self, variant: str | None = None, names: Sequence[str | Metric] | None = None
@@ -290,7 +309,8 @@ class Results:
             "part": None if self.plan.shard is None else str(self.plan.shard),
             "kernels": self.kernels,
             "times_real_time": self._speed(),
-            "wall": sum(row.wall for row in self._rows),
+            "wall": self._wall,
+            "stored": self.stored,
             "level": statistics.LEVEL,
             "method": statistics.METHOD,
             "variants": [
@@ -346,7 +366,9 @@ class Results:
         if (speed := self._speed()) is not None:
             least_and_most = f"{speed['min']:.3g} to {speed['max']:.3g}"
             each = f"{speed['median']:.3g} times real time ({least_and_most})"
-            lines.append(f"each run: {each}; all runs: {sum(row.wall for row in self._rows):.3g} s")
+            lines.append(f"each run: {each}; all runs: {self._wall:.3g} s")
+        if self.stored:
+            lines.append(f"taken from the store of runs: {counted(self.stored, 'run')}")
         if self.kernels not in ("", "compiled"):
             lines.append(f"kernels: {self.kernels}")
         return lines
@@ -358,7 +380,7 @@ class Results:
         return self.text()
 
     def _speed(self) -> dict[str, float] | None:
-        speeds = self.times_real_time
+        speeds = self.times_real_time[~np.isnan(self.times_real_time)]
         if not speeds.size:
             return None
         values = float(np.median(speeds)), float(speeds.min()), float(speeds.max())

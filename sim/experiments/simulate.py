@@ -29,6 +29,7 @@ from swarmd.core.numbers import python_value
 from swarmd.core.pin import functions_here
 from swarmd.plugins import MISSION
 from swarmd.sim.experiments.executor import Executor, on_executor
+from swarmd.sim.experiments.known_runs import known_runs
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
 from swarmd.sim.experiments.pool import (
@@ -90,6 +91,7 @@ def simulate(
     on_progress: OnProgress | None = None,
     executor: Executor | None = None,
     in_process: bool = False,
+    fresh: bool = False,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
@@ -112,7 +114,8 @@ def simulate(
       such as that of Dask (`Client.get_executor`) or `mpi4py.futures`, or an executor of submitit.
       A worker has the same software, else SwarmError names the difference.
     - `in_process`: this process does the runs, for a debugger. It is not pinned, and the manifest
-      says so: last bits may be others.
+      says so: last bits may be others. Nothing is taken from the store of runs.
+    - `fresh`: all runs are done, also those that the store of runs has, and none is kept there.
     - `on_progress`: called with the progress after each run, and in worker processes also during
       runs. `progress()` of `swarmd.sim.cli.progress` gives the display of `swarmctl exp run`.
 
@@ -136,6 +139,9 @@ def simulate(
     runner = run_here if is_here else runner_of(jobs, timeout, cores, executor)
     functions = functions_here() if is_here else None
     manifest = manifest_of(plan, traces=traces, command=[], metrics=custom, functions=functions)
+    known = known_runs(manifest.made_with, is_fresh=fresh or is_here)
+    if known is not None:
+        runner = known.runner(runner)
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
         results = run_experiment(manifest, folder, runner, on_progress=on_progress)
@@ -279,6 +285,10 @@ class _Work:
         self._ended += self._work[run] * last_share if has_failed else self._work[run]
         self._to_end -= self._work[run]
 
+    def leave_out(self, run: str) -> None:
+        """Take away a run that is not simulated: its result was known."""
+        self._to_end -= self._work[run]
+
     def done_and_left(self) -> tuple[float, float]:
         """The work that is simulated, and the work that is left, in robot-seconds.
 
@@ -326,8 +336,12 @@ def _gather(
             if result.metrics is None:
                 store.fail(run_by_id[result.run], result.reason)
             else:
-                store.add(run_by_id[result.run], result.metrics, result.wall, result.errors)
-            work.end(result.run, has_failed=result.metrics is None)
+                wall = None if result.stored else result.wall
+                store.add(run_by_id[result.run], result.metrics, wall, result.errors)
+            if result.stored:
+                work.leave_out(result.run)
+            else:
+                work.end(result.run, has_failed=result.metrics is None)
             report_progress()
 
 

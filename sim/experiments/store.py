@@ -40,17 +40,22 @@ TABLE = "runs.csv"
 _FORMULA_STARTS = tuple("=+-@\t\r\n")
 TRACES = "traces"
 FAILURES = "failures.json"
+STORED = "stored"
+"""In place of the duration of a run that was taken from the store of runs."""
 SUMMARY = "summary.json"
 _HEAD = {"apiVersion": "swarm/v1", "kind": "ExperimentSummary"}
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A finished run: metrics by name, None without a value, and its duration `wall` in s."""
+    """A finished run: metrics by name, None without a value.
+
+    `wall`: its duration in s; None if it was taken from the store of runs, and took no time here.
+    """
 
     run: Run
     metrics: Mapping[str, float | None]
-    wall: float
+    wall: float | None
 
     def plain(self) -> dict[str, Any]:
         """As a dict: run, variant, swept values, seed, metrics and wall."""
@@ -64,7 +69,8 @@ class Row:
         values = ("" if value is None else repr(float(value)) for value in self.metrics.values())
         swept = map(shown, variant.values.values())
         texts = map(cell, (self.run.id, variant.name, *swept))
-        return (*texts, str(self.run.seed), *values, f"{self.wall:.3f}")
+        wall = STORED if self.wall is None else f"{self.wall:.3f}"
+        return (*texts, str(self.run.seed), *values, wall)
 
 
 def header(plan: Plan, metrics: Iterable[str]) -> tuple[str, ...]:
@@ -138,8 +144,9 @@ def _row(cells: Sequence[str], metrics: Sequence[str], runs: Mapping[str, Run]) 
     if name not in runs:
         raise ValueError(f"no run of its manifest: {name!r}")
     texts = cells[len(cells) - len(metrics) - 1 :]
-    *values, wall = [float(text) if text else None for text in texts]
-    if wall is None or not all(v is None or math.isfinite(v) for v in (*values, wall)):
+    values = [float(text) if text else None for text in texts[:-1]]
+    wall = None if texts[-1] == STORED else float(texts[-1] or "nan")
+    if not all(v is None or math.isfinite(v) for v in (*values, wall)):
         raise ValueError("a number is missing or not finite")
     row = Row(runs[name], dict(zip(metrics, values, strict=True)), wall)
     if row.cells != tuple(cells):
@@ -178,15 +185,15 @@ class Store:
         self,
         run: Run,
         metrics: Mapping[str, float | None],
-        wall: float,
+        wall: float | None,
         errors: Mapping[str, str] | None = None,
     ) -> None:
-        """Append a finished run; SwarmError if it cannot be written."""
+        """Append a finished run; SwarmError if it cannot be written. `wall`: as of Row."""
         if errors:
             self.errors[run.id] = dict(errors)
             with translated_errors(self.folder):
                 self._write_failures()
-        row = Row(run, metrics, round(wall, 3))
+        row = Row(run, metrics, None if wall is None else round(wall, 3))
         # "r+" raises an error if the table has been removed. A line that a full disk has torn is
         # cut off when the folder is opened again.
         with translated_errors(self.folder), (self.folder / TABLE).open("r+b") as file:

@@ -52,9 +52,10 @@ from swarmd.core.numbers import python_value
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
+from swarmd.sim.experiments.known_runs import known_runs
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain, write_json, write_whole
 from swarmd.sim.experiments.plan import MAX_RUNS, Plan, Variant, check_seeds
-from swarmd.sim.experiments.pool import STEP_TIMEOUT
+from swarmd.sim.experiments.pool import STEP_TIMEOUT, has_workers
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.search_space import SOURCE, ParameterSpace, parameter_space
 from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment, runner_of
@@ -207,6 +208,7 @@ def tune(
     timeout: float = STEP_TIMEOUT,
     out: str | Path | None = None,
     runner: Runner | None = None,
+    fresh: bool = False,
     on_note: Callable[[str], object] = str,
     on_step: Callable[[str], object] = str,
     on_progress: OnProgress | None = None,
@@ -230,7 +232,8 @@ def tune(
     - `out`: the folder of the tuning. A repeated call with this folder and equal arguments
       continues an interrupted tuning. Without `out` the results lie in a temporary folder, which is
       deleted with the returned object or on an error.
-    - `runner`: does the runs in place of `jobs` worker processes.
+    - `runner`: does the runs in place of `jobs` worker processes, and without the store of runs.
+    - `fresh`: all runs are done, also those that the store of runs has, and none is kept there.
     - `on_note`: called with a line for each parameter that is not tuned.
     - `on_step`: called with a line after each batch and before each set of held-out runs.
     - `on_progress`: called after each run with the progress inside a block of seeds or a set of
@@ -266,7 +269,7 @@ def tune(
             budget=budget,
             per_batch=candidates,
             folder=folder,
-            runner=runner or runner_of(jobs, timeout),
+            runner=runner or _workers(jobs, timeout, is_fresh=fresh),
             on_step=on_step,
             on_progress=on_progress,
         )
@@ -280,6 +283,13 @@ def tune(
     if out is None:
         weakref.finalize(tuning, shutil.rmtree, folder, ignore_errors=True)
     return tuning
+
+
+def _workers(jobs: int, timeout: float, *, is_fresh: bool) -> Runner:
+    """Worker processes, for runs that the store does not have; this process without workers."""
+    runner = runner_of(jobs, timeout)
+    known = known_runs(is_fresh=is_fresh or not has_workers())
+    return runner if known is None else known.runner(runner)
 
 
 def _held_out(given: int | Iterable[int], search_seeds: Sequence[int]) -> tuple[int, ...]:

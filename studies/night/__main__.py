@@ -14,11 +14,12 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from datetime import date
 
 from benchmarks.table import markdown
-from studies.night.jobs import JOBS, Job, PatternJob, keep, share
+from studies.night.jobs import JOBS, STORED_RUNS, Job, PatternJob, keep, share, stored_runs
 from studies.night.pages import write_parts
 from studies.night.sources import ROOT, changed_since, commit_of, forget
 from studies.outcomes.outcome import software
@@ -70,6 +71,8 @@ def overview() -> list[str]:
         cells = ["not made by a night yet: the table of the page is older", "-", "-", "-"]
         if made is not None:
             minutes = made.get("cpu_minutes", "-")
+            if STORED_RUNS in made:
+                minutes += f", without {made[STORED_RUNS]} stored runs"
             cells = [f"[{name}](../../{name})", made["day"], made["commit"], minutes]
         rows.append([job.name, *cells])
     return markdown(rows).splitlines()
@@ -88,6 +91,7 @@ def carry_out(job: Job, lock: int, on: str | None = None) -> bool:
     spent = LOGS / f"{job.name}.seconds"
     seconds = float(spent.read_text()) if spent.exists() else 0.0
     begin = _seconds_of_children()
+    begun = time.time()
     with (LOGS / f"{job.name}.log").open("a") as log:
         words = [sys.executable, *job.arguments]
         if on is not None and job.takes_executor:
@@ -121,6 +125,7 @@ def carry_out(job: Job, lock: int, on: str | None = None) -> bool:
         print(f"{job.name}: its table has a fault", file=sys.stderr)
     origin = {"day": date.today().isoformat(), "commit": commit, "digest": digest}
     origin["cpu_minutes"] = f"{seconds / 60.0:.1f}"
+    origin |= stored_runs(begun)
     missing = keep(job, done.stdout, {**software(), **origin})
     for name in missing:
         print(f"{job.name}: no page has a part `<!-- results: {name} -->`", file=sys.stderr)

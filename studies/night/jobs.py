@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,11 @@ from studies.night.sources import ROOT, digest_of, sources_of
 from studies.outcomes.outcome import STUDIES
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import write_whole
+from swarmd.sim.experiments.run_store import run_store
+
+STORED_RUNS = "stored_runs"
+"""The key of `Made.made_with` with the number of runs that were taken from the store of runs, and
+took none of its CPU-minutes; absent without one."""
 
 
 class Made(Struct, frozen=True, kw_only=True):
@@ -34,6 +40,16 @@ class Made(Struct, frozen=True, kw_only=True):
         """A part of a page: its lines, and how it was made."""
         origin = f"Made on {{day}} with commit {{commit}} by `{self.command}`."
         return "\n".join([*self.parts[part], "", origin.format_map(self.made_with)])
+
+
+def stored_runs(begin: float, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """The entry STORED_RUNS of what has run since `begin`, Unix time in s; empty without such runs.
+
+    Other programs that use the store at the same time count, too.
+    """
+    store = run_store(environ)
+    taken = 0 if store is None else store.taken_since(begin)
+    return {STORED_RUNS: str(taken)} if taken else {}
 
 
 class Job(Struct, frozen=True):
@@ -103,9 +119,12 @@ class Job(Struct, frozen=True):
 
     @property
     def estimate(self) -> float:
-        """CPU-minutes: those of the last time."""
-        used = self.made.made_with.get("cpu_minutes") if self.made else None
-        return self.minutes if used is None else float(used)
+        """CPU-minutes: those of the last time, unless it took runs from the store of runs."""
+        made = self.made.made_with if self.made else {}
+        used = made.get("cpu_minutes")
+        if used is None:
+            return self.minutes
+        return max(self.minutes, float(used)) if STORED_RUNS in made else float(used)
 
 
 class PatternJob(Job, frozen=True):

@@ -14,10 +14,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
+from studies.night.jobs import stored_runs
 from studies.outcomes.catalog import MODULES, short_outcomes
 from studies.outcomes.outcome import (
     HEAD,
@@ -57,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     kept, problems = kept_outcomes(), 0
     for name in options.patterns or MODULES:
         begin = sum(os.times()[:4])
+        begun = time.time()
         seeds = options.seeds or getattr(MODULES[name], "SEEDS", 20)
         if options.still:
             outcomes = control_of(name, options.seeds or 3)
@@ -67,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.keep:
             more = short_outcomes(name), control_of(name)
             minutes = (sum(os.times()[:4]) - begin) / 60.0
-            keep(name, seeds, outcomes, *more, cpu_minutes=minutes)
+            stored = stored_runs(begun)
+            keep(name, seeds, outcomes, *more, cpu_minutes=minutes, stored_runs=stored)
         elif not options.still:
             known = kept[name].missed if name in kept else []
             problems += sum(not o.is_reached and o.what not in known for o in outcomes)

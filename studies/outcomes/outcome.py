@@ -281,17 +281,20 @@ def keep(
     still: Sequence[Outcome] = (),
     *,
     cpu_minutes: float = 0.0,
+    stored_runs: Mapping[str, str] | None = None,
 ) -> None:
     """Write the outcomes beside the pattern, and their table into the part PART of its page.
 
     `seeds`: the number of seeds, from 0 on. `short`: the outcomes of the short form. `still`: those
-    of robots that never move. The file is written last, so that it never names values that the page
+    of robots that never move. `stored_runs`: the entry of `made_with` for runs that were taken from
+    the store of runs. The file is written last, so that it never names values that the page
     lacks.
     """
     sources = [f"{STUDIES}.{pattern}"]
     commit, digest = commit_of(sources_of(sources)), digest_of(sources)
     origin = {"day": date.today().isoformat(), "commit": commit, "digest": digest}
-    made = {**software(), **origin, "cpu_minutes": f"{cpu_minutes:.2f}"}
+    origin |= {"cpu_minutes": f"{cpu_minutes:.2f}", **(stored_runs or {})}
+    made = {**software(), **origin}
     kept = Kept(pattern, seeds, made, tuple(outcomes), digits_of(short), tuple(still), software())
     page = PATTERNS / pattern / "page.md"
     page.write_text(with_part(page.read_text(), PART, kept.table))

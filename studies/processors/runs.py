@@ -20,7 +20,7 @@ import numpy as np
 from swarmd.core.pin import pinned_environment
 from swarmd.core.values import Array
 from swarmd.sim.experiments.provenance import made_with
-from swarmd.sim.experiments.rerun import first_difference, trace_differences
+from swarmd.sim.experiments.trace_differences import first_difference, trace_differences
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.trace import load_trace

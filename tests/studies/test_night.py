@@ -13,8 +13,9 @@ import msgspec
 import pytest
 
 from studies.night import pages, sources
-from studies.night.jobs import JOBS, Job, PatternJob, share
+from studies.night.jobs import JOBS, STORED_RUNS, Job, Made, PatternJob, share, stored_runs
 from studies.night.sources import ROOT, digest_of, sources_of
+from swarmd.sim.experiments.run_store import OFF, VARIABLE, RunStore
 from tests.support.processes import wait_until
 
 pytestmark = [pytest.mark.long, pytest.mark.integration]
@@ -335,6 +336,32 @@ def test_shards_stay_the_same_once_jobs_are_measured() -> None:
     ]
     assert shards[0] == shards[1]
     assert share(JOBS, 10**12, 10**12) == []
+
+
+class Cheap(Job, frozen=True):
+    """A job that has taken half a CPU-minute."""
+
+    @property
+    def made(self) -> Made | None:
+        stored = {STORED_RUNS: "7"} if self.has_verdict else {}
+        return Made(made_with={"cpu_minutes": "0.5", **stored})
+
+
+def test_minutes_without_runs_that_were_stored_are_no_estimate() -> None:
+    assert Cheap("a", "", (), 3.0).estimate == 0.5
+    assert Cheap("a", "", (), 3.0, has_verdict=True).estimate == 3.0
+
+
+def test_stored_runs_are_counted(tmp_path: Path) -> None:
+    store = RunStore(tmp_path, free=0)
+    tmp_path.chmod(0o700)
+    store.keep("a" * 64, {}, None, "2026-11-29")
+    os.utime(tmp_path / ("a" * 64), (100.0, 100.0))
+    os.utime(tmp_path / ("a" * 64) / "result", (300.0, 300.0))
+    environ = {VARIABLE: str(tmp_path)}
+    assert stored_runs(200.0, environ) == {STORED_RUNS: "1"}
+    assert stored_runs(400.0, environ) == {}
+    assert stored_runs(200.0, {VARIABLE: OFF}) == {}
 
 
 def test_each_kept_part_stands_on_a_page_as_its_file_says() -> None:

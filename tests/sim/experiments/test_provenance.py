@@ -37,11 +37,16 @@ def test_the_digest_follows_names_contents_and_links_of_what_runs_read(tmp_path:
     (package / "sim").symlink_to("../sim")
     first = digest_of_code(package)
     (package / "cli" / "a.py").write_text("2")
+    (tmp_path / "sim" / "experiments").mkdir()
+    (tmp_path / "sim" / "experiments" / "statistics.py").write_text("1")
     assert digest_of_code(package) == first
+    (tmp_path / "sim" / "experiments" / "pool.py").write_text("1")
+    with_pool = digest_of_code(package)
+    assert with_pool != first
     linked.write_text("2")
     second = digest_of_code(package)
     linked.rename(linked.with_name("b.py"))
-    assert len({first, second, digest_of_code(package)}) == 3
+    assert len({first, with_pool, second, digest_of_code(package)}) == 4
 
 
 def test_the_arithmetic_that_the_environment_chooses_is_reported(

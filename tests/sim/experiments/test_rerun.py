@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.experiments.rerun import first_difference, rerun, trace_differences, warnings
+from swarmd.sim.experiments.rerun import rerun, warnings
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.experiments.trace_differences import first_difference, trace_differences
 from swarmd.sim.experiments.trust import check_code
 from swarmd.sim.trace import load_trace
 from tests.sim.conftest import write_duo
