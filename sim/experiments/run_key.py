@@ -148,7 +148,7 @@ class RunKeys:
                 look = self._look(Path(origin.value))
                 if look.fault:
                     return look.fault
-                more = look.texts & origins.keys()
+                more = set(look.texts & origins.keys())
             waiting += sorted(more - named)
             named |= more
         return ""

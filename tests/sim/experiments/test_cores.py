@@ -95,8 +95,8 @@ def test_a_pupil_has_more_time_on_an_overloaded_machine(
             now += 1.0
             yield {}
 
-    monkeypatch.setattr(lessons, "run_jobs", lambda *_: endless())
+    monkeypatch.setattr(lessons, "run_jobs", lambda *_, **__: endless())
     monkeypatch.setattr(lessons, "core_share", lambda: share)
     monkeypatch.setattr(lessons, "time", SimpleNamespace(monotonic=lambda: now))
-    assert [*lessons._bounded([], 1, 10.0)] == []
+    assert [*lessons._bounded([], 1, 10.0, None)] == []
     assert now == seconds + 1

@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -238,7 +240,7 @@ def test_a_disk_that_takes_nothing_is_no_error(
     def fail(*words: object, **more: object) -> None:
         raise OSError(code, os.strerror(code))
 
-    owner = {"mkdtemp": stores.tempfile, "_copy": stores}.get(call, Path)
+    owner = {"mkdtemp": tempfile, "_copy": stores}.get(call, Path)
     with monkeypatch.context() as here:
         here.setattr(owner, call, fail)
         kept(store, trace)
@@ -312,7 +314,7 @@ def test_a_process_that_is_killed_as_it_writes_leaves_no_entry(
 
     with monkeypatch.context() as here:
         here.setattr(stores if call == "_copy" else Path, call, die)
-        here.setattr(stores.shutil, "rmtree", lambda *words, **more: None)
+        here.setattr(shutil, "rmtree", lambda *words, **more: None)
         with pytest.raises(KilledError):
             kept(store, trace)
     assert len(list(store.folder.glob(".partial-*"))) == 1
@@ -323,6 +325,7 @@ def test_a_process_that_is_killed_as_it_writes_leaves_no_entry(
 
 BUSY = """
 import sys
+import tempfile
 from pathlib import Path
 from swarmd.sim.experiments.run_store import RunStore
 folder, trace, target = map(Path, sys.argv[1:])
