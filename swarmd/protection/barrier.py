@@ -43,7 +43,8 @@ from swarmd.core.values import (
 )
 from swarmd.protection.barrier_assumptions import OTHER, Assumptions
 from swarmd.protection.closing_speed import CREEP_SPEED
-from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
+from swarmd.protection.comparisons import maximum
+from swarmd.protection.constraints import ConstraintRows, Constraints, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import Clearance, DecisionContext, ModeDecision, MovedWall
 from swarmd.protection.envelope import Creeping
@@ -308,13 +309,30 @@ class Barrier:
         is_reduced: cython.bint = self._stop.limit(self._speeds)
         if not is_reduced and projection.x == wanted_x and projection.y == wanted_y:
             return 0
-        if creeping.is_possible and 0.0 < fabs(speed) <= SLOW_REQUEST:
+        if not creeping.is_possible:
+            return 1
+        slow_cap: cython.double = 0.0  # m/s, of the caps of a slow request
+        if 0.0 < fabs(speed) <= SLOW_REQUEST:
             creeping.allow(self._feasible.constraints.placed)
-            if creeping.cap > 0.0:
-                self._creep(wanted_x, wanted_y)
-        if creeping.is_possible and not creeping.is_active:
-            self._creep_out(wanted_x, wanted_y)
+            slow_cap = maximum(creeping.cap, 0.0)
+        if self._is_locked():
+            self._creep_out(wanted_x, wanted_y, slow_cap)
+        elif slow_cap > 0.0:
+            self._creep(wanted_x, wanted_y)
         return 1
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_locked(self) -> cython.int:
+        """1 if the present `_speeds` are no faster than a creep, and no direction is permitted."""
+        constraints: Constraints = self._feasible.constraints
+        creeping: Creeping = self._feasible.creeping
+        fastest: cython.double = creeping.slow.fastest_corner(
+            self._speeds.linear, self._speeds.angular, constraints.axes
+        )
+        if fastest > CREEP_SPEED:
+            return 0
+        return creeping.is_locked(constraints)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -346,21 +364,19 @@ class Barrier:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _creep_out(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:
-        """Set `_speeds` to the command of a locked robot that creeps; nothing unless it is locked.
+    def _creep_out(
+        self, wanted_x: cython.double, wanted_y: cython.double, least: cython.double
+    ) -> cython.int:
+        """Set `_speeds` to the command of a locked robot, which creeps.
 
         The present `_speeds` satisfy the constraints of this robot, too, so its command is at least
         as near to the request. `wanted_x`, `wanted_y`: the requested speeds over their limits.
+        `least`: m/s, as of `Creeping.begin_out`.
         """
         axes: SpeedAxes = self._feasible.constraints.axes
         creeping: Creeping = self._feasible.creeping
         projection: Projection = self._projection
-        fastest: cython.double = creeping.slow.fastest_corner(
-            self._speeds.linear, self._speeds.angular, axes
-        )
-        if fastest > CREEP_SPEED or not creeping.is_locked(self._feasible.constraints):
-            return 0
-        creeping.begin_out(self._feasible.constraints, self._feasible.near)
+        creeping.begin_out(self._feasible.constraints, self._feasible.near, least)
         projection.project(self._feasible.constraints.rows, wanted_x, wanted_y)
         self._speeds.linear = projection.x * axes.limit
         self._speeds.angular = projection.y * axes.angular_limit

@@ -385,6 +385,74 @@ def test_only_a_wide_surface_may_be_closed_on(width: float) -> None:
     assert (safe.linear > 0.01) is (width > 0.3)
 
 
+POLES = st.lists(
+    st.tuples(st.floats(0.0, 0.12), st.floats(0.0, 360.0), st.floats(0.02, 0.15)),
+    min_size=1,
+    max_size=1,
+)
+PART_SPEED, PART_GAP, PART_TIME = 0.004, 0.0125, 0.5  # of docs/evidence/barrier.md
+
+
+def beside_poles(platform: Platform, poles: Sequence[tuple[float, float, float]]) -> Scan:
+    """A scan of poles, each at a gap in m and in a direction in degrees, of a radius in m."""
+    bearings = platform.scan.bearings
+    rays = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
+    ranges = np.full(len(bearings), math.inf)
+    for gap, direction, radius in poles:
+        way = np.array([math.cos(math.radians(direction)), math.sin(math.radians(direction))])
+        centre = way * (float((platform.footprint @ way).max()) + gap + radius)
+        along = rays @ (centre - platform.scan.offset)
+        across = np.sum((centre - platform.scan.offset) ** 2) - along**2
+        depth = np.sqrt(np.maximum(radius**2 - across, 0.0))
+        is_hit = (across < radius**2) & (along > 0.0)
+        ranges = np.where(is_hit, np.minimum(ranges, along - depth), ranges)
+    ranges[ranges < platform.scan.range_min] = -math.inf
+    return scan_from(platform, ranges, bearings)
+
+
+@given(st.sampled_from([*CREEPING, *VISIBLE]), POLES, SHARE, SHARE, SHARE, AGE)
+@example(CREEPING[0], [(0.05, 90.0, 0.15)], 1.0, 0.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.05, 90.0, 0.15)], 0.0, 1.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.05, 90.0, 0.15)], 0.4, 1.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.0131, 90.0, 0.15)], -1.0, 0.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.02, 90.0, 0.15)], 1.0, 0.0, 0.0, 0.1)
+def test_the_nearest_place_hardly_closes_on_a_narrow_obstacle_that_may_touch(
+    platform: Platform, poles: list[tuple[float, float, float]], v: float, w: float, aside: float,
+    age: float,
+) -> None:  # fmt: skip
+    """Nor nearer than 1.25 cm to what the scan shows, whatever holds the robot."""
+    settings = platform.protection["barrier"]
+    scan = beside_poles(platform, poles)
+    straight = request_of(platform, v, w)
+    requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
+    safe = decided(platform, scan, requested, age=age).safe
+    for point in points(platform, scan):
+        gap, at, towards = outline_point(platform.footprint, point)
+        if gap <= settings["margin"] + settings["unseen_extent"]:
+            allowed = min(max((gap - PART_GAP) / PART_TIME, 0.0), PART_SPEED)
+            assert closing_speed(safe, at, towards) <= allowed + 1e-9
+
+
+@pytest.mark.parametrize("direction", [90.0, 270.0])
+def test_a_robot_beside_a_pole_leaves_it(direction: float) -> None:
+    """Along the flank of a Burger: its normals forbid both turns, those at the ends both ways."""
+    scan = beside_poles(BURGER, [(0.05, direction, 0.15)])
+    for v in (1.0, -1.0):
+        safe = decided(BURGER, scan, request_of(BURGER, v, 0.0)).safe
+        assert abs(safe.linear) > 0.005
+    assert decided(BURGER, scan, ZERO).safe == ZERO
+
+
+@pytest.mark.parametrize(("index", "gap"), [(0, 0.122), (1, 0.192), (2, 0.272)])
+def test_a_locked_robot_with_a_slow_request_is_no_slower(index: int, gap: float) -> None:
+    """Just beyond contact creeping by a slow request has a lower cap than creeping out."""
+    robot = CREEPING[index]
+    scan = beside(robot, [(gap, 270.0)])
+    for speed in (robot.limits.linear, 0.04):
+        safe = decided(robot, scan, Twist(speed)).safe
+        assert safe.linear == pytest.approx(CREEP_SPEED, rel=1e-6)
+
+
 def test_a_told_obstacle_and_a_circle_keep_a_robot_from_creeping_out() -> None:
     """What is not seen where it is may be anywhere within its disc."""
     robot = CREEPING[2]
