@@ -212,6 +212,7 @@ JOBS: Sequence[Job] = (
     _study("held", "docs/evidence", 3.0, "held", module="safety"),
     _study("tracks", "docs/evidence", 5.0, "tracks", "--seeds", "20", module="safety"),
     _study("processors", "docs/evidence", 10.0, "variants", has_verdict=True),
+    _study("mutants", "docs/evidence", 60.0, has_verdict=True),
     _study("ros_faults", "docs", 6.0, module="ros"),
     Job("executors", "docs", ("-m", "benchmarks.executors"), 10.0),
     Job(
