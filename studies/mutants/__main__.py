@@ -1,14 +1,15 @@
 """Tries mutants of the code that decides motion: `make night ARGS=mutants`.
 
 A mutant is the code with one operator, number or condition changed (by cosmic-ray). Tests of the
-short lane run on each of them, with interpreted kernels, in a copy of the checkout. A mutant that
-no test kills must be in survivors.toml, as equivalent with its reason, or open; else the exit code
-is 1. After a kill, or once the budget is spent (exit code 2), the same command goes on.
+short lane run on each of them in a copy of the checkout; mutated kernels run interpreted. A mutant
+that no test kills must be in survivors.toml, as equivalent with its reason, or open; else the exit
+code is 1. After a kill, or once the budget is spent (exit code 2), the same command goes on.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import shutil
 import subprocess
@@ -28,8 +29,9 @@ from studies.mutants.judged import Judged, faults, read
 from studies.mutants.mutant import Mutant, mutants_of
 from studies.mutants.subjects import ROOT, Subject, subjects
 from studies.mutants.zygote import Result, Trial
-from studies.night.sources import digest_of, forget
 from swarmd.core.errors import SwarmError
+from swarmd.core.files import lock_file
+from swarmd.core.kernels import LIBRARIES, VIEWS
 
 BUILD = ROOT / "build" / "mutants"
 MINUTES = 90.0
@@ -66,16 +68,17 @@ class Copy:
     """A copy of this checkout whose files are mutated, and its process."""
 
     def __init__(self, folder: Path) -> None:
-        """Copy all files that git knows or would take, without what is built."""
+        """Copy all files that git knows or would take, and the libraries of kernels."""
         shutil.rmtree(folder, ignore_errors=True)
         for name in _files():
             source, target = ROOT / name, folder / name
             target.parent.mkdir(parents=True, exist_ok=True)
             if source.is_symlink() or source.exists():
                 shutil.copy2(source, target, follow_symlinks=False)
-        environment = {**os.environ, "SWARMD_COMPILED": "0", "OPENBLAS_NUM_THREADS": "1"}
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         environment["PYTHONPATH"] = str(folder)
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        environment.pop("SWARMD_COMPILED", None)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "studies.mutants.zygote", str(folder)],
             cwd=folder,
@@ -83,16 +86,19 @@ class Copy:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
-        self._limits: dict[tuple[str, ...], float] = {}
+        # In s of CPU time, by path and tests.
+        self._limits: dict[tuple[str, tuple[str, ...]], float] = {}
 
-    def try_tests(self, tests: tuple[str, ...], path: str = "", source: str = "") -> Result:
+    def try_tests(self, tests: tuple[str, ...], path: str, source: str) -> Result:
         """Run tests on a changed file; SwarmError if they fail without a change."""
-        if tests not in self._limits:
-            plain = self._ask(Trial("", "", tests, 3600.0))
+        if (path, tests) not in self._limits:
+            # A comment makes the library of a kernel older than its source, as a mutant does.
+            control = f"{(ROOT / path).read_text()}\n# control\n"
+            plain = self._ask(Trial(path, control, tests, 3600.0, is_control=True))
             if plain.outcome != "passed":
                 raise SwarmError(f"{' '.join(tests)}: {plain.outcome} unchanged: {plain.said}")
-            self._limits[tests] = max(_LEAST, _SLOWER * plain.seconds)
-        return self._ask(Trial(path, source, tests, self._limits[tests]))
+            self._limits[path, tests] = max(_LEAST, _SLOWER * plain.seconds)
+        return self._ask(Trial(path, source, tests, self._limits[path, tests]))
 
     def _ask(self, trial: Trial) -> Result:
         assert self._process.stdin is not None
@@ -114,12 +120,15 @@ class Copy:
 def _files() -> Sequence[str]:
     words = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
     listed = subprocess.check_output(words, cwd=ROOT, text=True)
-    return [name for name in listed.split("\0") if name]
+    libraries = {
+        f"{name.replace('.', '/')}.abi3.so".replace("swarmd/sim/", "sim/")
+        for name in (*LIBRARIES, VIEWS)
+    }
+    return [*(name for name in listed.split("\0") if name), *sorted(libraries)]
 
 
 def planned(chosen: Sequence[Subject]) -> Iterator[_Planned]:
     """The drawn mutants of subjects."""
-    forget()
     for subject in chosen:
         for path in subject.paths:
             digest = _digest(subject, path)
@@ -129,19 +138,11 @@ def planned(chosen: Sequence[Subject]) -> Iterator[_Planned]:
 
 
 def _digest(subject: Subject, path: str) -> str:
-    """Of what decides the outcome: the module, and the tests with what they import."""
-    files = [path]
-    for name in (*subject.tests, *subject.more):
-        place = ROOT / name
-        inside = sorted(place.rglob("test_*.py")) if place.is_dir() else [place]
-        files += [one.relative_to(ROOT).as_posix() for one in inside]
-    modules = [_module(name) for name in files]
-    return digest_of(modules)
-
-
-def _module(path: str) -> str:
-    name = path.removesuffix(".py").replace("/", ".")
-    return name if name.startswith(("swarmd.", "tests.")) else f"swarmd.{name}"
+    """Of the module and its tests. Other modules count for the night, which tries all again."""
+    digest = hashlib.sha256()
+    for name in (path, *subject.tests, *subject.more):
+        digest.update((ROOT / name).read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def results(file: Path, wanted: Sequence[_Planned]) -> dict[Mutant, Tried]:
@@ -233,6 +234,11 @@ def main(words: Sequence[str] | None = None) -> int:
     judged = read()
     wanted = [*planned([one for one in subjects() if one.name in options.only])]
     BUILD.mkdir(parents=True, exist_ok=True)
+    lock = os.open(BUILD / "lock", os.O_RDWR | os.O_CREAT)
+    try:
+        lock_file(lock, waits=False)
+    except BlockingIOError as error:
+        raise SwarmError(f"{BUILD}: another run tries mutants here; wait for its end") from error
     file = BUILD / "results.jsonl"
     tried = results(file, wanted)
     rest = [one for one in wanted if one.mutant not in tried]

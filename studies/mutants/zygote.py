@@ -1,7 +1,8 @@
 """Runs tests on mutants, each in a fork of this process: `python -m studies.mutants.zygote TREE`.
 
 TREE is a copy of the checkout, whose files are mutated. The process has imported the libraries that
-tests need, and no module of the copy. It reads a `Trial` as a line of JSON, and answers a `Result`.
+tests need, and no module of the copy. A kernel that is changed runs interpreted, with those of its
+library; the others run compiled. It reads a `Trial` as a line of JSON, and answers a `Result`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import signal
 import sys
 import time
 import traceback
+from contextlib import suppress
+from importlib.util import cache_from_source
 from pathlib import Path
 
 import msgspec
@@ -33,11 +36,13 @@ class Trial(Struct, frozen=True):
     """Tests to run on a changed file."""
 
     path: str
-    """The file, relative to the copy; empty: nothing is changed."""
+    """The file, relative to the copy."""
     source: str
     tests: tuple[str, ...]
     seconds: float
     """The CPU time after which the tests are ended."""
+    is_control: bool = False
+    """Whether the file has no mutant: all other files are compiled then."""
 
 
 class Result(Struct, frozen=True):
@@ -63,25 +68,39 @@ def main(tree: Path) -> None:
 
 
 def _import_libraries() -> None:
-    """Import what tests import, then forget the modules of the copy, which may be mutated."""
-    for name in ("pytest", "tests.conftest", "tests.support.robot_harness", "hypothesis"):
-        importlib.import_module(name)
-    for name in [name for name in sys.modules if name.partition(".")[0] in _OURS]:
-        if name != __name__:
-            del sys.modules[name]
+    """Import the libraries that tests import, and no module of the copy, which may be mutated."""
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(read_end)
+        for name in ("pytest", "tests.conftest", "tests.support.robot_harness", "hypothesis"):
+            importlib.import_module(name)
+        found = [name for name in sys.modules if name.partition(".")[0] not in _OURS]
+        with os.fdopen(write_end, "w") as file:
+            file.write("\n".join(found))
+            file.flush()
+            os._exit(0)
+    os.close(write_end)
+    with os.fdopen(read_end) as file:
+        names = file.read().split()
+    os.waitpid(child, 0)
+    for name in names:
+        if name not in sys.modules:
+            with suppress(ImportError):  # one that only its package imports
+                importlib.import_module(name)
 
 
 def carry_out(tree: Path, trial: Trial) -> Result:
     """Change the file, run the tests in a fork, and put the file back."""
     file = tree / trial.path
-    before = file.read_bytes() if trial.path else b""
-    if trial.path:
-        file.write_text(trial.source)
+    before = file.read_bytes()
+    file.write_text(trial.source)
+    # Compiled once, without a mutant: the time stamp of a file tells seconds only.
+    Path(cache_from_source(str(file))).unlink(missing_ok=True)
     try:
         return _run(tree, trial)
     finally:
-        if trial.path:
-            file.write_bytes(before)
+        file.write_bytes(before)
 
 
 def _run(tree: Path, trial: Trial) -> Result:
@@ -122,8 +141,7 @@ def _test(log: Path, trial: Trial) -> None:
         nothing = os.open(os.devnull, os.O_RDONLY)
         for target, source in ((0, nothing), (1, output), (2, output)):
             os.dup2(source, target)
-        # Compiled once, without a mutant: the time stamp of a file tells seconds only.
-        sys.dont_write_bytecode = bool(trial.path)
+        sys.dont_write_bytecode = not trial.is_control
         import pytest
 
         code = int(pytest.main([*_OPTIONS, *_LANE, *trial.tests]))
