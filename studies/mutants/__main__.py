@@ -45,7 +45,9 @@ class Tried(Struct, frozen=True):
     """A mutant that was tried; a line of the file of results."""
 
     digest: str
-    """Of the subject: its module and its tests."""
+    """Of the module."""
+    tests: str
+    """The digest of the tests."""
     mutant: Mutant
     outcome: str
     """As of `Result`."""
@@ -60,6 +62,7 @@ class Tried(Struct, frozen=True):
 class _Planned(NamedTuple):
     subject: Subject
     digest: str
+    tests: str
     mutant: Mutant
     source: str
 
@@ -131,23 +134,28 @@ def planned(chosen: Sequence[Subject]) -> Iterator[_Planned]:
     """The drawn mutants of subjects."""
     for subject in chosen:
         for path in subject.paths:
-            digest = _digest(subject, path)
+            digest = _digest([path])
+            tests = _digest([*subject.tests, *subject.more])
             source = (ROOT / path).read_text()
             for mutant, mutated in mutants_of(path, source, subject.one_of):
-                yield _Planned(subject, digest, mutant, mutated)
+                yield _Planned(subject, digest, tests, mutant, mutated)
 
 
-def _digest(subject: Subject, path: str) -> str:
-    """Of the module and its tests. Other modules count for the night, which tries all again."""
+def _digest(names: Sequence[str]) -> str:
     digest = hashlib.sha256()
-    for name in (path, *subject.tests, *subject.more):
+    for name in names:
         digest.update((ROOT / name).read_bytes())
     return digest.hexdigest()[:16]
 
 
-def results(file: Path, wanted: Sequence[_Planned]) -> dict[Mutant, Tried]:
-    """The results of these mutants that were made from these sources."""
-    digests = {one.mutant: one.digest for one in wanted}
+def results(
+    file: Path, wanted: Sequence[_Planned], *, keeps_killed: bool = False
+) -> dict[Mutant, Tried]:
+    """The results of these mutants that were made from their module, as it is, and its tests.
+
+    `keeps_killed`: a mutant that an earlier form of the tests killed counts as killed.
+    """
+    plans = {one.mutant: one for one in wanted}
     lines = file.read_bytes().splitlines() if file.exists() else []
     found = {}
     for line in lines:
@@ -155,7 +163,10 @@ def results(file: Path, wanted: Sequence[_Planned]) -> dict[Mutant, Tried]:
             tried = msgspec.json.decode(line, type=Tried)
         except msgspec.DecodeError:  # cut by a kill
             continue
-        if digests.get(tried.mutant) == tried.digest:
+        plan = plans.get(tried.mutant)
+        if plan is None or plan.digest != tried.digest:
+            continue
+        if plan.tests == tried.tests or (keeps_killed and tried.is_killed):
             found[tried.mutant] = tried
     return found
 
@@ -182,7 +193,7 @@ def run_all(
                 left[0] -= result.seconds
         finally:
             copies.put(copy)
-        return Tried(plan.digest, plan.mutant, result.outcome, result.said)
+        return Tried(plan.digest, plan.tests, plan.mutant, result.outcome, result.said)
 
     is_whole = True
     try:
@@ -230,6 +241,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="CODE")
     parser.add_argument("--minutes", type=float, default=MINUTES, help=f"of CPU [{MINUTES:g}]")
     parser.add_argument("--jobs", type=int, default=1, help="copies at a time [1]")
+    parser.add_argument(
+        "--keep-killed", action="store_true", help="count those that earlier tests killed"
+    )
     options = parser.parse_args(words)
     judged = read()
     wanted = [*planned([one for one in subjects() if one.name in options.only])]
@@ -240,7 +254,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except BlockingIOError as error:
         raise SwarmError(f"{BUILD}: another run tries mutants here; wait for its end") from error
     file = BUILD / "results.jsonl"
-    tried = results(file, wanted)
+    tried = results(file, wanted, keeps_killed=options.keep_killed)
     rest = [one for one in wanted if one.mutant not in tried]
     print(f"{len(wanted)} mutants, {len(rest)} to try", file=sys.stderr, flush=True)
     is_whole = True
