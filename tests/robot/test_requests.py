@@ -306,6 +306,7 @@ def test_an_estop_with_an_id_that_is_no_name_of_a_latch_gets_one_of_its_own() ->
         harness.applied("estop", id=id)
         [latch_id] = harness.written[-1].held
         assert is_id(latch_id)
+        assert len(latch_id) == 32  # of the hash
         names.append(latch_id)
         harness.applied("reset", ids=(latch_id,))
     assert names[0] == names[2] != names[1]
@@ -392,7 +393,7 @@ def test_answer_to_a_stop_says_that_someone_else_drives() -> None:
     text = harness.applied("estop").text
     assert text.startswith("commanded zero; someone else drives: ")
     assert " ago" in text
-    assert len(text) <= 300
+    assert text.count("x") == 200 - len("someone else drives: ")  # 200 characters of the driver
 
 
 def test_answer_to_a_stop_without_odometry() -> None:
@@ -1011,7 +1012,29 @@ def test_a_run_whose_start_time_is_over_makes_no_other_request_stale() -> None:
     before = harness.epoch
     late = harness.refused("run", pattern="forward", at={harness.robot.id: harness.now - 0.51})
     assert late.refusal is Refusal.TOO_LATE
+    assert "start 0.5 s ago" in late.text
     assert harness.epoch == before
+
+
+@pytest.mark.parametrize(
+    ("fields", "refusal"),
+    [
+        ({"age": 5.0}, None),
+        ({"age": 5.01}, Refusal.TOO_LATE),
+        ({"ahead": -0.49}, None),
+        ({"ahead": 60.0}, None),
+        ({"ahead": 60.01}, Refusal.INVALID_REQUEST),
+    ],
+)
+def test_a_start_counts_up_to_the_bounds_of_its_times(
+    fields: dict[str, float], refusal: Refusal | None
+) -> None:
+    """5 s of age, 0.5 s after its start time, and 60 s before it."""
+    harness = idle()
+    more = {"age": fields["age"]} if "age" in fields else {}
+    at = {harness.robot.id: harness.now + fields["ahead"]} if "ahead" in fields else {}
+    reply = harness.send(harness.request("run", pattern="forward", at=at, **more))
+    assert (reply.refusal if reply is not None else None) is refusal
 
 
 STATED = ("age", "issued_at")

@@ -80,6 +80,15 @@ def test_rerun_keeps_parameters_and_remaining_seconds() -> None:
     assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
 
 
+def test_rerun_of_a_run_with_half_a_second_left_drives_for_half_a_second() -> None:
+    harness = driving()
+    harness.ask("run", pattern="own", seconds=2.0)
+    harness.advance(1.5)
+    assert harness.applied("reload", pattern="own", is_rerun=True).text == "runs own"
+    harness.advance(0.7)
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
+
+
 @pytest.mark.parametrize(
     ("pattern", "refusal"), [("broken", Refusal.PATTERN_FAILED), ("owm", Refusal.UNKNOWN_PATTERN)]
 )
