@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import msgspec
@@ -20,7 +21,6 @@ from swarmd.robot.latches import MAX_HELD
 from tests.support.kernel_forms import interpreted
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, idle, standing_state, started
-
 
 STOP_TIME = 2.0  # s after which a robot that moves on has not stopped (docs/operating.md)
 
@@ -475,6 +475,16 @@ def test_latch_on_disk_holds_the_next_instance() -> None:
     harness.send(harness.request("estop", id="e1"))
     reborn = RobotHarness(patterns=PATTERNS, latches=harness.written[-1], instance="boot2")
     assert standing_state(reborn) == (State.ESTOPPED, Reason.ESTOP)
+
+
+def test_the_time_of_the_last_reset_is_that_of_a_reset() -> None:
+    """Peers hand on no stop that was issued before it, so a robot without a reset has none."""
+    harness = idle()
+    assert harness.robot.reset_at == -math.inf
+    harness.applied("stop")
+    harness.advance(0.5)
+    harness.applied("reset")
+    assert harness.robot.reset_at == harness.now
 
 
 def test_reset_that_crosses_a_second_estop_leaves_it_latched() -> None:
