@@ -452,6 +452,30 @@ def test_a_base_that_was_moved_in_any_direction_has_time_to_respond(moves: Twist
     assert not harness.answer(request).is_moving
 
 
+def test_odometry_from_before_the_last_command_shows_no_rest() -> None:
+    """A base that started late seemed to rest as its odometry ended."""
+    harness = started()
+    harness.odometry = Twist()
+    harness.advance(0.1)
+    harness.odometry = None
+    request = harness.request("stop")
+    assert harness.answer(request).is_moving
+    harness.advance(0.5)
+    assert harness.answer(request).is_moving
+    harness.advance(1.5)
+    assert harness.answer(request).refusal is Refusal.NOT_STOPPED
+
+
+@pytest.mark.parametrize(("seconds", "is_moving"), [(1.9, True), (2.0, False)])
+def test_a_base_without_odometry_has_been_heard_two_seconds_after_the_start(
+    seconds: float, is_moving: bool
+) -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.odometry = None
+    harness.advance(seconds)
+    assert harness.applied("stop").is_moving is is_moving
+
+
 def test_a_robot_that_stands_says_at_once_that_it_has_stopped() -> None:
     harness = RobotHarness(patterns=PATTERNS)
     harness.advance(0.2)
