@@ -501,6 +501,14 @@ def test_latch_on_disk_holds_the_next_instance() -> None:
     assert standing_state(reborn) == (State.ESTOPPED, Reason.ESTOP)
 
 
+@pytest.mark.parametrize(("reason", "detail"), [("", "by ben"), ("smoke is gone", "smoke is gone")])
+def test_a_reset_is_told_with_its_reason_or_its_operator(reason: str, detail: str) -> None:
+    harness = idle()
+    harness.applied("estop", id="e1")
+    harness.applied("reset", ids=("e1",), operator="ben", reason=reason)
+    assert harness.status.detail == detail
+
+
 def test_the_time_of_the_last_reset_is_that_of_a_reset() -> None:
     """Peers hand on no stop that was issued before it, so a robot without a reset has none."""
     harness = idle()
