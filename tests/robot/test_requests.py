@@ -509,6 +509,10 @@ def test_a_reset_is_told_with_its_reason_or_its_operator(reason: str, detail: st
     assert harness.status.detail == detail
 
 
+def test_a_reset_of_an_idle_robot_says_that_it_ended_nothing() -> None:
+    assert idle().applied("reset").text == "idle: nothing to reset"
+
+
 def test_the_time_of_the_last_reset_is_that_of_a_reset() -> None:
     """Peers hand on no stop that was issued before it, so a robot without a reset has none."""
     harness = idle()
@@ -1203,3 +1207,15 @@ def test_a_daemon_that_restarts_knows_the_last_stop() -> None:
     harness.send(harness.request("run", pattern="forward", age=0.9))
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
+
+
+def test_parameters_are_not_set_while_a_pattern_restarts_or_takes_others() -> None:
+    restarting = started()
+    restarting.host_says(PatternFailed(restarting.status.generation, "it broke"))
+    assert restarting.status.reason is Reason.PATTERN_RESTARTING
+    assert restarting.refused("param", params={"speed": 0.1}).refusal is Refusal.NOT_RUNNING
+
+    taking = started()
+    taking.is_hung = True
+    assert taking.ask("param", params={"speed": 0.1}) is None
+    assert taking.refused("param", params={"speed": 0.15}).refusal is Refusal.BUSY

@@ -80,6 +80,16 @@ def test_rerun_keeps_parameters_and_remaining_seconds() -> None:
     assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
 
 
+def test_a_trial_of_another_pattern_gets_no_parameters_of_the_run() -> None:
+    harness = driving()
+    harness.ask("run", pattern="own", params={"speed": 0.1})
+    harness.advance(0.5)
+    harness.sent.clear()
+    harness.ask("reload", pattern="forward")
+    (trial,) = (command for command in harness.sent if isinstance(command, StartTrial))
+    assert dict(trial.load.layers[-1][1]) == {}
+
+
 def test_rerun_of_a_run_with_half_a_second_left_drives_for_half_a_second() -> None:
     harness = driving()
     harness.ask("run", pattern="own", seconds=2.0)
