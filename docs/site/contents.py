@@ -44,7 +44,7 @@ INNER = {
         *_inside(
             "docs/evidence", "safety", "beside", "barrier", "avoidance", "kin", "sensing", "goals"
         ),
-        *_inside("docs/evidence", "faults", "network", "security", "simulation"),
+        *_inside("docs/evidence", "faults", "network", "security", "simulation", "mutants"),
         *("docs/paper", "docs/ros_faults", "benchmarks/README"),
         "ARCHITECTURE",
     ],

@@ -231,6 +231,21 @@ JOBS: Sequence[Job] = (
     _study("held", "docs/evidence", 3.0, "held", module="safety"),
     _study("tracks", "docs/evidence", 5.0, "tracks", "--seeds", "20", module="safety"),
     _study("processors", "docs/evidence", 10.0, "variants", has_verdict=True),
+    Job(
+        "mutants",
+        "docs/evidence",
+        ("-m", "studies.mutants"),
+        60.0,
+        (
+            "studies.mutants.__main__",
+            "swarmd.driver_api.command_gate",
+            "swarmd.drivers.ros2.command_credit",
+            "swarmd.robot.robot",
+            *("tests.robot.test_requests", "tests.robot.test_requests_reload"),
+            *("tests.robot.test_issue_time", "tests.robot.test_ticker"),
+        ),
+        has_verdict=True,
+    ),
     _study("ros_faults", "docs", 6.0, module="ros"),
     Job("executors", "docs", ("-m", "benchmarks.executors"), 20.0),
     Job(

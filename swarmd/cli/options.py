@@ -245,12 +245,14 @@ class LazyGroup(VerbGroup):
 class CommonOptions(NetworkOptions):
     """The common options of every verb; None or empty if not given.
 
-    `began`: when the user typed the command, in s on the clock since boot; no option.
+    These are no options: `began`: when the user typed the command, in s on the clock since boot.
+    `is_program`: the command line is that of this process, which may begin again with it.
     """
 
     output: str | None = None
     timeout: float | None = None
     began: float = field(default_factory=boottime, compare=False)
+    is_program: bool = field(default=False, compare=False)
 
     @property
     def is_json(self) -> bool:

@@ -22,6 +22,7 @@ from swarmd.cli.options import (
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
+from swarmd.core.pin import restart_pinned
 from swarmd.core.verbs import shortened
 from swarmd.network.operator.exit_codes import FAILED
 from swarmd.texts.values import NOTHING, printable
@@ -78,13 +79,14 @@ def replay(
     FILE: a recording (.mcap), its parts in their order, or a folder with those of one robot or of
     several, whose inputs are then repeated in the order of one timeline. `safe` compares what
     protection commanded, `requested` what the pattern asked for. The exit code is 0 only if all
-    commands are equal to the bit.
+    commands are equal to the bit. Recordings that a pinned process made are repeated in one, those
+    of a daemon with the mathematical functions of this processor.
     """
     from swarmd.plugins import check_single, need, pattern_names, places_of
 
     need("mcap", "rosbags", extra="record")
     from swarmd.replay.changes import Changes
-    from swarmd.replay.replay import recordings_of, total
+    from swarmd.replay.replay import are_pinned, recordings_of, total
     from swarmd.replay.swarm import first_difference, place_lives, repeat_together
     from swarmd.settings.platforms import load_platform
 
@@ -92,6 +94,8 @@ def replay(
     recordings = recordings_of(_files(paths))
     if number is not None:
         recordings = _picked(recordings, number)
+    if options.is_program and are_pinned(recordings):
+        restart_pinned()
     origins = pattern_names(plugin_dir)
     for name, origin in origins.items():
         check_single(name, origin)  # PluginError for two patterns of one name

@@ -175,7 +175,9 @@ def main(args: list[str] | None = None) -> NoReturn:
     """Run swarmctl and exit with its code; every error is one line on stderr."""
     is_fork = _FORK_SERVER in sys.modules  # of a process that may have a server, which goes on
     try:
-        options = replace(CommonOptions.of_environment(), began=process_start())
+        options = replace(
+            CommonOptions.of_environment(), began=process_start(), is_program=args is None
+        )
         code = run_cli(cli, args, "swarmctl", exit_code_of, options)
     except SystemExit as end:  # a signal ended the command
         code = end.code if isinstance(end.code, int) else 1

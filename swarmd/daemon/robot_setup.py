@@ -10,6 +10,7 @@ from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import GoalRecord
 from swarmd.core.kernels import describe_kernels, load_kernel
 from swarmd.core.libm import digest_of_libm
+from swarmd.core.pin import how_made
 from swarmd.kin.make import KinMaker
 from swarmd.recording.head import RecordingHead, digest_of
 from swarmd.robot.latches import LatchRecord
@@ -66,6 +67,7 @@ def recording_head(robot: Robot, swarm: str, now: float) -> RecordingHead:
         clock=clock_id(),
         machine=machine(),
         libm=digest_of_libm(),
+        made=how_made(),
         identity=robot.identity,
         earlier=EarlierLives(
             latches=latches,

@@ -24,6 +24,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     - `libm`: `digest_of_libm` of the robot; empty if not known.
     - `identity`: whole, so that a new setting of robots is in recordings, too.
     - `earlier`: the state of the robot when the recording began.
+    - `made`: `how_made` of the robot's process; empty if not known.
     """
 
     swarm: str
@@ -32,6 +33,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     identity: RobotIdentity
     earlier: EarlierLives = EarlierLives()
     libm: str = ""
+    made: dict[str, str] = {}
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: main fields in plain text, all fields in `head`."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -31,6 +31,7 @@ from swarmd.core.incident import Incident
 from swarmd.core.kernels import describe_kernels, load_kernel
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.messages import State
+from swarmd.core.pin import how_made
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.core.verbs import StopRequest
 from swarmd.kin.make import KinMaker
@@ -55,6 +56,8 @@ INCIDENT = "/incident"
 """The topic of the incidents of which the robot keeps its last minute."""
 EVENT = "/event"
 """The topic of the lines of the robot's log."""
+_FACTS: Mapping[str, str] = {"simd": "instructions of numpy", "libc": "C library"}
+"""Words for what `how_made` tells; the others are words."""
 Last: TypeAlias = tuple[tuple[Any, float], ...]
 """Inputs, and messages of decisions, each with its time in s on the timeline."""
 
@@ -464,23 +467,38 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
     return ""
 
 
+def are_pinned(recordings: Iterable[Sequence[RecordedFile]]) -> bool:
+    """Whether pinned processes made all these recordings; False for none, or without their heads.
+
+    The robot of a daemon, which is not pinned, computes with the functions of its processor.
+    """
+    found = [_made_in(files[0]).get("pinned") == "yes" for files in recordings]
+    return bool(found) and all(found)
+
+
+def _made_in(file: RecordedFile) -> Mapping[str, str]:
+    with suppress(ConfigError):  # `prepare` tells it
+        return head_of(file.about, str(file.path)).made
+    return {}
+
+
 def _other_program(head: RecordingHead) -> str:
     """The differences between the recording program and this program that may change last bits."""
     setup = head.identity.setup
-    there = {
-        "version": setup.version,
-        "kernels": setup.kernels,
-        "processor": head.machine,
-        "functions of the C library (libm)": head.libm or digest_of_libm(),
+    libm = digest_of_libm()
+    pairs = {
+        "version": (setup.version, version("swarmd")),
+        "kernels": (setup.kernels, describe_kernels()),
+        "machine": (head.machine, machine()),
+        "functions of the C library (libm)": (head.libm or libm, libm),
     }
-    here = dict(
-        zip(
-            there,
-            (version("swarmd"), describe_kernels(), machine(), digest_of_libm()),
-            strict=True,
-        )
-    )
-    texts = [f"{key} {there[key]}, here {here[key]}" for key in there if there[key] != here[key]]
+    here = how_made()
+    # An earlier version tells nothing of these. Pinned processes compute alike on any processor.
+    names = [name for name in here if name in head.made]
+    if here["pinned"] == head.made.get("pinned") == "yes":
+        names = [name for name in names if name not in ("processor", "simd")]
+    pairs |= {_FACTS.get(name, name): (head.made[name], here[name]) for name in names}
+    texts = [f"{name} {there}, here {own}" for name, (there, own) in pairs.items() if there != own]
     return f"recorded with {'; '.join(texts)}: commands may differ by rounding" if texts else ""
 
 

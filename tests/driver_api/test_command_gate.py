@@ -149,3 +149,10 @@ def test_a_base_that_is_already_lost_is_sent_no_further_zero() -> None:
     assert not gate.close(1.0)
     assert gate.repeats_zero(ZERO_REPEAT_TIME - 0.01)
     assert not gate.repeats_zero(ZERO_REPEAT_TIME)
+
+
+def test_zeros_are_repeated_for_two_seconds_after_a_loss_and_not_without_one() -> None:
+    assert ZERO_REPEAT_TIME == 2.0  # what docs/drivers.md promises
+    gate = CommandGate()
+    assert gate.filter(AHEAD, is_stopped=True) == ZERO
+    assert not gate.repeats_zero(10.0)

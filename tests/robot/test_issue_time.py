@@ -36,3 +36,42 @@ def test_two_machines_with_one_clock_id_are_both_known() -> None:
     # Of the machine of the later stop: its clock shows that it came before, on a longer way.
     assert known.later_than(IssueTime(5.3, "a", 99.9)) == "bob"
     assert known.later_than(IssueTime(5.1, "a", 100.1)) == ""
+
+
+# The docstring of issue_time.py has these rules and bounds: 64 clocks, 2 s of ways, 60 s frozen.
+
+
+def test_sixty_four_clocks_are_kept() -> None:
+    assert MAX_CLOCKS == 64
+    assert IssueTime(1.0) == (1.0, "", 0.0)
+
+
+def test_equal_times_start_a_run_and_end_one() -> None:
+    for clock in ("", "a"):
+        order = IssueTime(1.0, clock, 5.0)
+        assert not order.is_before(order)
+        assert not order.is_surely_before(order)
+
+
+def test_the_clock_of_the_machine_counts_while_ways_differ_by_two_seconds() -> None:
+    start = IssueTime(3.0, "a", 10.0)
+    assert not start.is_before(IssueTime(5.0, "a", 10.0))  # 2 s more on its way: not later
+    assert start.is_before(IssueTime(5.5, "a", 10.0))  # by the own clock alone
+    assert start.is_before(IssueTime(2.5, "a", 10.1))
+
+
+def test_a_stop_hidden_for_a_minute_ends_a_run_that_its_machine_asked_for_before() -> None:
+    stop = IssueTime(1.0, "a", 10.0)
+    assert not stop.is_surely_before(IssueTime(61.0, "a", 10.0))  # its clock shows no later start
+    assert stop.is_surely_before(IssueTime(61.0, "a", 10.5))
+    assert stop.is_surely_before(IssueTime(61.5, "a", 10.0))  # no freeze takes as long
+    assert stop.is_surely_before(IssueTime(1.5, "b", 9.0))
+    assert not stop.is_surely_before(IssueTime(0.5, "b", 11.0))
+
+
+def test_a_known_stop_counts_by_the_clock_of_its_machine_alone() -> None:
+    """A start that was issued after it, and had the shorter way, seems to be earlier here."""
+    known = KnownStops()
+    known.note(IssueTime(5.0, "a", 100.0), "bob")
+    assert known.later_than(IssueTime(4.5, "a", 100.5)) == ""
+    assert known.later_than(IssueTime(4.5, "b", 100.5)) == "bob"

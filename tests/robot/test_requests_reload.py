@@ -21,7 +21,6 @@ from swarmd.core.host_messages import (
 from swarmd.core.messages import Code, Reason, State
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import Request
-from swarmd.robot.requests import TRIAL_TIMEOUT
 from tests.support.robot_harness import RobotHarness, acted
 from tests.support.stub_patterns import PATTERNS, Forward, standing_state
 
@@ -81,6 +80,25 @@ def test_rerun_keeps_parameters_and_remaining_seconds() -> None:
     assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
 
 
+def test_a_trial_of_another_pattern_gets_no_parameters_of_the_run() -> None:
+    harness = driving()
+    harness.ask("run", pattern="own", params={"speed": 0.1})
+    harness.advance(0.5)
+    harness.sent.clear()
+    harness.ask("reload", pattern="forward")
+    (trial,) = (command for command in harness.sent if isinstance(command, StartTrial))
+    assert dict(trial.load.layers[-1][1]) == {}
+
+
+def test_rerun_of_a_run_with_half_a_second_left_drives_for_half_a_second() -> None:
+    harness = driving()
+    harness.ask("run", pattern="own", seconds=2.0)
+    harness.advance(1.5)
+    assert harness.applied("reload", pattern="own", is_rerun=True).text == "runs own"
+    harness.advance(0.7)
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
+
+
 @pytest.mark.parametrize(
     ("pattern", "refusal"), [("broken", Refusal.PATTERN_FAILED), ("owm", Refusal.UNKNOWN_PATTERN)]
 )
@@ -108,7 +126,7 @@ def test_a_late_copy_of_what_was_refused_during_a_trial_starts_nothing(verb: str
 def test_trial_timeout_leaves_the_run_alone() -> None:
     harness = driving()
     request = begun(harness, is_rerun=True)
-    harness.advance(TRIAL_TIMEOUT - 0.1)
+    harness.advance(9.9)  # docs/patterns.md: a trial may take 10 s
     assert not harness.is_answered(request)
     harness.advance(0.2)
     assert harness.reply_to(request).refusal is Refusal.PATTERN_FAILED

@@ -164,3 +164,24 @@ def test_without_an_answer_commands_are_zero_and_the_hub_is_asked_again_each_sec
     assert left[:silent] == [None] * silent
     assert left[silent + 1 :] == [ZERO] * (44 - silent)
     assert questions == 1 + 2
+
+
+def test_each_bound_of_the_credit_is_included() -> None:
+    """10 ms after a sign of life, 0.1 s held, 0.2 s of silence, a question a second."""
+    fresh = CommandCredit()
+    fresh.hear(0.0)
+    assert fresh.offer(MOVING, 0.01) == MOVING
+
+    for heard, released in ((0.1, MOVING), (0.11, None)):
+        held = CommandCredit()
+        assert held.offer(MOVING, 0.0) is None
+        held.hear(heard)
+        assert held.release(heard) == released
+
+    silent = CommandCredit()
+    assert silent.offer(MOVING, 0.0) is None
+    assert silent.asks(0.0)
+    assert silent.offer(MOVING, 0.2) is None
+    assert silent.offer(MOVING, 0.21) == ZERO
+    assert not silent.asks(0.99)
+    assert silent.asks(1.0)

@@ -1,0 +1,1 @@
+"""Mutants of the code that decides motion: does a test fail for each of them?"""
