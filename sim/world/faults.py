@@ -339,7 +339,9 @@ class DeadZone(BaseFault, frozen=True, tag="dead_zone"):
 
     def followed(self, command: Array, fault: ActiveFault) -> Array:
         """The command without a slow linear part."""
-        return np.array((command[0] * (abs(command[0]) >= self.speed), command[1], command[2]))
+        linear, angular, lateral = command
+        is_followed = abs(linear) >= self.speed
+        return np.array((linear if is_followed else 0.0, angular, lateral))
 
 
 class RadioFault(FaultKind, frozen=True):

@@ -121,6 +121,14 @@ class _Told(msgspec.Struct):
         return teller_of(self.incident, self.source)
 
 
+class _Frames(NamedTuple):
+    """Frames for the file of an incident."""
+
+    read: Callable[[], Left]  # copies them; OSError or CodecError if they cannot be read
+    begin: float  # s on this robot's clock, of the first one
+    end: float  # s, of the last one
+
+
 class _Written(NamedTuple):
     """A file that was written, with its size and CRC-32, and the ids of those that gave way."""
 
@@ -283,20 +291,20 @@ class IncidentService:
         if not entries:
             return
         end = max(one.at for one in entries)
-        source = lambda: left, entries[0].at, end
+        frames_left = _Frames(lambda: left, entries[0].at, end)
         for one in entries:
             if isinstance(one, frames.TextEntry) and one.topic == "/incident":
                 incident = msgspec.json.decode(one.json, type=Incident)
                 if incident.id not in self._kept and end - one.at <= MARGIN:
                     self._may_begin(rate_of(incident, ""), one.at, gap=0.0)
                     told = _Told(incident, one.at, operator=self._operator_of(incident))
-                    self._write(told, *source, is_waiting=True)
+                    self._write(told, frames_left, is_waiting=True)
         instance = ""
         with suppress(ConfigError):  # another version: peers have another id of it
             instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
         id = self._id_of_silence(silent_id(self._robot, instance, left.revision), end)
-        self._begin(Found(IncidentKind.SILENT, text, id), at=end, left=source)
+        self._begin(Found(IncidentKind.SILENT, text, id), at=end, left=frames_left)
 
     def close(self, *, has_crashed: bool) -> None:
         """Write the incidents whose last seconds are not over as they are, and end the ring.
@@ -368,12 +376,13 @@ class IncidentService:
         *,
         robot: str = "",
         at: float | None = None,
-        left: tuple[Callable[[], Left], float, float] | None = None,
+        left: _Frames | None = None,
         request: verbs.MarkRequest | None = None,
     ) -> bool:
         """Begin an incident of this robot's own, unless it is known or too many began.
 
-        `request`: of the operator that marks it.
+        `left`: frames of an earlier daemon; None: the file gets those of the ring. `request`: of
+        the operator that marks it.
         """
         at = boottime() if at is None else at
         wall = time.time() - (boottime() - at)
@@ -400,7 +409,7 @@ class IncidentService:
         if left is None:
             self._await_tail(incident, at)
         else:
-            self._write(told, *left, is_waiting=True)
+            self._write(told, left, is_waiting=True)
         return True
 
     def _say_itself(self, own: _Told) -> None:
@@ -615,19 +624,17 @@ class IncidentService:
         except OSError as error:
             self._fail(f"incident {id} is not on disk: {error.strerror}")
             return
-        self._write(told, reader, begin, end, is_waiting=is_waiting)
+        self._write(told, _Frames(reader, begin, end), is_waiting=is_waiting)
 
-    def _write(
-        self,
-        told: _Told,
-        source: Callable[[], Left],
-        begin: float,
-        end: float,
-        *,
-        is_waiting: bool = False,
-    ) -> None:
-        """Write a file with the frames of `source`, from `begin` to `end` s; note it as kept."""
-        incident, at, operator, handed_on = told.incident, told.at, told.operator, told.source
+    def _write(self, told: _Told, source: _Frames, *, is_waiting: bool = False) -> None:
+        """Write a file with the frames of `source`, and note it as kept."""
+        # Values of now: a thread writes the file, and `told` may change meanwhile.
+        incident = told.incident
+        at = told.at
+        operator = told.operator
+        handed_on = told.source
+        begin = source.begin
+        end = source.end
         missing = f"nothing before {begin - at:+.0f} s" if begin > at - self._seconds else ""
         if end < at + TAIL - 1.0:
             missing = "; ".join(filter(None, (missing, f"nothing after {end - at:+.0f} s")))
@@ -636,7 +643,7 @@ class IncidentService:
         def work() -> _Written | _Refused:
             """In a thread: the frames are copied, packed and written."""
             try:
-                left = source()
+                left = source.read()
             except (OSError, CodecError) as error:
                 return _Refused(None, b"", getattr(error, "strerror", None) or str(error))
             head = IncidentHead(
