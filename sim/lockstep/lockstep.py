@@ -36,14 +36,14 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.pin import is_pinned, processor
 from swarmd.core.values import Array, Value
-from swarmd.kin.make import KinMaker, hear_many
+from swarmd.kin.make import hear_many
 from swarmd.kit.behavior import Pattern
+from swarmd.make_robot import make_robot
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.robot import Robot
-from swarmd.robot.setup import EarlierLives, RobotSetup
+from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
 from swarmd.sim.lockstep.huge_pages import use_huge_pages
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
@@ -268,17 +268,14 @@ class Lockstep:
             parameters=scenario.parameters[robot_id],
             settings=scenario.settings[robot_id],
         )
-        robot = Robot(
-            robot_id,
-            self._platforms[row],
-            setup,
-            make_steering=load_kernel("swarmd.steering.steering").Steering,
-            make_kin=KinMaker(),
+        identity = RobotIdentity(
+            robot=robot_id,
+            platform=self._platforms[row],
+            setup=setup,
             seed=self.seed,
             instance=f"lockstep-{self._boots[row]}",
-            now=now,
-            earlier=EarlierLives(latches=self._latches.get(row)),
         )
+        robot = make_robot(identity, now, EarlierLives(latches=self._latches.get(row)))
         self._boots[row] += 1
         return RobotShell(row, robot, self._find, self, now)
 
