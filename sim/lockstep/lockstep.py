@@ -55,7 +55,7 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.active_faults import Flight
-from swarmd.sim.world.faults import FaultKind, FrozenProcess
+from swarmd.sim.world.faults import FaultKind
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import neighbors_rate
@@ -301,22 +301,34 @@ class Lockstep:
 
         A halted daemon is absent for its peers, and its base stops as that of a killed daemon.
         """
-        if not isinstance(fault, FrozenProcess):
+        if fault.carried_by != "daemon":
             self.world.change_fault(fault, rows, is_on=is_on)
             return
         for row in rows:
-            if is_on and self.has_daemon[row]:
-                self._frozen[row] = self.shells[row]
-                self._silent_at[row] = self.world.time + BASE_TIMEOUT
-                self._set_absent(row)
-            elif not is_on and row in self._frozen:
-                self.has_daemon[row], self._absent_count = True, self._absent_count - 1
-                self._silent_at.pop(row, None)
-                shell = self.shells[row] = self._frozen.pop(row)
-                if shell is not None:
-                    self.alarms.set(row, self.world.time)
-                    for latches in list(self._peer_latches.values()):
-                        shell.step(events.LatchesInput(latches), self.world.time)
+            if is_on:
+                self._halt(row)
+            else:
+                self.resume(row)
+
+    def _halt(self, row: int) -> None:
+        """Halt the daemon of robot `row`, if it has one."""
+        if self.has_daemon[row]:
+            self._frozen[row] = self.shells[row]
+            self._silent_at[row] = self.world.time + BASE_TIMEOUT
+            self._set_absent(row)
+
+    def resume(self, row: int) -> None:
+        """Let the daemon of robot `row` continue, if it is halted."""
+        if row not in self._frozen:
+            return
+        self.has_daemon[row] = True
+        self._absent_count -= 1
+        self._silent_at.pop(row, None)
+        shell = self.shells[row] = self._frozen.pop(row)
+        if shell is not None:
+            self.alarms.set(row, self.world.time)
+            for latches in list(self._peer_latches.values()):
+                shell.step(events.LatchesInput(latches), self.world.time)
 
     def _set_absent(self, row: int) -> None:
         self.alarms.set(row, None)
