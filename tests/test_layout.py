@@ -65,6 +65,9 @@ ROOMS_KNOWN: dict[str, tuple[set[str], set[str]]] = {
         },
     ),
 }
+# Folders whose functions import late, for one reason: `swarmctl` starts with what its verb needs.
+# (`swarmctl --help` loads none of them, as tests/cli/test_swarmctl.py checks.)
+LATE_IMPORTS = ("swarmd/cli/", "swarmd/client/", "swarmd/network/operator/", "sim/")
 # Keys of all files; SLACK above them is a fault.
 KEYS = 355
 SLACK = 1.05
@@ -186,6 +189,24 @@ def test_protection_and_the_robot_know_nothing_of_steering(module: str) -> None:
     assert "swarmd.protection.barrier" in known
     assert not [one for one in known if one.startswith(("swarmd.steering", "swarmd.kin"))]
     assert "swarmd.steering.recovery" in import_closure("swarmd.make_robot")
+
+
+def test_an_import_inside_a_function_says_why() -> None:
+    """In a comment on its line, or on the line above; a group of imports has one comment."""
+    silent = []
+    for path in sources("swarmd", "patterns", "drivers"):
+        if name_of(path).startswith(LATE_IMPORTS):
+            continue
+        lines = path.read_text().splitlines()
+        for function in ast.walk(tree_of(path)):
+            if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            inner = [node for part in function.body for node in ast.walk(part)]
+            late = [node for node in inner if isinstance(node, ast.Import | ast.ImportFrom)]
+            near = {n for node in late for n in range(node.lineno - 2, node.end_lineno or 0)}
+            if late and not any("#" in lines[n] for n in near):
+                silent.append(f"{name_of(path)}:{late[0].lineno}")
+    assert silent == []
 
 
 def test_configuration_keys_do_not_grow() -> None:

@@ -24,6 +24,7 @@ from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
 from swarmd.core.verbs import shortened
 from swarmd.network.operator.exit_codes import FAILED
+from swarmd.plugins import check_single, need, pattern_names, places_of
 from swarmd.texts.values import NOTHING, printable
 
 if TYPE_CHECKING:
@@ -80,7 +81,6 @@ def replay(
     protection commanded, `requested` what the pattern asked for. The exit code is 0 only if all
     commands are equal to the bit.
     """
-    from swarmd.plugins import check_single, need, pattern_names, places_of
 
     need("mcap", "rosbags", extra="record")
     from swarmd.replay.changes import Changes

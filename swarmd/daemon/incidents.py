@@ -74,6 +74,7 @@ from swarmd.recording.ring import (
     read_left,
     remove_old,
 )
+from swarmd.security.content_signature import Purpose, is_signed_by, sign
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from swarmd.settings.swarmfile import BlackboxSection
@@ -849,8 +850,7 @@ def _signed(incident: Incident, identity: Identity | None) -> ToldIncident | Non
     content = msgspec.msgpack.encode(incident)
     if identity is None:
         return ToldIncident(content=content, age=0.0)
-    from swarmd.security.content_signature import Purpose, sign
-    from swarmd.security.private_keys import load_private_key
+    from swarmd.security.private_keys import load_private_key  # 64 ms, for keys alone
 
     try:
         key, certificate = load_private_key(identity.key), read_regular(identity.certificate)
@@ -884,8 +884,7 @@ def _checked(blob: bytes, identity: Identity | None, known: Collection[str]) -> 
 
 def _is_signed(told: ToldIncident, incident: Incident, identity: Identity) -> bool:
     """True if a robot of the roster with the name `by` has signed it."""
-    from swarmd.security.content_signature import Purpose, is_signed_by
-    from swarmd.security.private_keys import holder_of
+    from swarmd.security.private_keys import holder_of  # 64 ms, for keys alone
 
     name, key = holder_of(told.certificate, identity.info.authority)
     is_robot = name == incident.by and identity.roster.role_of(name) is Role.ROBOT
@@ -894,7 +893,6 @@ def _is_signed(told: ToldIncident, incident: Incident, identity: Identity) -> bo
 
 def _marked_by(incident: Incident, identity: Identity) -> str:
     """The operator of the roster who has signed these words as a mark; empty if none has."""
-    from swarmd.security.content_signature import Purpose, is_signed_by
 
     name, now = incident.operator, time.time()
     if incident.kind != IncidentKind.MARK or not incident.text.startswith(f"{name}: "):

@@ -58,6 +58,7 @@ from swarmd.daemon.requests import SendReply
 from swarmd.plugins import need
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
+from swarmd.recording.reader import clock_of
 from swarmd.recording.ring import Ring
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import remember
@@ -639,8 +640,6 @@ def _finished(path: Path, size: int) -> verbs.RecordingFile | None:
 
     None without a valid index: the file is being written, or was cut off.
     """
-    from swarmd.recording.reader import clock_of  # a robot without recordings never needs it
-
     try:
         index: dict[str, Any] = json.loads(read_regular(path.with_suffix(".index.json")))
         return verbs.RecordingFile(

@@ -280,13 +280,13 @@ def _stated_size(packed: memoryview, compression: str) -> int | None:
 def _unpacked(packed: memoryview, compression: str, size: int) -> bytes | memoryview | None:
     """At most `size` unpacked bytes of a chunk; None if the chunk is damaged."""
     if compression == "zstd":
-        import zstandard
+        import zstandard  # as in `_stated_size`
 
         with suppress(zstandard.ZstdError):
             return zstandard.decompress(packed, size)
         return None
     if compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
+        from lz4.frame import LZ4FrameDecompressor  # as in `_stated_size`
 
         with suppress(RuntimeError):
             return bytes(LZ4FrameDecompressor().decompress(packed, size))
