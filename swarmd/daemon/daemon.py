@@ -44,7 +44,7 @@ from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
 from swarmd.daemon.pattern_versions import PatternControl, PatternVersions, PushedRuns
-from swarmd.daemon.recorder import RecordingService
+from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.robot_setup import configured_robot, recording_head
 from swarmd.daemon.roster_service import RosterService

@@ -56,7 +56,8 @@ from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import KeptIncident, mark_text, shortened
 from swarmd.daemon.audit import printable
 from swarmd.daemon.incident_budget import rate_of, teller_of, teller_to_give_way, to_remove
-from swarmd.daemon.recorder import Recorder, piece_of
+from swarmd.daemon.recorder import Recorder
+from swarmd.daemon.recording_files import piece_of
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.datagram import STATES, Address, Beacon
@@ -236,7 +237,7 @@ class IncidentService:
         """Keep the last minute from now on."""
         self._keeps_left = False
         head, now = self._head(), boottime()
-        self._recorder.ring = Ring(
+        self._recorder.black_box.ring = Ring(
             folder / self._ring_name,
             head.texts(),
             capacity=int(RATE * (self._seconds + MARGIN)),
@@ -316,9 +317,9 @@ class IncidentService:
             self._write_due(id, is_waiting=True)
         for id in list(self._waiting):
             self._write_again(id, is_waiting=True)
-        if self._recorder.ring is not None:
-            self._recorder.ring.close(keeps_file=has_crashed)
-            self._recorder.ring = None
+        if self._recorder.black_box.ring is not None:
+            self._recorder.black_box.ring.close(keeps_file=has_crashed)
+            self._recorder.black_box.ring = None
 
     # What begins an incident
 
@@ -402,7 +403,7 @@ class IncidentService:
         if incident.id in self._told or incident.id in self._kept:
             self._say_itself(told)
             return True
-        is_on = left is not None or self._recorder.ring is not None
+        is_on = left is not None or self._recorder.black_box.ring is not None
         if not is_on or not self._may_begin(rate_of(incident, ""), at):
             return False
         self._tell(told)
@@ -439,7 +440,7 @@ class IncidentService:
         self._told[id] = own
         self._sign(own)
         is_before = told is not None and own.at - told.at > 1.0
-        if self._recorder.ring is not None and (
+        if self._recorder.black_box.ring is not None and (
             is_before or (told is None and kind != IncidentKind.MARK)
         ):
             self._await_tail(own.incident, own.at)
@@ -511,7 +512,7 @@ class IncidentService:
         """Note the incident in the ring at once; its file is written TAIL s after it."""
         self._due[incident.id] = max(at + TAIL, boottime())
         self._recorder.add(frames.TextEntry(at, "/incident", msgspec.json.encode(incident)))
-        self._recorder.write_ring()
+        self._recorder.black_box.write()
 
     # Spread
 
@@ -537,7 +538,7 @@ class IncidentService:
     @_contained
     def on_beacon(self, robot: str, digest: bytes, address: Address, now: float) -> None:
         """Pull the incidents of `robot` if its beacon shows others than this robot knows."""
-        if not digest or self._recorder.ring is None or digest == self.digest:
+        if not digest or self._recorder.black_box.ring is None or digest == self.digest:
             return
         if not self._asks.may((robot, digest), now):
             return
@@ -613,7 +614,7 @@ class IncidentService:
 
     def _write_due(self, id: str, *, is_waiting: bool = False) -> None:
         del self._due[id]
-        ring, told = self._recorder.ring, self._told.get(id)
+        ring, told = self._recorder.black_box.ring, self._told.get(id)
         if ring is None or told is None:
             return
         if ring.begin is None:
@@ -738,12 +739,12 @@ class IncidentService:
     @property
     def _problem(self) -> str:
         """Why nothing is kept, or why the last file was not written; empty if all is well."""
-        return self.fault or self._recorder.ring_fault
+        return self.fault or self._recorder.black_box.fault
 
     @property
     def text(self) -> str:
         """What is kept, in a line, or why nothing is."""
-        ring = self._recorder.ring
+        ring = self._recorder.black_box.ring
         begin = boottime() if ring is None or ring.begin is None else ring.begin
         kept = f"keeps the last {boottime() - begin:.0f} s, {len(self._kept)} incidents"
         return self._problem or kept
@@ -754,7 +755,7 @@ class IncidentService:
         self._due.clear()
         cause = getattr(error, "strerror", None) or repr(error)
         place = getattr(error, "filename", None)
-        self._recorder.end_ring(f"{place}: {cause}" if place else cause)
+        self._recorder.black_box.end(f"{place}: {cause}" if place else cause)
 
     def _fail(self, fault: str) -> None:
         self.fault = fault[:MAX_TEXT]
@@ -764,7 +765,7 @@ class IncidentService:
 
     def on_incidents(self, _: verbs.Nothing) -> verbs.IncidentsReply:
         """The incidents of which this robot keeps its last minute, and those that are awaited."""
-        now, ring = boottime(), self._recorder.ring
+        now, ring = boottime(), self._recorder.black_box.ring
         awaited = {
             id: KeptIncident(
                 incident=told.incident, age=None, file=id + SUFFIX, operator=told.operator,

@@ -22,7 +22,7 @@ else:
 
 @cython.final
 @cython.auto_pickle(False)
-@cython.dataclasses.dataclass(repr=False, eq=False)
+@cython.dataclasses.dataclass(repr=False, eq=False)  # type: ignore[attr-defined]  # no stub
 @cython.cclass
 class WaySettings:
     """The numbers of right of way. Distances along an axis count from the begin of the opening."""

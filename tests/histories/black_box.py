@@ -206,20 +206,20 @@ class BlackBox:
         """The daemon starts."""
         with self._virtual_time():
             self.service.open()
-        if self.recorder.ring is not None:
-            self.daemon.swarm.rings.add(self.recorder.ring)
+        if self.recorder.black_box.ring is not None:
+            self.daemon.swarm.rings.add(self.recorder.black_box.ring)
 
     def close(self) -> None:
         """The daemon ends in order."""
-        if self.recorder.ring is not None:
-            self.daemon.swarm.rings.discard(self.recorder.ring)
+        if self.recorder.black_box.ring is not None:
+            self.daemon.swarm.rings.discard(self.recorder.black_box.ring)
         with self.at_work():
             self.service.close(has_crashed=False)
         self.is_closed = True
 
     def die(self) -> Death | None:
         """The process is killed; None if it had ended in order, or had not begun."""
-        ring = self.recorder.ring
+        ring = self.recorder.black_box.ring
         if self.is_closed or ring is None:
             return None
         self.is_closed = True
