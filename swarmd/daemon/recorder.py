@@ -246,5 +246,5 @@ class Recorder:
             self._on_event(f"black box: {error}")
             return
         self._scans = {}  # the first scan of the segment has its geometry
-        black_box.begin_segment(data, now)
+        black_box.begin_segment(data, now, boot=boottime(), wall=time.time())
         black_box.memory_cost.note(boottime() - began)

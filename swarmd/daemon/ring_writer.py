@@ -7,11 +7,9 @@ that is killed loses the entries of one tick, and no command is later than witho
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Callable
 
-from swarmd.core.clock import boottime
 from swarmd.recording import frames
 from swarmd.recording.ring import Ring
 
@@ -90,12 +88,15 @@ class RingWriter:
             return False
         return self.memory_cost.fits(time_left) or age >= 2.0 * SEGMENT_TIME
 
-    def begin_segment(self, memory: bytes, now: float) -> None:
-        """Begin a segment with the memory of the robot at `now` s; there must be a ring."""
+    def begin_segment(self, memory: bytes, now: float, *, boot: float, wall: float) -> None:
+        """Begin a segment with the memory of the robot at `now` s; there must be a ring.
+
+        `boot`, `wall`: s by the clock of the robot and by the wall clock, at one instant.
+        """
         ring = self.ring
         assert ring is not None
         ring.begin_segment(now)
-        ring.set_clock(boottime(), time.time())  # a robot without a battery clock starts in 1970
+        ring.set_clock(boot, wall)  # a robot without a battery clock starts in 1970
         self._segment_at = now
         self.put(frames.encode(frames.MemoryEntry(now, memory)))
         self.write()

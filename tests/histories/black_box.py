@@ -141,9 +141,9 @@ class Incidents(IncidentService):
         self._box.displaced(tuple(self._kept.values()), kept, written.head)
         super()._on_written(id, written)
 
-    def _write(self, told: Any, source: Any, *more: Any, **options: Any) -> None:
-        left = source()  # now: the descriptor of a virtual thread would outlive a kill
-        super()._write(told, lambda: left, *more, **options)
+    def _write(self, told: Any, source: Any, **options: Any) -> None:
+        left = source.read()  # now: the descriptor of a virtual thread would outlive a kill
+        super()._write(told, source._replace(read=lambda: left), **options)
 
     def _end(self, error: Exception) -> None:
         raise error  # a fault of the black box, or of its judge
