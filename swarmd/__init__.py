@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # the same names, for type checkers
 else:
 
     def __getattr__(name: str) -> object:
-        from importlib import import_module
+        from importlib import import_module  # `import swarmd` loads nothing
 
         if name not in _PUBLIC:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

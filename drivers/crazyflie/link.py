@@ -81,7 +81,7 @@ class DroneLink:
     def __init__(
         self, uri: str, on_open: Callable[[], None], on_lost: Callable[[str], None], on_data: OnData
     ) -> None:
-        import cflib.crtp
+        import cflib.crtp  # of an extra that few have
         from cflib.crazyflie import Crazyflie
 
         logging.getLogger("cflib").setLevel(logging.CRITICAL)  # the driver tells what matters
@@ -133,7 +133,7 @@ class DroneLink:
         self._drone.close_link()
 
     def _begin_logs(self, on_open: Callable[[], None]) -> None:
-        from cflib.crazyflie.log import LogConfig
+        from cflib.crazyflie.log import LogConfig  # of an extra that few have
 
         try:
             for name, (period, variables) in LOG_BLOCKS.items():

@@ -8,7 +8,6 @@ pose, not the robot: odometry has the motion.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections import deque
 from typing import NamedTuple
@@ -111,11 +110,13 @@ class CarriedPose:
             return ()
         yaw_error = min(pose.yaw_error + ODOMETRY_SHARE * turned, math.pi)
         turn = pose.pose.yaw - there.pose.yaw  # from the frame of odometry to the shared frame
-        moved = complex(here.pose.x - there.pose.x, here.pose.y - there.pose.y)
-        place = complex(pose.pose.x, pose.pose.y) + moved * cmath.rect(1.0, turn)
+        dx = here.pose.x - there.pose.x
+        dy = here.pose.y - there.pose.y
+        x = pose.pose.x + math.cos(turn) * dx - math.sin(turn) * dy
+        y = pose.pose.y + math.sin(turn) * dx + math.cos(turn) * dy
         carried = SharedPose(
             here.stamp,
-            Pose(place.real, place.imag, wrap(here.pose.yaw + turn)),
+            Pose(x, y, wrap(here.pose.yaw + turn)),
             pose.error + (ODOMETRY_SHARE + yaw_error) * way,
             yaw_error,
             pose.frame,

@@ -74,7 +74,8 @@ class TopicHazard(TopicEntry):
     field: str
     number: tuple[Step, ...]  # the steps from an item to the number
     place: tuple[Step, ...] | None  # the steps from an item to the text of the place
-    means: Mapping[int | None, Hazard]  # by number; None: any number outside `limits`
+    any_number: Hazard | None  # of each number outside `limits`; None: `means` has it
+    means: Mapping[int, Hazard]  # by number
     limits: tuple[float, float] | None  # from the first to the second is no hazard; None: only 0
 
     def read(self, message: Any) -> tuple[Hazard, ...] | str:
@@ -101,11 +102,10 @@ class TopicHazard(TopicEntry):
         return tuple(hazards)
 
     def _hazard(self, number: float) -> Hazard | None:
-        any_number = self.means.get(None)
-        if any_number is None:
+        if self.any_number is None:
             return self.means.get(round(number))
         low, high = self.limits or (0.0, 0.0)
-        return None if low <= number <= high else any_number
+        return None if low <= number <= high else self.any_number
 
     def _placed(self, hazard: Hazard, item: Any) -> Hazard:
         """The hazard with the place in the item's text, unless the hazard has a place."""
@@ -138,7 +138,8 @@ def topic_hazard(
         with faults_of(f"{option}.place_field is {options.place_field!r}"):
             place = _text_path(types, item_type, options.place_field)
     with faults_of(f"{option}.means"):
-        means = _means(options)
+        any_number = _of_any_number(options)
+        means = {} if any_number is not None else _by_number(options)
     entry = TopicHazard(
         name=name,
         option=option,
@@ -149,6 +150,7 @@ def topic_hazard(
         field=options.field,
         number=number,
         place=place,
+        any_number=any_number,
         means=means,
         limits=_limits(option, options),
     )
@@ -188,10 +190,15 @@ def _limit(given: float | None, default: float) -> float:
     return default if given is None else given
 
 
-def _means(options: HazardOptions) -> Mapping[int | None, Hazard]:
+def _of_any_number(options: HazardOptions) -> Hazard | None:
+    """The hazard that each number outside the limits means; None if there is one a number."""
+    return _meaning(options.means) if isinstance(options.means, str) else None
+
+
+def _by_number(options: HazardOptions) -> Mapping[int, Hazard]:
+    """The hazards by the number that means them."""
     given = options.means
-    if isinstance(given, str):
-        return {None: _meaning(given)}
+    assert not isinstance(given, str)
     if options.above is not None or options.below is not None:
         raise ConfigError("expected one hazard beside above or below, not one for each number")
     if not given:

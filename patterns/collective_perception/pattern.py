@@ -149,7 +149,8 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
         if self._is_exploring:
             colour = BLACK if inputs.readings["ground"] < self.params.black else WHITE
             self._measured_s += inputs.dt
-            self._matched_s += inputs.dt * (colour == self.opinion)
+            if colour == self.opinion:
+                self._matched_s += inputs.dt
         elif inputs.now >= self._tell_at:
             messages[OPINION] = [self.opinion, self.quality]
             self._tell_at = inputs.now + self.params.share_period

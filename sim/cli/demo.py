@@ -21,6 +21,7 @@ from swarmd.cli.output import print_json, print_section, signals_end, warn
 from swarmd.core.clock import process_start
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.token_bucket import TokenBucket
+from swarmd.plugins import find_pattern, is_pattern_path, place_of_pattern
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 from swarmd.sim.cli.world_page import page_option, world_page
 from swarmd.texts.assignments import read_assignments
@@ -124,7 +125,6 @@ def _place(ctx: click.Context, pattern: str, plugin_dir: Path | None) -> tuple[s
 
     A path prevails over the variable of --plugin-dir. ConfigError if there is none at the path.
     """
-    from swarmd.plugins import is_pattern_path, place_of_pattern
 
     source = ctx.get_parameter_source("plugin_dir")
     is_variable = source is click.core.ParameterSource.ENVIRONMENT
@@ -140,7 +140,6 @@ def _checked_parameters(
     A demo with a scenario does not run `pattern`, so only the form of `params` is checked.
     """
     from swarmd.cli.plugin_check import check_parameters
-    from swarmd.plugins import find_pattern
 
     has_scenario = world["scenario"] is not None
     if not has_scenario:

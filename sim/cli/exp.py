@@ -55,6 +55,7 @@ from swarmd.sim.cli.options import (
     warn_of_few,
     with_pattern,
 )
+from swarmd.sim.cli.progress import progress, time_span
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
 from swarmd.texts.values import counted
 
@@ -170,7 +171,6 @@ def run(
     """
     # 1. Libraries.
     need("mujoco")
-    from swarmd.sim.cli.progress import time_span
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
     from swarmd.sim.experiments.requirements import Verdict
     from swarmd.sim.experiments.sequential import SequentialTest
@@ -305,7 +305,6 @@ def rerun(
     Exit code 0 if all runs are identical to the last bit, 3 if some are, 1 if none is.
     """
     need("mujoco")
-    from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments import rerun as rerunning
 
     known_differences = rerunning.warnings(folder, is_trusted=is_trusted)

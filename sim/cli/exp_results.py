@@ -25,7 +25,7 @@ from swarmd.sim.cli.options import (
     trust_option,
     warn_of_few,
 )
-from swarmd.texts.values import counted, megabytes
+from swarmd.texts.values import NOTHING, counted, megabytes
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form
@@ -143,7 +143,6 @@ def check(
 def _print_findings(findings: Sequence[RequirementFinding]) -> None:
     """Print a row for each requirement and variant."""
     from swarmd.sim.experiments.statistics import interval, number
-    from swarmd.texts.values import NOTHING
 
     rows = []
     for finding in findings:

@@ -18,7 +18,10 @@ from msgspec import structs
 from swarmd.cli.options import CommonOptions, Duration, VerbGroup
 from swarmd.cli.output import print_section, signals_end, warn
 from swarmd.client.network_options import DEFAULT_SWARM
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, SwarmError, unknown
+from swarmd.core.keys import check_id
+from swarmd.network.settings import NetworkSettings
+from swarmd.security.identity import Installed, installed_identity
 from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.sim.cli.world_page import page_option, world_page
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
     from swarmd.sim.live.demo_run import LiveTimeline
     from swarmd.sim.live.fleet import Fleet, FleetSpec
-    from swarmd.sim.world.faults import FaultKind, ProcessFault
+    from swarmd.sim.world.faults import FaultKind
 
 CHECK_PERIOD = 1.0  # s between two checks of the processes
 
@@ -113,7 +116,7 @@ def fault(
     need("mujoco")
     from swarmd.sim.live.fleet import running
     from swarmd.sim.live.link import WorldView
-    from swarmd.sim.world.faults import ProcessFault, fault_of
+    from swarmd.sim.world.faults import fault_of
     from swarmd.texts.assignments import read_assignments
 
     names = [word for word in robots if "=" not in word]
@@ -124,7 +127,7 @@ def fault(
     world = running(name)
     with ExitStack() as ends, signals_end():
         change: Callable[..., object]
-        if isinstance(kind, ProcessFault):
+        if kind.carried_by == "daemon":
             change = partial(signal_daemons, world.pids, name, kind, names)
         else:
             view = ends.enter_context(WorldView(name, world.endpoint))
@@ -140,9 +143,7 @@ def fault(
 
 def how_it_ends(kind: FaultKind, words: Sequence[str], seconds: float | None) -> str:
     """How a fault ends that `sim fault` has begun with `words`, and for `seconds` s."""
-    from swarmd.sim.world.faults import KilledProcess
-
-    if isinstance(kind, KilledProcess):
+    if kind.ends_daemon:
         return "the daemon stays off; `sim up` prints how to start it again"
     if seconds is not None:
         return f"it ends in {seconds:g} s"
@@ -150,23 +151,21 @@ def how_it_ends(kind: FaultKind, words: Sequence[str], seconds: float | None) ->
 
 
 def signal_daemons(
-    pids: Mapping[str, int], swarm: str, kind: ProcessFault, robots: Sequence[str], *, is_on: bool
+    pids: Mapping[str, int], swarm: str, kind: FaultKind, robots: Sequence[str], *, is_on: bool
 ) -> None:
     """Kill, halt or continue the daemons of robots.
 
     `pids`: the processes of the world by name, as its file has them; a process that is not the
     daemon of its robot gets no signal. SwarmError, before any signal, for a robot without a daemon.
     """
-    from swarmd.core.errors import ConfigError, SwarmError, unknown
     from swarmd.sim.live.fleet import WORLD, is_daemon
-    from swarmd.sim.world.faults import KilledProcess
 
     for robot in robots:
         if robot == WORLD or robot not in pids:
             raise ConfigError(unknown("robot with a daemon", robot, pids.keys() - {WORLD}))
         if is_on and not is_daemon(pids[robot], robot, swarm):
             raise SwarmError(f"{robot}: its daemon has ended; start it as `sim up` tells")
-    begin = signal.SIGKILL if isinstance(kind, KilledProcess) else signal.SIGSTOP
+    begin = signal.SIGKILL if kind.ends_daemon else signal.SIGSTOP
     for robot in robots:
         if is_daemon(pids[robot], robot, swarm):
             os.kill(pids[robot], begin if is_on else signal.SIGCONT)
@@ -176,7 +175,6 @@ def signal_daemons(
 
 def _swarm_of(ctx: click.Context, swarm: str | None) -> str:
     """The name of the swarm: of the verb's option, of the option before the verb, or of $SWARM."""
-    from swarmd.core.keys import check_id
 
     common = ctx.find_object(CommonOptions)  # the options before the verb; None without `swarmctl`
     swarm_option = swarm or (common.swarm if common is not None else None)
@@ -190,7 +188,6 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     shows the fleet; None: no page.
     """
     from swarmd.network.operator.operator import Operator
-    from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.demo_run import LiveTimeline
     from swarmd.sim.live.fleet import Fleet
     from swarmd.sim.live.link import WorldView
@@ -262,7 +259,6 @@ def _report_ends(fleet: Fleet, timeline: LiveTimeline | None = None) -> NoReturn
 
 
 def _print_usage(spec: FleetSpec) -> None:
-    from swarmd.security.identity import Installed, installed_identity
 
     try:
         has_context = context_in_use() is not None

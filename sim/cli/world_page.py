@@ -11,6 +11,7 @@ import click
 
 from swarmd.cli.web import Served, WebOptions, check_web, web_options
 from swarmd.core.errors import R
+from swarmd.plugins import pattern_names
 from swarmd.sim.cli.options import need
 
 if TYPE_CHECKING:
@@ -46,7 +47,6 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
     from swarmd.cli.plugin_check import describe_patterns
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
-    from swarmd.plugins import pattern_names
     from swarmd.sim.live.link import WorldView
     from swarmd.sim.view.world_source import WorldSource
     from swarmd.view.commander import LiveCommander

@@ -29,7 +29,7 @@ from swarmd.sim.live.summary import METRICS, DemoSummary, DoneEvent, all_moved_a
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.trace import load_trace
-from swarmd.sim.world.faults import FaultKind, FrozenProcess
+from swarmd.sim.world.faults import FaultKind
 from swarmd.view.scene import Area, Scene
 
 STATUS_PERIOD = 0.5  # s between two rounds of statuses: what a terminal can show without much load
@@ -100,7 +100,7 @@ class LiveTimeline:
                 self._request(event, with_daemon)
 
     def _change_fault(self, fault: FaultKind, robots: Sequence[str], *, is_on: bool) -> None:
-        if not isinstance(fault, FrozenProcess):
+        if fault.carried_by != "daemon":
             self._world.change_fault(fault.plain, robots, is_on=is_on)
             return
         for robot in robots:

@@ -15,7 +15,6 @@ from swarmd.core.values import Platform
 from swarmd.settings.yamlfile import text_of
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.detector import DETECTIONS
-from swarmd.sim.world.faults import RadioFault
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import configured
 
@@ -88,7 +87,8 @@ def _impossible(scenario: Scenario, most: int, emulator: str | None) -> Iterator
     if emulator is None:
         return
     default = RadioSettings()
-    if any(isinstance(event.fault, RadioFault) for event in scenario.events):
+    faults = [event.fault for event in scenario.events if event.fault is not None]
+    if any(fault.carried_by == "radio" for fault in faults):
         text = f"emulated robots ({emulator}) have no simulated radio; leave --emulate out"
         yield "events", f"fault of radio: {text}"
     for key in RadioSettings.__struct_fields__:

@@ -26,7 +26,7 @@ from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
 from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
-from swarmd.sim.world.faults import ProcessFault, RadioFault, fault_of
+from swarmd.sim.world.faults import fault_of
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import Radio, RadioSettings, neighbors_rate
@@ -235,9 +235,9 @@ class RealTimeWorld:
     def _change_fault(self, request: WorldRequest) -> None:
         fault, world = fault_of(request.fault, "fault"), self._world
         rows = [self._row(robot) for robot in request.robots]
-        if isinstance(fault, ProcessFault):
+        if fault.carried_by == "daemon":
             raise ConfigError(f"{fault.text}: the world has no daemons; signal their processes")
-        if isinstance(fault, RadioFault) and self._radio is None:
+        if fault.carried_by == "radio" and self._radio is None:
             text = "this world simulates no radio; start it with a range (--radio-range 100)"
             raise ConfigError(f"{fault.text}: {text}")
         for row in rows:

@@ -23,6 +23,11 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 from swarmd.client.connect import Connection
 from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.keys import check_id
+from swarmd.core.numbers import python_value
+from swarmd.network.operator.operator import Operator
+from swarmd.network.settings import NetworkSettings
+from swarmd.plugins import need
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -93,8 +98,6 @@ class SimulatedSwarm(Closing):
         return dict(zip(state.ids, state.poses, strict=True))
 
     def _operator(self) -> Operator:
-        from swarmd.network.operator.operator import Operator
-        from swarmd.network.settings import NetworkSettings
 
         return Operator(NetworkSettings(swarm=self.name))
 
@@ -126,9 +129,6 @@ def demo(
     ConfigError for a wrong value. Most values are checked when the swarm starts. PluginError
     without MuJoCo (`pip install 'swarmd[sim]'`).
     """
-    from swarmd.core.keys import check_id
-    from swarmd.core.numbers import python_value
-    from swarmd.plugins import need
     from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
 
     need("mujoco", extra="sim")

@@ -36,14 +36,14 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.pin import is_pinned, processor
 from swarmd.core.values import Array, Value
-from swarmd.kin.make import KinMaker, hear_many
+from swarmd.kin.make import hear_many
 from swarmd.kit.behavior import Pattern
+from swarmd.make_robot import make_robot
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.robot import Robot
-from swarmd.robot.setup import EarlierLives, RobotSetup
+from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
 from swarmd.sim.lockstep.huge_pages import use_huge_pages
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
@@ -55,7 +55,7 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.active_faults import Flight
-from swarmd.sim.world.faults import FaultKind, FrozenProcess
+from swarmd.sim.world.faults import FaultKind
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import neighbors_rate
@@ -268,17 +268,14 @@ class Lockstep:
             parameters=scenario.parameters[robot_id],
             settings=scenario.settings[robot_id],
         )
-        robot = Robot(
-            robot_id,
-            self._platforms[row],
-            setup,
-            make_steering=load_kernel("swarmd.steering.steering").Steering,
-            make_kin=KinMaker(),
+        identity = RobotIdentity(
+            robot=robot_id,
+            platform=self._platforms[row],
+            setup=setup,
             seed=self.seed,
             instance=f"lockstep-{self._boots[row]}",
-            now=now,
-            earlier=EarlierLives(latches=self._latches.get(row)),
         )
+        robot = make_robot(identity, now, EarlierLives(latches=self._latches.get(row)))
         self._boots[row] += 1
         return RobotShell(row, robot, self._find, self, now)
 
@@ -304,22 +301,34 @@ class Lockstep:
 
         A halted daemon is absent for its peers, and its base stops as that of a killed daemon.
         """
-        if not isinstance(fault, FrozenProcess):
+        if fault.carried_by != "daemon":
             self.world.change_fault(fault, rows, is_on=is_on)
             return
         for row in rows:
-            if is_on and self.has_daemon[row]:
-                self._frozen[row] = self.shells[row]
-                self._silent_at[row] = self.world.time + BASE_TIMEOUT
-                self._set_absent(row)
-            elif not is_on and row in self._frozen:
-                self.has_daemon[row], self._absent_count = True, self._absent_count - 1
-                self._silent_at.pop(row, None)
-                shell = self.shells[row] = self._frozen.pop(row)
-                if shell is not None:
-                    self.alarms.set(row, self.world.time)
-                    for latches in list(self._peer_latches.values()):
-                        shell.step(events.LatchesInput(latches), self.world.time)
+            if is_on:
+                self._halt(row)
+            else:
+                self.resume(row)
+
+    def _halt(self, row: int) -> None:
+        """Halt the daemon of robot `row`, if it has one."""
+        if self.has_daemon[row]:
+            self._frozen[row] = self.shells[row]
+            self._silent_at[row] = self.world.time + BASE_TIMEOUT
+            self._set_absent(row)
+
+    def resume(self, row: int) -> None:
+        """Let the daemon of robot `row` continue, if it is halted."""
+        if row not in self._frozen:
+            return
+        self.has_daemon[row] = True
+        self._absent_count -= 1
+        self._silent_at.pop(row, None)
+        shell = self.shells[row] = self._frozen.pop(row)
+        if shell is not None:
+            self.alarms.set(row, self.world.time)
+            for latches in list(self._peer_latches.values()):
+                shell.step(events.LatchesInput(latches), self.world.time)
 
     def _set_absent(self, row: int) -> None:
         self.alarms.set(row, None)

@@ -16,7 +16,6 @@ from swarmd.core.messages import Code
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.scenarios.scenario import ScheduledEvent
-from swarmd.sim.world.faults import FrozenProcess
 
 if TYPE_CHECKING:
     from swarmd.sim.lockstep.lockstep import Lockstep
@@ -145,7 +144,7 @@ class EventTimeline:
             shell = swarm.shells[row]
             if event.action in ("leave", "kill", "remove"):
                 # A halted daemon that is ended does not continue with the end of its fault.
-                swarm.change_fault(FrozenProcess(), [row], is_on=False)
+                swarm.resume(row)
                 if swarm.has_daemon[row]:
                     swarm.end(row, in_order=event.action == "leave")
             elif shell is not None:

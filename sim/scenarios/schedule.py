@@ -16,7 +16,7 @@ from swarmd.sim.scenarios.environment import blamed, check_inside, fields_of
 from swarmd.sim.scenarios.groups import ALL, Groups
 from swarmd.sim.scenarios.scenario import Action, ScheduledEvent
 from swarmd.sim.scenarios.schema import EventSection, ScenarioFile, Values
-from swarmd.sim.world.faults import KilledProcess, fault_of
+from swarmd.sim.world.faults import fault_of
 from swarmd.sim.world.scalar_fields import channels_of
 
 OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kill")
@@ -160,7 +160,7 @@ def _fault_event(
         if misfit := fault.misfit(platform, is_posed=is_posed):
             raise layers.error(keys, f"{name}.fault: {fault.text}: {robot} {misfit}")
     # A killed daemon is the same as by the event `kill`.
-    action: Action = "kill" if isinstance(fault, KilledProcess) else "fault"
+    action: Action = "kill" if fault.ends_daemon else "fault"
     return ScheduledEvent(
         at=section.at, action=action, robots=robots, seconds=section.seconds, fault=fault
     )

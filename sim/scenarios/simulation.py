@@ -9,7 +9,6 @@ from msgspec import to_builtins
 
 from swarmd.sim.scenarios.pseudo_reality import draws
 from swarmd.sim.scenarios.scenario import Scenario
-from swarmd.sim.world.faults import RadioFault
 from swarmd.sim.world.lidar import LidarModel
 from swarmd.sim.world.radio import Radio, needs_radio
 from swarmd.sim.world.world import World
@@ -36,8 +35,8 @@ def radio_of(scenario: Scenario, seed: int) -> Radio:
 
 def has_live_radio(scenario: Scenario) -> bool:
     """True if a live world must carry the messages of patterns."""
-    faults = (event.fault for event in scenario.events)
-    return needs_radio(scenario.radio) or any(isinstance(one, RadioFault) for one in faults)
+    faults = [event.fault for event in scenario.events if event.fault is not None]
+    return needs_radio(scenario.radio) or any(one.carried_by == "radio" for one in faults)
 
 
 def meta_of(scenario: Scenario, seed: int) -> Mapping[str, Any]:

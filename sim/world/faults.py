@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -30,6 +30,8 @@ Metres = Annotated[float, Meta(ge=-10.0, le=10.0)]
 Speed = Annotated[float, Meta(ge=-10.0, le=10.0)]
 Spread = Annotated[float, Meta(ge=0.0, le=10.0)]
 Braking = Annotated[float, Meta(ge=0.001, le=100.0)]
+Carrier: TypeAlias = Literal["world", "radio", "daemon"]
+"""Who carries a fault out: the world, its radio, or the host of the robot's daemon."""
 
 
 @dataclass(slots=True)
@@ -56,6 +58,9 @@ class FaultKind(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, t
     """A kind of fault with its parameters."""
 
     place: ClassVar[str]
+    carried_by: ClassVar[Carrier] = "world"
+    ends_daemon: ClassVar[bool] = False
+    """the robot's daemon does not continue after the fault: it starts anew"""
 
     @property
     def text(self) -> str:
@@ -339,7 +344,9 @@ class DeadZone(BaseFault, frozen=True, tag="dead_zone"):
 
     def followed(self, command: Array, fault: ActiveFault) -> Array:
         """The command without a slow linear part."""
-        return np.array((command[0] * (abs(command[0]) >= self.speed), command[1], command[2]))
+        linear, angular, lateral = command
+        is_followed = abs(linear) >= self.speed
+        return np.array((linear if is_followed else 0.0, angular, lateral))
 
 
 class RadioFault(FaultKind, frozen=True):
@@ -349,6 +356,7 @@ class RadioFault(FaultKind, frozen=True):
     """
 
     place = "radio"
+    carried_by = "radio"
 
     def delay(self, draw: Callable[[], float], *, is_sender: bool) -> float:
         """Seconds that a message from (`is_sender`) or to the robot takes longer; inf: it is lost.
@@ -399,10 +407,13 @@ class ProcessFault(FaultKind, frozen=True):
     """A fault of the daemon's process, which its host carries out, not the world."""
 
     place = "process"
+    carried_by = "daemon"
 
 
 class KilledProcess(ProcessFault, frozen=True, tag="killed"):
     """The daemon is killed (SIGKILL); with `for` it starts again after this time, idle."""
+
+    ends_daemon = True
 
 
 class FrozenProcess(ProcessFault, frozen=True, tag="frozen"):

@@ -17,6 +17,7 @@ import click
 from swarmd.cli.output import rewrite, terminal_width
 from swarmd.client.input_watch import TOO_LATE, InputWatch
 from swarmd.core.clock import boottime
+from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
     from swarmd.acceptance.dialogue import Action, Dialogue, Input
@@ -255,7 +256,6 @@ def say(text: str, indent: str = "", *, err: bool = False) -> None:
     """Print a text, wrapped to the terminal; nothing for an empty text."""
     if not text:
         return
-    from swarmd.texts.values import printable
 
     width = min(terminal_width(), _WIDEST)
     begin = "\n" if text.startswith("\n") else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys  # no other import: an interrupt during imports of this file is not caught
 
 INTERRUPTED = 130
@@ -14,7 +15,6 @@ def _exit_interrupted() -> None:
 
 def _keep_docstrings() -> None:
     """Start this program again if PYTHONOPTIMIZE drops docstrings, of which all help is made."""
-    import os
 
     if sys.flags.optimize > 1 and os.environ.get("PYTHONOPTIMIZE", "1") != "1":
         os.environ["PYTHONOPTIMIZE"] = "1"
@@ -23,7 +23,6 @@ def _keep_docstrings() -> None:
 
 def _exit_with(error: Exception) -> None:
     """End with one line for an error of a module of PYTHONPATH; returns for any other error."""
-    import os
 
     if not os.environ.get("PYTHONPATH"):
         return

@@ -37,6 +37,7 @@ from swarmd.core.pattern_manifest import (
 from swarmd.core.verbs import PLUGINS, PushedPatternReport, PushedPatternsReply, PushRequest
 from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT, code_of_answers
 from swarmd.plugins import PATTERN_FILE, has_modules, parsed, pattern_file, pattern_name
+from swarmd.security.content_signature import Purpose, is_signed_by, sign
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
@@ -278,7 +279,6 @@ def greatest_of(replies: Iterable[PushedPatternsReply], identity: Identity | Non
     """
     if identity is None:
         return max((reply.generation for reply in replies), default=0)
-    from swarmd.security.content_signature import Purpose, is_signed_by
 
     greatest = 0
     for content, signature in {(reply.newest, reply.signature) for reply in replies}:
@@ -400,7 +400,6 @@ class _Pusher:
             raise ConfigError(str(error)) from error
         if identity is None:
             return content, b""
-        from swarmd.security.content_signature import Purpose, sign
         from swarmd.security.private_keys import load_private_key
 
         return content, sign(load_private_key(identity.key), Purpose.MANIFEST, content)

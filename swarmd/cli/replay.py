@@ -25,6 +25,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.pin import restart_pinned
 from swarmd.core.verbs import shortened
 from swarmd.network.operator.exit_codes import FAILED
+from swarmd.plugins import check_single, need, pattern_names, places_of
 from swarmd.texts.values import NOTHING, printable
 
 if TYPE_CHECKING:
@@ -82,7 +83,6 @@ def replay(
     commands are equal to the bit. Recordings that a pinned process made are repeated in one, those
     of a daemon with the mathematical functions of this processor.
     """
-    from swarmd.plugins import check_single, need, pattern_names, places_of
 
     need("mcap", "rosbags", extra="record")
     from swarmd.replay.changes import Changes

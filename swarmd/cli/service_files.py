@@ -51,8 +51,12 @@ class Steps:
         if not there.exists():
             return
         click.echo(f"{self._step('remove')} {there}")
-        if not self.is_dry:
-            shutil.rmtree(there) if there.is_dir() else there.unlink()
+        if self.is_dry:
+            return
+        if there.is_dir():
+            shutil.rmtree(there)
+        else:
+            there.unlink()
 
     def run(self, name: str, *words: str, otherwise: str) -> bool:
         """Run a program, with `--root` for another root folder than `/`; True if it has run.

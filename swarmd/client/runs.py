@@ -16,6 +16,7 @@ from swarmd.core.errors import ConfigError, RequestError, SwarmError, unknown
 from swarmd.core.keys import is_id
 from swarmd.core.record import LABEL
 from swarmd.core.verbs import MAX_AHEAD, MAX_PLANNED, GoalRequest, RunRequest
+from swarmd.network.operator.clock_query import read_clocks, start_times
 from swarmd.network.operator.exit_codes import FAILED, PARTIAL
 from swarmd.network.operator.operator_goals import next_generation, next_goal, signed_again
 from swarmd.network.operator.request_sender import REQUEST_WAIT
@@ -219,7 +220,6 @@ def start_at(
     Raises ConfigError if the timeout ends before the start. Raises SwarmError if the session is
     cancelled before the start; robots that have accepted the run are then stopped.
     """
-    from swarmd.network.operator.clock_query import read_clocks, start_times
 
     session, timeout = targeted.session, targeted.time_left
     if timeout is not None and timeout <= at:

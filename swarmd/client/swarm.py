@@ -12,7 +12,7 @@ from swarmd.client.arguments import Words, check_time, check_words, plain_params
 from swarmd.client.loop_life import LoopLife
 from swarmd.client.members import Description, Members
 from swarmd.client.session import Session
-from swarmd.client.states import Pose, RobotState, read_poses
+from swarmd.client.states import Pose, RobotState, follow_states, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.clock import boottime
 from swarmd.core.closing import Closing, is_program_on
@@ -182,7 +182,6 @@ class Swarm(Closing):
 
         The iterator ends after `seconds`, or when the caller closes it.
         """
-        from swarmd.client.states import follow_states
 
         seconds = check_time("seconds", seconds)
         targets = _targets(robots, labels, exclude)

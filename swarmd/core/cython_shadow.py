@@ -103,6 +103,15 @@ def exceptval(value: Any = None, *, check: bool = False) -> Callable[[_Function]
 boundscheck = exceptval
 
 
+class dataclasses:
+    """The module of Cython with `dataclass`."""
+
+    @staticmethod
+    def dataclass(**directives: bool) -> Callable[[type], Any]:
+        """A decorator without effect: `cclass` takes the values that begin the attributes."""
+        return lambda kind: kind
+
+
 def auto_pickle(value: bool) -> Callable[[type], Any]:
     """A decorator without effect: Python classes can be pickled."""
     return lambda kind: kind
@@ -111,6 +120,7 @@ def auto_pickle(value: bool) -> Callable[[type], Any]:
 def cclass(kind: type) -> Any:
     """An extension type: a class with only the declared attributes, each with its first value.
 
+    The first value is the one that the class gives, as in a dataclass, else that of the type.
     It has one base at most. A method of the base is called as `Base.method(self)`: there is no
     `super()`, since the class that is given here is replaced.
     """
@@ -125,10 +135,16 @@ def cclass(kind: type) -> Any:
         name: hint if isinstance(hint, _Type) else _Type(None) for name, hint in declared.items()
     }
 
+    given = {
+        name: value
+        for name, value in attributes
+        if name in declared and not isinstance(value, _Declared)
+    }
+
     def new(cls: type, *_given: object, **_named: object) -> Any:
         self: Any = kind.__bases__[0].__new__(cls)  # type: ignore[call-overload]  # no metaclass
         for name, type_ in types.items():
-            setattr(self, name, type_.begin())
+            setattr(self, name, given.get(name, type_.begin()))
         return self
 
     left = {*types, "__dict__", "__weakref__"}

@@ -138,17 +138,12 @@ def found(before: Status | None, now: Status) -> Found | None:
         return None
     for name, latch in now.latches.items():
         if name not in before.latches:
-            text = f"emergency stop by {latch.issuer}" + f" ({latch.reason})" * bool(latch.reason)
+            text = f"emergency stop by {latch.issuer}"
+            if latch.reason:
+                text += f" ({latch.reason})"
             return Found(IncidentKind.ESTOP, text, id_of(IncidentKind.ESTOP, name))
-    kind, when = (None, None) if now.reason is None else BEGINS.get(now.reason, (None, None))
-    has_run = before.state is State.RUNNING
-    counts = {
-        None: False,
-        When.ALWAYS: now.reason is not before.reason or now.state is not before.state,
-        When.IN_A_RUN: has_run and now.reason is not before.reason,
-        When.ENDS_A_RUN: has_run and now.state is not State.RUNNING,
-    }
-    if kind is not None and counts[when]:
+    kind = _begun_by_reason(before, now)
+    if kind is not None:
         epoch = before.epoch
         is_silent = kind is IncidentKind.STALL
         id = silent_id(now.robot, epoch.instance, epoch.revision) if is_silent else ""
@@ -163,6 +158,25 @@ def found(before: Status | None, now: Status) -> Found | None:
         assert now.fence is not None
         return Found(IncidentKind.FENCE, f"outside its fence: {now.fence.clearance:.2f} m")
     return None
+
+
+def _begun_by_reason(before: Status, now: Status) -> IncidentKind | None:
+    """The kind of incident that the reason of the state begins; None if it begins none."""
+    if now.reason is None or now.reason not in BEGINS:
+        return None
+    kind, when = BEGINS[now.reason]
+    is_new_reason = now.reason is not before.reason
+    is_new_state = now.state is not before.state
+    has_run = before.state is State.RUNNING
+    is_running = now.state is State.RUNNING
+    match when:
+        case When.ALWAYS:
+            begins = is_new_reason or is_new_state
+        case When.IN_A_RUN:
+            begins = has_run and is_new_reason
+        case When.ENDS_A_RUN:
+            begins = has_run and not is_running
+    return kind if begins else None
 
 
 def _is_outside(status: Status) -> bool:

@@ -130,6 +130,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.steering.openings",
         "swarmd.steering.avoidance",
         "swarmd.steering.recovery",
+        "swarmd.steering.way_settings",
         "swarmd.steering.right_of_way",
         "swarmd.steering.steering",
     ),

@@ -90,7 +90,7 @@ def _dispatched() -> list[str]:
 
 
 def _simd() -> dict[str, list[str]]:
-    import numpy as np
+    import numpy as np  # swarmctl starts without it
 
     found = np.show_config(mode="dicts")["SIMD Extensions"]
     return cast("dict[str, list[str]]", found)
@@ -168,7 +168,7 @@ def digest_of_functions() -> str:
 
     Wider than `digest_of_libm`, which recordings of robots have: numpy chooses by itself.
     """
-    import numpy as np
+    import numpy as np  # swarmctl starts without it
 
     x = np.linspace(-0.999, 0.999, _POINTS)
     positive = 3.0 + 2.5 * x

@@ -98,7 +98,7 @@ def limit_files(size: int = MAX_OUTPUT) -> None:
 
     A write beyond the limit raises OSError, since Python ignores SIGXFSZ.
     """
-    import resource
+    import resource  # not on Windows, as above
 
     _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     limit = size if hard == resource.RLIM_INFINITY else min(size, hard)
@@ -107,7 +107,7 @@ def limit_files(size: int = MAX_OUTPUT) -> None:
 
 def keep_limits() -> None:
     """Fix all resource limits of this process except memory, which `limit_growth` sets."""
-    import resource
+    import resource  # not on Windows, as above
 
     names = [name for name in dir(resource) if name.startswith("RLIMIT_")]
     for limit in {getattr(resource, name) for name in names} - {resource.RLIMIT_AS}:

@@ -6,6 +6,7 @@ place of its axle: a peer at rest that turns does not seem to move.
 
 from __future__ import annotations
 
+import struct
 from typing import Annotated
 
 from msgspec import Meta, Struct
@@ -14,7 +15,8 @@ from swarmd.core.bounds import MAX_COORDINATE, MAX_SECONDS
 
 MOST_OBJECTS = 8
 """Objects in a message at most: the nearest."""
-OBJECT_SIZE = 4  # bytes
+OBJECT = struct.Struct(">Hh")
+"""An object in a message: its distance in mm and its bearing in mrad, big-endian."""
 UNIT = 1e-3  # m, rad or s, of all numbers
 _MOST = round(MAX_COORDINATE / UNIT)
 
@@ -38,5 +40,5 @@ class Told(Struct, frozen=True, array_like=True):
     x: Coordinate
     y: Coordinate
     yaw: Angle
-    objects: Annotated[bytes, Meta(max_length=OBJECT_SIZE * MOST_OBJECTS)] = b""
+    objects: Annotated[bytes, Meta(max_length=OBJECT.size * MOST_OBJECTS)] = b""
     asks: bool = False

@@ -165,7 +165,10 @@ class _Limits:
 def describe_request(request: AnyRequest) -> str:
     """A request in words, such as `run drive speed=0.1 to 3 robots`."""
     targets = request.targets
-    count = "all robots" if targets is None else f"{len(targets)} robot{'s' * (len(targets) != 1)}"
+    if targets is None:
+        count = "all robots"
+    else:
+        count = "1 robot" if len(targets) == 1 else f"{len(targets)} robots"
     return " ".join(filter(None, (request.verb, VERBS[request.verb].audit(request), "to", count)))
 
 

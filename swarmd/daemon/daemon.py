@@ -44,9 +44,9 @@ from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
 from swarmd.daemon.pattern_versions import PatternControl, PatternVersions, PushedRuns
-from swarmd.daemon.recorder import RecordingService
+from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer, Services
-from swarmd.daemon.robot_setup import make_robot, recording_head
+from swarmd.daemon.robot_setup import configured_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.store import LatchFile, PatternFiles
 from swarmd.daemon.systemd import Notifier
@@ -277,7 +277,7 @@ class Daemon:
         The inputs come from driver, neighbours and ticks. Viewer feed and health show the state.
         """
         settings = self._settings
-        self._robot = make_robot(
+        self._robot = configured_robot(
             settings,
             self._instance,
             self._seed,

@@ -16,6 +16,7 @@ from swarmd.core.values import ZERO, Twist
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
 from swarmd.driver_api.watchdog import watchdog_name
+from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.plugins import load_driver
 from swarmd.robot.actions import Actions
 from swarmd.settings.driver_options import (
@@ -81,8 +82,6 @@ def _with_watchdog(driver: Driver, base: BaseOptions, settings: DaemonSettings) 
     spec = driver.zero_sender()  # how the watchdog process sends zero to the base
     if spec is None:  # the driver has a process of its own that sends zero: no second watchdog
         return driver
-    from swarmd.driver_api.watchdog_client import WatchedDriver
-
     watchdog = watchdog_name(settings.network.swarm, settings.id)
     return WatchedDriver(driver, spec, name=watchdog, tie=settings.die_with_parent)
 

@@ -56,7 +56,8 @@ from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import KeptIncident, mark_text, shortened
 from swarmd.daemon.audit import printable
 from swarmd.daemon.incident_budget import rate_of, teller_of, teller_to_give_way, to_remove
-from swarmd.daemon.recorder import Recorder, piece_of
+from swarmd.daemon.recorder import Recorder
+from swarmd.daemon.recording_files import piece_of
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.datagram import STATES, Address, Beacon
@@ -74,6 +75,7 @@ from swarmd.recording.ring import (
     read_left,
     remove_old,
 )
+from swarmd.security.content_signature import Purpose, is_signed_by, sign
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from swarmd.settings.swarmfile import BlackboxSection
@@ -119,6 +121,14 @@ class _Told(msgspec.Struct):
     def teller(self) -> str:
         """Whose budget it uses."""
         return teller_of(self.incident, self.source)
+
+
+class _Frames(NamedTuple):
+    """Frames for the file of an incident."""
+
+    read: Callable[[], Left]  # copies them; OSError or CodecError if they cannot be read
+    begin: float  # s on this robot's clock, of the first one
+    end: float  # s, of the last one
 
 
 class _Written(NamedTuple):
@@ -227,7 +237,7 @@ class IncidentService:
         """Keep the last minute from now on."""
         self._keeps_left = False
         head, now = self._head(), boottime()
-        self._recorder.ring = Ring(
+        self._recorder.black_box.ring = Ring(
             folder / self._ring_name,
             head.texts(),
             capacity=int(RATE * (self._seconds + MARGIN)),
@@ -283,20 +293,20 @@ class IncidentService:
         if not entries:
             return
         end = max(one.at for one in entries)
-        source = lambda: left, entries[0].at, end
+        frames_left = _Frames(lambda: left, entries[0].at, end)
         for one in entries:
             if isinstance(one, frames.TextEntry) and one.topic == "/incident":
                 incident = msgspec.json.decode(one.json, type=Incident)
                 if incident.id not in self._kept and end - one.at <= MARGIN:
                     self._may_begin(rate_of(incident, ""), one.at, gap=0.0)
                     told = _Told(incident, one.at, operator=self._operator_of(incident))
-                    self._write(told, *source, is_waiting=True)
+                    self._write(told, frames_left, is_waiting=True)
         instance = ""
         with suppress(ConfigError):  # another version: peers have another id of it
             instance = head_of(left.about, "the black box").identity.instance
         text = "its daemon died (killed, or crashed); see the log"
         id = self._id_of_silence(silent_id(self._robot, instance, left.revision), end)
-        self._begin(Found(IncidentKind.SILENT, text, id), at=end, left=source)
+        self._begin(Found(IncidentKind.SILENT, text, id), at=end, left=frames_left)
 
     def close(self, *, has_crashed: bool) -> None:
         """Write the incidents whose last seconds are not over as they are, and end the ring.
@@ -307,9 +317,9 @@ class IncidentService:
             self._write_due(id, is_waiting=True)
         for id in list(self._waiting):
             self._write_again(id, is_waiting=True)
-        if self._recorder.ring is not None:
-            self._recorder.ring.close(keeps_file=has_crashed)
-            self._recorder.ring = None
+        if self._recorder.black_box.ring is not None:
+            self._recorder.black_box.ring.close(keeps_file=has_crashed)
+            self._recorder.black_box.ring = None
 
     # What begins an incident
 
@@ -368,12 +378,13 @@ class IncidentService:
         *,
         robot: str = "",
         at: float | None = None,
-        left: tuple[Callable[[], Left], float, float] | None = None,
+        left: _Frames | None = None,
         request: verbs.MarkRequest | None = None,
     ) -> bool:
         """Begin an incident of this robot's own, unless it is known or too many began.
 
-        `request`: of the operator that marks it.
+        `left`: frames of an earlier daemon; None: the file gets those of the ring. `request`: of
+        the operator that marks it.
         """
         at = boottime() if at is None else at
         wall = time.time() - (boottime() - at)
@@ -392,7 +403,7 @@ class IncidentService:
         if incident.id in self._told or incident.id in self._kept:
             self._say_itself(told)
             return True
-        is_on = left is not None or self._recorder.ring is not None
+        is_on = left is not None or self._recorder.black_box.ring is not None
         if not is_on or not self._may_begin(rate_of(incident, ""), at):
             return False
         self._tell(told)
@@ -400,7 +411,7 @@ class IncidentService:
         if left is None:
             self._await_tail(incident, at)
         else:
-            self._write(told, *left, is_waiting=True)
+            self._write(told, left, is_waiting=True)
         return True
 
     def _say_itself(self, own: _Told) -> None:
@@ -429,7 +440,7 @@ class IncidentService:
         self._told[id] = own
         self._sign(own)
         is_before = told is not None and own.at - told.at > 1.0
-        if self._recorder.ring is not None and (
+        if self._recorder.black_box.ring is not None and (
             is_before or (told is None and kind != IncidentKind.MARK)
         ):
             self._await_tail(own.incident, own.at)
@@ -501,7 +512,7 @@ class IncidentService:
         """Note the incident in the ring at once; its file is written TAIL s after it."""
         self._due[incident.id] = max(at + TAIL, boottime())
         self._recorder.add(frames.TextEntry(at, "/incident", msgspec.json.encode(incident)))
-        self._recorder.write_ring()
+        self._recorder.black_box.write()
 
     # Spread
 
@@ -527,7 +538,7 @@ class IncidentService:
     @_contained
     def on_beacon(self, robot: str, digest: bytes, address: Address, now: float) -> None:
         """Pull the incidents of `robot` if its beacon shows others than this robot knows."""
-        if not digest or self._recorder.ring is None or digest == self.digest:
+        if not digest or self._recorder.black_box.ring is None or digest == self.digest:
             return
         if not self._asks.may((robot, digest), now):
             return
@@ -603,7 +614,7 @@ class IncidentService:
 
     def _write_due(self, id: str, *, is_waiting: bool = False) -> None:
         del self._due[id]
-        ring, told = self._recorder.ring, self._told.get(id)
+        ring, told = self._recorder.black_box.ring, self._told.get(id)
         if ring is None or told is None:
             return
         if ring.begin is None:
@@ -615,19 +626,17 @@ class IncidentService:
         except OSError as error:
             self._fail(f"incident {id} is not on disk: {error.strerror}")
             return
-        self._write(told, reader, begin, end, is_waiting=is_waiting)
+        self._write(told, _Frames(reader, begin, end), is_waiting=is_waiting)
 
-    def _write(
-        self,
-        told: _Told,
-        source: Callable[[], Left],
-        begin: float,
-        end: float,
-        *,
-        is_waiting: bool = False,
-    ) -> None:
-        """Write a file with the frames of `source`, from `begin` to `end` s; note it as kept."""
-        incident, at, operator, handed_on = told.incident, told.at, told.operator, told.source
+    def _write(self, told: _Told, source: _Frames, *, is_waiting: bool = False) -> None:
+        """Write a file with the frames of `source`, and note it as kept."""
+        # Values of now: a thread writes the file, and `told` may change meanwhile.
+        incident = told.incident
+        at = told.at
+        operator = told.operator
+        handed_on = told.source
+        begin = source.begin
+        end = source.end
         missing = f"nothing before {begin - at:+.0f} s" if begin > at - self._seconds else ""
         if end < at + TAIL - 1.0:
             missing = "; ".join(filter(None, (missing, f"nothing after {end - at:+.0f} s")))
@@ -636,7 +645,7 @@ class IncidentService:
         def work() -> _Written | _Refused:
             """In a thread: the frames are copied, packed and written."""
             try:
-                left = source()
+                left = source.read()
             except (OSError, CodecError) as error:
                 return _Refused(None, b"", getattr(error, "strerror", None) or str(error))
             head = IncidentHead(
@@ -730,12 +739,12 @@ class IncidentService:
     @property
     def _problem(self) -> str:
         """Why nothing is kept, or why the last file was not written; empty if all is well."""
-        return self.fault or self._recorder.ring_fault
+        return self.fault or self._recorder.black_box.fault
 
     @property
     def text(self) -> str:
         """What is kept, in a line, or why nothing is."""
-        ring = self._recorder.ring
+        ring = self._recorder.black_box.ring
         begin = boottime() if ring is None or ring.begin is None else ring.begin
         kept = f"keeps the last {boottime() - begin:.0f} s, {len(self._kept)} incidents"
         return self._problem or kept
@@ -746,7 +755,7 @@ class IncidentService:
         self._due.clear()
         cause = getattr(error, "strerror", None) or repr(error)
         place = getattr(error, "filename", None)
-        self._recorder.end_ring(f"{place}: {cause}" if place else cause)
+        self._recorder.black_box.end(f"{place}: {cause}" if place else cause)
 
     def _fail(self, fault: str) -> None:
         self.fault = fault[:MAX_TEXT]
@@ -756,7 +765,7 @@ class IncidentService:
 
     def on_incidents(self, _: verbs.Nothing) -> verbs.IncidentsReply:
         """The incidents of which this robot keeps its last minute, and those that are awaited."""
-        now, ring = boottime(), self._recorder.ring
+        now, ring = boottime(), self._recorder.black_box.ring
         awaited = {
             id: KeptIncident(
                 incident=told.incident, age=None, file=id + SUFFIX, operator=told.operator,
@@ -842,8 +851,7 @@ def _signed(incident: Incident, identity: Identity | None) -> ToldIncident | Non
     content = msgspec.msgpack.encode(incident)
     if identity is None:
         return ToldIncident(content=content, age=0.0)
-    from swarmd.security.content_signature import Purpose, sign
-    from swarmd.security.private_keys import load_private_key
+    from swarmd.security.private_keys import load_private_key  # 64 ms, for keys alone
 
     try:
         key, certificate = load_private_key(identity.key), read_regular(identity.certificate)
@@ -877,8 +885,7 @@ def _checked(blob: bytes, identity: Identity | None, known: Collection[str]) -> 
 
 def _is_signed(told: ToldIncident, incident: Incident, identity: Identity) -> bool:
     """True if a robot of the roster with the name `by` has signed it."""
-    from swarmd.security.content_signature import Purpose, is_signed_by
-    from swarmd.security.private_keys import holder_of
+    from swarmd.security.private_keys import holder_of  # 64 ms, for keys alone
 
     name, key = holder_of(told.certificate, identity.info.authority)
     is_robot = name == incident.by and identity.roster.role_of(name) is Role.ROBOT
@@ -887,7 +894,6 @@ def _is_signed(told: ToldIncident, incident: Incident, identity: Identity) -> bo
 
 def _marked_by(incident: Incident, identity: Identity) -> str:
     """The operator of the roster who has signed these words as a mark; empty if none has."""
-    from swarmd.security.content_signature import Purpose, is_signed_by
 
     name, now = incident.operator, time.time()
     if incident.kind != IncidentKind.MARK or not incident.text.startswith(f"{name}: "):

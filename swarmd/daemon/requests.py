@@ -32,7 +32,7 @@ from swarmd.network.datagram import Stop
 if TYPE_CHECKING:
     from swarmd.daemon.incidents import IncidentService
     from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
-    from swarmd.daemon.recorder import RecordingService
+    from swarmd.daemon.recording_service import RecordingService
     from swarmd.daemon.roster_service import RosterService
     from swarmd.daemon.tools import FieldTools
 

@@ -8,18 +8,18 @@ from platform import machine
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import GoalRecord
-from swarmd.core.kernels import describe_kernels, load_kernel
+from swarmd.core.kernels import describe_kernels
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.pin import how_made
-from swarmd.kin.make import KinMaker
+from swarmd.make_robot import make_robot
 from swarmd.recording.head import RecordingHead, digest_of
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.robot.setup import EarlierLives, RobotSetup
+from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
 from swarmd.settings.settings import DaemonSettings
 
 
-def make_robot(
+def configured_robot(
     settings: DaemonSettings, instance: str, seed: int, *, latches: LatchRecord, goals: GoalRecord
 ) -> Robot:
     """The robot of this daemon, at rest and without a run.
@@ -43,17 +43,10 @@ def make_robot(
         parameters=settings.parameters,
         settings=settings.robot,
     )
-    return Robot(
-        settings.id,
-        settings.platform,
-        setup,
-        make_steering=load_kernel("swarmd.steering.steering").Steering,
-        make_kin=KinMaker(),
-        seed=seed,
-        instance=instance,
-        now=boottime(),
-        earlier=EarlierLives(latches=latches, goals=goals),
+    identity = RobotIdentity(
+        robot=settings.id, platform=settings.platform, setup=setup, seed=seed, instance=instance
     )
+    return make_robot(identity, boottime(), EarlierLives(latches=latches, goals=goals))
 
 
 def recording_head(robot: Robot, swarm: str, now: float) -> RecordingHead:

@@ -41,7 +41,7 @@ from msgspec.structs import replace
 from swarmd.core.angles import TURN, angle_between, wrap
 from swarmd.core.buffers import doubles, view
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
-from swarmd.core.told import MOST_OBJECTS, OBJECT_SIZE, UNIT, Told
+from swarmd.core.told import MOST_OBJECTS, OBJECT, UNIT, Told
 from swarmd.core.values import Neighbor
 from swarmd.kin.hypothesis import POINT, Hypothesis, begun, length
 
@@ -62,7 +62,9 @@ else:
 # C names
 _MOST_NUMBER = cython.declare(cython.double, 1e12)  # m, rad or s in a message
 _unit = cython.declare(cython.double, UNIT)
-_object_size = cython.declare(cython.Py_ssize_t, OBJECT_SIZE)
+_pack_object = cython.declare(object, OBJECT.pack)
+_unpack_objects = cython.declare(object, OBJECT.iter_unpack)
+_object_size = cython.declare(cython.Py_ssize_t, OBJECT.size)
 _most_objects = cython.declare(cython.Py_ssize_t, MOST_OBJECTS)
 _Neighbor, _Told = cython.declare(object, Neighbor), cython.declare(object, Told)
 NO_ROBOT = ""
@@ -124,11 +126,9 @@ _ELSEWHERE = cython.declare(cython.double, 0.5)  # m
 @cython.final
 @cython.cclass
 class _Track:
-    """The path of one track, and the peers that it cannot be. `x`, `y`: what `find` has found."""
+    """The path of one track, and the peers that it cannot be."""
 
     id: cython.longlong
-    x: cython.double
-    y: cython.double
     still_x: cython.double
     still_y: cython.double
     still_since: cython.double
@@ -159,10 +159,16 @@ class _Track:
         return peer.moved_since >= self.still_since
 
     @cython.cfunc
-    def find(self, time: cython.double) -> cython.bint:
-        """Set `x`, `y` to the place at a time; False if the track was not there, or not yet."""
+    def place_at(self, time: cython.double) -> tuple[cython.double, cython.double, cython.bint]:
+        """The place `x`, `y` at a time, and True; between two kept places it is interpolated.
+
+        With False the nearest kept place: the track was not there any more, or not yet.
+        """
         places: cython.double[::1] = self._places
         newer: cython.double = INFINITY
+        newer_x: cython.double = 0.0
+        newer_y: cython.double = 0.0
+        is_there: cython.bint
         k: cython.Py_ssize_t
         for k in range(1, min(self._count, _MEMORY) + 1):
             i: cython.Py_ssize_t = 3 * ((self._count - k) % _MEMORY)
@@ -172,11 +178,15 @@ class _Track:
             if at <= time:
                 if newer < INFINITY:
                     share: cython.double = (time - at) / (newer - at)
-                    x, y = x + share * (self.x - x), y + share * (self.y - y)
-                self.x, self.y = x, y
-                return newer < INFINITY or time - at <= _MOST_AHEAD
-            newer, self.x, self.y = at, x, y
-        return False
+                    x += share * (newer_x - x)
+                    y += share * (newer_y - y)
+                is_there = newer < INFINITY or time - at <= _MOST_AHEAD
+                return x, y, is_there
+            newer = at
+            newer_x = x
+            newer_y = y
+        is_there = False
+        return newer_x, newer_y, is_there
 
 
 @cython.final
@@ -383,24 +393,28 @@ class Kin:
         count: cython.Py_ssize_t = 0
         track: _Track
         for track in self._tracks:
-            track.find(now)
-            dx: cython.double = track.x - self._x
-            dy: cython.double = track.y - self._y
+            x, y, _ = track.place_at(now)
+            dx: cython.double = x - self._x
+            dy: cython.double = y - self._y
             points[count], points[count + 1] = length(dx, dy), wrap(atan2(dy, dx) - self._yaw)
             count += 2
-        objects = 0
-        told_count = min(count // 2, _most_objects)
-        for _ in range(told_count):
+        objects = bytearray()
+        for _ in range(min(count // 2, _most_objects)):
             k = 0
             for i in range(2, count, 2):
                 if points[i] < points[k]:
                     k = i
-            nearest: cython.longlong = min(_units(points[k]), 0xFFFF) * 0x10000
-            objects = objects << 32 | nearest + (_units(points[k + 1]) & 0xFFFF)
+            objects += _pack_object(min(_units(points[k]), 0xFFFF), _units(points[k + 1]))
             points[k] = INFINITY
-        x, y, yaw = _units(self._x), _units(self._y), _units(wrap(self._yaw))
-        packed = objects.to_bytes(OBJECT_SIZE * told_count, "big")
-        return _Told(self._resets, _units(now), x, y, yaw, packed, asks != 0)
+        return _Told(
+            self._resets,
+            _units(now),
+            _units(self._x),
+            _units(self._y),
+            _units(wrap(self._yaw)),
+            bytes(objects),
+            asks != 0,
+        )
 
     @cython.ccall
     def hear(self, id: str, told: Told, now: cython.double) -> None:
@@ -501,8 +515,12 @@ class Kin:
         peer.expect(best, now)
         seen_at: cython.double = best.seen_at
         track: _Track | None = peer.track
-        if track is not None and track.find(self._seen_at):
-            seen_at, peer.x, peer.y = self._seen_at, track.x, track.y
+        if track is not None:
+            x, y, is_there = track.place_at(self._seen_at)
+            if is_there:
+                seen_at = self._seen_at
+                peer.x = x
+                peer.y = y
         dx: cython.double = peer.x - self._trail.x
         dy: cython.double = peer.y - self._trail.y
         distance, bearing, heading = known.distance, known.bearing, known.heading
@@ -557,17 +575,23 @@ class Kin:
         m: cython.Py_ssize_t
         n: cython.Py_ssize_t
         for track in self._tracks:
-            if not track.is_other(peer) and track.find(peer.time):
-                places[i], places[i + 1] = track.x, track.y
-                places[i + 2] = length(track.x - self._x, track.y - self._y)
+            if track.is_other(peer):
+                continue
+            x, y, is_there = track.place_at(peer.time)
+            if is_there:
+                places[i] = x
+                places[i + 1] = y
+                places[i + 2] = length(x - self._x, y - self._y)
                 i += POINT
         packed: bytes = told.objects
-        for m in range(len(packed) // _object_size):
-            n = _object_size * m
-            distance: cython.double = _unit * (packed[n] * 0x100 + packed[n + 1])
-            turned: cython.Py_ssize_t = packed[n + 2] * 0x100 + packed[n + 3]
-            bearing: cython.double = _unit * (turned if turned < 0x8000 else turned - 0x10000)
-            objects[k], objects[k + 1] = distance * cos(bearing), distance * sin(bearing)
+        whole = len(packed) - len(packed) % _object_size
+        distance_mm: cython.longlong
+        bearing_mrad: cython.longlong
+        for distance_mm, bearing_mrad in _unpack_objects(packed[:whole]):
+            distance: cython.double = _unit * distance_mm
+            bearing: cython.double = _unit * bearing_mrad
+            objects[k] = distance * cos(bearing)
+            objects[k + 1] = distance * sin(bearing)
             objects[k + 2] = distance
             k += POINT
         count: cython.Py_ssize_t = i // POINT
@@ -742,8 +766,6 @@ class Kin:
         peer: _Peer
         other: _Peer
         track: _Track
-        for track in self._tracks:
-            track.find(self._seen_at)
         for id, peer in self._peers.items():
             peer.track = None
             best: Hypothesis | None = peer.confirmed(now)
@@ -751,7 +773,8 @@ class Kin:
                 continue
             peer.expect(best, now)
             for track in self._tracks:
-                far: cython.double = best.fits(track.x - peer.x, track.y - peer.y)
+                x, y, _ = track.place_at(self._seen_at)
+                far: cython.double = best.fits(x - peer.x, y - peer.y)
                 if far < INFINITY and not track.is_other(peer):
                     claims.append((far, id, track.id, peer, track))
         claims.sort()

@@ -29,7 +29,7 @@ def network_from_onnx(data: bytes) -> PolicyNetwork:
     does not fit.
     """
     try:
-        import onnx
+        import onnx  # of an extra that few have
         from onnx import numpy_helper
     except ModuleNotFoundError as error:
         text = "policy: this needs onnx, which is not installed; run: pip install 'swarmd[onnx]'"

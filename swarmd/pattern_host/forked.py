@@ -100,7 +100,7 @@ def take_forked_host(
 
 
 def _become_host(fd: int, parent: int, path: Sequence[str]) -> None:
-    from swarmd.pattern_host import worker
+    from swarmd.pattern_host import worker  # which `fork_host` has loaded
 
     die_with_parent(parent)
     os.setsid()

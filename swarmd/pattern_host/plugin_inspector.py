@@ -72,7 +72,7 @@ from swarmd.settings.layered import fault_at
 from swarmd.settings.settings import load_platform, platform_names
 
 if TYPE_CHECKING:
-    from swarmd.testing.pattern_contract import PatternContract
+    from swarmd.testing.pattern_contract import PatternContract  # in the inspecting child alone
 
 LOADING = "the file holds one pattern"
 IMPORTS = "it imports arithmetic alone"
@@ -341,7 +341,7 @@ def sources_of(path: Path) -> list[Path]:
 
 def _check_source(path: Path, output: InspectionOutput) -> None:
     """Check the points that the source code of the pattern's files shows: IMPORTS and DROPPED."""
-    from swarmd.testing.no_side_effects import forbidden_imports
+    from swarmd.testing.no_side_effects import forbidden_imports  # in the inspecting child alone
 
     imports: list[str] = []
     unused: list[str] = []
@@ -386,7 +386,7 @@ def _contract_tests(
     kind: type[Pattern[Any]], folder: Path
 ) -> Iterator[tuple[str, Callable[[], None]]]:
     """Each test of the contract with its name in words; the test runs on all platforms."""
-    from swarmd.testing.pattern_contract import PatternContract
+    from swarmd.testing.pattern_contract import PatternContract  # in the inspecting child alone
 
     known = {"pattern": kind, "plugin_dir": folder, "seconds": TEST_TIMEOUT}
     contract = type("Contract", (PatternContract,), known)
@@ -473,7 +473,7 @@ def _lines_of_step(kind: type[Pattern[Any]], path: Path) -> list[int | None]:
 
 def _report_side_effects(path: Path, answer: InspectionOutput) -> None:
     """Send `{"side_effect": text}` for each side effect of the pattern's code, each text once."""
-    from swarmd.testing.no_side_effects import AUDIT_EVENTS
+    from swarmd.testing.no_side_effects import AUDIT_EVENTS  # in the inspecting child alone
 
     sent: set[str] = set()
     sources = {str(source): source.name for source in sources_of(path)}

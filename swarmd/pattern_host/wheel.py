@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
 from email.parser import HeaderParser
-from importlib.metadata import EntryPoints
+from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -218,9 +218,8 @@ def _headers(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> dict[
 def _entry_points(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> EntryPoints:
     if str(path) not in archive.namelist():
         return EntryPoints(())
-    from configparser import ConfigParser
+    from configparser import ConfigParser  # 2 ms, and few daemons get a wheel
     from configparser import Error as ParserError
-    from importlib.metadata import EntryPoint
 
     parser = ConfigParser(delimiters=("=",), interpolation=None, strict=False)
     parser.optionxform = str  # type: ignore[assignment,method-assign]  # names keep their case

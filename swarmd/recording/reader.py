@@ -26,9 +26,15 @@ MAX_RATIO = 50
 a ratio of 9 to 20, the highest at rest."""
 MAX_SPARE = 2**20
 """Bytes beyond this ratio, for a file of a few bytes."""
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _METADATA, _DATA_END = (
-    *(2, 3, 4, 5, 6, 11, 12, 15),
-)
+# Record codes.
+_FOOTER = 2
+_SCHEMA = 3
+_CHANNEL = 4
+_MESSAGE = 5
+_CHUNK = 6
+_STATISTICS = 11
+_METADATA = 12
+_DATA_END = 15
 _ABOUT = struct.Struct("<HIQQ")  # channel, sequence and times of a message
 _HEAD = struct.Struct("<BQ")  # the code of a record and the size of its content
 _CHUNK_HEAD = struct.Struct("<QQQI")  # times of a chunk; size and checksum of its records
@@ -280,13 +286,13 @@ def _stated_size(packed: memoryview, compression: str) -> int | None:
 def _unpacked(packed: memoryview, compression: str, size: int) -> bytes | memoryview | None:
     """At most `size` unpacked bytes of a chunk; None if the chunk is damaged."""
     if compression == "zstd":
-        import zstandard
+        import zstandard  # as in `_stated_size`
 
         with suppress(zstandard.ZstdError):
             return zstandard.decompress(packed, size)
         return None
     if compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
+        from lz4.frame import LZ4FrameDecompressor  # as in `_stated_size`
 
         with suppress(RuntimeError):
             return bytes(LZ4FrameDecompressor().decompress(packed, size))

@@ -28,13 +28,13 @@ from swarmd.core.errors import CodecError, ConfigError, SwarmError
 from swarmd.core.events import HostInput, Input, RequestInput
 from swarmd.core.host_messages import KillHost, Load, LoadRefused, StartTrial, Stepped
 from swarmd.core.incident import Incident
-from swarmd.core.kernels import describe_kernels, load_kernel
+from swarmd.core.kernels import describe_kernels
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.messages import State
 from swarmd.core.pin import how_made
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.core.verbs import StopRequest
-from swarmd.kin.make import KinMaker
+from swarmd.make_robot import make_robot
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages
@@ -184,18 +184,8 @@ class Replay:
         return self.begin + now - (self._begin or now)
 
     def _make_robot(self, now: float) -> Robot:
-        identity = self._head.identity
-        return Robot(
-            identity.robot,
-            self._platform,
-            identity.setup,
-            make_steering=load_kernel("swarmd.steering.steering").Steering,
-            make_kin=KinMaker(),
-            seed=identity.seed,
-            instance=identity.instance,
-            now=now,
-            earlier=self._head.earlier,
-        )
+        identity = msgspec.structs.replace(self._head.identity, platform=self._platform)
+        return make_robot(identity, now, self._head.earlier)
 
     @property
     def parity(self) -> Parity:

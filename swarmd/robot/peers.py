@@ -302,10 +302,11 @@ def _disc_of(neighbor: Neighbor, body_radius: float, now: float) -> _PeerDisc | 
     if not 0.0 <= distance <= MAX_TOLD_DISTANCE:  # also a distance that is NaN
         return None
     measured_at = now - max(neighbor.age, 0.0)
-    # Without a told error: in m along the line of sight, and across it (the arc of the bearing's).
-    error = neighbor.error or math.hypot(
-        DISTANCE_ERROR + DISTANCE_SHARE * distance, ANGLE_ERROR * distance
-    )
+    error = neighbor.error
+    if error is None:
+        # Errors in m along the line of sight, and across it (the arc of the bearing's error).
+        radial_error = DISTANCE_ERROR + DISTANCE_SHARE * distance
+        error = math.hypot(radial_error, ANGLE_ERROR * distance)
     return _PeerDisc(
         x=distance * math.cos(bearing),
         y=distance * math.sin(bearing),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.core.angles import PI, TURN, wrap
-from swarmd.core.buffers import flags, indices, scratch, view_of
+from swarmd.core.buffers import checked, flags, indices, scratch, view_of
 from swarmd.core.ray_order import sort_rays
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -26,6 +26,7 @@ _MAX_LAYOUTS = cython.declare(cython.int, 8)  # layouts that are kept
 _MAX_STEPS = cython.declare(cython.double, 3.5)  # between rays of one object
 
 
+@cython.final
 @cython.auto_pickle(False)
 @cython.cclass
 class ScanLayout:
@@ -82,18 +83,22 @@ class ScanLayout:
             return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
         return list(bearings) == self.given[:n]
 
-    @cython.cfunc
-    @cython.boundscheck(False)
+    @cython.ccall
     def set_bearings(self, bearings: cython.const_double[::1]) -> cython.int:
-        """Take other bearings."""
+        """Take other bearings; IndexError if they are more than the layout has room for."""
         i: cython.Py_ssize_t
-        self.n = len(bearings)
-        for i in range(self.n):
-            if not isfinite(bearings[i]):
-                raise ValueError(f"bearing {i} of a scan is {bearings[i]}; expected a finite angle")
-            self.given[i] = bearings[i]
-            self.wrapped[i] = wrap(bearings[i])
-        self.is_ordered, self.grazing = False, NAN
+        n: cython.Py_ssize_t = len(bearings)
+        given: cython.p_double = checked(self.given, n)
+        wrapped: cython.p_double = checked(self.wrapped, n)
+        self.n = n
+        for i in range(n):
+            angle: cython.double = bearings[i]
+            if not isfinite(angle):
+                raise ValueError(f"bearing {i} of a scan is {angle}; expected a finite angle")
+            given[i] = angle
+            wrapped[i] = wrap(angle)
+        self.is_ordered = False
+        self.grazing = NAN
         self.count = -1
 
     @cython.cfunc
@@ -183,7 +188,10 @@ def _smallest(
     return values[k]
 
 
-_layouts: list[ScanLayout] = []  # a cache of the latest ones: most sensors keep their bearings
+# The layouts of the latest bearings, since most sensors keep theirs. All robots of a process share
+# them: patterns ask for features by a scan alone (`sensing/rays.py`), so nothing of one robot can
+# hand them in. No result depends on what is kept here, of which a test asks in any order.
+_layouts: list[ScanLayout] = []
 
 
 @cython.cfunc

@@ -138,7 +138,7 @@ def _is_there(path: Path) -> bool:
 
 def _content(path: Path) -> tuple[str, dict[str, Any]]:
     """The name of a contexts file in errors, and what it holds. ConfigError if it is not YAML."""
-    from swarmd.settings.yamlfile import read, shown
+    from swarmd.settings.yamlfile import read, shown  # as in `read_contexts`
 
     name, data = shown(path), read(path)
     if not data and path.stat().st_size == 0:
@@ -148,7 +148,7 @@ def _content(path: Path) -> tuple[str, dict[str, Any]]:
 
 def save_contexts(path: Path | None, contexts: Contexts) -> None:
     """Write the contexts to disk, whole or not at all. ConfigError without a home."""
-    from swarmd.settings.yamlfile import text_of
+    from swarmd.settings.yamlfile import text_of  # as in `read_contexts`
 
     if path is None:
         raise ConfigError("contexts are kept in $HOME/.config/swarmd; set HOME")
@@ -176,7 +176,7 @@ def readable_part(swarm: str, environ: Mapping[str, str] = os.environ) -> Contex
     For instance a newer version has written a key that this one does not know. None if it is not
     known that the context is of `swarm`, and if its identity or another path is wrong.
     """
-    from swarmd.settings.layered import read
+    from swarmd.settings.layered import read  # as in `read_contexts`
 
     path = contexts_path(environ)
     try:

@@ -28,6 +28,7 @@ from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.openings import SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
 from swarmd.steering.tracks import ScanReturns, Surroundings, Track, speed_of
+from swarmd.steering.way_settings import WaySettings
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -58,138 +59,12 @@ else:
         tan,
     )
 
-# rad/s: scans during a faster turn are not exact enough to show openings
-_TURNING = cython.declare(cython.double, 0.6)
-
-# Which opening is on the way of a request.
-# m before an opening within which a robot that drives to it gives way
-_MAX_AHEAD = cython.declare(cython.double, 1.6)
-# m before an opening beyond which the robot does not give way
-_TOO_FAR = cython.declare(cython.double, 2.0)
-# m before a wall at which a robot turns to its opening
-_WALL_DISTANCE = cython.declare(cython.double, 0.5)
-# rad between a request and the wall within which the request leads along it
-_ALONG_WALL = cython.declare(cython.double, 0.2)
-# Cosine of the angle between the request and the way through an opening: below it, the request
-# leads away from the opening.
-_LEADS_AWAY = cython.declare(cython.double, -0.25)
-# rad: a request farther to the side is taken for a turn
-_SIDEWAYS = cython.declare(cython.double, 1.3)
-# rad from straight back within which a turn keeps the direction behind the robot
-_REVERSED = cython.declare(cython.double, 0.5)
-# s after which the robot ignores an opening that it has not passed
-_GIVE_UP = cython.declare(cython.double, 240.0)
-# s of a requested turn that are looked ahead: for a base without an angular limit, and the bounds.
-_LEAD_TIME, _LEAD_TIMES = 0.1, (0.05, 0.3)
-
-# Where the robot is. Distances in m along the axis count from the begin of the opening.
-# m before an opening from which an aligned robot counts as in the opening
-_IN = cython.declare(cython.double, 0.25)
-# m before an opening from which a robot of any heading counts as in the opening
-_IN_ANYHOW = cython.declare(cython.double, 0.05)
-# m beside an opening beyond which a robot is not in the opening
-_IN_BESIDE = cython.declare(cython.double, 0.05)
-# rad, and share of the half width, of an aligned robot
-_ALIGNED = cython.declare(cython.double, 0.5)
-_ALIGNED_SHARE = cython.declare(cython.double, 0.25)
-_BEYOND = cython.declare(cython.double, 0.35)  # m beyond an opening at which the opening is passed
-
-# What the tracks (other moving objects that the lidar shows) do.
-_PERSISTS = cython.declare(cython.double, 1.0)  # s after which a track is no part of a wall
-# m before and beyond an opening within which tracks count
-_BEFORE = cython.declare(cython.double, 0.9)
-_AFTER = cython.declare(cython.double, 0.5)
-# m by which a track in and before an opening may be off its axis
-_NARROWER = cython.declare(cython.double, 0.06)
-_WIDER = cython.declare(cython.double, 0.2)
-# m before an opening from which a track beside it is a part of the wall: the end of a wall that is
-# seen along its face is a track that stands. A robot waited 140 s for such a track.
-_IN_WALL = cython.declare(cython.double, 0.05)
-# m around an opening: a track there keeps the side from which it came
-_THRESHOLD = cython.declare(cython.double, 0.3)
-# m along the axis: a new track before this place comes from the robot's side.
-_FIRST_SEEN_IN = cython.declare(cython.double, -0.1)
-# m back from its farthest place: the track comes out again
-_BACKS_OUT = cython.declare(cython.double, 0.1)
+_way = cython.declare(WaySettings, WaySettings())
+# m/s that are tried for a slower command; protection lets a robot creep at the last
+_SPEEDS = (0.14, 0.1, 0.07, 0.04)
 # A track comes from the side of the robot, or from the other side of the opening.
 _THIS_SIDE = cython.declare(cython.double, -1.0)
 _OTHER_SIDE = cython.declare(cython.double, 1.0)
-# m to another robot that goes in, and m beyond the opening, within which the robot waits behind it.
-_FOLLOW = cython.declare(cython.double, 0.27)
-_FOLLOW_BEYOND = cython.declare(cython.double, 0.2)
-# m around the begin of an opening within which another robot on the same side waits for its turn.
-_QUEUE_NEAR = cython.declare(cython.double, 0.1)
-_QUEUE_FAR = cython.declare(cython.double, 1.6)
-
-# How long the robot waits.
-_CLEAR_TIMES = (0.5, 1.5)  # s for which nothing has come out before a robot enters
-# s for which a robot that was last seen in an opening may still be there
-_HIDDEN = cython.declare(cython.double, 6.0)
-# s for which a robot gives way again, if it has passed an opening within the last _RECENTLY s.
-_PASSED_TIMES, _RECENTLY = (6.0, 10.0), 120.0
-# s after a passage in which the robot lets robots pass that wait on its side
-_LETS_PASS = cython.declare(cython.double, 90.0)
-# s and m: with less a robot in an opening tries the other way
-_STUCK = cython.declare(cython.double, 6.0)
-_PROGRESS = cython.declare(cython.double, 0.03)
-
-# How the robot drives.
-# m before an opening, where a robot turns into its axis
-_LINE_UP = cython.declare(cython.double, 0.5)
-# m before that place within which a robot is at it
-_NEARLY_LINED_UP = cython.declare(cython.double, 0.1)
-# m from that place within which a robot is lined up
-_AT_LINE_UP = cython.declare(cython.double, 0.08)
-# A robot this near to the axis (m), farther than this before the opening (m), is lined up, too.
-_ON_AXIS = cython.declare(cython.double, 0.04)
-_ON_AXIS_FAR = cython.declare(cython.double, 0.4)
-# A robot this far off the axis (m), farther than this before the opening (m), is lined up no more.
-_OFF_AXIS = cython.declare(cython.double, 0.12)
-_OFF_AXIS_NEAR = cython.declare(cython.double, 0.35)
-# of the half width: the same bound nearer to the opening
-_OFF_AXIS_SHARE = cython.declare(cython.double, 0.25)
-# m ahead on the axis: the place to which a robot drives (pure pursuit)
-_PURSUIT = cython.declare(cython.double, 0.15)
-# m beside and before an opening that a robot leaves free for others
-_BESIDE = cython.declare(cython.double, 0.5)
-_FREE = cython.declare(cython.double, 1.4)
-_FARTHER_BESIDE = cython.declare(cython.double, 0.15)  # m beside that, to which the robot drives
-# m before an opening at least, and m back
-_ASIDE_FAR = cython.declare(cython.double, 0.4)
-_ASIDE_STEP = cython.declare(cython.double, 0.1)
-# rad within which a waiting robot faces the place where it will line up
-_FACES = cython.declare(cython.double, 0.2)
-_FACING = cython.declare(cython.double, 0.5)  # rad/s, of its turn to that place: below _TURNING
-# m beside the axis: keeps, and chooses, the side to wait on
-_KEEPS_SIDE = cython.declare(cython.double, 0.15)
-_HAS_SIDE = cython.declare(cython.double, 0.05)
-# m behind the robot: the place on the axis to which a robot backs out
-_BACK_AIM = cython.declare(cython.double, 0.4)
-# rad/s at most, and share of the speed, while backing out
-_BACK_TURN = cython.declare(cython.double, 0.3)
-_BACK_SHARE = cython.declare(cython.double, 0.5)
-# rad: a goal farther to the side is reached backwards
-_BACKS_TO = cython.declare(cython.double, 2.0)
-_GAIN = cython.declare(cython.double, 3.0)  # 1/s: rad/s for each rad that the heading is off
-_SPEEDS = (0.14, 0.1, 0.07, 0.04)  # m/s; protection lets a robot creep at the last
-# m/s of speed that are worth a change of the turn by 1 rad/s
-_TURN_COST = cython.declare(cython.double, 0.15)
-# of the limit, before a request has shown a speed
-_UNKNOWN_SPEED_SHARE = cython.declare(cython.double, 0.5)
-
-# The middle of the opening, as the returns of its posts show it.
-# m: an opening whose middle is farther off is forgotten and looked for anew
-_WRONG_BY = cython.declare(cython.double, 0.1)
-_WEIGHT = cython.declare(cython.double, 0.03)  # weight of a new measurement of the axis
-# m within which returns are posts, and their gap is the opening
-_AT_POST = cython.declare(cython.double, 0.1)
-_SAME_WIDTH = cython.declare(cython.double, 0.08)
-# m around the robot within which returns are posts
-_POSTS_BEHIND = cython.declare(cython.double, 0.15)
-_POSTS_AHEAD = cython.declare(cython.double, 0.2)
-# m beyond an opening at which its posts are not measured
-_PAST_POSTS = cython.declare(cython.double, 0.05)
-
 
 # A tuple: the hash of a member of an Enum is a call of Python.
 _SETTLED = (WayState.IN, WayState.BACK, WayState.WAIT, WayState.LINE)
@@ -207,21 +82,21 @@ class _Place(Struct, frozen=True, gc=False):
     @property
     def is_in(self) -> bool:
         """True if others must wait for the robot."""
-        if abs(self.aside) >= self.half_width + _IN_BESIDE:
+        if abs(self.aside) >= self.half_width + _way.in_beside:
             return False
-        is_on_axis = abs(self.aside) < _ALIGNED_SHARE * self.half_width
-        is_aligned = abs(self.heading) < _ALIGNED and is_on_axis
-        return self.along > -_IN_ANYHOW or (self.along > -_IN and is_aligned)
+        is_on_axis = abs(self.aside) < _way.aligned_share * self.half_width
+        is_aligned = abs(self.heading) < _way.aligned and is_on_axis
+        return self.along > -_way.in_anyhow or (self.along > -_way.in_before and is_aligned)
 
     @property
     def leaves_free(self) -> bool:
         """True if others can pass the robot."""
-        return abs(self.aside) > self.half_width + _BESIDE or self.along < -_FREE
+        return abs(self.aside) > self.half_width + _way.beside or self.along < -_way.free
 
     @property
     def to_line_up(self) -> float:
         """The distance in m to the place at which a robot lines up."""
-        return math.hypot(self.along + _LINE_UP, self.aside)
+        return math.hypot(self.along + _way.line_up, self.aside)
 
 
 class _PlacedTrack(Struct, frozen=True, gc=False):
@@ -288,8 +163,8 @@ class RightOfWay:
     ) -> None:
         """`seed` seeds the random choices. `returns`: what tracks share; None: its own."""
         self._linear_limit, self._angular_limit = limits.linear, limits.angular
-        lead = limits.linear / limits.angular if limits.angular > 0.0 else _LEAD_TIME
-        self._lead = min(max(lead, _LEAD_TIMES[0]), _LEAD_TIMES[1])
+        lead = limits.linear / limits.angular if limits.angular > 0.0 else _way.lead
+        self._lead = min(max(lead, _way.least_lead), _way.most_lead)
         self._rng = Random(f"way {seed}")
         self._openings, self._trail = Openings(clearance.body, returns), OdometryTrail()
         self._passed_at = -INFINITY
@@ -298,7 +173,7 @@ class RightOfWay:
     @cython.ccall
     def reset(self) -> None:
         """Forget the request; keep all openings that the robot knows."""
-        self._speed = _UNKNOWN_SPEED_SHARE * self._linear_limit
+        self._speed = _way.unknown_speed_share * self._linear_limit
         self._release()
 
     @cython.ccall
@@ -345,7 +220,7 @@ class RightOfWay:
         if odometry is None or context.odometry_age is None:
             return
         self.on_odometry(odometry)
-        if abs(odometry.twist.angular) > _TURNING:
+        if abs(odometry.twist.angular) > _way.turning:
             return
         scan_age = (scan.newest_age or 0.0) + context.scan_delay
         pose = self._trail.pose_at(self._trail.latest + context.odometry_age - scan_age)
@@ -412,14 +287,14 @@ class RightOfWay:
         yaw_off: cython.double = yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
         heading: cython.double = remainder(yaw_off, TURN)
 
-        # 3. Drops the opening once it is passed, far away, not on the way, or after _GIVE_UP s.
+        # 3. Drops the opening once it is passed, far away, not on the way, or after `give_up` s.
         tracks: tuple[Track, ...] = surroundings.tracks
-        is_passed: cython.bint = along > depth + _BEYOND
+        is_passed: cython.bint = along > depth + _way.beyond
         if is_passed and tracks:
             self._passed_at = now  # others are near: next time this robot lets them pass longer
         cos_to_request: cython.double = cos(self._wanted_yaw - opening.angle) * self._sign
-        is_too_long: cython.bint = now - self._chosen_at > _GIVE_UP
-        if is_passed or along < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
+        is_too_long: cython.bint = now - self._chosen_at > _way.give_up
+        if is_passed or along < -_way.too_far or cos_to_request < _way.leads_away or is_too_long:
             self._release()
             return requested
 
@@ -432,7 +307,7 @@ class RightOfWay:
             id = track.id
             since: cython.double = self._seen_since.get(id, now)
             seen_since[id] = since
-            if now - since >= _PERSISTS:
+            if now - since >= _way.persists:
                 x, y = _moved(track.x, track.y, base_x, base_y, c, s)
                 x, y = opening.to_local(x, y, self._sign)
                 others.append(_PlacedTrack(id, x - begin, y))
@@ -460,11 +335,11 @@ class RightOfWay:
         or straight behind the robot.
         """
         bearing = atan2(lateral + self._lead * angular, max(linear, 0.0))
-        if fabs(bearing) > _SIDEWAYS and lateral == 0.0:
+        if fabs(bearing) > _way.sideways and lateral == 0.0:
             bearing_before = remainder(self._wanted_yaw - yaw, TURN)
-            if bearing_before * bearing > 0.0 and fabs(bearing_before) > _SIDEWAYS:
+            if bearing_before * bearing > 0.0 and fabs(bearing_before) > _way.sideways:
                 bearing = bearing_before
-            elif PI - fabs(bearing_before) < _REVERSED:
+            elif PI - fabs(bearing_before) < _way.reversed:
                 bearing = copysign(PI, bearing)
         return yaw + bearing
 
@@ -481,7 +356,7 @@ class RightOfWay:
         for opening in self._openings.known:
             # 1. Skips an opening that was seen too rarely, or whose wall the request leads along.
             angle: cython.double = remainder(self._wanted_yaw - opening.angle, TURN)
-            if opening.hits < SIGHTINGS or fabs(fabs(angle) - 0.5 * PI) < _ALONG_WALL:
+            if opening.hits < SIGHTINGS or fabs(fabs(angle) - 0.5 * PI) < _way.along_wall:
                 continue
 
             # 2. Skips an opening that the robot has passed, or beside which the robot is.
@@ -489,7 +364,7 @@ class RightOfWay:
             along, aside = opening.to_local(x, y, sign)
             begin, end = opening.ends(sign)
             along -= begin
-            if along > end - begin or (along > -_IN_ANYHOW and fabs(aside) > opening.half):
+            if along > end - begin or (along > -_way.in_anyhow and fabs(aside) > opening.half):
                 continue
 
             # 3. Does the request lead into the opening or its wall? `meets_aside`: m to the left of
@@ -497,8 +372,10 @@ class RightOfWay:
             # is beyond the begin. (tan is the same for the opposite way through.)
             meets_aside: cython.double = aside - min(along, 0.0) * tan(angle)
             wall_length: cython.double = opening.left if meets_aside * sign > 0.0 else opening.right
-            leads_in: cython.bint = fabs(meets_aside) < opening.half and along > -_MAX_AHEAD
-            leads_to_wall: cython.bint = along > -_WALL_DISTANCE and fabs(meets_aside) < wall_length
+            leads_in: cython.bint = fabs(meets_aside) < opening.half and along > -_way.max_ahead
+            leads_to_wall: cython.bint = (
+                along > -_way.wall_distance and fabs(meets_aside) < wall_length
+            )
             distance: cython.double = hypot(min(along, 0.0), aside)
             if (leads_in or leads_to_wall) and distance < nearest:
                 nearest, chosen = distance, (opening, sign)
@@ -510,8 +387,9 @@ class RightOfWay:
         self._release()
         self._wanted_yaw, self._chosen_at = wanted_yaw, now
         self._opening, self._sign = chosen
-        if now - self._passed_at < _RECENTLY:
-            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_PASSED_TIMES)
+        if now - self._passed_at < _way.recently:
+            self._busy_at = now
+            self._keep_clear_for = self._rng.uniform(_way.least_passed, _way.most_passed)
 
     @cython.cfunc
     def _judge_traffic(self, place: _Place, others: list[_PlacedTrack], now: float) -> _Traffic:
@@ -528,40 +406,42 @@ class RightOfWay:
             # 1. The side from which the track came. The side stays while the track is within or
             # near the opening.
             came_from = self._sides.get(id)
-            is_within = -_THRESHOLD < along < place.depth + _THRESHOLD
+            is_within = -_way.threshold < along < place.depth + _way.threshold
             if not is_within:
                 self._within_at.pop(id, None)
                 if came_from == _OTHER_SIDE and along < 0.0:
                     self._came_out.add(id)
-            is_near = abs(aside) < _QUEUE_FAR and -_QUEUE_FAR < along < -_QUEUE_NEAR
+            is_near = abs(aside) < _way.queue_far and -_way.queue_far < along < -_way.queue_near
             is_queued |= is_near and id not in self._came_out
             if came_from is None or not is_within:
-                border = _FIRST_SEEN_IN if came_from is None else 0.5 * place.depth
+                border = _way.first_seen_in if came_from is None else 0.5 * place.depth
                 came_from = self._sides[id] = _THIS_SIDE if along < border else _OTHER_SIDE
 
             # 2. Skips a track that is neither before nor in the opening.
-            max_aside = place.half_width + (-_NARROWER if along > -_IN_WALL else _WIDER)
-            if not -_BEFORE < along < place.depth + _AFTER or abs(aside) > max_aside:
+            max_aside = place.half_width + (-_way.narrower if along > -_way.in_wall else _way.wider)
+            if not -_way.before < along < place.depth + _way.after or abs(aside) > max_aside:
                 continue
-            # How far it came; forgotten once it is back more than _LINE_UP before the opening.
-            farthest = max(self._farthest.get(id, along) if along > -_LINE_UP else along, along)
+            # How far it came; forgotten once it is back more than `line_up` before the opening.
+            farthest = max(self._farthest.get(id, along) if along > -_way.line_up else along, along)
             self._farthest[id] = farthest
 
             # 3. What the track does.
-            backs_out = farthest > -_IN and along < farthest - _BACKS_OUT
+            backs_out = farthest > -_way.in_before and along < farthest - _way.backs_out
             is_ahead = along > place.along
             if came_from == _OTHER_SIDE or backs_out:
                 # The track comes out. Two robots that meet within the opening both go on until one
                 # of them is stuck: a robot that backed out at once passed no more often.
                 is_met = place.is_in and is_ahead
-                is_in_or_through = along < place.depth + _IN
+                is_in_or_through = along < place.depth + _way.in_before
                 if not is_met and (is_in_or_through or along - place.depth < -place.along):
                     is_busy = True  # the track is in or through the opening, or nearer to it
                     if is_within:
                         self._within_at[id] = now
-            elif is_ahead and along > -_IN:  # the track goes in ahead of the robot
-                is_close |= along - place.along < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
-            elif hypot(along + _LINE_UP, aside) < place.to_line_up:
+            elif is_ahead and along > -_way.in_before:  # the track goes in ahead of the robot
+                is_close |= (
+                    along - place.along < _way.follow and along < place.depth + _way.follow_beyond
+                )
+            elif hypot(along + _way.line_up, aside) < place.to_line_up:
                 is_behind = True  # the track is nearer to the place to line up
         return _Traffic(is_busy, is_behind, is_close, is_queued)
 
@@ -588,7 +468,7 @@ class RightOfWay:
         # 1. Corrects all places by the measured middle of the opening.
         self._find_middle(place, points)
         middle_offset = self._middle_offset or 0.0
-        if abs(middle_offset) > _WRONG_BY and self._openings.forget(self._opening):
+        if abs(middle_offset) > _way.wrong_by and self._openings.forget(self._opening):
             self._release()  # the sightings took a robot for a post
             return ZERO
         place = replace(place, aside=place.aside - middle_offset)
@@ -599,19 +479,20 @@ class RightOfWay:
         traffic = self._judge_traffic(place, others, now)
         self._update_progress(place, now)
         if traffic.is_busy or self._is_backing:
-            has_passed = now - self._passed_at < _RECENTLY
+            has_passed = now - self._passed_at < _way.recently
             self._busy_at = now
-            self._keep_clear_for = self._rng.uniform(
-                *(_PASSED_TIMES if has_passed else _CLEAR_TIMES)
-            )
+            if has_passed:
+                self._keep_clear_for = self._rng.uniform(_way.least_passed, _way.most_passed)
+            else:
+                self._keep_clear_for = self._rng.uniform(_way.least_clear, _way.most_clear)
         self.state = self._next_state(place, traffic, now)
         return self._request(place, safe_for)
 
     @cython.cfunc
     def _update_progress(self, place: _Place, now: float) -> None:
         """Set `_is_backing`, and store where and when the robot last made progress."""
-        is_stuck = now - max(self._progress_at, self._chosen_at) > _STUCK
-        has_moved = abs(place.along - self._progress_along) > _PROGRESS
+        is_stuck = now - max(self._progress_at, self._chosen_at) > _way.stuck
+        has_moved = abs(place.along - self._progress_along) > _way.progress
         if not place.is_in:
             self._is_backing = False
         elif is_stuck:  # tries the other way
@@ -627,7 +508,7 @@ class RightOfWay:
         The state before does not count. What the rules remember does, and is updated: whether the
         robot is lined up (on the axis before the opening).
         """
-        # Rule 1: a robot in an opening that made no progress for _STUCK s, as one that has met
+        # Rule 1: a robot in an opening that made no progress for `stuck` s, as one that has met
         # another robot, reverses its direction.
         if self._is_backing:
             return WayState.BACK
@@ -640,21 +521,23 @@ class RightOfWay:
         # a) while a robot comes out, and for a random time after that;
         # b) while another robot that wants to pass is nearer to the opening;
         # c) while a robot that was last seen in the opening may still be there;
-        # d) for _LETS_PASS s after a passage, while a robot that has not come out of the opening
+        # d) for `lets_pass` s after a passage, while a robot that has not come out of the opening
         #    waits on its side.
-        hidden_for = _HIDDEN + self._keep_clear_for
+        hidden_for = _way.hidden + self._keep_clear_for
         self._within_at = {id: at for id, at in self._within_at.items() if now - at < hidden_for}
-        lets_pass = traffic.is_queued and now - self._passed_at < _LETS_PASS
+        lets_pass = traffic.is_queued and now - self._passed_at < _way.lets_pass
         keeps_clear = now - self._busy_at < self._keep_clear_for
         if keeps_clear or traffic.is_behind or self._within_at or lets_pass:
             return self._giving_way(place)
 
-        # Rule 5: the robot is not lined up. It becomes lined up at a place _LINE_UP m before the
+        # Rule 5: the robot is not lined up. It becomes lined up at a place `line_up` m before the
         # opening, or on the axis farther away, and stays lined up while it is near the axis.
-        is_on_axis = abs(place.aside) < _ON_AXIS and place.along < -_ON_AXIS_FAR
-        self._is_lined_up |= place.to_line_up < _AT_LINE_UP or is_on_axis
+        is_on_axis = abs(place.aside) < _way.on_axis and place.along < -_way.on_axis_far
+        self._is_lined_up |= place.to_line_up < _way.at_line_up or is_on_axis
         most_off_axis = (
-            _OFF_AXIS if place.along < -_OFF_AXIS_NEAR else _OFF_AXIS_SHARE * place.half_width
+            _way.off_axis
+            if place.along < -_way.off_axis_near
+            else _way.off_axis_share * place.half_width
         )
         self._is_lined_up &= abs(place.aside) < most_off_axis
         if not self._is_lined_up:
@@ -664,8 +547,8 @@ class RightOfWay:
         if traffic.is_close:
             return WayState.WAIT
 
-        # Rules 7 and 8: the robot has reached the place _LINE_UP m before the opening, or not yet.
-        is_at_line_up = place.along > -_LINE_UP - _NEARLY_LINED_UP
+        # Rules 7 and 8: the robot has reached the place `line_up` m before the opening, or not yet.
+        is_at_line_up = place.along > -_way.line_up - _way.nearly_lined_up
         return WayState.LINE if is_at_line_up else WayState.APPROACH
 
     @cython.cfunc
@@ -685,31 +568,31 @@ class RightOfWay:
         """
         state = self.state
         if state is WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
-            behind: cython.double = atan2(-place.aside, -_BACK_AIM) + PI - place.heading
-            turn: cython.double = min(max(remainder(behind, TURN), -_BACK_TURN), _BACK_TURN)
-            return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), safe_for)
+            behind: cython.double = atan2(-place.aside, -_way.back_aim) + PI - place.heading
+            turn: cython.double = min(max(remainder(behind, TURN), -_way.back_turn), _way.back_turn)
+            return self._fastest(Twist(-_way.back_share * self._speed, turn), safe_for)
         if state is WayState.IN or state is WayState.LINE:
-            return self._fastest(self._drive(place.along + _PURSUIT, 0.0, place), safe_for)
+            return self._fastest(self._drive(place.along + _way.pursuit, 0.0, place), safe_for)
         if state is WayState.APPROACH:
-            return self._drive(place.along + _PURSUIT, 0.0, place)
+            return self._drive(place.along + _way.pursuit, 0.0, place)
         if state is WayState.GO:
-            return self._drive(-_LINE_UP, 0.0, place)
+            return self._drive(-_way.line_up, 0.0, place)
         if state is WayState.ASIDE:  # to the side of the axis on which the robot is, else right
             # A chosen side stays until the robot is clearly on the other side.
-            least_aside = _KEEPS_SIDE if self._waiting_side else _HAS_SIDE
+            least_aside = _way.keeps_side if self._waiting_side else _way.has_side
             if abs(place.aside) > least_aside:
                 self._waiting_side = copysign(1.0, place.aside)
             elif not self._waiting_side:
                 self._waiting_side = -1.0
-            along = min(place.along, -_ASIDE_FAR) - _ASIDE_STEP
-            aside = self._waiting_side * (place.half_width + _BESIDE + _FARTHER_BESIDE)
+            along = min(place.along, -_way.aside_far) - _way.aside_step
+            aside = self._waiting_side * (place.half_width + _way.beside + _way.farther_beside)
             return self._drive(along, aside, place)
         # A robot that waits faces the place where it will line up.
-        bearing: cython.double = atan2(-place.aside, -_LINE_UP - place.along) - place.heading
+        bearing: cython.double = atan2(-place.aside, -_way.line_up - place.along) - place.heading
         error: cython.double = remainder(bearing, TURN)
-        if not place.leaves_free or fabs(error) < _FACES:
+        if not place.leaves_free or fabs(error) < _way.faces:
             return ZERO
-        return Twist(0.0, min(max(_GAIN * error, -_FACING), _FACING))
+        return Twist(0.0, min(max(_way.gain * error, -_way.facing), _way.facing))
 
     @cython.cfunc
     def _find_middle(self, place: _Place, points: Points) -> None:
@@ -719,22 +602,24 @@ class RightOfWay:
         axis of sightings from afar is off by 1 cm, and by more where a sighting took a robot for a
         post. With 1 cm off the middle, protection allows half of the speed between the posts.
         """
-        if not -_LINE_UP - _NEARLY_LINED_UP < place.along < place.depth + _PAST_POSTS:
+        if not -_way.line_up - _way.nearly_lined_up < place.along < place.depth + _way.past_posts:
             return
         offset = self._middle_offset
         # Returns count beside the robot and shortly ahead, but only near the opening.
-        from_m = max(place.along - _POSTS_BEHIND, -_AT_POST)
-        to_m = min(max(place.along, 0.0) + _POSTS_AHEAD, place.depth + _AT_POST)
+        from_m = max(place.along - _way.posts_behind, -_way.at_post)
+        to_m = min(max(place.along, 0.0) + _way.posts_ahead, place.depth + _way.at_post)
         measured = gap_middle(
             points(),
             (place.along, place.aside, place.heading),
             (from_m, to_m),
-            (2.0 * place.half_width, _SAME_WIDTH),
-            (offset or 0.0, place.half_width + _AT_POST),
+            (2.0 * place.half_width, _way.same_width),
+            (offset or 0.0, place.half_width + _way.at_post),
         )
         if measured is None:
             return
-        self._middle_offset = measured if offset is None else offset + _WEIGHT * (measured - offset)
+        self._middle_offset = (
+            measured if offset is None else offset + _way.weight * (measured - offset)
+        )
 
     @cython.ccall
     def _fastest(self, twist: Twist, safe_for: Allows) -> Twist:
@@ -750,7 +635,7 @@ class RightOfWay:
             allowed = safe_for(candidate)
             # m/s in the direction of the candidate; negative if protection reverses the motion.
             value = math.copysign(allowed.linear, allowed.linear * candidate.linear)
-            value -= _TURN_COST * abs(allowed.angular - candidate.angular)
+            value -= _way.turn_cost * abs(allowed.angular - candidate.angular)
             if value > best_value:
                 best_value, best = value, candidate
         return best
@@ -765,12 +650,12 @@ class RightOfWay:
         bearing = math.atan2(goal_aside - place.aside, goal_along - place.along) - place.heading
         yaw_error = math.remainder(bearing, TURN)
         speed = self._speed
-        is_near = place.along > -_LINE_UP and abs(place.aside) < place.half_width
-        is_goal_behind = goal_along < place.along and abs(yaw_error) > _BACKS_TO
+        is_near = place.along > -_way.line_up and abs(place.aside) < place.half_width
+        is_goal_behind = goal_along < place.along and abs(yaw_error) > _way.backs_to
         if is_near and is_goal_behind:
             yaw_error = math.remainder(yaw_error - math.pi, TURN)
             speed = -speed
-        turn = min(max(_GAIN * yaw_error, -self._angular_limit), self._angular_limit)
+        turn = min(max(_way.gain * yaw_error, -self._angular_limit), self._angular_limit)
         return Twist(speed * math.pow(max(math.cos(yaw_error), 0.0), 2.0), turn)
 
 

@@ -44,7 +44,7 @@ class Steering:
 
     _protection: ProtectionView
     _offset: Any
-    _recovery: Recovery  # None: this robot is not steered
+    _recovery: Recovery | None  # None: this robot is not steered, and has none of the other parts
     _is_recovering: cython.bint
     _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
     _avoidance: Avoidance
@@ -104,7 +104,8 @@ class Steering:
         Arguments as those of `Protection.decide`; `permit` says what of steering the pattern
         permits.
         """
-        if self._recovery is None:
+        recovery: Recovery | None = self._recovery
+        if recovery is None:
             return None
         # A hold of a running robot comes without the pattern's permit, so such a hold leaves
         # avoidance as it is.
@@ -113,9 +114,9 @@ class Steering:
         clipped = candidate = self._protection.clip(requested)
         may_move: cython.bint = is_running and hold is None and context.scan_age is not None
         if not (may_move and permit.may_recover):
-            self._end_recovery()
+            self._end_recovery(recovery)
         else:
-            candidate = self._candidate(clipped, context, permit.touch)
+            candidate = self._candidate(recovery, clipped, context, permit.touch)
         if not (self._is_avoiding or self._is_recovering or candidate is not clipped):
             return None
         return Steered(
@@ -143,17 +144,21 @@ class Steering:
         self._right_of_way.reset()
 
     @cython.cfunc
-    def _end_recovery(self) -> None:
+    def _end_recovery(self, recovery: Recovery) -> None:
         """Reset recovery, avoidance and right of way, if they have decided since the last hold."""
         if self._may_recover:
             self._may_recover = self._is_recovering = False
-            self._recovery.reset()
+            recovery.reset()
             self._avoidance.reset()
             self._right_of_way.reset()
 
     @cython.cfunc
     def _candidate(
-        self, clipped: Twist, context: DecisionContext, touch: TouchZone | None
+        self,
+        recovery: Recovery,
+        clipped: Twist,
+        context: DecisionContext,
+        touch: TouchZone | None,
     ) -> Twist:
         """The command by which right of way, avoidance or recovery replaces a clipped request.
 
@@ -161,17 +166,22 @@ class Steering:
         """
         self._may_recover = True
         allows = _partial(self._protection.permitted, context, touch)
-        points = _partial(self._protection.points, context, self._recovery.lookahead)
-        passing_request, others = self._pass_others(clipped, context, allows, points)
-        candidate = self._recovery.replacement(
+        points = _partial(self._protection.points, context, recovery.lookahead)
+        passing_request, others = self._pass_others(recovery, clipped, context, allows, points)
+        candidate = recovery.replacement(
             passing_request, self._protection.mode_command, context, points, others, allows
         )
-        self._is_recovering = self._recovery.is_active
+        self._is_recovering = recovery.is_active
         return candidate
 
     @cython.cfunc
     def _pass_others(
-        self, requested: Twist, context: DecisionContext, allows: Allows, points: Points
+        self,
+        recovery: Recovery,
+        requested: Twist,
+        context: DecisionContext,
+        allows: Allows,
+        points: Points,
     ) -> tuple[Twist, Others]:
         """The command that leads past openings and moving objects, and `Others` for recovery.
 
@@ -187,7 +197,7 @@ class Steering:
         if self._right_of_way.is_settled:
             self._avoidance.avoiding = None
             return requested, Others(requested, is_settled=True)
-        if self._recovery.has_taken_over:
+        if recovery.has_taken_over:
             self._avoidance.avoiding = None
             return requested, NO_OTHERS
         passing = self._avoidance.command(

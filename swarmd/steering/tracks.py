@@ -146,6 +146,7 @@ class ScanReturns:
     ages: cython.double[::1]  # s; 0 for a scan without ages
     _scan: Scan | None  # the last scan; None before the first
     _order: cython.longlong[::1]  # the rays with a return, as they come
+    _unsorted: cython.double[::1]  # their bearings, as they come; of a scan that was sorted
     _sorted: cython.longlong[::1]  # these rays by rising bearing; of a scan that was sorted
 
     def __init__(self) -> None:
@@ -153,7 +154,9 @@ class ScanReturns:
 
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         self.ranges, self.bearings, self.ages = doubles(count), doubles(count), doubles(count)
-        self._order, self._sorted = indices(count), indices(count)
+        self._order = indices(count)
+        self._unsorted = doubles(count)
+        self._sorted = indices(count)
 
     @cython.cfunc
     def take(self, scan: Scan) -> cython.int:
@@ -194,8 +197,8 @@ class ScanReturns:
         own_ages: cython.double[::1] = self.ages
         if falls > 1 or (falls == 1 and not bearings[order[count - 1]] < bearings[order[0]]):
             for k in range(count):
-                own_ages[k] = bearings[order[k]]
-            sort_rays(own_ages, count, own_bearings, self._sorted)
+                self._unsorted[k] = bearings[order[k]]
+            sort_rays(self._unsorted, count, own_bearings, self._sorted)
             for k in range(count):
                 self._sorted[k] = order[self._sorted[k]]
             order, lowest = self._sorted, 0

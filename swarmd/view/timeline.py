@@ -197,8 +197,10 @@ class Timeline:
         pose = self.tracks[robot].pose("pose" if self.is_shared else "odometry", now)
         if pose is None:
             return None
+        if self.is_shared:
+            return pose.x, pose.y, pose.yaw
         place = list(self.tracks).index(robot) - (len(self.tracks) - 1) / 2.0
-        return pose.x, pose.y + APART * place * (not self.is_shared), pose.yaw
+        return pose.x, pose.y + APART * place, pose.yaw
 
 
 def read_timeline(paths: Sequence[Path]) -> Timeline:

@@ -40,7 +40,7 @@ from swarmd.core.finding import Finding
 from swarmd.core.goal import GoalRecord
 from swarmd.core.messages import State
 from swarmd.core.values import Platform
-from swarmd.daemon.robot_setup import make_robot
+from swarmd.daemon.robot_setup import configured_robot
 from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.reader import read_file
 from swarmd.robot.latches import LatchRecord
@@ -320,7 +320,7 @@ def daemon_base(options: dict[str, Any]) -> str:
     """What the daemon of a Crazyflie with these options tells of its base."""
     overrides = {"id": "r", "platform": "crazyflie", "driver": "crazyflie", "insecure": True}
     settings = load_daemon_settings(None, {**overrides, "driver_options": options})
-    robot = make_robot(settings, "00", 1, latches=LatchRecord(), goals=GoalRecord())
+    robot = configured_robot(settings, "00", 1, latches=LatchRecord(), goals=GoalRecord())
     return robot.identity.setup.base
 
 

@@ -28,6 +28,12 @@ def test_attributes_of_an_extension_type_begin_at_zero() -> None:
     assert other.places == [0.0, 0.0]
 
 
+def test_attributes_of_an_extension_type_begin_at_the_value_that_its_class_gives() -> None:
+    begins = {"__annotations__": {"gain": "cython.double", "share": "cython.double"}, "gain": 2.5}
+    one = cython.cclass(type("Begun", (), begins))()
+    assert (one.gain, one.share) == (2.5, 0.0)
+
+
 def test_an_extension_type_has_no_attribute_that_is_not_declared() -> None:
     with pytest.raises(AttributeError):
         Counter().cuont = 1

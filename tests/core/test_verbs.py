@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.verbs import VERBS, AnyRequest, Handler, Request, Verb
 from swarmd.daemon.incidents import IncidentService
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
-from swarmd.daemon.recorder import RecordingService
+from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.tools import FieldTools

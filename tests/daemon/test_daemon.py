@@ -659,7 +659,7 @@ async def test_the_black_box_keeps_what_a_robot_without_scans_does(
     stop = asyncio.Event()
 
     async def wait() -> None:
-        ring = daemon._recorder.ring
+        ring = daemon._recorder.black_box.ring
         assert ring is not None
         with suppress(TimeoutError):
             async with asyncio.timeout(10.0):

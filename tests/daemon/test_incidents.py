@@ -493,15 +493,15 @@ class Service:
 
     def keep(self, *entries: frames.Entry) -> None:
         """A segment of the ring."""
-        ring = self.recorder.ring
+        ring = self.recorder.black_box.ring
         assert ring is not None
         ring.begin_segment(entries[0].at)
         ring.write(frames.batch([frames.encode(one) for one in entries]))
 
     def die(self) -> None:
         """Leave the ring as a daemon that is killed."""
-        assert self.recorder.ring is not None
-        self.recorder.ring.close()
+        assert self.recorder.black_box.ring is not None
+        self.recorder.black_box.ring.close()
 
     def tell(self, *incidents: Incident, giver: str = "r9", age: float = 0.0) -> None:
         """A peer hands these on, as being `age` s old."""
@@ -597,7 +597,7 @@ async def test_a_ring_with_an_incident_of_another_form_ends_no_start(tmp_path: P
     first = Service(tmp_path)
     first.keep(frames.TextEntry(boottime(), "/incident", b'{"id": 3}'))
     first.die()
-    assert Service(tmp_path).recorder.ring is not None
+    assert Service(tmp_path).recorder.black_box.ring is not None
 
 
 async def test_an_error_in_the_black_box_ends_no_start(
@@ -632,7 +632,7 @@ async def test_a_daemon_that_is_killed_again_and_again_begins_one_incident_in_te
     monkeypatch.setattr("swarmd.daemon.incidents.boottime", lambda: now)
     for number in range(4):
         service = Service(tmp_path)
-        service.recorder.ring.revision = number  # type: ignore[union-attr]
+        service.recorder.black_box.ring.revision = number  # type: ignore[union-attr]
         service.keep(frames.EventEntry(now, "x"))
         service.die()
     assert len(Service(tmp_path).files()) == 1
@@ -689,7 +689,7 @@ async def test_a_ring_that_ended_by_itself_tells_the_next_daemon_of_no_crash(
 ) -> None:
     service = Service(tmp_path)
     service.keep(frames.EventEntry(boottime(), "x"))
-    service.recorder.end_ring("no room")
+    service.recorder.black_box.end("no room")
     service.mark("c" * 12)
     assert "no room" in service.answers[0].text
     service.service.close(has_crashed=False)
@@ -1085,11 +1085,11 @@ async def test_the_black_box_begins_once_what_a_killed_daemon_left_is_on_disk(
     first.die()
     first.folder.write_text("in the way")
     second = Service(tmp_path)
-    assert second.recorder.ring is None
+    assert second.recorder.black_box.ring is None
     first.folder.unlink()
     await second.advance(20.0)
     assert len(second.files()) == 1
-    assert second.recorder.ring is not None
+    assert second.recorder.black_box.ring is not None
     assert second.reply().fault == ""
 
 
@@ -1138,7 +1138,7 @@ async def test_the_file_of_a_stop_that_was_told_before_it_came_has_the_stop(
     assert service.files() == {"a" * 12}
     now += 0.5
     braked = now
-    ring = service.recorder.ring
+    ring = service.recorder.black_box.ring
     assert ring is not None
     ring.write(frames.batch([frames.encode(frames.EventEntry(braked, "it brakes"))]))
     service.service._begin(Found(IncidentKind.ESTOP, "emergency stop by anna", "a" * 12))

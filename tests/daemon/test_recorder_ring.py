@@ -33,7 +33,7 @@ class Ringed:
         with closing(asyncio.new_event_loop()) as loop:
             self.recorder = Recorder(loop, print)
         ring = Ring(folder / "r", {}, capacity=1 << 20, seconds=60.0, boot=1.0, wall=2.0)
-        self.ring = self.recorder.ring = ring
+        self.ring = self.recorder.black_box.ring = ring
         self.writes = 0
         _pwrite = os.pwrite
 

@@ -141,9 +141,9 @@ class Incidents(IncidentService):
         self._box.displaced(tuple(self._kept.values()), kept, written.head)
         super()._on_written(id, written)
 
-    def _write(self, told: Any, source: Any, *more: Any, **options: Any) -> None:
-        left = source()  # now: the descriptor of a virtual thread would outlive a kill
-        super()._write(told, lambda: left, *more, **options)
+    def _write(self, told: Any, source: Any, **options: Any) -> None:
+        left = source.read()  # now: the descriptor of a virtual thread would outlive a kill
+        super()._write(told, source._replace(read=lambda: left), **options)
 
     def _end(self, error: Exception) -> None:
         raise error  # a fault of the black box, or of its judge
@@ -206,20 +206,20 @@ class BlackBox:
         """The daemon starts."""
         with self._virtual_time():
             self.service.open()
-        if self.recorder.ring is not None:
-            self.daemon.swarm.rings.add(self.recorder.ring)
+        if self.recorder.black_box.ring is not None:
+            self.daemon.swarm.rings.add(self.recorder.black_box.ring)
 
     def close(self) -> None:
         """The daemon ends in order."""
-        if self.recorder.ring is not None:
-            self.daemon.swarm.rings.discard(self.recorder.ring)
+        if self.recorder.black_box.ring is not None:
+            self.daemon.swarm.rings.discard(self.recorder.black_box.ring)
         with self.at_work():
             self.service.close(has_crashed=False)
         self.is_closed = True
 
     def die(self) -> Death | None:
         """The process is killed; None if it had ended in order, or had not begun."""
-        ring = self.recorder.ring
+        ring = self.recorder.black_box.ring
         if self.is_closed or ring is None:
             return None
         self.is_closed = True

@@ -225,7 +225,11 @@ def test_the_patterns_of_neighbors_are_made_by_kin_or_a_pose_and_refused_without
 
 @pytest.mark.parametrize(
     ("told", "radius"),
-    [(None, math.hypot(0.06 + 0.06 * 2.0, math.radians(6.0) * 2.0)), (0.4, 0.4)],
+    [
+        (None, math.hypot(0.06 + 0.06 * 2.0, math.radians(6.0) * 2.0)),
+        (0.4, 0.4),
+        (0.0, 0.0),  # told: the source says that the place is exact
+    ],
 )
 def test_protection_takes_the_told_error_of_a_place_if_it_has_one(
     told: float | None, radius: float

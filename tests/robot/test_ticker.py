@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any
 
@@ -177,3 +179,17 @@ def test_many_robots_tick_as_one_does() -> None:
         quiet += single.is_quiet
     assert 10 < quiet < 39
     assert not commands[:2].any()
+
+
+def test_actions_are_made_of_locals_that_have_the_names_of_their_fields() -> None:
+    """They are given by position, so that two of them could be exchanged unnoticed."""
+    source = Path(__file__).parents[2] / "swarmd" / "robot" / "ticker.py"
+    calls = [
+        node
+        for node in ast.walk(ast.parse(source.read_text()))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "_Actions"
+    ]
+    fields = Actions.__struct_fields__
+    for call in calls:
+        assert tuple(map(ast.unparse, call.args)) == fields[: len(call.args)]
+    assert sorted(len(call.args) for call in calls) == [6, len(fields)]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Scan
 from tests.support.recorded_scans import KERNEL, SPECS, assert_same, recorded
 
@@ -52,3 +53,33 @@ def test_malformed_scan_or_count_is_refused_and_ends_no_process() -> None:
     for count in (0, -1):
         with pytest.raises(ValueError, match="at least 1 sector"):
             KERNEL.closest_points(scan(np.ones(n), bearings), 2.0, count)
+
+
+def test_a_layout_takes_no_more_bearings_than_it_has_room_for() -> None:
+    layout = load_kernel("swarmd.sensing.scan_layout").ScanLayout(3)
+    layout.set_bearings(np.array([0.0, 1.0, 2.0]))
+    with pytest.raises(IndexError, match="expected 4"):
+        layout.set_bearings(np.zeros(4))
+
+
+def test_features_do_not_depend_on_the_scans_before() -> None:
+    """Robots share what is kept of the last bearings: another robot's scan must change nothing."""
+    random = np.random.default_rng(5)
+    scans = []
+    for n in (24, 360, 24, 90, 360, 91, 7, 180, 181, 182, 183, 184):
+        bearings = np.sort(random.uniform(-math.pi, math.pi, n))
+        scans.append(Scan(len(scans), 0.0, random.uniform(0.2, 4.0, n), bearings, 0.1, 3.5))
+
+    def features(scan: Scan) -> tuple[object, ...]:
+        return (
+            KERNEL.nearest(scan, 0.3, 1.0),
+            KERNEL.closest_points(scan, 3.0, 24).tolist(),
+            KERNEL.clusters(scan, 3.0, 0.06, 0.2),
+        )
+
+    in_order = [features(one) for one in scans]
+    assert [features(one) for one in reversed(scans)] == in_order[::-1]
+    for one, wanted in zip(scans, in_order, strict=True):
+        for other in scans:
+            KERNEL.clusters(other, 2.0, 0.06, 0.3)
+        assert features(one) == wanted

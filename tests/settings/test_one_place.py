@@ -47,7 +47,7 @@ import json
 from swarmd.cli.effective_config import effective_config
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import GoalRecord
-from swarmd.daemon.robot_setup import make_robot, recording_head
+from swarmd.daemon.robot_setup import configured_robot, recording_head
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.recording.head import head_of
 from swarmd.replay.replay import Replay
@@ -71,7 +71,7 @@ def settings_of(text):
     return load_daemon_settings(folder / "one.yaml", {}, {"HOME": str(folder)})
 
 def in_daemon(place, settings):
-    made = make_robot(settings, "00", 1, latches=LatchRecord(), goals=GoalRecord())
+    made = configured_robot(settings, "00", 1, latches=LatchRecord(), goals=GoalRecord())
     note(place, made.identity)
     return made
 

@@ -13,6 +13,7 @@ WINGS: Mapping[str, tuple[str, ...]] = {
     "robot": (
         *("config", "drivers", "patterns", "swarmd/api", "swarmd/core", "swarmd/daemon"),
         *("swarmd/driver_api", "swarmd/kin", "swarmd/kit", "swarmd/mission", "swarmd/network"),
+        "swarmd/make_robot",
         *("swarmd/pattern_host", "swarmd/plugins", "swarmd/protection", "swarmd/recording"),
         *("swarmd/robot", "swarmd/security", "swarmd/sensing", "swarmd/settings"),
         "swarmd/steering",

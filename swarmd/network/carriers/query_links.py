@@ -35,13 +35,13 @@ class QueryLinks:
 
     def close(self) -> None:
         """Undeclare the queriers."""
-        from swarmd.network.carriers.session import undeclare
+        from swarmd.network.carriers.session import undeclare  # loads Zenoh; datagrams need none
 
         with self._calls:
             undeclare(*(querier for _, queriers in self._queriers for querier in queriers.values()))
 
     def _is_linked(self, robot: str) -> bool:
-        import zenoh
+        import zenoh  # datagrams need none
 
         from swarmd.network.carriers.session import has_queryable
 

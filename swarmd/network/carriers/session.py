@@ -196,7 +196,7 @@ async def open_in_thread(open_it: Callable[[], S]) -> S:
     If the caller is cancelled meanwhile, the session is closed as soon as it is open, even if the
     loop has ended by then: an open session would keep the process alive.
     """
-    import asyncio
+    import asyncio  # 22 ms of a start of swarmctl, which has no loop
     from concurrent.futures import Future
 
     opened: Future[S] = Future()
@@ -389,7 +389,7 @@ def _dialled(endpoint: str) -> str:
     if not endpoint.startswith("tls/["):
         return endpoint
     _, host, port, _ = parse_endpoint(endpoint)
-    from swarmd.network.carriers.ipv6_forward import forward_to
+    from swarmd.network.carriers.ipv6_forward import forward_to  # loads asyncio
 
     return f"tls/127.0.0.1:{forward_to(host, port)}"
 
