@@ -5,9 +5,9 @@ library `_barrier`. Several files may become one library: they are joined first,
 of each other. Where there is no compiler the build goes on without libraries, and CPython runs the
 files. A library serves the Python that builds it, and takes .92 of the time of one for the stable
 ABI. With SWARMD_STABLE_ABI=1, as for wheels, it serves Python 3.11 and all later versions. Each
-library holds the digest of its sources, which swarmd/core/kernels.py compares before it loads the library;
-that file lists the libraries. Cython's code for views of memory is in one library that all kernels
-import: a copy in each took a quarter of the time of the build.
+library holds the digest of its sources, which swarmd/core/kernels.py compares before it loads the
+library; that file lists the libraries. Cython's code for views of memory is in one library that all
+kernels import: a copy in each took a quarter of the time of the build.
 
 With SWARMD_COMPILED=0 nothing is compiled and Cython is not needed: `make demo` installs so first,
 and compiles the kernels while robots move.

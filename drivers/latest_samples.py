@@ -24,7 +24,9 @@ class LatestSamples:
         take: Callable[[str, bytes], None],
         dropped: Callable[[str], None] = lambda what: None,
     ) -> None:
-        self._loop, self._take, self._dropped = loop, take, dropped
+        self._loop = loop
+        self._take = take
+        self._dropped = dropped
         self._lock = threading.Lock()
         self._waiting: dict[str, bytes] = {}
         self._dropped_counts: Counter[str] = Counter()
@@ -60,6 +62,7 @@ class LatestSamples:
 
     def _report(self) -> None:
         with self._lock:
-            counts, self._dropped_counts = self._dropped_counts, Counter()
+            counts = self._dropped_counts
+            self._dropped_counts = Counter()
         for what in counts.elements():
             self._dropped(what)

@@ -130,7 +130,8 @@ class ReplayDriver:
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The recording's length and the inputs in it."""
-        recording, about = self._recording, self._recording.about
+        recording = self._recording
+        about = self._recording.about
         kinds = Counter(tag_of(input) for _, input in recording.entries)
         length = max(recording.duration, 1e-9)
         names = ", ".join(about.get(key, "unknown") for key in ("platform", "driver"))
@@ -147,8 +148,10 @@ class ReplayDriver:
 
     async def _play(self, sink: Sink, rounds: int) -> None:
         """Play one round; stamps and sequences continue those of the round before."""
-        loop, speed = asyncio.get_running_loop(), self._options.speed
-        begin, shift = loop.time(), rounds * (self._span + LOOP_PAUSE)
+        loop = asyncio.get_running_loop()
+        speed = self._options.speed
+        begin = loop.time()
+        shift = rounds * (self._span + LOOP_PAUSE)
         for at, input in self._recording.entries:
             # Sleep even for 0 s: playback that is late must not block the loop.
             await asyncio.sleep(max(begin + at / speed - loop.time(), 0.0))
@@ -281,7 +284,8 @@ def _extent(recording: _Recording) -> tuple[int, float]:
     greatest number plus 1. Stamps get the span of the stamps. Each kind of input may have a clock
     of its own, so the longest span of all kinds counts.
     """
-    sequences, stamps = [0], defaultdict[str, list[float]](list)
+    sequences = [0]
+    stamps = defaultdict[str, list[float]](list)
     for _, input in recording.entries:
         if isinstance(input, DriverInput):
             continue

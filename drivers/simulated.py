@@ -36,7 +36,8 @@ SENSOR_TIMEOUT = 1.0
 """Seconds without any sample after which the base counts as lost."""
 
 _WATCH_PERIOD = 0.1
-_SCAN, _ODOMETRY = "scan", "odometry"
+_SCAN = "scan"
+_ODOMETRY = "odometry"
 _DIAL_TIME = 0.04  # s: a zero sender waits no longer than a tick
 
 
@@ -70,9 +71,12 @@ class SimulatedDriver:
         self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
     ) -> None:
         """Not connected yet. Options: `SimulatedOptions`."""
-        self._robot, self._swarm, self._platform = robot, swarm, platform
+        self._robot = robot
+        self._swarm = swarm
+        self._platform = platform
         chosen = Layered(("driver simulated", options)).build(SimulatedOptions)
-        self._endpoint, self.carries_messages = chosen.endpoint, chosen.radio
+        self._endpoint = chosen.endpoint
+        self.carries_messages = chosen.radio
         self._where = _read(self._endpoint)
         self._link: RobotClient | None = None
         self._gate = CommandGate()
@@ -162,7 +166,8 @@ class SimulatedDriver:
     def _findings(self, seen: _CheckSink, is_taken: bool) -> tuple[Finding, ...]:
         hint = "start the world first (swarmctl sim up), or correct driver_options.endpoint"
         missing = f"none from {self._robot} of swarm {self._swarm} at {self._endpoint}; {hint}"
-        content, scans = seen.content, seen.scans
+        content = seen.content
+        scans = seen.scans
         has_odometry = bool(seen.odometries)
         arrives = f"{content.text}; the platform has {len(self._platform.scan.bearings)} rays"
         taken = "is taken" if is_taken else f"no simulated robot takes commands; {hint}"
@@ -289,7 +294,8 @@ class SimulatedZeroSender:
     """Sends zero to a simulated robot, from the watchdog's process; reconnects by itself."""
 
     def __init__(self, swarm: str, robot: str, endpoint: str) -> None:
-        self._where, self._hello = _read(endpoint), Hello(swarm, robot, listens=False)
+        self._where = _read(endpoint)
+        self._hello = Hello(swarm, robot, listens=False)
         self._link: Connection | None = None
 
     def open(self) -> None:

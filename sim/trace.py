@@ -284,7 +284,8 @@ class TraceBuilder:
         box_shapes: Array | None = None,
     ) -> None:
         """`movable_boxes` are the movable boxes, `box_shapes` (m, k, 2) their outlines."""
-        self._ids, self._movable_boxes = tuple(ids), tuple(movable_boxes)
+        self._ids = tuple(ids)
+        self._movable_boxes = tuple(movable_boxes)
         self._shapes = box_shapes if movable_boxes else None
         self._index = {robot: i for i, robot in enumerate(ids)}
         self._index |= {f"box/{name}": ARENA - 1 - i for i, name in enumerate(movable_boxes)}
@@ -316,7 +317,8 @@ class TraceBuilder:
 
     def trace(self, **meta: Any) -> Trace:
         """The trace since the last `clear`; `meta` is added to that of the constructor."""
-        n, m = len(self._ids), len(self._movable_boxes)
+        n = len(self._ids)
+        m = len(self._movable_boxes)
         contacts = np.array(self._contacts, dtype=np.float64).reshape(-1, 5)
         return Trace(
             ids=self._ids,
@@ -365,7 +367,8 @@ def decision_values(
     state: str, reason: str, decision: Decision | DecisionSummary
 ) -> tuple[Any, ...]:
     """State, reason and values of a robot's decision, in the order of DECISION_ARRAYS."""
-    gap, age = decision.min_gap, decision.scan_age
+    gap = decision.min_gap
+    age = decision.scan_age
     rows = decision.rows
     return (
         state,

@@ -173,7 +173,8 @@ def pattern_file(path: Path) -> Path:
     ConfigError in one line if there is no such file.
     """
     try:
-        is_folder, is_file = path.is_dir(), path.is_file()
+        is_folder = path.is_dir()
+        is_file = path.is_file()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; check the path") from error
     if is_folder:
@@ -207,7 +208,8 @@ def pattern_folders() -> Mapping[str, PatternFolder]:
 
 
 def _folders(point: EntryPoint) -> Iterator[PatternFolder]:
-    file, source = _source_file(point.module), _source(point)
+    file = _source_file(point.module)
+    source = _source(point)
     for path in sorted(file.parent.glob(f"*/{PATTERN_FILE}")) if file is not None else ():
         if is_id(path.parent.name):
             yield PatternFolder(path.parent, point.module, source)

@@ -20,6 +20,7 @@ import swarmd
 from swarmd.core import kernels
 from swarmd.plugins import installed_patterns
 from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
+from tests.support.packed import packed_assignments
 from tests.support.shape import CLOSURES, FILES, import_closure, keys_of, statements
 from tests.support.wings import ROOMS, WINGS, wing_of
 
@@ -207,6 +208,37 @@ def test_an_import_inside_a_function_says_why() -> None:
             if late and not any("#" in lines[n] for n in near):
                 silent.append(f"{name_of(path)}:{late[0].lineno}")
     assert silent == []
+
+
+@pytest.mark.parametrize("folder", ["swarmd", "patterns", "drivers", "sim"])
+def test_one_statement_assigns_one_thing(folder: str) -> None:
+    """Swaps, shifts and the unpacking of one value stay: see tests/support/packed.py."""
+    found = [
+        f"{name_of(path)}:{node.lineno} {ast.unparse(node)[:60]}"
+        for path in sources(folder)
+        for node in packed_assignments(tree_of(path))
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    ("code", "is_packed"),
+    [
+        ("a, b = 1, 2", True),
+        ("self.a, self.b = x, x + 1", True),
+        ("a = self.b = 0.0", True),
+        ("a = b = -INFINITY", True),
+        ("i, j = i + 1, j - 1", True),
+        ("a, b = b, a", False),
+        ("a, b = b, a + b", False),
+        ("v[i], v[j] = v[j], v[i]", False),
+        ("a, b = pair", False),
+        ("first, *rest = 1, 2, 3", False),
+        ("link = self._open = Link()", False),
+    ],
+)
+def test_what_counts_as_packed(code: str, is_packed: bool) -> None:
+    assert bool(list(packed_assignments(ast.parse(code)))) == is_packed
 
 
 def test_configuration_keys_do_not_grow() -> None:

@@ -155,7 +155,10 @@ class CrazyflieDriver:
 
     def __init__(self, robot: str, uri: str, platform: Platform, options: CrazyflieOptions) -> None:
         """Not connected yet."""
-        self._robot, self._uri, self._platform, self._options = robot, uri, platform, options
+        self._robot = robot
+        self._uri = uri
+        self._platform = platform
+        self._options = options
         height = options.height
         if height is None:
             heights = platform.heights
@@ -219,8 +222,10 @@ class CrazyflieDriver:
                     await asyncio.sleep(PERIOD)
         except TimeoutError:
             pass  # the findings name what is missing
-        supervisor, volts = self._supervisor, self._volts
-        decks, estimate = self._deck_fault(), self._estimate_fault(time.monotonic())
+        supervisor = self._supervisor
+        volts = self._volts
+        decks = self._deck_fault()
+        estimate = self._estimate_fault(time.monotonic())
         connecting.cancel()
         await asyncio.gather(connecting, return_exceptions=True)
         nothing = f"none from {self._uri}: {heard.text}"
@@ -258,7 +263,8 @@ class CrazyflieDriver:
         When cancelled, lands a drone that was commanded.
         """
         loop = asyncio.get_running_loop()
-        opened, lost = loop.create_future(), loop.create_future()
+        opened = loop.create_future()
+        lost = loop.create_future()
         self._forget()
         self._flight = Flight(self._rules)
 
@@ -349,9 +355,13 @@ class CrazyflieDriver:
         self._waiting: HoverSetpoint | None = None
         self._supervisor: int | None = None  # bits of the drone's supervisor, such as CAN_FLY
         self._volts = math.nan
-        self._supervisor_at = self._ranges_at = self._height_at = self._heard = -math.inf
+        self._supervisor_at = -math.inf
+        self._ranges_at = -math.inf
+        self._height_at = -math.inf
+        self._heard = -math.inf
         self._volts_low_since = math.inf
-        self._height, self._is_clear = 0.0, False
+        self._height = 0.0
+        self._is_clear = False
         self._speed = 0.0  # m/s, of the state estimate
         self._rests_since = math.inf  # the state estimate, on the floor
         self._decks: dict[str, float] = {}
@@ -407,11 +417,13 @@ class CrazyflieDriver:
             values[f"stateEstimate.{name}"] for name in ("x", "y", "z", "vx", "vy", "yaw")
         )
         yaw = wrap(math.radians(yaw_deg))
-        c, s = math.cos(yaw), math.sin(yaw)
+        c = math.cos(yaw)
+        s = math.sin(yaw)
         turn_rate = 1e-3 * values["stateEstimateZ.rateYaw"]
         twist = Twist(c * vx + s * vy, turn_rate, c * vy - s * vx)
         pose = Pose(x, y, yaw)
-        self._height, self._height_at = z, now
+        self._height = z
+        self._height_at = now
         self._speed = math.hypot(vx, vy)
         if self._speed > REST_SPEED or abs(z) > LANDED_HEIGHT:
             self._rests_since = math.inf
@@ -424,7 +436,8 @@ class CrazyflieDriver:
             self._sink.take(PoseInput(shared))
 
     def _take_status(self, values: Mapping[str, float], now: float) -> None:
-        self._supervisor, self._supervisor_at = int(values["supervisor.info"]), now
+        self._supervisor = int(values["supervisor.info"])
+        self._supervisor_at = now
         self._volts = values["pm.vbat"]
         if self._volts >= self._options.low_battery:
             self._volts_low_since = math.inf
@@ -531,7 +544,8 @@ class CrazyflieDriver:
             sending.exception()  # the callback of a lost link reports it
         if sending is not self._sending:  # of an earlier connection
             return
-        waiting, self._waiting = self._waiting, None
+        waiting = self._waiting
+        self._waiting = None
         if waiting is not None:
             self._sending = None
             self._put(waiting)

@@ -52,8 +52,11 @@ class CrtpRobots:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Open a port for each drone; raises as `EmulatorFactory` does."""
-        self._on_command, self._clock = on_command, clock
-        self.loss = self.delay = 0.0  # share of packets, and s
+        self._on_command = on_command
+        self._clock = clock
+        # share of packets, and s
+        self.loss = 0.0
+        self.delay = 0.0
         self.tells_status = True
         self._draw = random.Random(0)  # of lost packets
         self._lock = threading.RLock()
@@ -92,14 +95,16 @@ class CrtpRobots:
     def publish(self, robot: str, input: SensorInput) -> None:
         """Send the log blocks that hold this measurement; other kinds are ignored."""
         with self._lock:
-            drone, now = self._drones[robot], self._clock()
+            drone = self._drones[robot]
+            now = self._clock()
             if isinstance(input, ScanInput):
                 ranges = dict(zip(SENSORS, input.scan.ranges.tolist(), strict=True))
                 drone.firmware.set_ranges(ranges)
                 drone.stamp = input.scan.stamp
                 self._log(drone, ("range.",), now)
             elif isinstance(input, OdometryInput):
-                drone.stamp, drone.odometry = input.odometry.stamp, input.odometry.pose
+                drone.stamp = input.odometry.stamp
+                drone.odometry = input.odometry.pose
                 if drone.frame is not None:
                     pose = _moved(drone.frame, drone.odometry)
                     drone.firmware.set_state(pose, input.odometry.twist)
@@ -216,7 +221,9 @@ class _Drone:
     """
 
     def __init__(self, robot: str, link: socket.socket, *, is_posed: bool) -> None:
-        self.robot, self.link, self.is_posed = robot, link, is_posed
+        self.robot = robot
+        self.link = link
+        self.is_posed = is_posed
         self.frame = None if is_posed else Pose()
         host, port = link.getsockname()
         self.uri = f"udp://{host}:{port}"
@@ -239,14 +246,18 @@ def _address(endpoint: str) -> tuple[str, int]:
 
 def _moved(frame: Pose, pose: Pose) -> Pose:
     """A pose of the odometry's frame in the frame of which `frame` is the origin of odometry."""
-    c, s = math.cos(frame.yaw), math.sin(frame.yaw)
-    x, y = frame.x + c * pose.x - s * pose.y, frame.y + s * pose.x + c * pose.y
+    c = math.cos(frame.yaw)
+    s = math.sin(frame.yaw)
+    x = frame.x + c * pose.x - s * pose.y
+    y = frame.y + s * pose.x + c * pose.y
     return Pose(x, y, wrap(frame.yaw + pose.yaw))
 
 
 def _frame(shared: Pose, odometry: Pose) -> Pose:
     """The origin of odometry in the shared frame, from one pose in both frames."""
     yaw = wrap(shared.yaw - odometry.yaw)
-    c, s = math.cos(yaw), math.sin(yaw)
-    x, y = odometry.x, odometry.y
+    c = math.cos(yaw)
+    s = math.sin(yaw)
+    x = odometry.x
+    y = odometry.y
     return Pose(shared.x - c * x + s * y, shared.y - s * x - c * y, yaw)

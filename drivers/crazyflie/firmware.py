@@ -22,7 +22,8 @@ from enum import IntEnum
 from swarmd.core.values import ZERO, Pose, Twist
 from swarmd.drivers.crazyflie.link import CAN_BE_ARMED, CAN_FLY, IS_ARMED, IS_FLYING
 
-LEVEL_TIMEOUT, OFF_TIMEOUT = 0.5, 2.0
+LEVEL_TIMEOUT = 0.5
+OFF_TIMEOUT = 2.0
 """s without a set-point until the drone levels, and until its motors stop."""
 NO_RETURN = 32767
 """mm: the range of a sensor without a return; cflib takes 8000 and more for none."""
@@ -70,13 +71,24 @@ _LOG_VARIABLES = {
 _PARAMETERS = ("deck.bcFlow2", "deck.bcMultiranger")
 _READ_ONLY_BYTE = 0x48  # the type of both parameters
 # Checksums of the tables of contents: any numbers, by which cflib finds a table in its cache.
-_LOG_CHECKSUM, _PARAMETER_CHECKSUM = 0x10C, 0x9A6
-_TOC_INFO, _TOC_ITEM = 3, 2
-_CREATE, _APPEND, _DELETE, _START, _STOP, _RESET = 6, 7, 2, 3, 4, 5
-_HOVER, _MOTORS_STOP = 10, 0
-_END_PRECEDENCE, _LAND = 0, 8
-_GET_PROTOCOL, _COUNT_MEMORIES = 0, 1
-_GET_STATE, _IS_ANSWER = 0x0C, 0x80
+_LOG_CHECKSUM = 0x10C
+_PARAMETER_CHECKSUM = 0x9A6
+_TOC_INFO = 3
+_TOC_ITEM = 2
+_CREATE = 6
+_APPEND = 7
+_DELETE = 2
+_START = 3
+_STOP = 4
+_RESET = 5
+_HOVER = 10
+_MOTORS_STOP = 0
+_END_PRECEDENCE = 0
+_LAND = 8
+_GET_PROTOCOL = 0
+_COUNT_MEMORIES = 1
+_GET_STATE = 0x0C
+_IS_ANSWER = 0x80
 _NO_SUCH_BLOCK = 2  # ENOENT
 
 
@@ -93,14 +105,17 @@ class Firmware:
     """One emulated drone. `twist`: the command in force; `height` in m."""
 
     def __init__(self) -> None:
-        self.twist, self.height = ZERO, 0.0
+        self.twist = ZERO
+        self.height = 0.0
         self.dropped = 0
         self.command_count = 0  # set-points that were read
         self.faults = 0  # bits of IS_TUMBLED, IS_LOCKED, IS_CRASHED
         self.decks = dict.fromkeys(_PARAMETERS, 1)  # 0: the deck was not found
         self.is_armed = True  # a brushed Crazyflie arms itself, a brushless one does not
         self._target = 0.0  # m; 0: the motors are off
-        self._commanded_at = self._thrust_at = self._now = -math.inf
+        self._commanded_at = -math.inf
+        self._thrust_at = -math.inf
+        self._now = -math.inf
         self._is_free = True  # no set-point has precedence over what the drone does by itself
         self._own_rate = 0.0  # m/s of its own landing; 0: none
         self._blocks: dict[int, _Block] = {}
@@ -122,7 +137,8 @@ class Firmware:
 
     def set_state(self, pose: Pose, twist: Twist) -> None:
         """Set the state estimate: pose in m and rad, velocities in the drone's frame."""
-        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+        c = math.cos(pose.yaw)
+        s = math.sin(pose.yaw)
         self._values |= {
             "stateEstimate.x": pose.x,
             "stateEstimate.y": pose.y,
@@ -147,7 +163,8 @@ class Firmware:
         if silence > LEVEL_TIMEOUT:
             self.twist = ZERO
         if silence > OFF_TIMEOUT or self.faults:
-            self._target, self.twist = 0.0, ZERO
+            self._target = 0.0
+            self.twist = ZERO
             self._thrust_at = -math.inf  # the supervisor has left its state of flight
         if self.has_motors_on:
             self._thrust_at = now
@@ -161,7 +178,9 @@ class Firmware:
         if not data:
             return []
         # The header: the port in the upper four bits, the channel in the lower two.
-        port, channel, payload = data[0] >> 4, data[0] & 3, data[1:]
+        port = data[0] >> 4
+        channel = data[0] & 3
+        payload = data[1:]
         if data[0] == 0xFF:  # the null packet
             return [data]
         try:
@@ -253,14 +272,19 @@ class Firmware:
                 raise ValueError("a set-point that is not finite")
             self.command_count += 1
             if not self.faults and self.is_armed:
-                self.twist, self._target, self._commanded_at = twist, height, now
+                self.twist = twist
+                self._target = height
+                self._commanded_at = now
 
     def _stop_motors(self, now: float) -> None:
         self.command_count += 1
-        self.twist, self._target, self._commanded_at = ZERO, 0.0, now
+        self.twist = ZERO
+        self._target = 0.0
+        self._commanded_at = now
 
     def _log_command(self, payload: bytes) -> bytes:
-        command, status = payload[0], 0
+        command = payload[0]
+        status = 0
         if command == _RESET:
             self._blocks.clear()
             return bytes([command, 0, status])

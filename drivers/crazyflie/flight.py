@@ -128,8 +128,12 @@ class Flight:
         self._has_rested = False  # the daemon commanded no flight since the last landing
         self._has_stood = False  # the firmware reported no flight since the last landing
         self._target = 0.0  # set-point of the height
-        self._now = self._wanted_at = self._deadline = -math.inf
-        self._heard_at = self._low_at = -math.inf  # the supervisor; a drone that is not in the air
+        self._now = -math.inf
+        self._wanted_at = -math.inf
+        self._deadline = -math.inf
+        # the supervisor; a drone that is not in the air
+        self._heard_at = -math.inf
+        self._low_at = -math.inf
 
     @property
     def descent_time(self) -> float:
@@ -179,7 +183,9 @@ class Flight:
         obstacle = _take_off_obstacle(seen) if self._has_rested else "waits for the next run"
         self.text = obstacle and f"does not take off: {obstacle}"
         if not obstacle:
-            self.phase, self._target, self._has_rested = Phase.TAKE_OFF, TOUCH_HEIGHT, False
+            self.phase = Phase.TAKE_OFF
+            self._target = TOUCH_HEIGHT
+            self._has_rested = False
 
     def _in_take_off(self, wish: Wish, seen: Seen, passed: float) -> None:
         cause = _landing_cause(wish, seen)
@@ -195,7 +201,8 @@ class Flight:
             self._target = min(self._target + rise, self._rules.height)
             self._deadline = self._now + CLIMB_RESERVE
         elif seen.height is not None and seen.height >= _REACHED * self._rules.height:
-            self.phase, self._wanted_at = Phase.FLIGHT, self._now
+            self.phase = Phase.FLIGHT
+            self._wanted_at = self._now
         elif self._now >= self._deadline:
             self._land(_TOO_LOW, self._target)
 
@@ -223,14 +230,18 @@ class Flight:
             self._end(self.text)
 
     def _land(self, cause: str, height: float) -> None:
-        self.phase, self.text = Phase.LANDING, cause
+        self.phase = Phase.LANDING
+        self.text = cause
         self._target = min(max(height, TOUCH_HEIGHT), self._rules.height)
         self._deadline = self._now + LANDING_RESERVE
 
     def _end(self, text: str) -> None:
-        self.phase, self.text = Phase.GROUND, text
-        self._has_rested = self._has_stood = False
-        self._target, self._low_at = 0.0, self._now
+        self.phase = Phase.GROUND
+        self.text = text
+        self._has_rested = False
+        self._has_stood = False
+        self._target = 0.0
+        self._low_at = self._now
 
 
 def _take_off_obstacle(seen: Seen) -> str:

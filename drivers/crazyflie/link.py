@@ -28,8 +28,13 @@ from typing import Any
 
 from swarmd.drivers.crazyflie.flight import HoverSetpoint
 
-CAN_BE_ARMED, IS_ARMED = 1 << 0, 1 << 1
-CAN_FLY, IS_FLYING, IS_TUMBLED, IS_LOCKED, IS_CRASHED = 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
+CAN_BE_ARMED = 1 << 0
+IS_ARMED = 1 << 1
+CAN_FLY = 1 << 3
+IS_FLYING = 1 << 4
+IS_TUMBLED = 1 << 5
+IS_LOCKED = 1 << 6
+IS_CRASHED = 1 << 7
 """Bits of `supervisor.info` (cflib, crazyflie/supervisor.py)."""
 
 MISSING = "driver crazyflie needs cflib; expected: pip install 'swarmd[crazyflie]'"
@@ -87,7 +92,9 @@ class DroneLink:
         logging.getLogger("cflib").setLevel(logging.CRITICAL)  # the driver tells what matters
         if not cflib.crtp.CLASSES:
             cflib.crtp.init_drivers()
-        self._uri, self._on_lost, self._on_data = uri, on_lost, on_data
+        self._uri = uri
+        self._on_lost = on_lost
+        self._on_data = on_data
         self._drone: Any = Crazyflie()
         self._drone._link_error_cb = lambda text: on_lost(_first_line(text))
         self._drone.link_statistics.start = lambda: None
@@ -125,7 +132,8 @@ class DroneLink:
 
     def close(self) -> None:
         """End the connection and its threads; sends nothing."""
-        link, self._drone.link = self._drone.link, None
+        link = self._drone.link
+        self._drone.link = None
         if link is not None:
             link.close()
         for timer in list(self._drone._answer_patterns.values()):  # else sent again

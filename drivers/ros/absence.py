@@ -23,7 +23,8 @@ def why_absent(message: Any, field: str, value: float = math.nan) -> str:
     `field`: names and indices separated by dots, such as `vector.x` or `data.0`. `value`: the value
     of the field; NaN if the field is no number.
     """
-    node, parts = message, field.split(".")
+    node = message
+    parts = field.split(".")
     for index, part in enumerate(parts):
         name = getattr(node, "__msgtype__", "").rpartition("/")[2]
         for kinds, rule in _RULES:
@@ -94,7 +95,8 @@ def _box(message: Any, field: str, value: float) -> str:
         is_empty = not any(part.x or part.y for part in parts)
     else:
         box = message.bbox
-        at, size = getattr(box.center, "position", box.center), getattr(box, "size", None)
+        at = getattr(box.center, "position", box.center)
+        size = getattr(box, "size", None)
         sides = (box.size_x, box.size_y) if size is None else (size.x, size.y, size.z)
         is_empty = not any((at.x, at.y, getattr(at, "z", 0.0), *sides))
     return "its box is all 0: it has no place" if is_empty else ""

@@ -22,10 +22,14 @@ from swarmd.protection.settings import ODOMETRY_SHARE
 HISTORY = 200  # readings of odometry, which reach back for 3 s at any rate: the delay of a pose
 SPACING = 0.015  # s between two kept readings: one that comes sooner replaces the newest
 SILENCE = 0.25  # s without a pose before odometry carries it; a faster source is never carried
-MAX_WAY, MAX_TURN = 2.0, math.tau  # m and rad without a pose: the localisation has ended
+# m and rad without a pose: the localisation has ended
+MAX_WAY = 2.0
+MAX_TURN = math.tau
 MAX_GAP = 0.5  # s of a gap between two readings in which the twist explains motion
 SHIFT = 0.1, 0.2  # m and rad between two readings that are motion, beside 1.5 times the twist
-UNSEEN_WAY, UNSEEN_TURN = 0.25, 0.2  # m and rad without a pose before the driver has started
+# m and rad without a pose before the driver has started
+UNSEEN_WAY = 0.25
+UNSEEN_TURN = 0.2
 _NOISE = 0.01, 0.02  # m and rad: less motion is noise of odometry at rest
 
 
@@ -56,7 +60,8 @@ class CarriedPose:
 
     def forget(self) -> None:
         """The localisation has ended, or tells that it is lost."""
-        self._anchor = self._kept = None
+        self._anchor = None
+        self._kept = None
         self._begins = False
 
     def on_pose(self, pose: SharedPose) -> None:
@@ -83,7 +88,8 @@ class CarriedPose:
         last = self._readings[-1] if self._readings else _Reading(odometry, odometry.pose)
         if _begins_anew(odometry, last.odometry):
             self._readings.clear()
-            self._anchor, last = None, _Reading(odometry, odometry.pose)
+            self._anchor = None
+            last = _Reading(odometry, odometry.pose)
         way = math.dist((odometry.pose.x, odometry.pose.y), (last.mark.x, last.mark.y))
         turn = abs(math.remainder(odometry.pose.yaw - last.mark.yaw, math.tau))
         reading = (
@@ -92,20 +98,25 @@ class CarriedPose:
             else last._replace(odometry=odometry)
         )
         if len(self._readings) > 1:
-            before, newest = self._readings[-2], self._readings[-1]
+            before = self._readings[-2]
+            newest = self._readings[-1]
             if newest.odometry.stamp - before.odometry.stamp < SPACING:
                 self._readings.pop()
         self._readings.append(reading)
         if self._kept is not None:
-            self._anchor, self._kept, self._begins = (self._kept, reading), None, False
+            self._anchor = (self._kept, reading)
+            self._kept = None
+            self._begins = False
         return self._carried(reading)
 
     def _carried(self, reading: _Reading) -> tuple[PoseInput, ...]:
         if self._anchor is None:
             return ()
         pose, at = self._anchor
-        here, there = reading.odometry, at.odometry
-        way, turned = reading.way - at.way, reading.turned - at.turned
+        here = reading.odometry
+        there = at.odometry
+        way = reading.way - at.way
+        turned = reading.turned - at.turned
         if way > MAX_WAY or turned > MAX_TURN or here.stamp - there.stamp < SILENCE:
             return ()
         yaw_error = min(pose.yaw_error + ODOMETRY_SHARE * turned, math.pi)

@@ -38,12 +38,14 @@ WAKE_TIME = 12.0
 
 A lidar spins up within 4 to 8 s (`auto_standby` of a TurtleBot 4).
 """
-MAX_RATE, MIN_GAPS = 1.5, 7
+MAX_RATE = 1.5
+MIN_GAPS = 7
 """More than MAX_RATE times the declared rate of scans means two publishers; over MIN_GAPS gaps."""
 
 _MAX_LISTED = 4
 # The clock of the stamps to real time; arrivals of a second scatter by less.
-_LEAST_CLOCK_RATIO, _MAX_CLOCK_RATIO = 0.8, 1.25
+_LEAST_CLOCK_RATIO = 0.8
+_MAX_CLOCK_RATIO = 1.25
 _COMMAND_OPTIONS = {"Twist": "cmd_vel_type: twist", "TwistStamped": "cmd_vel_type: twist_stamped"}
 
 
@@ -104,7 +106,8 @@ class Graph:
         type, a topic that the hub (bridge, router or ROS master) does not pass on, another ROS
         domain, no node that publishes the topic.
         """
-        topic, wanted_type = stats.topic, self.middleware.type_name(stats.message_type)
+        topic = stats.topic
+        wanted_type = self.middleware.type_name(stats.message_type)
         publishers = self._in_domain(is_publisher=True)
         types = sorted({end.type for end in publishers if end.topic == topic})
         if wanted_type in types and stats.is_never_stale:  # published on change only
@@ -126,7 +129,8 @@ class Graph:
         If no domain has the topic, and this domain has no topics at all, the text names all domains
         with topics, since the option `domain` may be wrong.
         """
-        middleware, topic = self.middleware, stats.topic
+        middleware = self.middleware
+        topic = stats.topic
         wanted = (topic, middleware.type_name(stats.message_type))
         announced = [end for end in self.endpoints if end.is_publisher and end.is_routed]
         domains = _domains(announced)
@@ -147,7 +151,8 @@ class Graph:
 
     def _missing(self, stats: TopicStats, publishers: Collection[Endpoint]) -> str:
         """Why no node publishes the topic; `publishers`: of all other topics of the domain."""
-        topic, option = stats.topic, f"driver_options.{stats.option}"
+        topic = stats.topic
+        option = f"driver_options.{stats.option}"
         if stats.count:
             return f"no {topic} any more, which was heard before; start its node again"
         wanted_type = self.middleware.type_name(stats.message_type)
@@ -253,7 +258,8 @@ class Graph:
         The first sign that applies: several announced nodes, several bridges, stamps that go back,
         or messages that come too often for `spec.rate`.
         """
-        topic, publishers = stats.topic, self.publishers(stats.topic)
+        topic = stats.topic
+        publishers = self.publishers(stats.topic)
         if not stats.is_needed:
             return ""
         # Of two announced nodes with one name, one may have crashed. Messages that come too often
@@ -358,7 +364,8 @@ class Graph:
     def _no_base(self, topic: str) -> str:
         """The text for a topic of commands without a subscriber, with proposals of other topics."""
         here = self._in_domain(is_publisher=False)
-        spaces, option = self._namespaces(), "driver_options.cmd_vel"
+        spaces = self._namespaces()
+        option = "driver_options.cmd_vel"
         candidates = spaces.candidates(
             {end.topic for end in here if _short(end.type) in _COMMAND_OPTIONS}
         )
@@ -437,7 +444,8 @@ class Graph:
         )
         if not names:
             return ""
-        does, hub = "publishes" if is_publisher else "takes", self.middleware.hub
+        does = "publishes" if is_publisher else "takes"
+        hub = self.middleware.hub
         return (
             f"{listed(names)} {does} {topic}, but {hub} does not hand it on: start that again, or"
             " look at what it allows"
@@ -452,7 +460,8 @@ class Graph:
         ends = [end for end in self.nodeless if end.topic == topic]
         if not any(end.is_publisher is is_publisher for end in ends):
             return ""
-        does, hub = "publishes" if is_publisher else "takes", self.middleware.hub
+        does = "publishes" if is_publisher else "takes"
+        hub = self.middleware.hub
         return (
             f"a ROS process {does} {topic} in DDS, but {hub} cannot read its node: it has another"
             f" ROS distribution than ROS_DISTRO of {hub}; run all nodes and {hub} with Humble or"
@@ -525,7 +534,8 @@ def incomplete(stats: TopicStats, content: ScanContent) -> str:
 
 def too_slow(stats: TopicStats, content: ScanContent) -> str:
     """Why scans come too rarely for the platform; empty if they do not."""
-    rate, spec = stats.rate(), content.spec
+    rate = stats.rate()
+    spec = content.spec
     if not 0.0 < rate * spec.slowest_period < 1.0:
         return ""
     text = (
@@ -570,7 +580,8 @@ def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
     The time span of the scans is measured by arrivals and by stamps, and the longer span counts.
     Delayed messages of one sensor may arrive together, but their stamps keep the rate.
     """
-    (by_stamp, by_clock), gaps = stats.elapsed(), len(stats.times) - 1
+    (by_stamp, by_clock) = stats.elapsed()
+    gaps = len(stats.times) - 1
     most = MAX_RATE * spec.rate * max(by_stamp, by_clock)
     if stats.option != "scan" or gaps < MIN_GAPS or by_stamp <= 0.0 or gaps <= most:
         return ""
@@ -743,7 +754,8 @@ class DriverCheck:
 
     def _topic(self, stats: TopicStats, *, is_entry: bool = False) -> Finding:
         """The finding of a topic; `is_entry`: for an entry (topic_entries.py) that shares it."""
-        fault, goes_stale = self._fault(stats), stats.has_only_entries or is_entry
+        fault = self._fault(stats)
+        goes_stale = stats.has_only_entries or is_entry
         if fault:
             # A silent topic is no fault of a robot that does not need it, unless an entry reads it.
             is_fault = stats.is_needed or goes_stale or stats.count or stats.faults

@@ -66,7 +66,8 @@ class ForeignCommands:
         self.counts: Counter[str] = Counter()
         self._ignored = self.topics[:1] if is_cmd_vel_shared else ()
         self._until: dict[str, float] = {}  # by topic: when its node no longer counts as driving
-        self._zeros_from = self._zero_at = -math.inf
+        self._zeros_from = -math.inf
+        self._zero_at = -math.inf
 
     def take_command(self, topic: str, payload: bytes, types: Collection[str], now: float) -> bool:
         """Count a command of another node; False for zero, which does not move the base.

@@ -72,7 +72,9 @@ def scan_of(
         yaw: rad, the bearing of the sensor's angle 0.
         is_upside_down: the angles of the sensor rise clockwise.
     """
-    count, first, step = len(message.ranges), message.angle_min, message.angle_increment
+    count = len(message.ranges)
+    first = message.angle_min
+    step = message.angle_increment
     span = step * max(count - 1, 0)
     if count > MAX_RAYS:
         raise CodecError(f"{count} rays; expected at most {MAX_RAYS}")
@@ -97,8 +99,10 @@ def header_fault(message: ros.LaserScan) -> str:
     Some drivers set `angle_max` to the angle of the last ray, others to one increment more, and the
     increment is rounded. A value of 0 means that the driver does not set `angle_max`.
     """
-    count, step = len(message.ranges), message.angle_increment
-    first, last = message.angle_min, message.angle_max
+    count = len(message.ranges)
+    step = message.angle_increment
+    first = message.angle_min
+    last = message.angle_max
     if count == 0 or last == 0.0:
         return ""
     span = step * (count - 1)
@@ -170,7 +174,8 @@ def _claimed_sweep(
     message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool
 ) -> _Sweep | None:
     """The sweep that `time_increment` of a message claims; None if it is 0 or impossible."""
-    step, count = message.time_increment, len(message.ranges)
+    step = message.time_increment
+    count = len(message.ranges)
     if _ages(step, count, 1.0 / spec.rate) is None:
         return None
     # Does the bearing (counter-clockwise from above) rise with time? A negative step of time, a
@@ -188,8 +193,10 @@ def odometry_of(message: ros.Odometry) -> Odometry:
     """
     if lacks := why_absent(message, "pose.pose") or why_absent(message, "twist.twist"):
         raise CodecError(lacks)
-    position, orientation = message.pose.pose.position, message.pose.pose.orientation
-    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    position = message.pose.pose.position
+    orientation = message.pose.pose.orientation
+    linear = message.twist.twist.linear
+    angular = message.twist.twist.angular
     pose = Pose(position.x, position.y, level_yaw_of(orientation))
     twist = Twist(linear.x, angular.z, linear.y)
     odometry = Odometry(stamp_of(message.header.stamp), pose, twist)
@@ -214,8 +221,11 @@ def shared_pose_of(
     """
     pose: Any = message.pose
     if hasattr(pose, "covariance"):
-        covariance, pose = np.reshape(pose.covariance, (6, 6)), pose.pose  # x y z roll pitch yaw
-        plane, yaw_variance = covariance[:2, :2], float(covariance[5, 5])
+        # x y z roll pitch yaw
+        covariance = np.reshape(pose.covariance, (6, 6))
+        pose = pose.pose
+        plane = covariance[:2, :2]
+        yaw_variance = float(covariance[5, 5])
         if not (np.isfinite(plane).all() and 0.0 <= yaw_variance < math.inf):
             raise CodecError("the covariance is not finite, or negative")
         # Variances in m2 along the main axes; a covariance is symmetric but for rounding.
@@ -289,7 +299,8 @@ def battery_readings(
     `percentage` names its unit: `share` (0 to 1, as sensor_msgs defines) or `percent`, as some
     drivers send. A value that is impossible in this unit is left out.
     """
-    voltage, share = message.voltage, math.nan
+    voltage = message.voltage
+    share = math.nan
     if not 0.0 <= voltage < math.inf or why_absent(message, "voltage", voltage):
         voltage = math.nan
     if volts is not None:
@@ -305,9 +316,11 @@ def no_battery(
     message: ros.BatteryState, volts: tuple[float, float] | None, percentage: str | None
 ) -> str:
     """Why a message gives no `battery`."""
-    field, value = "percentage", message.percentage
+    field = "percentage"
+    value = message.percentage
     if volts is not None:
-        field, value = "voltage", message.voltage
+        field = "voltage"
+        value = message.voltage
     if lacks := why_absent(message, field, value):
         return f"no battery: {lacks}"
     if volts is not None:
@@ -362,8 +375,10 @@ class RangeRingDecoder:
     ) -> None:
         self._bearings = _wrapped(np.array(bearings, dtype=np.float64))
         self._at_once = np.zeros(len(self._bearings))
-        self._bearings.flags.writeable = self._at_once.flags.writeable = False
-        self._distances, self._spec = tuple(distances), spec
+        self._bearings.flags.writeable = False
+        self._at_once.flags.writeable = False
+        self._distances = tuple(distances)
+        self._spec = spec
         self._round: dict[int, ros.Range] = {}
         self._stamps: dict[int, float] = {}
         self._seq = 0

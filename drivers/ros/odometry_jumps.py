@@ -29,10 +29,12 @@ class OdometryJumps:
 
         A reading with an earlier stamp than the last one begins anew: `TopicStats` tells of it.
         """
-        last, self._last = self._last, odometry
+        last = self._last
+        self._last = odometry
         if last is not None and odometry.stamp >= last.stamp:
             seconds = odometry.stamp - last.stamp
-            here, there = odometry.pose, last.pose
+            here = odometry.pose
+            there = last.pose
             way = math.dist((here.x, here.y), (there.x, there.y))
             turn = abs(math.remainder(here.yaw - there.yaw, math.tau))
             if max(way, turn) > MAX_STEP + MAX_SPEED * seconds:

@@ -30,7 +30,8 @@ from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 DEFAULT_MASTER = "http://127.0.0.1:11311"
-MAX_BEARING, MAX_OFFSET = 360.0, 10.0
+MAX_BEARING = 360.0
+MAX_OFFSET = 10.0
 """Bounds of a range sensor's place in `ranges`: degrees, and m from the scan's origin."""
 
 MAX_VOLTS = 1000.0
@@ -151,7 +152,8 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return {option: self._entries_of(option) for option in ENTRY_KINDS}
 
     def _entries_of(self, option: str) -> dict[str, TopicEntry]:
-        given, entries = getattr(self, option), dict[str, TopicEntry]()
+        given = getattr(self, option)
+        entries = dict[str, TopicEntry]()
         for name, options in given.items():
             for entry in ENTRY_KINDS[option].read(name, options, self.topic, self.message_types):
                 if entry.name in entries or (entry.name != name and entry.name in given):

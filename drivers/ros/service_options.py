@@ -13,7 +13,8 @@ from swarmd.core.errors import ConfigError
 from swarmd.driver_api.command_source import DeclaredRun, DriverCommand
 
 MAX_RUNS = 32
-RESET, RUN = "swarmd/reset", "swarmd/run"
+RESET = "swarmd/reset"
+RUN = "swarmd/run"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 

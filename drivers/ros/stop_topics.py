@@ -18,7 +18,8 @@ from swarmd.driver_api.command_source import DriverCommand, TakeCommand
 from swarmd.drivers.ros.messages import Empty, String
 from swarmd.drivers.ros.options import TopicOptions
 
-CALL_RATE, CALL_BURST = 10.0, 10.0
+CALL_RATE = 10.0
+CALL_BURST = 10.0
 """Stops per second of one topic, or calls of one service, and at once; others are dropped."""
 MAX_REASON = 200
 """Characters of the reason of an emergency stop."""

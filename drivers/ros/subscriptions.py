@@ -50,7 +50,8 @@ class Subscriptions:
         self, options: TopicOptions, platform: Platform, decode: Decode = cdr.decode
     ) -> None:
         """Start without a message; `decode` reads the bytes of a message of a class."""
-        self._decode, self._spec = decode, platform.scan
+        self._decode = decode
+        self._spec = platform.scan
         self._yaw = math.radians(options.scan_yaw_deg)
         self._is_upside_down = options.scan_upside_down
         self._pose_errors = options.shared_pose_error, math.radians(options.shared_pose_error_deg)
@@ -79,9 +80,11 @@ class Subscriptions:
         The section `ranges` of the platform describes a ring beside a lidar. Without this section
         the ring takes the place of the lidar, and the section `scan` describes the ring.
         """
-        ring_spec, section = platform.ranges, "ranges"
+        ring_spec = platform.ranges
+        section = "ranges"
         if ring_spec is None:
-            ring_spec, section = platform.scan, "scan"
+            ring_spec = platform.scan
+            section = "scan"
         if options.ranges:
             self.contents["ranges"] = ScanContent(ring_spec, section)
         ring = options.ring()  # name, bearing in rad and distance in m of each sensor
@@ -248,7 +251,8 @@ class Subscriptions:
                 self._carried_pose.on_pose(pose)
             return partial(_deliver, (PoseInput(pose),)), f"frame {pose.frame}"
         if stats.message_type is messages.Imu:
-            values, missing = self._take_imu(message), from_ros.no_yaw(message)
+            values = self._take_imu(message)
+            missing = from_ros.no_yaw(message)
         else:
             values = from_ros.battery_readings(message, *self._battery)
             self._readings.take_own(BATTERY, values)

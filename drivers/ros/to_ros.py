@@ -33,7 +33,8 @@ _MAX_MISMATCH = math.radians(0.5)
 _MIN_RANGE = 0.001
 _NO_INTENSITIES = np.empty(0, dtype=np.float32)
 _UNKNOWN = np.zeros(36)
-_POINT, _FAMILY = "apriltag_msgs/Point", "tag36h11"
+_POINT = "apriltag_msgs/Point"
+_FAMILY = "tag36h11"
 _MAX_DIGITS = 9  # of an int32
 _CORNERS = (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)  # of a tag, in its sides
 
@@ -59,7 +60,8 @@ class InputEncoder(Protocol):
 class LaserScanEncoder:
     """Scans as a LaserScan: angle_min of the first ray, and one increment."""
 
-    is_reliable, depth = False, 5
+    is_reliable = False
+    depth = 5
 
     def __init__(self, options: RosOptions, platform: Platform) -> None:
         """ConfigError if the platform's rays are not evenly spread."""
@@ -67,11 +69,13 @@ class LaserScanEncoder:
         self.topics = ((options.topic(options.scan_topic), ros.LaserScan),)
         first, step = _evenly(platform)
         side = -1.0 if options.scan_upside_down else 1.0
-        self._first, self._step = side * (first - math.radians(options.scan_yaw_deg)), side * step
+        self._first = side * (first - math.radians(options.scan_yaw_deg))
+        self._step = side * step
 
     def encode(self, scan: Scan, stamp: float = 0.0) -> tuple[object, ...]:
         """The message, for the one topic."""
-        count, spec = len(scan.ranges), self._spec
+        count = len(scan.ranges)
+        spec = self._spec
         message = ros.LaserScan(
             header=header(scan.stamp, "base_scan"),
             angle_min=self._first,
@@ -90,7 +94,8 @@ class LaserScanEncoder:
 class RangeRingEncoder:
     """Scans of a few rays as one Range a ray, each with a topic of its own."""
 
-    is_reliable, depth = False, 5
+    is_reliable = False
+    depth = 5
 
     def __init__(self, options: RosOptions, platform: Platform) -> None:
         """ConfigError if a sensor of `ranges` points where the platform has no ray."""
@@ -123,7 +128,8 @@ class RangeRingEncoder:
 class OdometryEncoder:
     """Odometry on its topic."""
 
-    is_reliable, depth = True, 10
+    is_reliable = True
+    depth = 10
 
     def __init__(self, options: RosOptions) -> None:
         self.topics = ((options.topic(options.odometry), ros.Odometry),)
@@ -136,10 +142,12 @@ class OdometryEncoder:
 class ReadingEncoder:
     """A reading as a Float64, by the name of an entry of `readings`."""
 
-    is_reliable, depth = False, 1
+    is_reliable = False
+    depth = 1
 
     def __init__(self, entry: TopicEntry) -> None:
-        self._name, self.topics = entry.name, ((entry.topic, entry.message_type),)
+        self._name = entry.name
+        self.topics = ((entry.topic, entry.message_type),)
 
     def encode(self, readings: Mapping[str, float], stamp: float) -> tuple[object | None]:
         """The message, None if there is no such reading."""
@@ -154,12 +162,16 @@ class TagEncoder:
     the tag's number is the number at the end of the object's name, such as 2 of `tb4-02`.
     """
 
-    is_reliable, depth = True, 1
+    is_reliable = True
+    depth = 1
 
     def __init__(self, options: RosOptions, entry: TopicDetections) -> None:
-        self.option, self.topics = entry.option, ((entry.topic, entry.message_type),)
-        self._entry, types = entry, options.message_types
-        self._tag, self._point = types.kind(f"{TAGS}Detection"), types.kind(_POINT)
+        self.option = entry.option
+        self.topics = ((entry.topic, entry.message_type),)
+        self._entry = entry
+        types = options.message_types
+        self._tag = types.kind(f"{TAGS}Detection")
+        self._point = types.kind(_POINT)
         self._keys = {kind: key for key, kind in reversed(entry.options.kinds.items())}
 
     def encode(self, found: Sequence[Detection] | None, stamp: float) -> tuple[object]:
@@ -168,7 +180,8 @@ class TagEncoder:
         return (self._entry.message_type(header=header(stamp, "camera"), detections=tags),)
 
     def _tags(self, seen: Detection) -> Iterator[object]:
-        key, place = self._keys.get(seen.kind), self._entry.pixels(seen)
+        key = self._keys.get(seen.kind)
+        place = self._entry.pixels(seen)
         if key is None or place is None:
             return
         across, side = place
@@ -236,7 +249,8 @@ def _time_increment(scan: Scan) -> float:
 
 def odometry_message(odometry: Odometry, child: str = "base_footprint") -> ros.Odometry:
     """Pose in frame `odom` and twist in that of the base."""
-    pose, twist = odometry.pose, odometry.twist
+    pose = odometry.pose
+    twist = odometry.twist
     return ros.Odometry(
         header=header(odometry.stamp, "odom"),
         child_frame_id=child,
@@ -264,7 +278,8 @@ def pose_message(pose: Pose) -> ros.Pose:
 def _evenly(platform: Platform) -> tuple[float, float]:
     """The first bearing and the step, in rad."""
     bearings = np.unwrap(platform.scan.bearings)
-    first, count = float(bearings[0]), len(bearings)
+    first = float(bearings[0])
+    count = len(bearings)
     step = (float(bearings[-1]) - first) / (count - 1) if count > 1 else 0.0
     off: Array = np.abs(bearings - (first + step * np.arange(count)))
     if off.max() > _MAX_UNEVENNESS:

@@ -119,8 +119,10 @@ class TopicDetections(TopicEntry):
         bearing += math.radians(self.options.bearing_deg)
         if distance is not None:
             x, y = self.options.at
-            x, y = x + distance * math.cos(bearing), y + distance * math.sin(bearing)
-            bearing, distance = math.atan2(y, x), math.hypot(x, y)
+            x = x + distance * math.cos(bearing)
+            y = y + distance * math.sin(bearing)
+            bearing = math.atan2(y, x)
+            distance = math.hypot(x, y)
         own = self._word(item, self.id)
         given = self._word(item, self.kind)
         kinds = self.options.kinds
@@ -145,7 +147,8 @@ class TopicDetections(TopicEntry):
         if not math.isfinite(place.x):
             return math.nan, None
         bearing = math.atan2(0.5 * width - place.x, focal)
-        pixels, size = self._pixels(item), self.options.size
+        pixels = self._pixels(item)
+        size = self.options.size
         if size is None or not 0.0 < pixels < math.inf:
             return bearing, None
         return bearing, focal * size / pixels / math.cos(bearing)
@@ -173,7 +176,8 @@ class TopicDetections(TopicEntry):
         x = seen.distance * math.cos(seen.bearing) - camera_x
         y = seen.distance * math.sin(seen.bearing) - camera_y
         bearing = wrap(math.atan2(y, x) - math.radians(self.options.bearing_deg))
-        width, view = self.options.image_width or 1.0, self.options.field_of_view_deg or 90.0
+        width = self.options.image_width or 1.0
+        view = self.options.field_of_view_deg or 90.0
         if abs(bearing) > math.radians(0.5 * view):
             return None
         depth = max(math.hypot(x, y) * math.cos(bearing), _MIN_DEPTH)
@@ -263,7 +267,8 @@ class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
         """See `TopicInputs`."""
         objects = self._entries[name].read(message)
-        self._values[name], self._is_reported = (objects, now), False
+        self._values[name] = (objects, now)
+        self._is_reported = False
         unplaced = min(len(message.detections), MAX_DETECTIONS) - len(objects)
         unplaced_text = [f"{unplaced} without a place"] if unplaced else []
         return ", ".join((*_texts(objects), *unplaced_text)) or "no object"
@@ -279,7 +284,8 @@ class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
         is_due = again or not self._is_reported or (self._was_known and not is_known)
         if not (self._entries and is_due):
             return None
-        self._is_reported, self._was_known = True, is_known
+        self._is_reported = True
+        self._was_known = is_known
         seen = (self._values[name][0] for name in self._entries) if is_known else ()
         objects = tuple(chain.from_iterable(seen))[:MAX_DETECTIONS]
         return DetectionsInput(objects if is_known else None)

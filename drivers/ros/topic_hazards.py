@@ -128,7 +128,8 @@ def topic_hazard(
     option = f"hazards.{name}"
     with faults_of(f"{option}.type"):
         message_type = item_type = types.kind(options.type)
-    items = place = None
+    items = None
+    place = None
     if options.list is not None:
         with faults_of(f"{option}.list is {options.list!r}"):
             items, item_type = _list_path(types, message_type, options.list)

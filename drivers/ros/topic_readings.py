@@ -256,7 +256,8 @@ class Readings(TopicInputs[TopicReading, float]):
         is_due = again and (self._entries or self._own)
         if not (is_due or self._is_changed or stale != self._reported_stale):
             return None
-        self._reported_stale, self._is_changed = stale, False
+        self._reported_stale = stale
+        self._is_changed = False
         fresh = {n: v for n, (v, _) in self._values.items() if n not in stale}
         means = {
             name: math.fsum(fresh.get(sensor, math.nan) for sensor in sensors) / len(sensors)

@@ -24,7 +24,8 @@ class ZeroAnswers:
 
     def __init__(self, gate: CommandGate, send_zero: Callable[[], None]) -> None:
         """Sends nothing before the first command."""
-        self._gate, self._send_zero = gate, send_zero
+        self._gate = gate
+        self._send_zero = send_zero
         self._until = 0.0
         self._is_repeating = False
 

@@ -111,7 +111,8 @@ class AdapterProcess:
         `config` is passed as JSON. `environ`: the environment of the process. `listener` gets the
         messages and events. Raises DriverError if the process cannot start.
         """
-        self._listener, self._kept = listener, frozenset(config["kept_topics"])
+        self._listener = listener
+        self._kept = frozenset(config["kept_topics"])
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
         # The adapter counts as alive until ALIVE_TIMEOUT after `_alive_at`. Before the first sign

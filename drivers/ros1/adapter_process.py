@@ -42,8 +42,12 @@ import time
 from glob import glob
 from typing import Any, Dict, List, Optional  # noqa: UP035  (Python 3.8)
 
-DATA, EVENT, ALIVE = b"D", b"J", b"H"
-COMMAND, STATE, FAREWELL = b"C", b"S", b"B"
+DATA = b"D"
+EVENT = b"J"
+ALIVE = b"H"
+COMMAND = b"C"
+STATE = b"S"
+FAREWELL = b"B"
 DATA_HEAD = struct.Struct("<cId")
 COMMAND_HEAD = struct.Struct("<cd")
 
@@ -78,7 +82,8 @@ class KeptTopic:
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:
-        self._index, self._adapter = index, adapter
+        self._index = index
+        self._adapter = adapter
         self.subscriber: Any = None
         self._lock = threading.Lock()
         self._unsent: Any = None
@@ -117,7 +122,10 @@ class Adapter:
     """
 
     def __init__(self, config: Any, sock: socket.socket, rospy: Any, master: Any) -> None:
-        self._config, self._sock, self._rospy, self._master = config, sock, rospy, master
+        self._config = config
+        self._sock = sock
+        self._rospy = rospy
+        self._master = master
         self._command_type = ""
         self._publisher: Any = None
         self._is_joined = False  # the node is registered with the master
@@ -130,7 +138,9 @@ class Adapter:
         self._holds_until = float("inf")
         # Times of the last command, and of the last non-zero command; the time until which commands
         # of the daemon become zeros (rule 2).
-        self._commanded_at = self._moved_at = self._stops_until = -COMMAND_TIMEOUT
+        self._commanded_at = -COMMAND_TIMEOUT
+        self._moved_at = -COMMAND_TIMEOUT
+        self._stops_until = -COMMAND_TIMEOUT
         self._reported: Any = None  # the last event `state` that the driver has taken
         self._answers: Any = None  # the publisher of the topic `state_topic`
         self._others: Any = None  # the subscription to other nodes' commands
@@ -177,7 +187,8 @@ class Adapter:
     # To ROS
 
     def _join(self) -> None:
-        rospy, config = self._rospy, self._config
+        rospy = self._rospy
+        config = self._config
         rospy.init_node(config["name"], argv=[], anonymous=True, disable_signals=True,
                         disable_rosout=True)  # fmt: skip
         self._master.caller = rospy.get_name()
@@ -287,7 +298,8 @@ class Adapter:
         self._master.forget()
         self._wake.set()
         if self._holds:
-            self._is_armed, self._holds_until = True, time.monotonic() + ZERO_TIME
+            self._is_armed = True
+            self._holds_until = time.monotonic() + ZERO_TIME
         if self._publisher is not None and self._commanded_at > 0.0:
             message = self._publisher.data_class()
             message._buff = self._zero_bytes()
@@ -342,7 +354,8 @@ class Adapter:
         )  # fmt: skip
 
     def _on_other_command(self, message: Any, index: int) -> None:
-        header, arrival = message._connection_header, time.monotonic()
+        header = message._connection_header
+        arrival = time.monotonic()
         if header.get("callerid") != self._master.caller:
             known = [md5sum for md5sum, _ in self._config["definitions"].values()]
             content = message._buff[:_MAX_TEXT] if header.get("md5sum") in known else b""
@@ -355,7 +368,9 @@ class Adapter:
         """
         master = self._master
         publishers, subscribers, _ = master.call("getSystemState")
-        publishers_of, subscribers_of = dict(publishers), dict(subscribers)  # nodes by topic
+        # nodes by topic
+        publishers_of = dict(publishers)
+        subscribers_of = dict(subscribers)
         self._end_after_restart(subscribers_of)
         types = dict(master.call("getTopicTypes"))
         topics = self._config["topics"]
@@ -398,7 +413,8 @@ class Adapter:
         The sign: in two polls in a row a subscription of this node is missing in `subscribers_of`,
         the subscribed nodes by topic.
         """
-        caller, topics = self._master.caller, self._config["topics"]
+        caller = self._master.caller
+        topics = self._config["topics"]
         is_listed = all(caller in subscribers_of.get(topic, ()) for topic in topics)
         self._misses = 0 if is_listed else self._misses + 1
         if self._misses >= 2:
@@ -484,15 +500,18 @@ class Adapter:
         if now < self._stops_until:
             command = self._zero_bytes()
         self._publish(command)
-        self._commanded_at, self._holds = now, False
+        self._commanded_at = now
+        self._holds = False
         if any(_TWIST.unpack(command[-_TWIST.size :])):
-            self._is_armed, self._moved_at = True, now
+            self._is_armed = True
+            self._moved_at = now
         elif now - self._moved_at > _DISARM_TIME:
             self._is_armed = False  # the base stands: a silent daemon may be idle
 
     def _tick(self) -> None:
         """Send zeros while armed and the daemon is silent or has ended, and signs of life."""
-        count, was_silent = 0, True
+        count = 0
+        was_silent = True
         while True:
             now = time.monotonic()
             if self._rospy.is_shutdown() and self._is_joined:

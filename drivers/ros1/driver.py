@@ -43,7 +43,8 @@ from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
 
 log = logging.getLogger(__name__)
 
-MIN_RESTART_DELAY, MAX_RESTART_DELAY = 0.1, 5.0
+MIN_RESTART_DELAY = 0.1
+MAX_RESTART_DELAY = 5.0
 """Seconds before an adapter that has ended is started again; the pause doubles up to the second.
 
 If the adapter had connected to its base, the first pause is used: until the next adapter sends zero
@@ -94,7 +95,8 @@ class Ros1Driver:
 
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; the adapter is started again as often as it ends."""
-        self._sink, pause = sink, MIN_RESTART_DELAY
+        self._sink = sink
+        pause = MIN_RESTART_DELAY
         self._report_state(False, "its adapter is starting")
         try:
             while True:
@@ -107,7 +109,9 @@ class Ros1Driver:
                 await asyncio.sleep(pause)
                 pause = min(2.0 * pause, MAX_RESTART_DELAY)
         finally:
-            self._sink, self._reported, self._logged = None, _NOTHING, ""
+            self._sink = None
+            self._reported = _NOTHING
+            self._logged = ""
             self._gate.end()
 
     def send(
@@ -155,7 +159,9 @@ class Ros1Driver:
         """Reset all that was received, for a new adapter process."""
         self._subscriptions = Subscriptions(self._options, self._platform, serialization.decode)
         self._master = MasterGraph(self._options, self._subscriptions.topics)
-        self._end, self._is_planned_end, self._was_up = "", False, False
+        self._end = ""
+        self._is_planned_end = False
+        self._was_up = False
         self._conflict: diagnosis.Conflict | None = None
         # Publishers of cmd_vel count as driving by their registration (`MasterGraph.blocks`).
         self._foreign = ForeignCommands(self._options, ROS1_ACTIONS, is_cmd_vel_shared=True)
@@ -223,7 +229,8 @@ class Ros1Driver:
         counts until the next message, and of stops, which count at any age. `holds`: this adapter
         begins with zeros, since an earlier adapter has driven the robot.
         """
-        options, foreign = self._options, self._foreign
+        options = self._options
+        foreign = self._foreign
         subscriptions = self._subscriptions
         types_by_topic = [
             *((stats.topic, stats.message_type) for stats in subscriptions.topics.values()),
@@ -272,7 +279,8 @@ class Ros1Driver:
         elif event.kind == "fatal":
             self._end = no_rospy(self._options.python, event.text)
         else:
-            self._end, self._is_planned_end = event.text, event.kind == "restart"
+            self._end = event.text
+            self._is_planned_end = event.kind == "restart"
         self._update_state()
 
     def on_message(self, topic: int, data: bytes) -> None:
@@ -280,7 +288,8 @@ class Ros1Driver:
 
         The numbers behind those of the subscriptions are action states and commands of other nodes.
         """
-        now, topics = asyncio.get_running_loop().time(), [*self._subscriptions.topics.values()]
+        now = asyncio.get_running_loop().time()
+        topics = [*self._subscriptions.topics.values()]
         if topic >= len(topics):
             self._on_foreign(topic - len(topics), data, now)
             return
@@ -345,7 +354,8 @@ class Ros1Driver:
         state = self._master.state
         self._hears_motion &= bool(state and state.others)
         fault = self._end or self._fault(now)
-        graph, topics = self._master.graph(), self._subscriptions.topics.values()
+        graph = self._master.graph()
+        topics = self._subscriptions.topics.values()
         self._conflict = graph.conflict(topics, self._platform.scan)
         if fault:
             self._report_state(False, fault)
@@ -357,7 +367,8 @@ class Ros1Driver:
 
     def _fault(self, now: float) -> str:
         """Why the base cannot be driven, and the next step; empty if it can."""
-        state, master = self._master.state, self._master
+        state = self._master.state
+        master = self._master
         if state is None:
             return "its adapter is starting"
         if not state.master:
@@ -401,7 +412,8 @@ class Ros1Driver:
 
     def _report_state(self, is_up: bool, text: str) -> None:
         """Set the gate, with a zero when it closes, and report and log a change of the state."""
-        now, was_up = time.monotonic(), self._gate.is_open
+        now = time.monotonic()
+        was_up = self._gate.is_open
         self._was_up |= is_up
         if is_up and not was_up:
             self._gate.open()

@@ -18,7 +18,8 @@ class Master:
     """The master's API, with a limit of time for each call; OSError if it does not answer."""
 
     def __init__(self, uri: str, caller: str) -> None:
-        self.uri, self.caller = uri, caller
+        self.uri = uri
+        self.caller = caller
         self._alive: Dict[str, Tuple[float, bool]] = {}  # noqa: UP006
 
     def call(self, method: str, *arguments: str, uri: str = "") -> Any:

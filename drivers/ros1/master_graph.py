@@ -63,7 +63,8 @@ class MasterGraph:
 
     def on_foreign(self, message: ForeignMessage) -> None:
         """Note a publisher with another type than the driver's, or with another definition."""
-        stats, kind = self._topics.get(message.topic), message.type
+        stats = self._topics.get(message.topic)
+        kind = message.type
         if stats is not None and kind == serialization.type_name(stats.message_type):
             wanted = serialization.definition(stats.message_type)[1]
             kind = f"{kind} (md5 {message.md5sum}, not {wanted})"

@@ -61,7 +61,8 @@ enclave in the user data of its DDS participant.
 _BRIDGE = "zenoh_bridge_ros2dds"
 _NAMELESS = "/dds_reader"
 _ENCLAVE = list(b"enclave=")
-_BEST_EFFORT, _KEPT = "BEST_EFFORT", "TRANSIENT_LOCAL"
+_BEST_EFFORT = "BEST_EFFORT"
+_KEPT = "TRANSIENT_LOCAL"
 
 
 class AdminSpaces:
@@ -82,11 +83,14 @@ class AdminSpaces:
         middleware without a bridge. `sensed`: the topics that the robot publishes. `cmd_vel`: the
         topic of its commands. `on_answer` is called after each answer that `nodes` has taken.
         """
-        self._root, self._on_answer = root, on_answer
-        self._sensed, self._cmd_vel = tuple(sensed), cmd_vel
+        self._root = root
+        self._on_answer = on_answer
+        self._sensed = tuple(sensed)
+        self._cmd_vel = cmd_vel
         self.asked_at = -math.inf
         # s on the loop's clock: begin of the last whole query, and of the last query of readers.
-        self._queried_at = self._watched_at = -math.inf
+        self._queried_at = -math.inf
+        self._watched_at = -math.inf
         self._query: object | None = None  # of the query that has not ended
         self._readers: Collection[str] = ()  # keys of DDS readers in the last whole answer
         self.nodes = NodeList()
@@ -112,11 +116,13 @@ class AdminSpaces:
         queries, a query of the readers of the commands is due each WATCH_PERIOD. `announcing`: the
         ids of the sessions that announce topics of this robot.
         """
-        now, bridges = loop.time(), self.nodes.namespaces
+        now = loop.time()
+        bridges = self.nodes.namespaces
         if not self._root or self._query is not None:
             return
         if now - self._queried_at >= self._period(announcing):
-            self._queried_at = self._watched_at = now
+            self._queried_at = now
+            self._watched_at = now
             # Until a bridge is known, query all: a bridge may list nodes and announce no topic.
             zids = {*announcing, *bridges} or {_ANY}
             selectors = [(zid, selector) for zid in zids for selector in self._selectors(zid)]
@@ -167,7 +173,9 @@ class AdminSpaces:
         gives an error in place of an answer). Answers beyond the limits of number and size are
         dropped. `on_reply` and `on_end` run in a thread of Zenoh.
         """
-        query, answers, late_bridges = object(), dict[str, bytes](), set[str]()
+        query = object()
+        answers = dict[str, bytes]()
+        late_bridges = set[str]()
         running = [*selectors]  # a list as a counter: its `pop` is safe in several threads
         self._query = query
 
@@ -318,7 +326,8 @@ class NodeList:
         self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}
         before = self._by_bridge
         if answers is None:
-            answers, late = {}, {*before}
+            answers = {}
+            late = {*before}
         complete = {zid: answer for zid, answer in self._decode(answers).items() if zid not in late}
         earlier = {
             zid: answer
@@ -339,7 +348,8 @@ class NodeList:
     def _decode(self, answers: Mapping[str, bytes]) -> Mapping[str, _Answer]:
         """The decoded answers by bridge; answers equal to the last ones are not decoded again."""
         if answers and answers != self._answers:
-            self._answers, self._read = dict(answers), dict(_by_bridge(answers))
+            self._answers = dict(answers)
+            self._read = dict(_by_bridge(answers))
         return self._read if answers else {}
 
     def _update_strays(self, now: float) -> None:
@@ -370,7 +380,8 @@ class NodeList:
         return self.is_naming or any(self._tries.get(zid, 0) < MAX_FIRST for zid in unsettled)
 
     def _replace(self, by_bridge: Mapping[str, _Answer], now: float) -> None:
-        self._by_bridge, answers = by_bridge, by_bridge.values()
+        self._by_bridge = by_bridge
+        answers = by_bridge.values()
         ends = [end for answer in answers for end in answer.nodes]
         self._since = {end.source: self._since.get(end.source, now) for end in ends}
         self.endpoints = tuple(replace(end, since=self._since[end.source]) for end in ends)
@@ -390,7 +401,8 @@ def route_faults(ends: Iterable[Endpoint], graph: Graph) -> dict[str, str]:
         routes = graph.qualities(end.topic, is_publisher=end.is_publisher)
         difference = _differs(end, routes[0]) if len(routes) == 1 else ""
         if difference and end.topic not in faults:
-            does, hub = "publishes" if end.is_publisher else "takes", graph.middleware.hub
+            does = "publishes" if end.is_publisher else "takes"
+            hub = graph.middleware.hub
             faults[end.topic] = (
                 f"a node {does} {end.topic} {difference}, but {hub} has a {routes[0]} route, as the"
                 f" first node of that topic was: nothing passes; start {hub} again when the other"
@@ -416,7 +428,8 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
         parts = key.split("/", 4)
         if len(parts) < 4 or (parts[0], parts[2]) != ("@", "ros2"):
             continue
-        zid, kind = parts[1], parts[3]
+        zid = parts[1]
+        kind = parts[3]
         rest = parts[4] if len(parts) > 4 else ""
         if kind == "config" and not rest and (config := _decoded(_configs, payload)):
             configs[zid] = config
@@ -491,7 +504,9 @@ def _ends_in_dds(zid: str, prefix: str, answers: Mapping[str, bytes]) -> _DdsEnd
     `<participant>/reader/...`. CycloneDDS states the name of a process. The participants of other
     implementations are called _NAMELESS.
     """
-    ends, processes, not_ros = list[Endpoint](), dict[str, str](), set[str]()
+    ends = list[Endpoint]()
+    processes = dict[str, str]()
+    not_ros = set[str]()
     for key, payload in answers.items():
         participant, _, rest = key.partition("/")  # without `rest`: the participant itself
         if (read := _decoded(_in_dds, payload)) is None:
@@ -500,7 +515,8 @@ def _ends_in_dds(zid: str, prefix: str, answers: Mapping[str, bytes]) -> _DdsEnd
             not_ros.add(participant)
         if not rest and (process := read.qos.properties.get("__ProcessName", "")).isprintable():
             processes[participant] = f"{_NAMELESS}_{process}" if process else _NAMELESS
-        topic, type_name = read.topic_name.removeprefix("rt/"), ros_name(read.type_name)
+        topic = read.topic_name.removeprefix("rt/")
+        type_name = ros_name(read.type_name)
         if rest and f"{topic}{type_name}".isprintable():
             quality = "best effort" if read.qos.reliability.kind == _BEST_EFFORT else "reliable"
             quality += ", transient local" if read.qos.durability.kind == _KEPT else ""

@@ -40,13 +40,17 @@ class CommandCredit:
 
     def __init__(self) -> None:
         """No sign of life yet."""
-        self._heard_at = self._asked_at = self._asked_first_at = -math.inf
+        self._heard_at = -math.inf
+        self._asked_at = -math.inf
+        self._asked_first_at = -math.inf
         self._is_spent = True
         self._held: tuple[Twist, float] | None = None
 
     def hear(self, now: float) -> None:
         """Note a sign of life of the hub, which permits one command."""
-        self._heard_at, self._asked_at, self._is_spent = now, -math.inf, False
+        self._heard_at = now
+        self._asked_at = -math.inf
+        self._is_spent = False
 
     def offer(self, twist: Twist, now: float) -> Twist | None:
         """The command to send now in place of `twist`; None if no command may be sent.
@@ -69,7 +73,8 @@ class CommandCredit:
         """The held command if it may be sent now, else None; drops a command that is too old."""
         if self._held is None or not self._spend(now):
             return None
-        (twist, offered_at), self._held = self._held, None
+        (twist, offered_at) = self._held
+        self._held = None
         return twist if now - offered_at <= MAX_HELD_TIME else None
 
     def asks(self, now: float) -> bool:

@@ -26,7 +26,9 @@ NAME = "ros2dds"
 
 _RELIABILITY = {"0": "best effort", "1": "reliable"}  # by the numbers of DDS
 _TRANSIENT_LOCAL = "1"
-_REQUEST_MARK, _REQUEST_SIZE = b"rqh", 20  # of the attachment: client, number, byte order
+# of the attachment: client, number, byte order
+_REQUEST_MARK = b"rqh"
+_REQUEST_SIZE = 20
 
 
 def make_driver(

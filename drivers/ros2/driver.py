@@ -62,7 +62,8 @@ SENSOR_TIMEOUT = 1.0
 _PERIOD = 0.1  # s between two calls of `_watch`
 _GRAPH_TIMEOUT = 1.0  # s for the query of the announcements
 _EXPLAIN_PERIOD = 2.0  # s between two reports of why the base is lost
-_MAX_ENDPOINTS, _MAX_TOKEN = 4096, 1000
+_MAX_ENDPOINTS = 4096
+_MAX_TOKEN = 1000
 _KEY_FAULT = ":type"  # ends the name of a topic whose sample came on a wrong key
 _MIN_TIMEOUT_SCANS = 3.5  # scan periods after which a slow scanner's base counts as lost
 
@@ -91,8 +92,11 @@ class RosDriver:
 
         `zero_sender`: the watchdog's own connection to the base, which sends zeros alone.
         """
-        self._name, self._scheme, self._platform = name, scheme, platform
-        self._options, self._zero_sender = options, zero_sender
+        self._name = name
+        self._scheme = scheme
+        self._platform = platform
+        self._options = options
+        self._zero_sender = zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
         self._zero_by_key = zeros(scheme, options)  # the zeros that this driver itself sends
         self._sensor_timeout = max(SENSOR_TIMEOUT, _MIN_TIMEOUT_SCANS / platform.scan.rate)
@@ -216,7 +220,8 @@ class RosDriver:
         self._hubs: frozenset[str] = frozenset()
         sensed = [stats.topic for stats in self._subscriptions.topics.values() if stats.is_needed]
         self._bridges = AdminSpaces(self._scheme.admin_space, sensed, self._cmd_vel, self._on_nodes)
-        self._gate, self._credit = CommandGate(), CommandCredit()
+        self._gate = CommandGate()
+        self._credit = CommandCredit()
         self._zeros = ZeroAnswers(self._gate, partial(self._put, ZERO, frame=""))
         self._was_linked = False
         self._foreign = ForeignCommands(self._options, ROS2_ACTIONS)
@@ -239,7 +244,8 @@ class RosDriver:
         session = await self._opened(sink)
         inbox = LatestSamples(loop, partial(self._take, sink, is_check), sink.dropped)
         try:
-            self._session, self._was_linked = session, True
+            self._session = session
+            self._was_linked = True
             for key in self._zero_by_key:  # each key to which a base may subscribe for commands
                 self._publishers[key] = command_publisher(session, key)
             self._subscribe(session, inbox, loop)
@@ -298,7 +304,8 @@ class RosDriver:
         )
         self._query_graph(session, loop)
         # Sensors; then commands and action states of other nodes, without this driver's own.
-        key_of, remote = self._scheme.subscription_key, zenoh.Locality.REMOTE
+        key_of = self._scheme.subscription_key
+        remote = zenoh.Locality.REMOTE
         for stats in self._subscriptions.topics.values():
             on_sample = _receiver(self._scheme, inbox, stats.name, stats.topic, stats.message_type)
             session.declare_subscriber(key_of(stats.topic), on_sample, allowed_origin=remote)
@@ -411,7 +418,8 @@ class RosDriver:
     def _foreign_graph(self) -> diagnosis.Graph:
         """The endpoints of other nodes; cached in `_foreign_ends` until an announcement changes."""
         if self._foreign_ends is None:
-            own, asked_at = self._own_zid(), self._bridges.asked_at
+            own = self._own_zid()
+            asked_at = self._bridges.asked_at
             announced = [end for end in self._endpoints.values() if end.zid != own]
             ends = with_nodes(announced, self._bridges.nodes.endpoints, asked_at)
             is_newer = asked_at > self._withdrawn_at  # else the nodes listed may have left
@@ -516,7 +524,8 @@ class RosDriver:
 
     def _wake_sensors(self) -> None:
         """Announce the subscriptions of a check: a sensor may sleep until a node subscribes."""
-        graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
+        graph = self._foreign_graph()
+        topics = self._subscriptions.topics.values()
         are_heard = all(stats.count for stats in topics if stats.is_needed)
         is_due = self._scheme.is_node and not self._tokens.are_declared and not are_heard
         if self._session is not None and is_due:
@@ -529,7 +538,8 @@ class RosDriver:
             return
         if self._tokens.are_declared and command_type is self._opened_type:
             return
-        graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
+        graph = self._foreign_graph()
+        topics = self._subscriptions.topics.values()
         subscribed = [_subscribed_end(stats, graph) for stats in topics]
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
@@ -548,10 +558,12 @@ class RosDriver:
 
         A loss closes the gate. Without a loss, a changed conflict or a changed link is reported.
         """
-        was_linked, is_same_hub = self._was_linked, self._watch_hub(session, now)
+        was_linked = self._was_linked
+        is_same_hub = self._watch_hub(session, now)
         if self._gate.is_open:
             self._subscriptions.deliver_inputs(sink, now)
-        last_conflict, self._conflict = self._conflict, self._find_conflict()
+        last_conflict = self._conflict
+        self._conflict = self._find_conflict()
         if self._gate.is_open and (loss := self._loss(now, is_same_hub=is_same_hub)):
             self._close_gate(sink, loss)
         elif self._gate.is_open and last_conflict != self._conflict:
@@ -570,9 +582,11 @@ class RosDriver:
         A hub is the Zenoh router or bridge that the session is linked to, by its id. A hub that was
         started again has another id. Sets `_was_linked`, and `_hubs`, the last linked hubs.
         """
-        last_hubs, was_linked = self._hubs, self._was_linked
+        last_hubs = self._hubs
+        was_linked = self._was_linked
         hubs = linked_hubs(session)
-        self._hubs, self._was_linked = hubs or last_hubs, bool(hubs)
+        self._hubs = hubs or last_hubs
+        self._was_linked = bool(hubs)
         if hubs and (not was_linked or hubs != last_hubs):
             self._gate.repeat_zero(now)  # the base may have missed the last zero
             if last_hubs:  # the first link of a session has its query already
@@ -627,7 +641,8 @@ class RosDriver:
                 f"another node stops this robot: zeros on {self._cmd_vel} that are not this"
                 " driver's, such as those of the watchdog of an earlier daemon; end that node"
             )
-        graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
+        graph = self._foreign_graph()
+        topics = self._subscriptions.topics.values()
         silent = self._subscriptions.silent(now, max(_EXPLAIN_PERIOD, self._sensor_timeout))
         unpassed = route_faults(self._bridges.nodes.dds, graph)
         faults = (

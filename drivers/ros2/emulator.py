@@ -113,7 +113,8 @@ class EmulatedRobots:
     def _start(
         self, robot: str, platform: Platform, options: RosOptions, scheme: KeyScheme
     ) -> _Robot:
-        command_type, topic = options.command_types[0], options.topic(options.cmd_vel)
+        command_type = options.command_types[0]
+        topic = options.topic(options.cmd_vel)
 
         def on_sample(sample: zenoh.Sample) -> None:
             try:
@@ -144,7 +145,8 @@ class _Robot:
 
         `command`: the subscription of commands, which is announced too.
         """
-        self._scheme, self._stamp = scheme, 0.0
+        self._scheme = scheme
+        self._stamp = 0.0
         published: list[TopicEnd] = []
         # By kind of input, each encoder with the index of its first publisher.
         self._encoders: dict[type[SensorInput], list[tuple[int, InputEncoder]]] = {}

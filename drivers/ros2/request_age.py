@@ -38,7 +38,8 @@ class RequestAge:
 
     def __init__(self) -> None:
         """No probe was answered yet."""
-        self._probed_at = self._answered = -math.inf
+        self._probed_at = -math.inf
+        self._answered = -math.inf
         self._steady_since = math.inf
         self._trips = deque[tuple[float, float]](maxlen=64)  # the time of an answer, and its s
 

@@ -37,7 +37,9 @@ TRIGGER_HASH = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b
 """Type name and hash (REP 2016) of std_srvs/Trigger, equal in all distributions from Iron on."""
 
 _MAX_KEY = 600
-_BEST_EFFORT, _TRANSIENT_LOCAL = "2", "1"  # rmw's numbers for reliability and for durability
+# rmw's numbers for reliability and for durability
+_BEST_EFFORT = "2"
+_TRANSIENT_LOCAL = "1"
 _ATTACHMENT = struct.Struct("<qqB16s")
 
 
@@ -105,7 +107,8 @@ class RmwZenoh(Ros2Middleware):
         """
         self.domain: int | None = domain
         self._cmd_vel = cmd_vel
-        self._node, self._index = f"%/{_mangled(namespace)}/{node}", index
+        self._node = f"%/{_mangled(namespace)}/{node}"
+        self._index = index
         self._is_humble = False
         self._has_odometry = False  # heard: it decides `_is_humble` from then on
         self._sent: Counter[str] = Counter()
@@ -148,7 +151,8 @@ class RmwZenoh(Ros2Middleware):
         reliability, _, others = parts[12].partition(":")  # empty where it is the default
         quality = "best effort" if reliability == _BEST_EFFORT else "reliable"
         quality += ", transient local" if others.partition(":")[0] == _TRANSIENT_LOCAL else ""
-        domain, type_name = int(parts[1]), ros_name(parts[10])
+        domain = int(parts[1])
+        type_name = ros_name(parts[10])
         return Endpoint(parts[5] == "MP", topic, type_name, parts[2], domain, node, quality)
 
     def key(self, topic: str, message_type: type) -> str:
@@ -170,7 +174,8 @@ class RmwZenoh(Ros2Middleware):
         """
         index = self._index + (services is not None)
         node = self._node if services is None else f"{self._node}_services"
-        context, numbers = f"@ros2_lv/{self.domain}/{zid}/{index}", itertools.count(100 * index)
+        context = f"@ros2_lv/{self.domain}/{zid}/{index}"
+        numbers = itertools.count(100 * index)
         found = [f"{context}/{next(numbers)}/NN/{node}"]
         for service in services or ():
             end = f"{_mangled(service)}/{TRIGGER}/{TRIGGER_HASH}/::,10:,:,:,,"

@@ -55,7 +55,8 @@ class CommandServices(StopTopics):
 
     def __init__(self, scheme: KeyScheme, options: RosOptions, is_lost: Callable[[], bool]) -> None:
         """Not open yet. `is_lost`: whether the base is lost."""
-        self._scheme, self._options = scheme, options.services
+        self._scheme = scheme
+        self._options = options.services
         super().__init__(
             options, self._publish, "" if not options.services else options.services.operator
         )
@@ -94,7 +95,8 @@ class CommandServices(StopTopics):
 
     def open(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
         """Declare the services on a new session, and announce them and the ends of stops."""
-        self._session, self._age = session, RequestAge()
+        self._session = session
+        self._age = RequestAge()
         for service in self._commands:
             on_query = Callback(partial(self._on_query, loop, service), indirect=False)
             key = self._scheme.subscription_key(service)
@@ -125,13 +127,15 @@ class CommandServices(StopTopics):
                 partial(hand_over, loop, lambda: age.answered(now, loop.time())),
             )
         with self._lock:
-            refused, self._refused = self._refused, 0
+            refused = self._refused
+            self._refused = 0
         if refused:
             dropped("services:refused")
 
     def close(self) -> None:
         """Forget the session."""
-        self._session, self._age = None, RequestAge()
+        self._session = None
+        self._age = RequestAge()
         self._declared.clear()
 
     def _publish(self, text: str) -> None:
@@ -156,7 +160,8 @@ class CommandServices(StopTopics):
             stamp = self._scheme.call_stamp(str(query.key_expr), attachment)
             is_call = True
         except CodecError:
-            is_call, stamp = False, None
+            is_call = False
+            stamp = None
         with self._lock:
             is_taken = is_call and self._limits[name].take(1.0, time.monotonic())
             self._refused += not is_taken

@@ -30,7 +30,9 @@ from swarmd.network.carriers.session import has_subscriber
 
 log = logging.getLogger(__name__)
 
-POSE, MARKERS, DIAGNOSTICS = "swarmd/pose", "swarmd/markers", "diagnostics"
+POSE = "swarmd/pose"
+MARKERS = "swarmd/markers"
+DIAGNOSTICS = "diagnostics"
 ODOMETRY_FRAME = "odom"
 MAX_AGE = 1.0  # s after which a position by odometry is too old to publish
 _TYPES: Mapping[str, type] = {
@@ -132,7 +134,8 @@ class StateTopics:
         A topic whose message raises an error is not published until the next session. The other
         topics and the driver are not affected.
         """
-        changed, self._changed = self._changed, set()
+        changed = self._changed
+        self._changed = set()
         for name in changed & self._publishers.keys():
             try:
                 if self._update_watched(name) and (message := self._make(name)) is not None:
@@ -218,7 +221,8 @@ def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
     `stamp`: s of the message. The level is ERROR for a robot that is stopped or has a fault, and
     WARN for a robot that is held, has findings or has lost its base.
     """
-    decision, reason = status.decision, "" if status.reason is None else status.reason.value
+    decision = status.decision
+    reason = "" if status.reason is None else status.reason.value
     is_held = status.state is State.RUNNING and bool(reason)
     # Protection's strongest speed limit, the first constraint: m/s towards an obstacle.
     limit = ""

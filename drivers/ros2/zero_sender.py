@@ -51,7 +51,8 @@ class RosZeroSender:
 
     def __init__(self, scheme: KeyScheme, options: RosOptions) -> None:
         """Not connected yet."""
-        self._scheme, self._options = scheme, options
+        self._scheme = scheme
+        self._options = options
         self._zeros = zeros(scheme, options)
         self._session: zenoh.Session | None = None
         self._publishers: Mapping[str, zenoh.Publisher] = {}
@@ -82,7 +83,9 @@ class RosZeroSender:
         """Disconnect; sends nothing."""
         self._closing.set()
         self._connecting.join()
-        session, self._session, self._publishers = self._session, None, {}
+        session = self._session
+        self._session = None
+        self._publishers = {}
         if session is not None:
             session.close()
 

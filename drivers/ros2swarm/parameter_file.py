@@ -275,7 +275,8 @@ def _opinions(path: Path, vote: str, given: Mapping[str, Any]) -> dict[str, Any]
     opinions: dict[str, Any] = {"opinions": end - lowest}
     is_random = given.get(f"{vote}_choose_start_value_at_random", True)
     if not isinstance(is_random, bool):
-        name, value = f"{vote}_choose_start_value_at_random", yamlfile.brief(is_random)
+        name = f"{vote}_choose_start_value_at_random"
+        value = yamlfile.brief(is_random)
         raise ConfigError(f"{path}: {name} is {value}; expected true or false")
     if not is_random:
         name = f"{vote}_initial_value"

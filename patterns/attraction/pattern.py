@@ -57,9 +57,11 @@ from swarmd.api import (
 )
 
 # Pull, as a share of full speed, below which a moving robot stops and above which it starts.
-_STOP_PULL, _START_PULL = 0.12, 0.25
+_STOP_PULL = 0.12
+_START_PULL = 0.25
 # Robots within so many times `spacing` are adjacent; on the rim of a hexagon each has three.
-_ADJACENT_SPACINGS, _MIN_ADJACENT = 1.25, 3
+_ADJACENT_SPACINGS = 1.25
+_MIN_ADJACENT = 3
 # All robots lie in line if the mean of exp(2i bearing) is longer: within about 20 degrees.
 _MIN_ALIGNMENT = 0.7
 # Below this share of full speed a searching robot turns away from the obstacle instead.
@@ -228,14 +230,18 @@ class Attraction(FieldPattern[AttractionParams]):
 
     def settle(self, inputs: Inputs, scan: Scan) -> Twist:
         """Change the state (search, gather, settled, roll or lead); the command of the state."""
-        now, received = inputs.now, len(inputs.neighbors)
+        now = inputs.now
+        received = len(inputs.neighbors)
         if self._view is None or self._view.scan is not scan:
-            self._view, self._command = self._look(scan, inputs), None
+            self._view = self._look(scan, inputs)
+            self._command = None
         view = self._view
         is_in_line = received > len(view.robots.objects) and view.is_line
         state = self._next_state(view, now, received, is_in_line)
         if state != self.state:
-            self.state, self._since, self._command = state, now, None
+            self.state = state
+            self._since = now
+            self._command = None
         if state == "settled":
             return ZERO
         if state in ("search", "lead"):
@@ -247,8 +253,10 @@ class Attraction(FieldPattern[AttractionParams]):
 
     def _look(self, scan: Scan, inputs: Inputs) -> _Surroundings:
         """The robots and near surfaces in a scan, and the pull of the robots."""
-        params, received = self.params, len(inputs.neighbors)
-        brake, offset = params.brake, self.context.platform.scan.offset
+        params = self.params
+        received = len(inputs.neighbors)
+        brake = params.brake
+        offset = self.context.platform.scan.offset
         points = near_points(
             scan, within=params.spacing + brake + math.hypot(*offset), offset=offset
         )
@@ -315,7 +323,8 @@ class Attraction(FieldPattern[AttractionParams]):
         sees_more_than_ever = seen > self._most_seen
         if sees_more_than_ever:
             self._most_seen = seen
-            self._rest_time, self._has_tried = _FIRST_REST_TIME, False
+            self._rest_time = _FIRST_REST_TIME
+            self._has_tried = False
         is_incomplete = _is_incomplete(view, received)
         if self.state == "roll" and is_incomplete and in_state_s < _ROLL_TIME:
             return "roll"
@@ -342,7 +351,8 @@ class Attraction(FieldPattern[AttractionParams]):
 
         If two robots are adjacent, the robot rolls around the nearer one, away from the other.
         """
-        self._rest_time, self._has_tried = 2.0 * self._rest_time, True
+        self._rest_time = 2.0 * self._rest_time
+        self._has_tried = True
         if view.adjacent > 1:
             (_, first), (_, second) = sorted(view.robots.polar, key=itemgetter(0))[:2]
             turn = math.sin(second - first)
@@ -355,13 +365,16 @@ class Attraction(FieldPattern[AttractionParams]):
         It keeps all robots in sight.
         """
         ahead = min(view.robots.polar, key=itemgetter(0))[1] + self._side * math.pi / 2.0
-        x, y = math.cos(ahead) + view.pull[0], math.sin(ahead) + view.pull[1]
+        x = math.cos(ahead) + view.pull[0]
+        y = math.sin(ahead) + view.pull[1]
         return _limited(*self._in_sight(view.robots, _limited(x, y)))
 
     def _explore(self, view: _Surroundings, now: float) -> Vector:
         """A unit vector to the middle of the free space; in the open and near the middle, ahead."""
-        (ahead, left), (x, y) = self._wander(now), view.middle
-        x, y = ahead + _MIDDLE_GAIN * x, left + _MIDDLE_GAIN * y
+        (ahead, left) = self._wander(now)
+        (x, y) = view.middle
+        x = ahead + _MIDDLE_GAIN * x
+        y = left + _MIDDLE_GAIN * y
         length = math.hypot(x, y)
         return (x / length, y / length) if length else (1.0, 0.0)
 

@@ -127,7 +127,8 @@ class BestOfN(Pattern[BestOfNParams]):
 
     def step(self, inputs: Inputs) -> Outputs:
         """Take in opinions while it promotes; change the state when its time is over."""
-        now, params = inputs.now, self.params
+        now = inputs.now
+        params = self.params
         for message in inputs.messages:
             self._hear(message, now - message.age)
         if self._until is None:

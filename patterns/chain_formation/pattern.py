@@ -41,16 +41,20 @@ from swarmd.api import (
     of_threshold,
 )
 
-_CHANNEL, _WALK = "chain", "walk"
+_CHANNEL = "chain"
+_WALK = "walk"
 _MAX_HOPS = 10_000
 # The hops that the goal sends, and that a robot without a place in a chain reports.
-_GOAL = _NO_HOPS = -1
+_GOAL = -1
+_NO_HOPS = -1
 # In multiples of the distance of members: a member that is nearer than _MIN_GAP is too near, and
 # an explorer that is within _ARRIVAL of a member is at the member.
-_MIN_GAP, _ARRIVAL = 0.8, 1.3
+_MIN_GAP = 0.8
+_ARRIVAL = 1.3
 # In multiples of the same distance: explorers drive _LANE to the right of the chain, and a member
 # within _SLACK of its place rests.
-_LANE, _SLACK = 0.6, 0.2
+_LANE = 0.6
+_SLACK = 0.2
 # m to the target from which on an explorer drives at full speed.
 _FULL_SPEED_M = 0.25
 # In multiples of `sight`: a member that has seen the goal counts it as seen up to this distance.
@@ -152,7 +156,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The search."""
-        speed, clearance = self.params.speed, self.params.clearance
+        speed = self.params.speed
+        clearance = self.params.clearance
         return {
             _WALK: self.context.make("random_walk", part=_WALK, speed=speed, clearance=clearance)
         }
@@ -162,12 +167,14 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
 
         Nothing is sent or commanded without a scan, except by nest and goal.
         """
-        now, params = inputs.now, self.params
+        now = inputs.now
+        params = self.params
         self._hear(inputs)
         if inputs.scan is None and params.role == "robot":
             return Outputs()
         twist, state = self._command(inputs)
-        member, messages = self._membership, dict[str, Value]()
+        member = self._membership
+        messages = dict[str, Value]()
         if member is not None and now >= self._share_at:
             self._share_at = now + params.share_period
             messages[_CHANNEL] = [member.hops, member.before, member.leads]
@@ -192,7 +199,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
             has_left = self._membership is None
             return twist, "home" if has_left else "chain"
         if not self._places:
-            self._waypoint, self._is_homeward = "", False
+            self._waypoint = ""
+            self._is_homeward = False
             return self.step_part(_WALK, inputs).twist or ZERO, "search"
         twist = self._explore(inputs)
         has_joined = self._membership is not None
@@ -217,10 +225,12 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         self._heard = {
             name: member for name, member in self._heard.items() if member.heard_at >= oldest
         }
-        self._goal_distance, self._places = math.inf, {}
+        self._goal_distance = math.inf
+        self._places = {}
         for neighbor in inputs.neighbors:
             member = self._heard.get(neighbor.id)
-            distance, bearing = neighbor.distance, neighbor.bearing
+            distance = neighbor.distance
+            bearing = neighbor.bearing
             if member is None or distance is None or bearing is None:
                 continue
             if member.hops == _GOAL:
@@ -295,7 +305,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         x, y = (0.0, 0.0) if is_at_place else (place_x, place_y)
         if is_first:
             nest_x, nest_y = before_place
-            x, y = x + params.sweep * nest_y, y - params.sweep * nest_x
+            x = x + params.sweep * nest_y
+            y = y - params.sweep * nest_x
         if not (x or y):
             return ZERO
         return drive_along(x, y, speed=params.speed, turn=params.turn)
@@ -321,7 +332,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         `_membership` is set. At the tail of a chain that leads to the goal the robot rests, with
         the command zero. A robot on the way home neither joins nor rests.
         """
-        params, places = self.params, self._places
+        params = self.params
+        places = self._places
         if self._waypoint not in places:
             self._waypoint = min(places, key=lambda name: math.hypot(*places[name]))
             self._starts_chain = False
@@ -383,7 +395,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         At any other member: the member before `reached` on the way home, the member after `reached`
         on the way out.
         """
-        member, after = self._heard[reached], self._after(reached)
+        member = self._heard[reached]
+        after = self._after(reached)
         if member.hops == 0:
             leading = [name for name in after if self._heard[name].leads]
             if self._is_homeward or leading or not self._starts_chain:

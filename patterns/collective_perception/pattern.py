@@ -35,7 +35,8 @@ from swarmd.api import (
 )
 
 OPINION = "colour"
-BLACK, WHITE = 0, 1
+BLACK = 0
+WHITE = 1
 _WALK = "walk"
 
 
@@ -112,7 +113,8 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
         self.opinion = int(context.rng.integers(2)) if first is None else first
         self.quality = 1.0
         self._is_exploring = False
-        self._phase_end = self._tell_at = 0.0
+        self._phase_end = 0.0
+        self._tell_at = 0.0
         self._has_begun = False
         self._measured_s = 0.0  # time of this exploration
         self._matched_s = 0.0  # of this time: on a floor of the opinion's colour
@@ -120,7 +122,8 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The walk."""
-        speed, clearance = self.params.speed, self.params.clearance
+        speed = self.params.speed
+        clearance = self.params.clearance
         walk = self.context.make("random_walk", part=_WALK, speed=speed, clearance=clearance)
         return {_WALK: walk}
 
@@ -163,11 +166,13 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
 
     def _explore(self, now: float) -> None:
         self._is_exploring = True
-        self._measured_s = self._matched_s = 0.0
+        self._measured_s = 0.0
+        self._matched_s = 0.0
         self._phase_end = now + float(self.context.rng.exponential(self.params.explore))
 
     def _tell(self, now: float) -> None:
-        self._is_exploring, self._tell_at = False, now
+        self._is_exploring = False
+        self._tell_at = now
         self.quality = self._matched_s / self._measured_s if self._measured_s > 0.0 else 0.0
         weight = 1.0 if self.params.rule == "comparison" else self.quality
         self._phase_end = now + float(self.context.rng.exponential(self.params.tell * weight))

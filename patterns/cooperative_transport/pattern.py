@@ -90,7 +90,8 @@ class CooperativeTransport(CombinedPattern[CooperativeTransportParams]):
 
     def step(self, inputs: Inputs) -> Outputs:
         """The search without a box, a push where the box hides the lamp, else the way around."""
-        params, seen = self.params, inputs.detections or ()
+        params = self.params
+        seen = inputs.detections or ()
         placed = [detection for detection in seen if detection.distance is not None]
         boxes, lamps, robots = (
             [detection for detection in placed if detection.kind == kind]
@@ -129,5 +130,6 @@ def _away(detection: Detection) -> float:
 
 
 def _place(detection: Detection) -> tuple[float, float]:
-    away, bearing = _away(detection), detection.bearing
+    away = _away(detection)
+    bearing = detection.bearing
     return away * math.cos(bearing), away * math.sin(bearing)

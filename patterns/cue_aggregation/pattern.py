@@ -114,7 +114,8 @@ class CueAggregation(TimedPattern[CueAggregationParams]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """Zero in state wait, a turn on the spot in state turn, else straight."""
-        params, now = self.params, inputs.now
+        params = self.params
+        now = inputs.now
         state = self.state(now)
         if state == "wait":
             return ZERO
@@ -138,9 +139,11 @@ class CueAggregation(TimedPattern[CueAggregationParams]):
     def _meet(self, scan: Scan | None, ahead: Ray | None) -> Ray | None:
         """The nearest robot ahead that is near, of the latest scan."""
         if scan is not None and scan is not self._scan:
-            self._scan, robots = scan, []
+            self._scan = scan
+            robots = []
             if ahead is not None:
-                within, half = self.params.near, AHEAD_HALF_WIDTH
+                within = self.params.near
+                half = AHEAD_HALF_WIDTH
                 platform = self.context.platform
                 robots = robots_near(scan, platform, within=within, half_width=half)
             self._met = robots[0] if robots else None

@@ -34,7 +34,8 @@ from swarmd.api import (
     threshold,
 )
 
-_VOTE, _MOVE = "vote", "move"
+_VOTE = "vote"
+_MOVE = "move"
 _OF_VOTE = ("opinions", "initial", "window", "ties")
 _OF_MOVE = ("law", "speed", "turn")
 

@@ -33,7 +33,8 @@ from swarmd.api import (
 )
 
 # Push, as a share of full speed, below which a moving robot stops and above which it starts.
-_STOP_PUSH, _START_PUSH = 0.12, 0.25
+_STOP_PUSH = 0.12
+_START_PUSH = 0.25
 
 
 class DispersionParams(FieldParams, frozen=True, kw_only=True):
@@ -87,7 +88,8 @@ class Dispersion(FieldPattern[DispersionParams]):
         super().__init__(params, context)
         self.state = "settled"
         self._scan: Scan | None = None
-        self._points, self._vector = NearPoints(()), (0.0, 0.0)
+        self._points = NearPoints(())
+        self._vector = (0.0, 0.0)
 
     def update(self, params: DispersionParams) -> None:
         """Apply changed parameters; ConfigError if protection forbids the distance."""
@@ -99,7 +101,8 @@ class Dispersion(FieldPattern[DispersionParams]):
         """Follow the push of the surfaces; its state is spread or settled."""
         params = self.params
         if scan is not self._scan:
-            self._scan, (self._points, self._vector) = scan, self._look(scan)
+            self._scan = scan
+            (self._points, self._vector) = self._look(scan)
         x, y = self._vector
         limit = _START_PUSH if self.state == "settled" else _STOP_PUSH
         self.state = "settled" if math.hypot(x, y) <= limit else "spread"
@@ -117,7 +120,8 @@ class Dispersion(FieldPattern[DispersionParams]):
 
     def _look(self, scan: Scan) -> tuple[NearPoints, tuple[float, float]]:
         """The near points of a scan, and the vector along which they push."""
-        params, offset = self.params, self.context.platform.scan.offset
+        params = self.params
+        offset = self.context.platform.scan.offset
         # From the axle, so that a turn in place, which moves the lidar, changes nothing. A surface
         # whose push is too small to start must not be nearer than the distance.
         distance = params.distance + math.hypot(*offset) + _START_PUSH * params.ramp
@@ -134,7 +138,8 @@ class Dispersion(FieldPattern[DispersionParams]):
         """
         weights = [max((distance - near) / self.params.ramp, 0.0) for near, _ in points]
         most = max([1.0, *weights])
-        x = y = 0.0
+        x = 0.0
+        y = 0.0
         for weight, (_, bearing) in zip(weights, points, strict=True):
             x -= weight / most * math.cos(bearing)
             y -= weight / most * math.sin(bearing)

@@ -105,13 +105,15 @@ class FireflySynchronization(Pattern[FireflySynchronizationParams]):
     def __init__(self, params: FireflySynchronizationParams, context: Context) -> None:
         super().__init__(params, context)
         self._flashed_at: float | None = None
-        self._flashes = self._left = 0
+        self._flashes = 0
+        self._left = 0
         self._sent_at = 0.0  # of the flash that is repeated; a jump moves only `_flashed_at`
         self._known: dict[str, tuple[int, float]] = {}  # number and time of the last flash
 
     def step(self, inputs: Inputs) -> Outputs:
         """Take in the flashes of others, flash when the phase is 1, and repeat the last flash."""
-        now, period = inputs.now, self.params.period
+        now = inputs.now
+        period = self.params.period
         if self._flashed_at is None:
             self._flashed_at = now - float(self.context.rng.random()) * period
         for message in inputs.messages:
@@ -156,7 +158,8 @@ class FireflySynchronization(Pattern[FireflySynchronizationParams]):
             self._flashed_at -= (ahead - phase) * self.params.period
 
     def _flash(self, at: float) -> None:
-        self._flashed_at = self._sent_at = at
+        self._flashed_at = at
+        self._sent_at = at
         self._flashes = (self._flashes + 1) % _FLASHES
         self._left = self.params.repeats
 

@@ -60,11 +60,13 @@ _COMPRESSED_STIFFNESS = 2.0
 # Share of the highest speed in reverse, so that two robots that meet separate.
 _MAX_REVERSE_SHARE = 0.4
 # s over which the motion of other robots is measured, and m that a robot moves meanwhile at most.
-_MOTION_PERIOD, _MAX_MOTION = 1.0, 0.35
+_MOTION_PERIOD = 1.0
+_MAX_MOTION = 0.35
 # rad: width of a sector of law "paper".
 _SECTOR = math.pi / 2.0
 # rad: a wider object is near, or a wall (4 and 18 rays of 360).
-_NEAR_WIDTH, _WALL_WIDTH = math.radians(4.0), math.radians(18.0)
+_NEAR_WIDTH = math.radians(4.0)
+_WALL_WIDTH = math.radians(18.0)
 # The states of law "paper", and the sign of their turns.
 _TURNS = {"straight": 0.0, "left": 1.0, "right": -1.0}
 
@@ -259,8 +261,10 @@ class Flocking(MovementPattern[FlockingParams]):
         """
         if inputs.odometry is None:
             return 0j
-        pose, now = inputs.odometry.pose, inputs.now
-        own_place, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
+        pose = inputs.odometry.pose
+        now = inputs.now
+        own_place = complex(pose.x, pose.y)
+        heading = cmath.rect(1.0, pose.yaw)
         places = [own_place + heading * cmath.rect(*robot) for robot in robots]
         self._robots_seen.append((now, places))
         while len(self._robots_seen) > 1 and self._robots_seen[1][0] <= now - _MOTION_PERIOD:
@@ -303,7 +307,8 @@ class Flocking(MovementPattern[FlockingParams]):
 
     def _springs(self, robots: Sequence[Polar]) -> complex:
         """The force of the springs to the nearest robots: forward + i left; 1 is full."""
-        params, force = self.params, 0j
+        params = self.params
+        force = 0j
         for distance, bearing in sorted(robots, key=_range)[: params.ties]:
             stretch = (distance - params.spacing) / params.give
             stretch *= _COMPRESSED_STIFFNESS if stretch < 0.0 else 1.0
@@ -312,7 +317,8 @@ class Flocking(MovementPattern[FlockingParams]):
 
     def _push(self, walls: Sequence[Polar]) -> complex:
         """The force towards the walls (to be subtracted): forward + i left; 1 is full."""
-        params, force = self.params, 0j
+        params = self.params
+        force = 0j
         depth = max(params.wall - params.spacing, params.give)
         for distance, bearing in walls:
             push = (params.wall - distance) / depth
@@ -355,7 +361,9 @@ class Flocking(MovementPattern[FlockingParams]):
         if ahead > _NEAR_WIDTH:  # turn away from the nearest point ahead, without driving
             nearest = bearings[np.argmin(np.where(sector == 0, ranges, math.inf))]
             return ("right" if nearest > 0.0 else "left"), False
-        min_width, max_width = 0.5 * _NEAR_WIDTH, _WALL_WIDTH  # a wider object is a wall
+        # a wider object is a wall
+        min_width = 0.5 * _NEAR_WIDTH
+        max_width = _WALL_WIDTH
         if min_width <= left < max_width:
             return "right", True
         if min_width <= ahead < max_width:

@@ -30,7 +30,8 @@ from swarmd.api import (
     about,
 )
 
-_WALK, _HOME = "walk", "home"
+_WALK = "walk"
+_HOME = "home"
 _AIM = 0.2  # rad off an item beyond which the robot turns on the spot
 _READ = frozenset({"food", "food_distance", "food_bearing", "held", "ground"})
 _EYES = frozenset({"light_1", "light_2"})
@@ -84,7 +85,8 @@ class Foraging(CombinedPattern[ForagingParams]):
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The search, and the way home."""
         make = self.context.make
-        speed, turn = self.params.speed, self.params.turn
+        speed = self.params.speed
+        turn = self.params.turn
         clear = self.params.clearance
         return {
             _WALK: make("random_walk", part=_WALK, speed=speed, clearance=clear),
@@ -93,7 +95,8 @@ class Foraging(CombinedPattern[ForagingParams]):
 
     def step(self, inputs: Inputs) -> Outputs:
         """Home with an item, to an item that is seen, else the search."""
-        params, seen = self.params, inputs.readings
+        params = self.params
+        seen = inputs.readings
         if inputs.scan is None or not seen.keys() >= _READ:
             return Outputs()
         is_nest = seen["ground"] < params.white
@@ -106,7 +109,8 @@ class Foraging(CombinedPattern[ForagingParams]):
         if not seen["food"] or is_nest:
             twist = self.step_part(_WALK, inputs).twist
             return Outputs(twist, report={"state": "search"}, grip=False)
-        distance, bearing = seen["food_distance"], seen["food_bearing"]
+        distance = seen["food_distance"]
+        bearing = seen["food_bearing"]
         is_ahead = abs(bearing) < _AIM
         turn = max(-params.turn, min(params.turn, 2.0 * bearing))
         # Slower near the item, to stop 2 cm within reach.

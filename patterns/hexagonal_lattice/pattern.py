@@ -132,7 +132,8 @@ class HexagonalLattice(MovementPattern[HexagonalLatticeParams]):
     def _force(self, neighbors: Iterable[Neighbor]) -> tuple[float, float]:
         """The sum of all forces as a velocity in m/s, in the base frame."""
         params = self.params
-        x = y = 0.0
+        x = 0.0
+        y = 0.0
         self._near = 0
         for neighbor in neighbors:
             if neighbor.distance is None or neighbor.bearing is None:

@@ -31,7 +31,8 @@ from swarmd.api import (
 
 _CHANNEL = "hops"
 # Counts and hops are below this.
-_MAX_COUNT, _MAX_HOPS = 1 << 40, 10_000
+_MAX_COUNT = 1 << 40
+_MAX_HOPS = 10_000
 _MAX_LEADERS = 1000  # whose counts are remembered: a neighbour may name any
 
 

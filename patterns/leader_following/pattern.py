@@ -117,7 +117,8 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
     def __init__(self, params: LeaderFollowingParams, context: Context) -> None:
         super().__init__(params, context)
         self._sensed_at: dict[str, float] = {}  # s, by id of a robot before this robot
-        self._leader = self._lost = ""
+        self._leader = ""
+        self._lost = ""
         self._speed = 0.0  # m/s, commanded
         self._share_at = 0.0
         self._started_at: float | None = None
@@ -127,7 +128,8 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
 
         The chain is in the order of ids behind the leader.
         """
-        now, params = inputs.now, self.params
+        now = inputs.now
+        params = self.params
         self._started_at = now if self._started_at is None else self._started_at
         predecessor = self._predecessor(inputs)
         if predecessor is not None:
@@ -137,7 +139,8 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         elif self._sensed_at:
             # An earlier robot of the chain was sensed within `lease`: drive on at the same speed.
             before_id = max(self._sensed_at, key=self._chain_order)  # the last before this robot
-            aim, turn = self._speed, 0.0
+            aim = self._speed
+            turn = 0.0
         else:
             before_id = ""
             aim, turn = self._leading(now - self._started_at)
@@ -174,7 +177,8 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         if run_time < self.params.lease:
             return 0.0, 0.0
         if self._leader != self.context.robot:
-            self._lost, self._leader = self._leader, self.context.robot
+            self._lost = self._leader
+            self._leader = self.context.robot
         return self.params.pace * self.params.speed, self.params.curve
 
     def _predecessor(self, inputs: Inputs) -> _Predecessor | None:
@@ -182,7 +186,8 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
 
         Also sets `_sensed_at`: the robots before this robot that were sensed within `lease`.
         """
-        own_order, predecessor = self._chain_order(self.context.robot), None
+        own_order = self._chain_order(self.context.robot)
+        predecessor = None
         for neighbor in inputs.neighbors:
             order = self._chain_order(neighbor.id)
             if neighbor.distance is None or neighbor.bearing is None or order >= own_order:
@@ -207,4 +212,5 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
             if message.channel != _CHANNEL or message.sender != before:
                 continue
             if isinstance(name, str) and 0 < len(name) <= _MAX_ID and name != self._leader:
-                self._lost, self._leader = self._leader, name
+                self._lost = self._leader
+                self._leader = name

@@ -92,7 +92,8 @@ class LevyWalk(MovementPattern[LevyWalkParams]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """The rest of the turn, or of the flight; a new turn and flight when both are done."""
-        dt, step = inputs.dt, 1.0 / self.rate
+        dt = inputs.dt
+        step = 1.0 / self.rate
         self._left -= self._last.angular * dt
         self._flight -= self._last.linear * dt
         blocking = self._ahead.within(self.params.clearance, inputs.scan)
@@ -109,7 +110,8 @@ class LevyWalk(MovementPattern[LevyWalkParams]):
 
     def _draw(self, blocking: Ray | None) -> None:
         """A new heading, away from what blocks, and the length of the flight there."""
-        rng, params = self.context.rng, self.params
+        rng = self.context.rng
+        params = self.params
         if blocking is None:
             self._left = float(rng.uniform(-math.pi, math.pi))
         else:

@@ -98,7 +98,8 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """To the centroid, forward or backward, whichever needs less of a turn."""
-        params, scan = self.params, inputs.scan
+        params = self.params
+        scan = inputs.scan
         if scan is not None and scan.seq != self._scan_seq:
             self._scan_seq = scan.seq
             self._centroid = self._cell_centroid(scan, inputs.neighbors)
@@ -114,11 +115,13 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
         return, at `reach`, or at the line halfway to a neighbour. (0, 0) for an empty cell.
         """
         # 1. The ends of the rays as bearing and distance from the axle, in the order of bearings.
-        is_known, reach = ~np.isnan(scan.ranges), min(self.params.reach, scan.range_max)
+        is_known = ~np.isnan(scan.ranges)
+        reach = min(self.params.reach, scan.range_max)
         ranges = np.clip(scan.ranges[is_known], 0.0, reach)
         bearings = scan.bearings[is_known]
         lidar_x, lidar_y = self.context.platform.scan.offset
-        x, y = ranges * np.cos(bearings) + lidar_x, ranges * np.sin(bearings) + lidar_y
+        x = ranges * np.cos(bearings) + lidar_x
+        y = ranges * np.sin(bearings) + lidar_y
         angle = np.arctan2(y, x)
         order = np.argsort(angle)
         angle = angle[order]
@@ -139,7 +142,8 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
             return 0.0, 0.0
         # 4. The mean of the triangles' centroids, weighted by area. The centroid is a third of the
         # sum of the corners, and one corner is the robot at (0, 0).
-        x, y = length * np.cos(angle), length * np.sin(angle)
+        x = length * np.cos(angle)
+        y = length * np.sin(angle)
         return (
             float((double_area * (x + np.roll(x, -1))).sum()) / (3.0 * total),
             float((double_area * (y + np.roll(y, -1))).sum()) / (3.0 * total),

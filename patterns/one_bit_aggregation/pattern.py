@@ -116,7 +116,8 @@ class OneBitAggregation(MovementPattern[OneBitAggregationParams]):
         scan = inputs.scan
         if scan is not None and scan.seq != self._seq:
             self._seq = scan.seq
-            platform, half = self.context.platform, params.half_width
+            platform = self.context.platform
+            half = params.half_width
             self._sees = bool(robots_near(scan, platform, within=params.sight, half_width=half))
         if self._sees:
             return Twist(angular=-params.turn)

@@ -104,7 +104,8 @@ class Patrol(Pattern[PatrolParams]):
         `_target` is the index of a place, -1 before the first target. Without a pose the robot
         stands and sends nothing. The age of a visit is the time in s since a robot was at a place.
         """
-        now, params = inputs.now, self.params
+        now = inputs.now
+        params = self.params
         for message in inputs.messages:
             self._hear(message, now - message.age)
         pose = inputs.pose
@@ -144,7 +145,8 @@ class Patrol(Pattern[PatrolParams]):
         If each adjacent place is a target of a robot, all adjacent places are candidates. The robot
         takes the candidate with the oldest visit, and a random candidate among equals.
         """
-        params, rng = self.params, self.context.rng
+        params = self.params
+        rng = self.context.rng
         nearest = min(range(len(distances)), key=distances.__getitem__)
         origin = self._target if self._target >= 0 else nearest
         x, y = self._places[origin]

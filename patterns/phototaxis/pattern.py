@@ -95,9 +95,12 @@ class Phototaxis(TimedPattern[PhototaxisParams]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """The command along the bearing of the lamp; a turn, then a straight, in the dark."""
-        params, now = self.params, inputs.now
-        left, right = inputs.readings["light_1"], inputs.readings["light_2"]
-        is_seen, is_away = left + right > params.dark, params.sense == "away"
+        params = self.params
+        now = inputs.now
+        left = inputs.readings["light_1"]
+        right = inputs.readings["light_2"]
+        is_seen = left + right > params.dark
+        is_away = params.sense == "away"
         if is_seen and not is_away:
             self.begin(now)  # no search
             if 0.0 < params.bright <= left + right:
@@ -117,7 +120,8 @@ class Phototaxis(TimedPattern[PhototaxisParams]):
         return Twist(angular=self._side * params.turn)
 
     def _towards(self, inputs: Inputs, bearing: float) -> Twist:
-        params, scan = self.params, self.context.platform.scan
+        params = self.params
+        scan = self.context.platform.scan
         near = near_points(inputs.scan, within=params.spacing + 1.0, offset=scan.offset)
         x, y = near.keep_clear(
             math.cos(bearing), math.sin(bearing), spacing=params.spacing, brake=_BRAKE

@@ -131,7 +131,8 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
 
     def _go_straight(self, now: float) -> None:
         self._is_turning = False
-        low, high = self.params.straight_min, self.params.straight_max
+        low = self.params.straight_min
+        high = self.params.straight_max
         self._until = now + float(self.context.rng.uniform(low, high))
 
     def _start_turn(self, now: float, blocking: Ray | None) -> None:

@@ -126,12 +126,14 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
     def __init__(self, params: ShelterChoiceParams, context: Context) -> None:
         super().__init__(params, context)
         self._is_resting = False
-        self._walk_until = self._share_at = 0.0
+        self._walk_until = 0.0
+        self._share_at = 0.0
         self._rest_heard_at: dict[str, float] = {}  # s of the last message of rest, by neighbour
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The walk."""
-        speed, clearance = self.params.speed, self.params.clearance
+        speed = self.params.speed
+        clearance = self.params.clearance
         walk = self.context.make("random_walk", part=_WALK, speed=speed, clearance=clearance)
         return {_WALK: walk}
 
@@ -142,7 +144,8 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
         there, and the rate of stopping falls as the shelter fills (Ame et al. 2006). A robot that
         has left walks for `away` s before it may stop again.
         """
-        now, params = inputs.now, self.params
+        now = inputs.now
+        params = self.params
         for message in inputs.messages:
             if message.channel == _CHANNEL and message.value is True:
                 self._rest_heard_at[message.sender] = now - message.age
@@ -154,7 +157,8 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
         if self._is_resting:
             leave_rate = params.leave / (1.0 + params.social * filled**params.exponent)
             if not is_dark or self._happens(leave_rate, inputs.dt):
-                self._is_resting, self._walk_until = False, now + params.away
+                self._is_resting = False
+                self._walk_until = now + params.away
         elif is_dark and now >= self._walk_until:
             self._is_resting = self._happens(params.stop * (1.0 - filled), inputs.dt)
             self._share_at = now

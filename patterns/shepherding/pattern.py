@@ -157,7 +157,8 @@ class Shepherding(Pattern[ShepherdingParams]):
         places: dict[str, list[Vector]] = {"sheep": [], "shepherd": [], "goal": []}
         for neighbor in neighbors:
             role = self._roles[neighbor.id]
-            distance, bearing = neighbor.distance, neighbor.bearing
+            distance = neighbor.distance
+            bearing = neighbor.bearing
             if role in places and distance is not None and bearing is not None:
                 places[role].append((distance * math.cos(bearing), distance * math.sin(bearing)))
         return places
@@ -165,11 +166,13 @@ class Shepherding(Pattern[ShepherdingParams]):
     def _flee(self, sheep: list[Vector], shepherds: list[Vector]) -> Vector:
         """The way of a sheep: away from sheep that are too near, to the herd, from shepherds."""
         params = self.params
-        x = y = 0.0
+        x = 0.0
+        y = 0.0
         for neighbor in sheep:
             if math.hypot(*neighbor) < params.spacing:
                 unit = _unit(neighbor)
-                x, y = x - 2.0 * unit[0], y - 2.0 * unit[1]
+                x = x - 2.0 * unit[0]
+                y = y - 2.0 * unit[1]
         reach = params.flight * params.spacing
         threats = [shepherd for shepherd in shepherds if math.hypot(*shepherd) < reach]
         if threats:
@@ -182,7 +185,8 @@ class Shepherding(Pattern[ShepherdingParams]):
 
     def _herd(self, sheep: list[Vector], goal: Vector) -> tuple[Vector, str]:
         """The way of the shepherd: to behind the farthest sheep, or behind the herd."""
-        params, count = self.params, len(sheep)
+        params = self.params
+        count = len(sheep)
         center = _mean(sheep)
         if math.dist(center, goal) <= params.arrived:
             return (0.0, 0.0), "arrived"
@@ -191,11 +195,13 @@ class Shepherding(Pattern[ShepherdingParams]):
         farthest = max(sheep, key=lambda place: math.dist(place, center))
         if math.dist(farthest, center) > params.spacing * count ** (2.0 / 3.0):
             state = "collect"
-            pushed, behind = farthest, params.spacing
+            pushed = farthest
+            behind = params.spacing
             away = _unit((farthest[0] - center[0], farthest[1] - center[1]))
         else:
             state = "drive"
-            pushed, behind = center, params.spacing * math.sqrt(count)
+            pushed = center
+            behind = params.spacing * math.sqrt(count)
             away = _unit((center[0] - goal[0], center[1] - goal[1]))
         return (pushed[0] + behind * away[0], pushed[1] + behind * away[1]), state
 

@@ -104,19 +104,22 @@ class SourceSeeking(TimedPattern[SourceSeekingParams]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """Straight, or a turn on the spot."""
-        params, now = self.params, inputs.now
+        params = self.params
+        now = inputs.now
         value = inputs.readings["concentration"]
         if 0.0 < params.enough <= value:
             self.begin(now, arrived=params.period)
             return Twist()
         state = self.state(now)
         if state == "tumble":
-            self._last, self._compare_at = value, now + params.period
+            self._last = value
+            self._compare_at = now + params.period
             return Twist(angular=self._side * params.turn)
         is_falling = False
         if now >= self._compare_at:
             is_falling = value < self._last
-            self._last, self._compare_at = value, now + params.period
+            self._last = value
+            self._compare_at = now + params.period
         blocking = self._ahead.within(params.clearance, inputs.scan)
         if not is_falling and blocking is None:
             return Twist(linear=params.speed)

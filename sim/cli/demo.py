@@ -104,7 +104,8 @@ def demo(
         spec = structs.replace(fleet, **own, seconds=seconds)
     else:  # robots that join later, by an event, have no daemon so far
         scenario = fleet.live.scenario
-        events, seconds = scenario.events, scenario.duration
+        events = scenario.events
+        seconds = scenario.duration
         spec = structs.replace(fleet, **own, seconds=seconds, absent=scenario.absent)
 
     # 3. The run and its report.

@@ -554,7 +554,8 @@ def _measured(file: Path, metrics: Sequence[Metric]) -> dict[str, float | None]:
     from swarmd.sim.metrics.own import MetricError
     from swarmd.sim.trace import load_trace
 
-    trace, values = load_trace(file), dict[str, float | None]()
+    trace = load_trace(file)
+    values = dict[str, float | None]()
     for metric in metrics:
         try:
             values |= catalog.measure(trace, [metric])

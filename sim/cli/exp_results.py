@@ -248,7 +248,8 @@ def view(folder: Path, seed: int | None, variant: str | None, page: WebOptions) 
 
 
 _INCHES = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 0.1 / 2.54, "pt": 1.0 / 72.27}
-_NARROWEST, _WIDEST = 2.0, 20.0
+_NARROWEST = 2.0
+_WIDEST = 20.0
 
 
 @click.command("plot", epilog="Example: swarmctl exp plot runs/rules --metrics consensus_time")

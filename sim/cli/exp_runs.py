@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.simulate import Runner
     from swarmd.sim.metrics.metric import Metric
 
-FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
+# exit codes if all runs failed, or some
+FAILED = 1
+PARTIAL = 3
 
 seeds_option = click.option(
     "--seeds",

@@ -75,7 +75,8 @@ class _Notes:
         if self._first_report is None or now.left <= 0.0:
             return None
         first_time, first_worked = self._first_report
-        elapsed, worked = time - first_time, now.worked - first_worked
+        elapsed = time - first_time
+        worked = now.worked - first_worked
         if elapsed < FIRST_ESTIMATE or worked <= 0.0:
             return None
         return elapsed / worked * now.left

@@ -124,7 +124,8 @@ def standings(results: Results) -> list[Standing]:
 
 def _is_apart(a: Summary, b: Summary) -> bool:
     """Whether the intervals of two medians do not overlap; True if `b` has no median."""
-    left, right = a.median_interval, b.median_interval
+    left = a.median_interval
+    right = b.median_interval
     if left is None or right is None:
         return b.median is None
     return left.high < right.low or right.high < left.low

@@ -128,7 +128,8 @@ def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]
 
 def sides_of(text: str, *, is_trusted: bool = False) -> list[Side]:
     """The variants that `FOLDER` or `FOLDER:VARIANT` names; ConfigError for an unknown variant."""
-    folder, variant = text, None
+    folder = text
+    variant = None
     if not Path(text).is_dir() and ":" in text:
         folder, _, variant = text.partition(":")
     results = load_results(folder, is_trusted=is_trusted)
@@ -213,14 +214,18 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         if metric.is_time_to_event and has_never
         else None
     )
-    values_a, values_b = measured_a, measured_b
+    values_a = measured_a
+    values_b = measured_b
     if horizon is not None:
-        values_a, values_b = restricted(values_a, horizon), restricted(values_b, horizon)
+        values_a = restricted(values_a, horizon)
+        values_b = restricted(values_b, horizon)
     # The runs that are compared: runs with a value, or pairs of runs with two values.
-    runs_a, runs_b = np.flatnonzero(~np.isnan(values_a)), np.flatnonzero(~np.isnan(values_b))
+    runs_a = np.flatnonzero(~np.isnan(values_a))
+    runs_b = np.flatnonzero(~np.isnan(values_b))
     if is_paired:
         runs_a, runs_b = _pairs(a, b, runs_a, runs_b)
-    values_a, values_b = values_a[runs_a], values_b[runs_b]
+    values_a = values_a[runs_a]
+    values_b = values_b[runs_b]
     if horizon is None:
         p = difference_p(values_a, values_b, is_paired=is_paired)
     else:  # of all finished runs, without pairs: the test is for independent samples

@@ -47,7 +47,8 @@ def cores_of_a_run(cores: int, runs: int, robots: int) -> int:
 
 def _groups(root: Path) -> list[Path]:
     """The folders of the control groups of this process, and of all groups around them."""
-    base, folders = root / "sys/fs/cgroup", []
+    base = root / "sys/fs/cgroup"
+    folders = []
     with suppress(OSError):
         for line in (root / "proc/self/cgroup").read_text().splitlines():
             _, controllers, path = line.split(":", 2)

@@ -168,7 +168,8 @@ def difference(own: Mapping[str, str], there: Mapping[str, str]) -> str:
     last bits.
     """
     if own.get("pinned") == there.get("pinned"):
-        own, there = deciding(own), deciding(there)
+        own = deciding(own)
+        there = deciding(there)
     names = (name for name in {**own, **there} if own.get(name) != there.get(name))
     return next(
         (f"{n} is {there.get(n, 'missing')} there, {own.get(n, 'missing')} here" for n in names),

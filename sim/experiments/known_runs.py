@@ -193,7 +193,8 @@ class KnownRuns:
         if not where:
             self.done_again += 1
             return
-        job, entry = known.job, known.entry
+        job = known.job
+        entry = known.entry
         folder = self._store.put_aside(entry.key)
         here = "" if job.trace is None else f" ({job.trace})"
         raise SwarmError(
@@ -205,7 +206,8 @@ class KnownRuns:
 
     def _difference(self, known: _Known, result: JobResult) -> str:
         """The first metric that differs, or else the first array of the trace; empty if none."""
-        now, then = result.metrics or {}, known.entry.metrics
+        now = result.metrics or {}
+        then = known.entry.metrics
         for name in dict.fromkeys((*then, *now)):
             if name not in now or name not in then or not _is_same(then[name], now[name]):
                 return f"{name} was {_shown(then, name)}, is {_shown(now, name)}"
@@ -219,7 +221,8 @@ class KnownRuns:
         try:
             if stored is None or stored.read_bytes() == trace.read_bytes():
                 return ""
-            then, now = load_trace(stored), load_trace(trace)
+            then = load_trace(stored)
+            now = load_trace(trace)
         except (OSError, SwarmError):  # such as of an entry that was removed meanwhile
             return ""
         names = trace_differences(then, now)

@@ -150,7 +150,8 @@ def _bounded(
 
     At a load above the cores of the machine the seconds count less (`core_share`).
     """
-    spent, last = 0.0, time.monotonic()
+    spent = 0.0
+    last = time.monotonic()
     step = min(STEP_TIMEOUT, timeout / 2.0)
     runner: Runner = partial(run_jobs, processes=processes, timeout=step)
     if known is not None:

@@ -212,7 +212,8 @@ def read_manifest(folder: Path) -> Manifest:
 def differences(old: Manifest, new: Manifest) -> Iterator[str]:
     """A text for each difference that changes results or files."""
     for name in ("scenario", "seeds", "sets", "sweep", "traces", "shard"):
-        was, now = getattr(old, name), getattr(new, name)
+        was = getattr(old, name)
+        now = getattr(new, name)
         # The order of swept keys is the order of the rows.
         if was != now or (name == "sweep" and list(was) != list(now)):
             yield f"{name} was {_clipped(was)}, now {_clipped(now)}"
@@ -234,7 +235,8 @@ def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
     before = old.made_with
     after = new.made_with
     if before.get("pinned") == after.get("pinned"):
-        before, after = deciding(before), deciding(after)
+        before = deciding(before)
+        after = deciding(after)
     others = sorted({*before, *after} - set(_CAUSES))
     for name in (*_CAUSES, *others):
         was = before.get(name, "unknown")

@@ -180,12 +180,14 @@ def _custom_metrics(
 
     `digests`: of the code by origin.
     """
-    metrics, errors = dict[str, float | None](), dict[str, str]()
+    metrics = dict[str, float | None]()
+    errors = dict[str, str]()
     for metric in (metric_of(origin, digest) for origin, digest in digests.items()):
         try:
             metrics |= measure(trace, [metric])
         except MetricError as error:
-            metrics[metric.name], errors[metric.name] = None, one_line(str(error))
+            metrics[metric.name] = None
+            errors[metric.name] = one_line(str(error))
     return metrics, errors
 
 
@@ -286,7 +288,8 @@ class _KeptWorkers:
     def take(self) -> _Worker | None:
         """The kept worker if it may be used here and now; else None."""
         with self._lock:
-            worker, self._worker = self._worker, None
+            worker = self._worker
+            self._worker = None
         if worker is None or worker.is_ready():
             return worker
         worker.kill()
@@ -317,7 +320,8 @@ class _KeptWorkers:
     def end(self) -> None:
         """End the kept worker at once."""
         with self._lock:
-            worker, self._worker = self._worker, None
+            worker = self._worker
+            self._worker = None
         if worker is not None:
             worker.kill()
 

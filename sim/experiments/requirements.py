@@ -113,7 +113,8 @@ def parse_requirement(text: str) -> Requirement:
 
 def check(requirement: Requirement, side: Side) -> RequirementFinding:
     """Check a requirement on one variant; ConfigError with the nearest name for unknown metrics."""
-    results, name = side.results, requirement.metric
+    results = side.results
+    name = requirement.metric
     if name == RUNS:
         runs = float(len(results.seeds(side.variant)))
         return RequirementFinding(

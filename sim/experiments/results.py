@@ -140,7 +140,8 @@ class Results:
     @property
     def lacking(self) -> str:
         """A text with the numbers of finished and failed runs; empty if all runs have finished."""
-        planned, finished = len(self.plan.runs), len(self._rows)
+        planned = len(self.plan.runs)
+        finished = len(self._rows)
         if planned == finished:
             return ""
         failed = f", {len(self.failures)} failed" if self.failures else ""

@@ -49,7 +49,9 @@ _SHARE_KEPT = 0.9  # of the bound, what is left when entries are removed
 _SHARE_WRITTEN = 1 / 8  # of the bound, what is written before entries are removed
 _FREE = 1 << 30  # bytes that stay free on the disk
 _OLD = 3600.0  # s after which an entry that was never finished is removed
-_RESULT, _TRACE, _ASIDE = "result", "trace.npz", "aside"
+_RESULT = "result"
+_TRACE = "trace.npz"
+_ASIDE = "aside"
 _PARTIAL = ".partial-"
 _MAX_RESULT = 1 << 20  # bytes; the metrics of a run take some kB
 _PIECE = 1 << 20  # bytes that are read at a time
@@ -144,7 +146,8 @@ class RunStore:
             if trace is not None:
                 copy = partial / _TRACE
                 _copy(trace, copy)
-                digest, size = _digest_of(copy), copy.stat().st_size
+                digest = _digest_of(copy)
+                size = copy.stat().st_size
             entry = Entry(key=key, made=made, metrics=dict(metrics), trace=digest, size=size)
             text = msgspec.json.encode(entry)
             if msgspec.json.decode(text, type=Entry) != entry:  # a value that JSON cannot hold
@@ -244,7 +247,9 @@ class RunStore:
             for item in found:
                 if len(item.name) != _DIGEST or not item.is_dir(follow_symlinks=False):
                     continue
-                used, size = 0.0, 0  # what is no entry goes first
+                # what is no entry goes first
+                used = 0.0
+                size = 0
                 with suppress(OSError), os.scandir(item.path) as files:
                     for file in files:
                         about = file.stat(follow_symlinks=False)
@@ -277,7 +282,8 @@ class RunStore:
             content = read_regular(folder / _RESULT, _MAX_RESULT, os.O_NOFOLLOW)
         except OSError as error:
             raise _DamagedError from error
-        digest, text = content[:_DIGEST], content[_DIGEST + 1 :]
+        digest = content[:_DIGEST]
+        text = content[_DIGEST + 1 :]
         if hashlib.sha256(text).hexdigest().encode() != digest:
             raise _DamagedError
         try:

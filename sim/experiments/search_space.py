@@ -248,7 +248,8 @@ def _with_bounds(parameter: Parameter, spec: ParamSpec, platform: Platform) -> D
         limit = platform.limits.lateral
         if limit == 0.0:
             return Declared(parameter, f"{platform.name} does not move sideways")
-    low, high = max(spec.ge, -limit), min(spec.le, limit)
+    low = max(spec.ge, -limit)
+    high = min(spec.le, limit)
     exclusion = "" if low < high else "it has one value"
     return Declared(replace(parameter, low=low, high=high), exclusion)
 

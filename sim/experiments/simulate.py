@@ -203,7 +203,8 @@ def plan_of(
         reported_notes.update(dict.fromkeys(variant.notes))
         return plain(variant.effective)
 
-    sets, sweeps = python_value(set or {}), python_value(sweep or {})
+    sets = python_value(set or {})
+    sweeps = python_value(sweep or {})
     return make_plan(name, checked_seeds, sets, sweeps, effective)
 
 

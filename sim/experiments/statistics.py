@@ -245,7 +245,8 @@ def interaction_p(cells: Array, *, has_blocks: bool) -> float | None:
     from scipy.stats import f as distribution
 
     rows, columns, n = cells.shape
-    means, all_mean = cells.mean(axis=2), cells.mean()
+    means = cells.mean(axis=2)
+    all_mean = cells.mean()
     # The F ratio: the mean square of the interaction over the mean square of the scatter.
     means_without_interaction = means.mean(axis=1)[:, None] + means.mean(axis=0)[None] - all_mean
     interaction = n * float(((means - means_without_interaction) ** 2).sum())
@@ -327,7 +328,8 @@ def summary_rows(summaries: Iterable[tuple[Metric, Summary]]) -> list[tuple[str,
             )
         else:  # the median of values that are 0 or 1 says nothing
             middle = (interval(summary.share_interval), NOTHING, interval(None))
-        least, greatest = number(summary.min), number(summary.max)
+        least = number(summary.min)
+        greatest = number(summary.max)
         unit = metric.unit or NOTHING
         rows.append((metric.name, unit, mean, *middle, least, greatest, str(runs)))
     return rows

@@ -319,7 +319,8 @@ def trace_path(folder: Path, run: Run) -> Path:
 
 def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store:
     """The store of a new or continued experiment; removes partly written traces and lines."""
-    table, traces = folder / TABLE, folder / TRACES
+    table = folder / TABLE
+    traces = folder / TRACES
     if (folder / manifests.NAME).exists():
         recorded = read_manifest(folder)
         difference = next(manifests.differences(recorded, manifest), None)

@@ -164,7 +164,8 @@ def _factors(results: Results, metric: Metric) -> Factors | None:
     common_seeds = sorted(set.intersection(*map(set, by_cell.values())))
     if not common_seeds:
         return None
-    row_texts, column_texts = [*map(shown, row_values)], [*map(shown, column_values)]
+    row_texts = [*map(shown, row_values)]
+    column_texts = [*map(shown, column_values)]
     cells = np.array([
         [[by_cell[row, column][seed] for seed in common_seeds] for column in column_texts]
         for row in row_texts

@@ -75,7 +75,8 @@ STATE = "tune.json"
 BATCHES = "batches"
 HELD_OUT = "held_out"
 RESULT = "tuned.yaml"
-PRESENT, TUNED = "present", "tuned"
+PRESENT = "present"
+TUNED = "tuned"
 """Names of the two variants on held-out seeds: the scenario's values, and the best candidate's."""
 CANDIDATES = 8
 ALPHA = 0.05
@@ -298,7 +299,8 @@ def _held_out(given: int | Iterable[int], search_seeds: Sequence[int]) -> tuple[
     ConfigError if a seed is both held out and a seed of the search.
     """
     if isinstance(given, Integral):
-        first, count = max(search_seeds) + 1, int(given)
+        first = max(search_seeds) + 1
+        count = int(given)
         return check_seeds(range(first, first + count)) if count else ()
     held_out = check_seeds(cast("Iterable[int]", given))
     if common := sorted({*held_out} & {*search_seeds}):

@@ -104,7 +104,8 @@ def _by_number(values: Array, name: str) -> Colouring:
             colours[values == value] = colour
         words = [f"{label} {known[0]:g}", *(f"{value:g}" for value in known[1:])]
         return Colouring(colours, list(zip(PALETTE, words, strict=False)))
-    low, high = known[0], known[-1]
+    low = known[0]
+    high = known[-1]
     shades = np.array([to_hex(shade) for shade in colormaps["cividis"](np.linspace(0, 1, _SHADES))])
     share = (values[is_known] - low) / max(high - low, 1e-9)
     colours[is_known] = shades[np.round((_SHADES - 1) * share).astype(int)]

@@ -27,10 +27,16 @@ RATES = {".mp4": 25, ".gif": 12, ".webp": 12}
 SIZES = {".mp4": 1080, ".gif": 480, ".webp": 480}
 """The longer side of frames in pixels by suffix; the arena gives the aspect."""
 _HOLD = 1.0  # s for which the last frame stays
-_NARROWEST, _WIDEST = 0.8, 2.2  # width by height of a frame
-_LEAST_DPI, _INCHES = 90.0, 4.5  # small frames are lower than _INCHES, for legible text
+# width by height of a frame
+_NARROWEST = 0.8
+_WIDEST = 2.2
+# small frames are lower than _INCHES, for legible text
+_LEAST_DPI = 90.0
+_INCHES = 4.5
 _MAX_NAMES = 20  # robots with names
-_COLUMNS, _MAX_KEY = 6, 18  # of the key: columns, and entries
+# of the key: columns, and entries
+_COLUMNS = 6
+_MAX_KEY = 18
 _MIN_PIXELS = 20.0  # the least length of a robot
 _MOST = 2.0  # the largest enlargement of a robot
 _NOTED = 1.05  # the least enlargement that a note tells
@@ -71,7 +77,9 @@ def make_film(
     trace is empty or the film cannot be written.
     """
     check_output(path)
-    trace, rate = run.trace, RATES[path.suffix]  # rate: frames per s
+    # rate: frames per s
+    trace = run.trace
+    rate = RATES[path.suffix]
     scene.check_drawable(trace)
     extent = scene.extent_of(trace)
     size = frame_size(extent, settings.size or SIZES[path.suffix])
@@ -101,7 +109,8 @@ def frame_size(extent: scene.Extent, longer: int) -> tuple[int, int]:
     `longer`: the longer side.
     """
     aspect = min(max(extent.width / extent.height, _NARROWEST), _WIDEST)
-    width, height = longer * min(aspect, 1.0), longer * min(1.0 / aspect, 1.0)
+    width = longer * min(aspect, 1.0)
+    height = longer * min(1.0 / aspect, 1.0)
     return 2 * round(width / 2.0), 2 * round(height / 2.0)
 
 
@@ -183,7 +192,8 @@ class Drawing:
         """
         from matplotlib.collections import LineCollection
 
-        axes, trace = self._axes, self._trace
+        axes = self._axes
+        trace = self._trace
         for artist in {*axes.get_children()} - self._kept:
             artist.remove()
         t = trace.t - trace.t[0]

@@ -36,7 +36,8 @@ class Seat:
     def leave(self) -> None:
         """Forget the robot's pattern and inputs, and set the action to zero."""
         self.action = np.zeros_like(self.action)
-        self.pattern = self.inputs = None
+        self.pattern = None
+        self.inputs = None
 
 
 def agent_class(spec: PolicySpec, seats: dict[str, Seat]) -> type[ActionPattern]:

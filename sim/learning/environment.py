@@ -180,7 +180,8 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         # An agent for each time that a robot may join.
         self.possible_agents = lives_of(scenario, learners)
         self.agents: list[str] = []
-        self._learners, self._reward = learners, reward
+        self._learners = learners
+        self._reward = reward
         # The seed of the next `reset`; None: drawn by `_seeds`.
         self._next_seed = None if seed is None else check_seeds([seed])[0]
         self._seeds = np.random.default_rng(self._next_seed)
@@ -243,7 +244,8 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         if given is not None:
             self._next_seed = check_seeds([given])[0]
             self._seeds = np.random.default_rng(self._next_seed)
-        seed, self._next_seed = self._next_seed, None
+        seed = self._next_seed
+        self._next_seed = None
         return int(self._seeds.integers(2**31)) if seed is None else seed
 
     def _await_inputs(self, swarm: Lockstep, seats: Sequence[Seat]) -> None:
@@ -376,9 +378,11 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         return numbers
 
     def _state(self, period: float) -> State:
-        swarm, episode = self._running().swarm, self._running()
+        swarm = self._running().swarm
+        episode = self._running()
         n = len(swarm.world.ids)
-        requested, limited = np.zeros((n, 3)), np.zeros(n, dtype=np.bool_)
+        requested = np.zeros((n, 3))
+        limited = np.zeros(n, dtype=np.bool_)
         for row, shell in enumerate(swarm.shells):
             if shell is not None:
                 decision = shell.robot.decision
@@ -397,7 +401,8 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         )
 
     def _infos(self, state: State, agents: list[str]) -> dict[str, Info]:
-        swarm, rows = self._running().swarm, {robot: i for i, robot in enumerate(state.ids)}
+        swarm = self._running().swarm
+        rows = {robot: i for i, robot in enumerate(state.ids)}
         infos = {}
         for agent in agents:
             row = rows[_robot_of(agent)]

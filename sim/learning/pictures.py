@@ -24,8 +24,10 @@ class Pictures:
 
     def __init__(self, swarm: Lockstep) -> None:
         self._swarm = swarm
-        world, scenario = swarm.world, swarm.scenario
-        half, wide = scenario.arena.length / 2.0 + _MARGIN, scenario.arena.width / 2.0 + _MARGIN
+        world = swarm.world
+        scenario = swarm.scenario
+        half = scenario.arena.length / 2.0 + _MARGIN
+        wide = scenario.arena.width / 2.0 + _MARGIN
         self._builder = TraceBuilder(
             world.ids,
             world.platforms,
@@ -44,7 +46,8 @@ class Pictures:
 
     def _present(self) -> tuple[Trace, Colouring]:
         """A trace of the present instant alone."""
-        world, swarm = self._swarm.world, self._swarm
+        world = self._swarm.world
+        swarm = self._swarm
         self._builder.clear()
         self._builder.add(world.time, world.poses(), swarm.commands, world.loose_poses())
         words = ["" if shell is None else str(shell.robot.state) for shell in swarm.shells]

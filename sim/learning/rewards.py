@@ -22,7 +22,8 @@ from swarmd.sim.scenarios.simulation import meta_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.world import World
 
-CONTACTS, LIMITED = "contacts", "limited"
+CONTACTS = "contacts"
+LIMITED = "limited"
 """Reward terms of each robot: its new contacts, and 1 while protection changes its request."""
 
 
@@ -94,18 +95,21 @@ class Rewards:
 
     def begin(self, state: State) -> None:
         """Take the state before the first step."""
-        self._last, self._last_present = self._values(state), state.present
+        self._last = self._values(state)
+        self._last_present = state.present
 
     def of(self, state: State) -> Mapping[str, float]:
         """The reward of each robot for the step that led to `state`."""
         if self._function is not None:
             return _checked(self._function(state), state.ids)
-        values, shared = self._values(state), 0.0
+        values = self._values(state)
+        shared = 0.0
         if np.array_equal(state.present, self._last_present):
             for (_, weight), value, last in zip(self._metrics, values, self._last, strict=True):
                 change = value - last
                 shared += weight * change if np.isfinite(change) else 0.0
-        self._last, self._last_present = values, state.present
+        self._last = values
+        self._last_present = state.present
         own = self._own[CONTACTS] * state.contacts + self._own[LIMITED] * state.limited
         return dict(zip(state.ids, (shared + own).tolist(), strict=True))
 

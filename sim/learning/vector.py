@@ -43,7 +43,8 @@ class JointEnv(gymnasium.Env[Swarm, Swarm]):
     def __init__(self, swarm: SwarmEnv) -> None:
         self.swarm = swarm
         self.agents = list(swarm.possible_agents)
-        spec, n = swarm.spec, len(self.agents)
+        spec = swarm.spec
+        n = len(self.agents)
         self.observation_space = Box(-1.0, 1.0, (n, spec.size), np.float32)
         self.action_space = Box(-1.0, 1.0, (n, spec.actions), np.float32)
 

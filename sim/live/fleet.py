@@ -285,7 +285,8 @@ def world_options(spec: FleetSpec) -> WorldOptions:
     options = WorldOptions(**{name: getattr(spec, name) for name in names})
     if spec.live is None:
         return options
-    path, rate = str(spec.folder / SCENARIO_FILE), spec.live.scenario.trace_rate
+    path = str(spec.folder / SCENARIO_FILE)
+    rate = spec.live.scenario.trace_rate
     return structs.replace(options, scenario=path, trace_rate=rate)
 
 
@@ -319,7 +320,8 @@ def _detections(spec: FleetSpec, robot: str) -> dict[str, bool]:
     """{DETECTIONS: True} for a robot of driver `simulated` with a detector, else {}."""
     if spec.emulator is not None:
         return {}
-    name, live = spec.robots[robot], spec.live
+    name = spec.robots[robot]
+    live = spec.live
     platform = load_platform(name) if live is None else live.scenario.robots[robot]
     return {DETECTIONS: True} if DETECTIONS in platform.sensors else {}
 

@@ -154,23 +154,27 @@ class WorldLink:
     def take_commands(self) -> Mapping[str, Command]:
         """The newest command of each robot since the last call."""
         self.receive()
-        commands, self._commands = self._commands, {}
+        commands = self._commands
+        self._commands = {}
         return commands
 
     def take_grips(self) -> Mapping[str, bool]:
         """The newest command of each gripper since the last call, up to the last `receive`."""
-        grips, self._grips = self._grips, {}
+        grips = self._grips
+        self._grips = {}
         return grips
 
     def take_messages(self) -> list[hw_codec.MessageWire]:
         """The messages that patterns have sent, up to the last `receive`, in order of arrival."""
-        messages, self._messages = self._messages, []
+        messages = self._messages
+        self._messages = []
         return messages
 
     def take_requests(self) -> list[PendingRequest]:
         """The requests since the last call; each needs one reply."""
         with self._lock:
-            questions, self._requests = self._requests, []
+            questions = self._requests
+            self._requests = []
         return questions
 
     def close(self) -> None:
@@ -345,7 +349,8 @@ class EmulatorTransport:
     def take_commands(self) -> Mapping[str, Command]:
         """The newest command of each robot since the last call."""
         with self._lock:
-            commands, self._commands = self._commands, {}
+            commands = self._commands
+            self._commands = {}
         return commands
 
     def _on_command(self, robot: str, twist: Twist) -> None:

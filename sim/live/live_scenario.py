@@ -53,7 +53,8 @@ class LiveScenario:
 
     def _platform_file(self, platform: Platform) -> dict[str, Any]:
         own = configured(platform, self.scenario.realism)
-        scan, ring = own.scan, own.ranges
+        scan = own.scan
+        ring = own.ranges
         file = dict(self.scenario.effective["platforms"][platform.name])
         file["provides"] = sorted(platform.provides - {DETECTIONS})  # the driver's options give it
         file["scan"] = {**file["scan"], "noisy": scan.is_noisy}

@@ -31,7 +31,8 @@ class StepPacer:
             return 0
         late = now - self.deadline
         if late > MAX_CATCH_UP:
-            due, self.deadline = 1, now + self._dt
+            due = 1
+            self.deadline = now + self._dt
             self.overruns += int(late / self._dt)
         else:
             due = int(late / self._dt) + 1
@@ -45,7 +46,8 @@ class StepPacer:
 
     def real_time_factor(self) -> float:
         """Simulated over real time in about the last second; 0 before the first step."""
-        (start, before), (end, after) = self._progress[0], self._progress[-1]
+        (start, before) = self._progress[0]
+        (end, after) = self._progress[-1]
         return (after - before) * self._dt / (end - start) if end > start else 0.0
 
 

@@ -69,11 +69,13 @@ class RealTimeWorld:
         self._link = link
         self._recorder = recorder
         self._clock = clock
-        self._radio, self._emulated = radio, emulated
+        self._radio = radio
+        self._emulated = emulated
         if radio is not None:
             radio.faults = world.faults
         self._transport = emulated or link
-        n, start = len(world.ids), world.time
+        n = len(world.ids)
+        start = world.time
 
         # Commands; row i of each array belongs to robot i.
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
@@ -145,7 +147,8 @@ class RealTimeWorld:
             self._world.grips[self._rows[robot]] = is_closed
 
     def _publish(self) -> None:
-        world, transport = self._world, self._transport
+        world = self._world
+        transport = self._transport
         stamp = self._clock()  # real time: simulated time may lag behind
         for row, input in sensors_due(
             world, self._sensor_times, lambda row: ALL_NEEDS, stamp=stamp
@@ -169,7 +172,8 @@ class RealTimeWorld:
         neighbors at its own instants. When a daemon begins or ends to command, all robots get their
         neighbors at once, so that robots that start together hear one another from then on.
         """
-        world, ids = self._world, self._world.ids
+        world = self._world
+        ids = self._world.ids
         messages = self._link.take_messages()
         # The rows of robots that get their neighbors now.
         due_rows = self._neighbors_due.due(world.time)
@@ -179,7 +183,8 @@ class RealTimeWorld:
             due_rows = np.arange(len(ids))
         if messages or len(due_rows):
             # The corners of the movable boxes, which block a radio that needs a line of sight.
-            poses, boxes = world.poses(), transform(world.box_shapes, world.box_poses())
+            poses = world.poses()
+            boxes = transform(world.box_shapes, world.box_poses())
             for wire in messages:
                 row = self._rows[wire.robot]
                 radio.carry(radio.send(row, wire.channel, wire.payload, world.time, poses, boxes))
@@ -233,7 +238,8 @@ class RealTimeWorld:
         return self._rows[robot]
 
     def _change_fault(self, request: WorldRequest) -> None:
-        fault, world = fault_of(request.fault, "fault"), self._world
+        fault = fault_of(request.fault, "fault")
+        world = self._world
         rows = [self._row(robot) for robot in request.robots]
         if fault.carried_by == "daemon":
             raise ConfigError(f"{fault.text}: the world has no daemons; signal their processes")
@@ -247,9 +253,11 @@ class RealTimeWorld:
         world.change_fault(fault, rows, is_on=request.action == "fault")
 
     def _state(self) -> WorldState:
-        world, record = self._world, self._recorder
+        world = self._world
+        record = self._recorder
         emulated = self._emulated.side.dropped if self._emulated else 0
-        poses, twists = world.poses(), world.twists()
+        poses = world.poses()
+        twists = world.twists()
         commanded = self._is_fresh(self._clock())
         present = np.flatnonzero(np.isfinite(poses[:, 0]))
         boxes = zip(world.loose, _triples(world.loose_poses()), strict=True)

@@ -39,7 +39,8 @@ class LiveRecorder:
 
     def __init__(self, world: World, options: WorldOptions, meta: Mapping[str, object]) -> None:
         """`options`: where to write the trace, its rate and its end. `meta`: of the trace."""
-        self._world, self._options = world, options
+        self._world = world
+        self._options = options
         self._builder = TraceBuilder(
             world.ids,
             world.platforms,
@@ -72,7 +73,8 @@ class LiveRecorder:
         self._touched = {}
         self._due = Staggered(np.array([self._options.trace_rate]), self._start)
         self._builder.clear()
-        self.contacts = self.arena_contacts = 0
+        self.contacts = 0
+        self.arena_contacts = 0
         self.is_running = True
 
     def note(self, safe: Array) -> None:
@@ -154,7 +156,8 @@ class StatusLog:
                 if robot not in trace.ids:
                     continue
                 place = slice(since, None), trace.ids.index(robot)
-                state, reason = status.state.value, status.reason or ""
+                state = status.state.value
+                reason = status.reason or ""
                 enter_decision(known, place, state, reason, status.decision)
                 enter_named(named, place, shape, status)
         known |= {kind: dict(sorted(arrays.items())) for kind, arrays in named.items()}

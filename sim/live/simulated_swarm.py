@@ -76,12 +76,14 @@ class SimulatedSwarm(Closing):
             world = opened.enter_context(WorldView(self.name, fleet.endpoint))
             await_robots(operator, fleet)
             self._world = world
-            self._fleet, self._left = fleet, opened.pop_all()
+            self._fleet = fleet
+            self._left = opened.pop_all()
         return self
 
     def close(self) -> None:
         """End all processes, within 4 s."""
-        self._fleet = self._world = None
+        self._fleet = None
+        self._world = None
         self._left.close()
 
     def connect(

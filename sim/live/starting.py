@@ -23,7 +23,9 @@ from swarmd.texts.values import counted
 # a second of processor time from seven daemons that start on two cores.
 UP_PERIOD = 0.02
 TELL_PERIOD = 5.0  # s between two progress lines
-UP_TIMEOUT, UP_TIMEOUT_EACH = 20.0, 1.0  # s, and s more per robot: slow machines, cold disks
+# s, and s more per robot: slow machines, cold disks
+UP_TIMEOUT = 20.0
+UP_TIMEOUT_EACH = 1.0
 # Twelve Burgers on a busy machine: four needed more than the 3 s in which a pattern must load.
 RUN_ATTEMPTS = 3
 

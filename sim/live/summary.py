@@ -114,7 +114,8 @@ def _problem(
     before: Mapping[str, Status],
     after: Mapping[str, Status],
 ) -> str:
-    start, end = before.get(robot), after.get(robot)
+    start = before.get(robot)
+    end = after.get(robot)
     if start is None or end is None:
         return f"{robot} did not answer at the {'start' if start is None else 'end'}"
     if end.instance != start.instance:

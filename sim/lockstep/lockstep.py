@@ -68,7 +68,9 @@ _core = load_kernel("swarmd.robot.ticker")
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
-_HUGE_PAGES_AT, _MANY = 5.0, 64  # s, robots; a shorter or smaller run gains less than it takes
+# s, robots; a shorter or smaller run gains less than it takes
+_HUGE_PAGES_AT = 5.0
+_MANY = 64
 _PARTS = 50  # of a run, between which garbage is collected
 
 _NO_PATTERNS: Mapping[str, type[Pattern[Any]]] = MappingProxyType({})
@@ -139,7 +141,8 @@ class Lockstep:
         place of installed patterns with the same names.
         """
         scenario = drawn(scenario, seed)
-        self.scenario, self.seed = scenario, seed
+        self.scenario = scenario
+        self.seed = seed
         self._process = process or RunProcess()
         self.world = world_of(scenario, seed)
         # With several processes `exchange` measures the rays of scans in progress, before it waits
@@ -181,7 +184,8 @@ class Lockstep:
         Each robot has a random phase of 0 to 1 s, at which its scans, readings, ticks and neighbors
         are due. All odometry is due together.
         """
-        ids, n = self.world.ids, len(self.world.ids)
+        ids = self.world.ids
+        n = len(self.world.ids)
         phases = np.array([generator(self.seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._sensor_times = SensorTimes(
@@ -284,7 +288,8 @@ class Lockstep:
 
         After a kill the base keeps its last command for BASE_TIMEOUT s.
         """
-        shell, now = self.shells[row], self.world.time
+        shell = self.shells[row]
+        now = self.world.time
         if in_order and shell is not None:
             shell.step(events.LeaveInput(), now)
         if not in_order:
@@ -355,7 +360,8 @@ class Lockstep:
         own_commands = self.commands[process.rows].tobytes()
         own_grips = self.world.grips[process.rows].tobytes()
         outputs = own_commands, own_grips, self._flights, self._published
-        self._flights, self._published = [], []
+        self._flights = []
+        self._published = []
         all_published: list[tuple[int, dict[str, Latch]]] = []
         for index, (commands, grips, flights, published) in enumerate(
             process.exchange(outputs, meanwhile)
@@ -458,7 +464,8 @@ class Lockstep:
         ]
 
     def _step(self) -> None:
-        world, now = self.world, self.world.time
+        world = self.world
+        now = self.world.time
         self._timeline.apply(now)
         self._deliver(now)
         self._sense(now)
@@ -483,7 +490,8 @@ class Lockstep:
                 hear_many(kins, message.robot, message.told, now)
             else:
                 _core.message_many(robots, message, now)
-        received, self._new_latches = self._new_latches, []
+        received = self._new_latches
+        self._new_latches = []
         for row, latches in received:
             for shell in self._present(range(len(self.shells))):
                 if shell.row != row:
@@ -493,7 +501,8 @@ class Lockstep:
     def _update_neighbors(self, rows: Sequence[int]) -> None:
         if not rows:  # the case in most steps
             return
-        world, there = self.world, set[str]()
+        world = self.world
+        there = set[str]()
         poses = world.poses()
         self._radio.measure_poses(rows, poses, world.time)
         shells = self._present(rows)
@@ -545,7 +554,8 @@ class Lockstep:
     def _tick_rows(self, rows: Sequence[int], now: float) -> None:
         shells = self._present(rows)
         if shells:
-            robots, rows = [shell.robot for shell in shells], [shell.row for shell in shells]
+            robots = [shell.robot for shell in shells]
+            rows = [shell.row for shell in shells]
             for place, actions in _core.tick_many(robots, rows, self.commands, now):
                 shells[place].carry_out(actions, now)
             self.has_new_commands = True

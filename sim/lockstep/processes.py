@@ -51,7 +51,8 @@ class RunProcess:
     """Process `index` of the `count` of a run, with the robots that `share` gives it."""
 
     def __init__(self, index: int = 0, count: int = 1) -> None:
-        self.index, self.count = index, count
+        self.index = index
+        self.count = count
         self.rows_of: Sequence[NDArray[np.intp]] = ()
         """The rows of the robots of each process, in order."""
         self._own = frozenset[int]()
@@ -208,7 +209,8 @@ class _Children:
     """The child processes of a run: all but the first process, which forks and watches them."""
 
     def __init__(self, count: int, timeout: float) -> None:
-        self._count, self._timeout = count, timeout
+        self._count = count
+        self._timeout = timeout
         self._silence = 0.0  # s for which the first process has waited for a process
         self._pids: dict[int, int] = {}
         self._errors: dict[int, int] = {}
@@ -235,7 +237,8 @@ class _Children:
                 os._exit(code)
         os.close(theirs)
         os.set_blocking(ours, False)
-        self._pids[process], self._errors[process] = pid, ours
+        self._pids[process] = pid
+        self._errors[process] = ours
 
     def check(self, process: int, seconds: float) -> None:
         """Check the children while the first process waits for `process`.

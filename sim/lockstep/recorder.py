@@ -123,9 +123,12 @@ def _values(shell: RobotShell | None) -> tuple[Any, ...]:
     """A robot's state and its decisions since the last sample, in the order of _COLUMNS."""
     if shell is None:
         return _ABSENT
-    robot, decision = shell.robot, shell.robot.decision
-    decided, evaded = shell.decided, shell.evaded
-    shell.decided = shell.evaded = 0
+    robot = shell.robot
+    decision = shell.robot.decision
+    decided = shell.decided
+    evaded = shell.evaded
+    shell.decided = 0
+    shell.evaded = 0
     values = decision_values(robot.state, robot.reason or "", decision)
     return True, decided, evaded, astuple(decision.requested), *values
 

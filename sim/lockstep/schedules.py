@@ -42,7 +42,9 @@ class Schedules:
         # The due times before `_end` in order, with their rows.
         self._times: list[float] = []
         self._rows: list[int] = []
-        self._next, self._end = 0, -math.inf  # `_next`: the index of the next due time
+        # `_next`: the index of the next due time
+        self._next = 0
+        self._end = -math.inf
         self._soonest = -math.inf  # before this time `due` has nothing to do
         self._listed = np.zeros(len(self._period), dtype=np.intp)  # number of times listed, by row
 
@@ -53,7 +55,8 @@ class Schedules:
             return []
         if until >= self._end:
             self._list(now + _AHEAD)
-        times, first = self._times, self._next
+        times = self._times
+        first = self._next
         self._next = last = bisect_right(times, until, first)
         self._soonest = min(times[last], self._end) if last < len(times) else self._end
         return sorted(self._rows[first:last])
@@ -70,10 +73,12 @@ class Schedules:
         times = np.concatenate((self._times[self._next :], times))
         rows = np.concatenate((np.array(self._rows[self._next :], dtype=np.intp), rows))
         order = np.argsort(times, kind="stable")
-        self._times, self._rows = times[order].tolist(), rows[order].tolist()
+        self._times = times[order].tolist()
+        self._rows = rows[order].tolist()
         # Rounding may leave out a time at the very end. `_end` is earlier, so that the next list
         # adds this time before it is due.
-        self._next, self._end = 0, end - _UNSURE
+        self._next = 0
+        self._end = end - _UNSURE
         self._listed += counts
 
 

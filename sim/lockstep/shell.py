@@ -80,7 +80,8 @@ class RobotShell:
         kind = tag_of(input)
         if kind not in OPTION_INPUTS:
             return True
-        had_value, has_value = kind in self._valued, astuple(input) != (None,)
+        had_value = kind in self._valued
+        has_value = astuple(input) != (None,)
         (self._valued.add if has_value else self._valued.discard)(kind)
         return had_value or has_value
 
@@ -109,8 +110,10 @@ class RobotShell:
         row = self.row
         twist = actions.twist
         commands = outputs.commands  # three values are set faster than a row
-        commands[row, 0], commands[row, 1] = twist.linear, twist.angular
-        commands[row, 2], outputs.has_new_commands = twist.lateral, True
+        commands[row, 0] = twist.linear
+        commands[row, 1] = twist.angular
+        commands[row, 2] = twist.lateral
+        outputs.has_new_commands = True
         if actions.latches is not None:
             self.latches = actions.latches
         if actions.trial is not None:

@@ -91,7 +91,8 @@ def _from_pole(pole: Pole) -> Measure:
 
     def distance(outlines: Array, instants: NDArray[np.int64]) -> Array:
         following = np.roll(outlines, -1, axis=-2)
-        edge, to = following - outlines, centre - outlines
+        edge = following - outlines
+        to = centre - outlines
         is_inside = (edge[..., 0] * to[..., 1] >= edge[..., 1] * to[..., 0]).all(axis=-1)
         nearest = apart(centre, outlines, following).min(axis=-1) - pole.radius
         return np.where(is_inside, 0.0, np.maximum(nearest, 0.0))

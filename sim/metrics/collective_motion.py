@@ -40,7 +40,8 @@ def centroid_path_lengths(trace: Trace, every: float = 1.0) -> Array:
     steps suppress jitter of the positions. A step in which the set of present robots changes, or is
     empty, adds nothing.
     """
-    is_present, centre = presence(trace), centroids(trace)
+    is_present = presence(trace)
+    centre = centroids(trace)
     lengths = np.zeros(len(trace.t))
     last = 0
     for at in range(1, len(trace.t)):

@@ -44,7 +44,8 @@ def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[TraceContact]:
         return []
     # Sort each pair by index, except that the arena and boxes, whose indices are negative, come
     # second.
-    pair, speed = trace.contact_pair, trace.contact_speed
+    pair = trace.contact_pair
+    speed = trace.contact_speed
     is_turned = (pair[:, 1] >= 0) & (pair[:, 1] < pair[:, 0])
     pair = np.where(is_turned[:, None], pair[:, ::-1], pair)
     speed = np.where(is_turned[:, None], speed[:, ::-1], speed)
@@ -79,14 +80,18 @@ def _contact(
     trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray
 ) -> TraceContact:
     """The episode of a pair from `ends[0]` to `ends[1]` s, with the speeds (2,) of its surfaces."""
-    a, b = int(pair[0]), int(pair[1])
+    a = int(pair[0])
+    b = int(pair[1])
     kind: Kind
     if b >= 0:
-        kind, partner = "robot", trace.ids[b]
+        kind = "robot"
+        partner = trace.ids[b]
     elif b == ARENA:
-        kind, partner = "arena", WALLS
+        kind = "arena"
+        partner = WALLS
     else:  # movable box m has the index ARENA - 1 - m
-        kind, partner = "box", trace.movable_boxes[ARENA - 1 - b]
+        kind = "box"
+        partner = trace.movable_boxes[ARENA - 1 - b]
     return TraceContact(
         start=ends[0],
         end=ends[1],

@@ -76,7 +76,8 @@ def _first_cover(
             farthest_corner = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell
             covers_always = farthest_corner <= radius
             rows = first_in_square if covers_always else first_in_fine_cell
-            x, y = right * cell - from_centres[rows, 0], up * cell - from_centres[rows, 1]
+            x = right * cell - from_centres[rows, 0]
+            y = up * cell - from_centres[rows, 1]
             near = rows[np.hypot(x, y) <= radius]
             at = own_squares[near, 0] - lowest[0] + right, own_squares[near, 1] - lowest[1] + up
             covered_at[at] = np.minimum(covered_at[at], instants[near])
@@ -88,7 +89,8 @@ def _firsts(index: NDArray[np.int64]) -> NDArray[np.int64]:
 
     If several of these rows write one element of an array, the earliest row then writes last.
     """
-    low, high = index.min(axis=0), index.max(axis=0)
+    low = index.min(axis=0)
+    high = index.max(axis=0)
     key = (index[:, 0] - low[0]) * (high[1] - low[1] + 1) + index[:, 1] - low[1]
     rows: NDArray[np.int64] = np.sort(np.unique(key, return_index=True)[1])
     return rows[::-1]

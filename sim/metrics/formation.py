@@ -103,7 +103,8 @@ def _along(place: Array) -> tuple[Array, Array]:
     """The positions (k,) along the best line, and the distances from it, in m."""
     x, y = (place - place.mean(axis=0)).T
     angle = 0.5 * math.atan2(2.0 * float(x @ y), float(x @ x) - float(y @ y))
-    cos, sin = math.cos(angle), math.sin(angle)
+    cos = math.cos(angle)
+    sin = math.sin(angle)
     return cos * x + sin * y, cos * y - sin * x
 
 

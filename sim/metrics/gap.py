@@ -90,9 +90,11 @@ def _along(trace: Trace, span: slice, near: Pairs) -> Array:
     origins; it is negative if the projections overlap.
     """
     pose = trace.pose[span]
-    a, b = pose[near.instant, near.a], pose[near.instant, near.b]
+    a = pose[near.instant, near.a]
+    b = pose[near.instant, near.b]
     bearing = np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0])
-    ahead, back = bearing - a[:, 2], bearing - b[:, 2] + np.pi
+    ahead = bearing - a[:, 2]
+    back = bearing - b[:, 2] + np.pi
     kind = np.array(trace.platforms)
     # How far each footprint reaches from its origin towards the other robot's origin.
     shadow = np.empty(len(near.instant))
@@ -100,7 +102,8 @@ def _along(trace: Trace, span: slice, near: Pairs) -> Array:
     for robot, angle in ((near.a, ahead), (near.b, back)):
         for name in sorted(set(trace.platforms)):
             of = kind[robot] == name
-            x, y = np.cos(angle[of]), np.sin(angle[of])
+            x = np.cos(angle[of])
+            y = np.sin(angle[of])
             corners = trace.footprints[name]
             shadow[of] = np.max([x * cx + y * cy for cx, cy in corners], axis=0)
         total -= shadow
@@ -113,7 +116,8 @@ def _exact(trace: Trace, span: slice, near: Pairs, chosen: pairs.Ints) -> Array:
     kind = np.array([names.index(name) for name in trace.platforms], dtype=np.int64)
     pose = trace.pose[span]
     instant = near.instant[chosen]
-    a, b = near.a[chosen], near.b[chosen]
+    a = near.a[chosen]
+    b = near.b[chosen]
     result = np.empty(len(chosen))
     both = kind[a] * len(names) + kind[b]  # a number for each pair of platforms
     for code in np.unique(both):

@@ -102,7 +102,8 @@ def metric_of_file(text: str, digest: str = "") -> Metric:
     }
     if name not in functions:
         raise ConfigError(f"{file}: {unknown('metric', name, list(functions))}")
-    metric_name, origin = f"{path.name}:{name}", f"{path}:{name}"
+    metric_name = f"{path.name}:{name}"
+    origin = f"{path}:{name}"
     return _metric(metric_name, functions[name], origin, file_digest, str(path))
 
 

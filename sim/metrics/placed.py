@@ -49,7 +49,8 @@ class Area:
     def holds(self, places: Array) -> NDArray[np.bool_]:
         """(...) whether each of `places` (..., 2) is in the area."""
         x, y, *size = self.numbers
-        dx, dy = places[..., 0] - x, places[..., 1] - y
+        dx = places[..., 0] - x
+        dy = places[..., 1] - y
         if self.kind == "disc":
             return np.asarray(np.hypot(dx, dy) <= size[0])
         return np.asarray((np.abs(dx) <= size[0] / 2.0) & (np.abs(dy) <= size[1] / 2.0))
@@ -86,7 +87,8 @@ def share_caught(trace: Trace, group: str, reach: float) -> Array | None:
     is_prey = np.array([robot in members for robot in trace.ids], dtype=bool)
     if not is_prey.any() or is_prey.all():
         return None
-    place, is_here = trace.pose[..., :2], presence(trace)
+    place = trace.pose[..., :2]
+    is_here = presence(trace)
     away = place[:, is_prey, None] - place[:, None, ~is_prey]
     near = np.hypot(away[..., 0], away[..., 1]) <= reach
     near &= is_here[:, is_prey, None] & is_here[:, None, ~is_prey]
@@ -146,7 +148,8 @@ def network_area(trace: Trace, link: float, radius: float) -> Array:
     area counts. The floor is a grid of squares of CELL m. If the trace names an arena, floor
     outside the arena does not count.
     """
-    is_here, arena = presence(trace), arena_of(trace)
+    is_here = presence(trace)
+    arena = arena_of(trace)
     n = is_here.shape[1]
     areas = np.zeros(len(trace.t))
     for at in range(len(trace.t)):
@@ -208,7 +211,8 @@ def _whole(series: Series, word: str) -> Value:
     return value
 
 
-_mean, _end = partial(_whole, word="mean"), partial(_whole, word="end")
+_mean = partial(_whole, word="mean")
+_end = partial(_whole, word="end")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,7 +272,8 @@ def _areas(words: Sequence[str]) -> tuple[Area, ...]:
 
 def _each_area(words: Sequence[str]) -> Iterator[Area]:
     while words:
-        kind, count = words[0], _SIZES.get(words[0], 0)
+        kind = words[0]
+        count = _SIZES.get(words[0], 0)
         if not count:
             raise ValueError(f"{kind!r} is no area")
         numbers = _numbers(words[1 : count + 1], count)

@@ -58,7 +58,8 @@ def protection_duties(trace: Trace) -> Array | None:
         evaded = np.where(is_present, trace.evaded, 0).sum(axis=1)
     elif trace.active is not None:
         running = _running(trace)
-        decided, evaded = running.sum(axis=1), (running & trace.active).sum(axis=1)
+        decided = running.sum(axis=1)
+        evaded = (running & trace.active).sum(axis=1)
     else:
         return None
     shares: Array = np.where(decided > 0, evaded / np.maximum(decided, 1), np.nan)

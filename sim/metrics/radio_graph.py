@@ -55,7 +55,8 @@ def radio_components(trace: Trace) -> Array:
         return np.where(counts > 0.0, 1.0, np.nan)
     for links in radio_links(trace):
         if len(links.instant):
-            low, high = int(links.instant.min()), int(links.instant.max()) + 1
+            low = int(links.instant.min())
+            high = int(links.instant.max()) + 1
             node = (links.instant - low) * n
             root = pairs.components((high - low) * n, node + links.a, node + links.b)
             # `counts` begins with a component for each robot. Each node that is not the lowest of

@@ -29,7 +29,8 @@ from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import WORD, Trace
 from swarmd.sim.world.item_kind import DELIVERED, HELD
 
-_REPORT, _READING = "report:", "reading:"
+_REPORT = "report:"
+_READING = "reading:"
 PREFIXES = _REPORT, _READING
 ROBOTS: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {
@@ -134,7 +135,8 @@ def _parts(name: str) -> _Parts:
     robots, time = _SUFFIXES.get(suffix, ("", ""))
     if not (stem and robots):
         stem = body
-        robots, time = "mean", "late"
+        robots = "mean"
+        time = "late"
     key, equals, text = stem.partition("=")
     if not key or (equals and (not text or prefix == _READING)):
         or_text = f" or {prefix}KEY=TEXT" if prefix == _REPORT else ""

@@ -320,11 +320,14 @@ def shares_of(runs: Sequence[Series]) -> Bands:
     """The share of runs at 1 with Wilson's interval, for runs whose values are 0 or 1."""
     t = _common_instants([instants for instants, _ in runs])
     rows = np.stack([_held(t, *run) for run in runs])
-    counts, ones = np.isfinite(rows).sum(axis=0), np.nansum(rows, axis=0)
+    counts = np.isfinite(rows).sum(axis=0)
+    ones = np.nansum(rows, axis=0)
     share, low, high = np.full((3, len(t)), np.nan)
     for k in np.flatnonzero(counts):
         interval = wilson(round(ones[k]), int(counts[k]))
-        share[k], low[k], high[k] = ones[k] / counts[k], interval.low, interval.high
+        share[k] = ones[k] / counts[k]
+        low[k] = interval.low
+        high[k] = interval.high
     return Bands(t, share, None, (low, high) if len(runs) > 1 else None)
 
 
@@ -336,7 +339,8 @@ def smoothed(run: Series, seconds: float) -> Series:
     counts = np.concatenate(([0], np.cumsum(is_known)))
     first = np.searchsorted(t, t - seconds / 2.0 - _ROUNDING)
     after = np.searchsorted(t, t + seconds / 2.0 + _ROUNDING, side="right")
-    total, count = sums[after] - sums[first], counts[after] - counts[first]
+    total = sums[after] - sums[first]
+    count = counts[after] - counts[first]
     return t, np.where(is_known, total / np.maximum(count, 1), np.nan)
 
 
@@ -379,5 +383,6 @@ def _common_instants(of_runs: Sequence[Array]) -> Array:
         return first
     ends = [t[[0, -1]] for t in of_runs if len(t)]
     longest = max(len(t) for t in of_runs)
-    start, stop = min(t[0] for t in ends), max(t[1] for t in ends)
+    start = min(t[0] for t in ends)
+    stop = max(t[1] for t in ends)
     return np.linspace(start, stop, min(longest, MAX_INSTANTS))

@@ -328,7 +328,8 @@ def _paint_strip(axes: Axes, values: Array, row: float, panel: Panel, colour: st
     without a value.
     """
     # Rows count downwards (`prepare_rows`): a smaller place is higher.
-    points_row, interval_row = row + 0.13, row - 0.22
+    points_row = row + 0.13
+    interval_row = row - 0.22
     text_row = row - 0.3
     place_by_row = axes.get_yaxis_transform()  # of texts: x as a share of the width, y in rows
     summary = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)

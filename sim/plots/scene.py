@@ -79,17 +79,21 @@ def extent_of(trace: Trace) -> Extent:
         around = 0.12 * float(np.max(high - low)) + 0.3
         is_small = float(np.max(high - low)) + 2.0 * around < _SMALL_PART * float(half.max()) * 2.0
         if is_small:
-            low, high = np.maximum(low - around, -half), np.minimum(high + around, half)
+            low = np.maximum(low - around, -half)
+            high = np.minimum(high + around, half)
         else:
-            low, high = np.minimum(low, -half), np.maximum(high, half)
+            low = np.minimum(low, -half)
+            high = np.maximum(high, half)
     margin = 0.02 * float(np.max(high - low))
-    (left, bottom), (right, top) = (low - margin).tolist(), (high + margin).tolist()
+    (left, bottom) = (low - margin).tolist()
+    (right, top) = (high + margin).tolist()
     return Extent(left, right, bottom, top)
 
 
 def cut_note(trace: Trace) -> str:
     """A note that the picture shows a part of the arena; empty if it shows all of it."""
-    arena, extent = arena_of(trace), extent_of(trace)
+    arena = arena_of(trace)
+    extent = extent_of(trace)
     if arena is None or (extent.width >= arena.length and extent.height >= arena.width):
         return ""
     return f"part of an arena of {arena.length:g} m x {arena.width:g} m"
@@ -99,7 +103,8 @@ def _used(trace: Trace) -> tuple[Array, Array]:
     """The lower left and the upper right corner (2,) of all positions of robots and boxes."""
     reach = max((radius(shape) for shape in trace.footprints.values()), default=0.1)
     places = trace.pose[..., :2].reshape(-1, 2)
-    low, high = np.nanmin(places, axis=0) - reach, np.nanmax(places, axis=0) + reach
+    low = np.nanmin(places, axis=0) - reach
+    high = np.nanmax(places, axis=0) + reach
     if trace.box_pose is not None and np.isfinite(trace.box_pose).any():
         boxes = trace.box_pose[..., :2].reshape(-1, 2)
         reach = 0.0 if trace.box_shapes is None else float(np.abs(trace.box_shapes).max())
@@ -124,7 +129,8 @@ def paint_arena(axes: Axes, trace: Trace) -> None:
     arena = arena_of(trace)
     if arena is None:
         return
-    x, y = arena.length / 2.0, arena.width / 2.0
+    x = arena.length / 2.0
+    y = arena.width / 2.0
     axes.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=WALL_COLOUR, linewidth=2.0, zorder=1.0)
     inner = [((wall.x1, wall.y1), (wall.x2, wall.y2)) for wall in arena.segments]
     axes.add_collection(LineCollection(inner, colors=WALL_COLOUR, linewidth=2.0, zorder=1.0))
@@ -189,7 +195,8 @@ def paint_paths_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> 
     from matplotlib.collections import LineCollection
     from matplotlib.colors import ListedColormap
 
-    t, n = trace.t, len(trace.ids)
+    t = trace.t
+    n = len(trace.ids)
     kept = np.linspace(0, len(t) - 1, min(len(t), max(41, _MAX_STEPS // n))).astype(int)
     place = trace.pose[kept, :, :2]
     steps = np.stack((place[:-1], place[1:]), axis=2).reshape(-1, 2, 2)
@@ -215,7 +222,8 @@ def paint_bodies(
 
     is_present, poses = _presence_and_poses(trace, instant)
     is_small = len(trace.ids) > _MAX_LARGE
-    present, absent = np.flatnonzero(is_present), np.flatnonzero(~is_present)
+    present = np.flatnonzero(is_present)
+    absent = np.flatnonzero(~is_present)
     for rows, linestyle, alpha in ((present, "-", 1.0), (absent, ":", 0.45)):
         bodies = [(trace.footprint(row), poses[row]) for row in rows.tolist()]
         robot_colours = [colours[row] for row in rows.tolist()]
@@ -322,12 +330,18 @@ def _paint_contours(axes: Axes, x: Array, y: Array, grid: Array, style: str, nam
 
 
 def _cells(trace: Trace, extent: Extent) -> tuple[np.ndarray, np.ndarray]:
-    left, right, bottom, top = extent.left, extent.right, extent.bottom, extent.top
+    left = extent.left
+    right = extent.right
+    bottom = extent.bottom
+    top = extent.top
     arena = arena_of(trace)
     if arena is not None:
-        half_x, half_y = arena.length / 2.0, arena.width / 2.0
-        left, right = max(left, -half_x), min(right, half_x)
-        bottom, top = max(bottom, -half_y), min(top, half_y)
+        half_x = arena.length / 2.0
+        half_y = arena.width / 2.0
+        left = max(left, -half_x)
+        right = min(right, half_x)
+        bottom = max(bottom, -half_y)
+        top = min(top, half_y)
     cell = max(right - left, top - bottom) / _CELLS
     return (
         np.linspace(left, right, max(2, round((right - left) / cell))),

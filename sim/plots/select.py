@@ -124,7 +124,8 @@ def events_of(trace: Trace) -> tuple[tuple[float, str], ...]:
     """Time in s and label of each event after the start; empty if there are too many to draw."""
     marks: list[tuple[float, list[str]]] = []
     for event in trace.meta.get("events", ()):
-        at, word = float(event["at"]), _label(event, len(trace.ids))
+        at = float(event["at"])
+        word = _label(event, len(trace.ids))
         if at <= 0.0:
             continue
         if marks and at - marks[-1][0] < _TOO_CLOSE * trace.duration:
@@ -184,7 +185,8 @@ def _unit_of(plan: Plan, key: str) -> str:
     words = key.split(".")  # of a pattern's parameter: groups, GROUP, parameters, NAME
     if len(words) < 2 or words[-2] != "parameters":
         return _UNITS.get(key, "")
-    group, name = words[1], words[-1]
+    group = words[1]
+    name = words[-1]
     patterns = {
         variant.effective.get("groups", {}).get(group, {}).get("pattern")
         for variant in plan.variants

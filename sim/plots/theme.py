@@ -96,7 +96,8 @@ def new_figure(width: float, height: float, *, is_map: bool = False) -> Figure:
 _STYLES = ("-", "--", ":", "-.")
 
 
-_SCALE, _LEAST_ORDERED = "viridis", 3
+_SCALE = "viridis"
+_LEAST_ORDERED = 3
 _LIGHTEST = 0.85  # share of the scale beyond which it is too pale for a line on white
 
 

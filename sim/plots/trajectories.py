@@ -37,12 +37,10 @@ MAX_NAMED = 20
 """Up to so many robots, each has a colour and a line in the legend."""
 _COLUMNS = 4  # of a legend below
 _CELL = 0.1  # of the width of a map
-BOTH, ONE, NONE, OTHER = (
-    "contact, both moving",
-    "contact, one moving",
-    "contact, none moving",
-    "contact with wall or box",
-)
+BOTH = "contact, both moving"
+ONE = "contact, one moving"
+NONE = "contact, none moving"
+OTHER = "contact with wall or box"
 MARKS = {BOTH: ("X", CONTACT_COLOUR), ONE: ("P", "0.6"), NONE: ("o", "white"), OTHER: ("s", "0.6")}
 """The marker and the colour of each kind of contact, by its label in a legend."""
 
@@ -99,11 +97,13 @@ def _figure_size(
     """
     map_width, map_height = extent.panel(6.3 if is_named else 8.0)
     if width is not None:  # a paper: the axes, and beside the map of many robots a colour bar
-        y_axis, x_axis_and_legend = 0.6, 0.75
+        y_axis = 0.6
+        x_axis_and_legend = 0.75
         colour_bar = 0.0 if is_named else 0.6
         scale = (width - (y_axis + colour_bar)) / map_width
         return width, map_height * scale + x_axis_and_legend
-    x_axis, y_axis = 0.5, 0.7
+    x_axis = 0.5
+    y_axis = 0.7
     legend_width = 0.8 + 0.07 * longest_label if is_named else 1.0
     title_height = 0.25 * (1 + title_breaks)
     return map_width + y_axis + legend_width, map_height + x_axis + title_height
@@ -283,10 +283,12 @@ def _grid_of_maps(
     map_width, map_height = extent.panel(longer_side) if extent else (longer_side, longer_side)
     gap = 0.1  # beside a map
     if width is None:
-        name_height, texts_height = 0.3, 0.6
+        name_height = 0.3
+        texts_height = 0.6
         size = columns * (map_width + gap), rows * (map_height + name_height) + texts_height
     else:  # a paper, with smaller names and no texts
-        name_height, margin = 0.25, 0.1
+        name_height = 0.25
+        margin = 0.1
         scaled_height = map_height * (width / columns - gap) / map_width
         size = width, rows * (scaled_height + name_height) + margin
     figure = new_figure(*size, is_map=True)

@@ -24,7 +24,8 @@ def draw_landscape(tuning: Tuning, path: Path) -> Path:
     from optuna.visualization.matplotlib import plot_slice
 
     matplotlib.use("agg")
-    labels, distributions = {}, {}
+    labels = {}
+    distributions = {}
     for one in tuning.space.parameters:
         share = tuning.importance.get(one.key)
         importance = "" if share is None else f"\nimportance {share:.0%}"

@@ -72,7 +72,8 @@ def report_of(
     the run to play; by default a typical run of the first variant. ConfigError if there is no such
     experiment or run, SwarmError if no run has finished.
     """
-    results, manifest = load_results(folder), read_manifest(folder)
+    results = load_results(folder)
+    manifest = read_manifest(folder)
     if not results.runs:
         raise SwarmError(f"{folder}: no run has finished: nothing to report")
     first_metrics, other_metrics = shown_metrics(results, metrics)

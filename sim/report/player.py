@@ -36,7 +36,8 @@ _KEPT = (
     *("presence", "state", "stands", "why", "pattern", "protection", "report"),
     "touches",
 )
-_LARGEST, _ABSENT = 32767, -32768
+_LARGEST = 32767
+_ABSENT = -32768
 _IMPORT = re.compile(r"^import \{ ([\w, ]+) \} from '\./([\w.]+)';$", re.MULTILINE)
 _EXPORT = re.compile(r"^export (?:class|function|const) (\w+)", re.MULTILINE)
 
@@ -58,7 +59,8 @@ def player_of(source: Source, start: float = 0.0) -> Player:
     playback = source.playback
     assert playback is not None  # only sources of a live swarm have none
     playback.play(is_playing=False, speed=1.0)
-    duration, robots = playback.duration, len(source.robots)
+    duration = playback.duration
+    robots = len(source.robots)
     playback.seek(0.0)
 
     # Poses (count, bodies, 3) of robots, then of movable boxes; NaN while not in the arena.
@@ -181,7 +183,8 @@ def _rows(source: Source, duration: float) -> tuple[float, list[Any], list[Any]]
     # A sample each ROW_PERIOD from 0 to the end; 1e-6 is for rounding. Fewer of many robots.
     count = max(1, min(math.floor(duration / ROW_PERIOD + 1e-6) + 1, MAX_ROWS // robots))
     period = duration / (count - 1) if count > 1 else max(duration, ROW_PERIOD)
-    rows, links = [], []
+    rows = []
+    links = []
     last_values: dict[str, dict[str, Any]] = {}  # of the sample before, by robot
     for k in range(count):
         source.playback.seek(k * period)

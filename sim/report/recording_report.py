@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 LEAST_STOP = 1.0
 """Seconds from which a stop is listed."""
 MOVING = 0.005  # m/s and rad/s above which a command moves a robot
-MAX_STOPS, MAX_EVENTS = 40, 60
+MAX_STOPS = 40
+MAX_EVENTS = 60
 BEFORE = 10.0
 """Seconds before an incident at which the player begins."""
 PERIOD = 0.1  # s between two instants of the trace
@@ -149,7 +150,8 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
     for robot, (name, track) in enumerate(tracks.items()):
         for instant, now in enumerate(t.tolist()):
-            pose, decision = timeline.pose(name, now), track.decision(now)
+            pose = timeline.pose(name, now)
+            decision = track.decision(now)
             if pose is not None:
                 arrays["pose"][instant, robot] = pose
             if decision is not None:
@@ -254,13 +256,15 @@ def stops_of(trace: Trace) -> list[tuple[str, ...]]:
     assert trace.requested is not None
     stops: list[tuple[float, tuple[str, ...]]] = []
     for robot, name in enumerate(trace.ids):
-        state, reason = trace.state[:, robot], trace.reason[:, robot]
+        state = trace.state[:, robot]
+        reason = trace.reason[:, robot]
         is_requested = (np.abs(np.nan_to_num(trace.requested[:, robot])) > MOVING).any(axis=1)
         is_zero = (np.abs(trace.safe[:, robot]) <= MOVING).all(axis=1)
         is_held = (state == "running") & is_requested & is_zero
         is_stopped = is_held | np.isin(state, ("estopped", "faulted"))
         for first, end in _spans(is_stopped):
-            start, seconds = float(trace.t[first]), float(trace.t[end - 1] - trace.t[first])
+            start = float(trace.t[first])
+            seconds = float(trace.t[end - 1] - trace.t[first])
             if is_stopped[first] and seconds >= LEAST_STOP:
                 why = _most_frequent(reason[first:end]) or str(state[first])
                 stops.append((start, (f"{start:.1f} s", name, f"{seconds:.1f} s", why)))
@@ -307,7 +311,8 @@ def _states_figure(trace: Trace) -> Figure:
     for row in range(len(trace.ids)):
         for first, end in _spans(trace.state[:, row]):
             if state := str(trace.state[first, row]):
-                start, stop = trace.t[first], trace.t[min(end, len(trace.t) - 1)]
+                start = trace.t[first]
+                stop = trace.t[min(end, len(trace.t) - 1)]
                 axes.barh(row, stop - start, left=start, color=STATES.get(state, UNKNOWN))
     axes.set_yticks(range(len(trace.ids)), trace.ids)
     axes.invert_yaxis()

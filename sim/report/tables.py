@@ -18,7 +18,8 @@ from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.plots.select import RUN_BY_RUN
 
-MAX_CONTACTS, MAX_EVENTS = 30, 100
+MAX_CONTACTS = 30
+MAX_EVENTS = 100
 _CONTACTS = ("robot_contacts", "arena_contacts", "box_contacts")
 
 

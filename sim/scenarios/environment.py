@@ -83,7 +83,8 @@ def _check_places(layers: Layered, section: ArenaSection, items: Sequence[ItemKi
 
 def _check_readings(layers: Layered, items: Sequence[ItemKind], fields: Sequence[Field]) -> None:
     """Raise ConfigError if a kind of items gives a reading that exists already."""
-    taken, field_names = {HELD, DELIVERED}, {field.name for field in fields}
+    taken = {HELD, DELIVERED}
+    field_names = {field.name for field in fields}
     for index, kind in enumerate(items):
         readings = kind.readings[:3]  # the others are HELD and DELIVERED, common to all kinds
         for reading in readings:
@@ -103,7 +104,8 @@ def check_inside(
     layers: Layered, section: ArenaSection, keys: Keys, place: Sequence[float]
 ) -> None:
     """Raise ConfigError if the place, x and y in m, is outside the walls."""
-    x, y = section.size[0] / 2.0, section.size[1] / 2.0
+    x = section.size[0] / 2.0
+    y = section.size[1] / 2.0
     if abs(place[0]) > x or abs(place[1]) > y:
         text = f"{dotted(keys)} is {list(place)}; expected within the walls"
         raise layers.error(keys, f"{text}, x up to {x:g} and y up to {y:g} either way")
@@ -117,7 +119,9 @@ def fields_of(
     fields: list[Field] = []
     for index, section in enumerate(sections):
         at = (*keys, index)
-        where, data = str(layers.error(at, dotted(at))), dict(section)  # `<file>: fields[0]`
+        # `<file>: fields[0]`
+        where = str(layers.error(at, dotted(at)))
+        data = dict(section)
         kind = str(data.pop("kind", ""))
         if kind not in kinds:
             raise ConfigError(f"{where}.kind: {unknown('kind of field', kind, kinds)}")

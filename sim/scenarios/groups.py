@@ -78,7 +78,8 @@ def _group_of(layers: Layered, groups: Mapping[str, tuple[str, ...]]) -> dict[st
     group_of: dict[str, str] = {}
     for name, ids in groups.items():
         for robot in ids:
-            keys, where = ("groups", name), f"groups.{name}: robot {robot!r}"
+            keys = ("groups", name)
+            where = f"groups.{name}: robot {robot!r}"
             with blamed(layers, *keys):
                 check_id(robot, f"groups.{name}: a robot's id")
             if robot in groups or robot == ALL:
@@ -119,7 +120,8 @@ def _ids(layers: Layered, name: str, group: GroupSection) -> tuple[str, ...]:
         raise layers.error((*keys, "count"), text)
     if group.robots == []:
         raise layers.error((*keys, "robots"), f"groups.{name}.robots is empty; name one")
-    count, prefix = group.count or 0, group.prefix or name
+    count = group.count or 0
+    prefix = group.prefix or name
     digits = max(2, len(str(count)))
     numbered = (f"{prefix}-{number:0{digits}}" for number in range(1, count + 1))
     return tuple(group.robots or numbered)
@@ -129,7 +131,8 @@ def _platforms(layers: Layered, file: ScenarioFile) -> dict[str, tuple[Platform,
     """The platforms of all groups by name, with their complete content."""
     wanted: dict[str, str] = {}
     for group, section in file.groups.items():
-        name, keys = platform_name(section.platform), ("groups", group, "platform")
+        name = platform_name(section.platform)
+        keys = ("groups", group, "platform")
         known = (*platform_names(), *file.platforms)
         if name == section.platform and name not in known:
             raise layers.error(keys, f"{dotted(keys)}: {unknown('platform', name, known)}")

@@ -125,7 +125,8 @@ def _check_folder(
     if not isinstance(given, str) or user_path(given).absolute() == folder:
         return
     names = [name for name, _ in sources]
-    owner, setter = layers.source(*keys), layers.source(PLUGIN_DIR)
+    owner = layers.source(*keys)
+    setter = layers.source(PLUGIN_DIR)
     if owner is None or setter is None or names.index(setter) <= names.index(owner):
         same = user_path(given).resolve() == folder.resolve()
         if not same:

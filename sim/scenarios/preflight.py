@@ -81,7 +81,8 @@ def check_patterns(
     tried: set[str] = set()
     for preflight in (*schedule.preflights, *_low_battery(file, groups)):
         _check_name(layers, preflight.keys, preflight.pattern, origins)
-        robot, pattern = preflight.robot, preflight.pattern
+        robot = preflight.robot
+        pattern = preflight.pattern
         own = configured[robot].layers(pattern, ())
         parameters = (*own, (REQUEST_LAYER, {**preflight.parameters}))
         platform = groups.robots[robot]
@@ -172,7 +173,8 @@ def check_compatibility(
     has_whole_bodies = file.lidar_visibility == "body"
     if has_whole_bodies:
         settings = replace(settings, accepts_unseen=dict.fromkeys(names, WHOLE_BODIES))
-    notes, held = [], []
+    notes = []
+    held = []
     # `platform`: the platform of the robot that reports the finding about a peer.
     for platform, finding in _pairs(groups.robots.values(), settings):
         is_faster = finding.kind == "faster"

@@ -312,7 +312,8 @@ def _check_settings(layers: Layered, settings: RobotSettings, groups: Groups) ->
 
 def _starts(layers: Layered, file: ScenarioFile, groups: Groups, arena: Arena) -> StartPoses:
     rows = {robot: row for row, robot in enumerate(groups.robots)}
-    parts, shared = [], []
+    parts = []
+    shared = []
     for name, group in file.groups.items():
         own = [rows[robot] for robot in groups.groups[name]]
         if group.start is None:

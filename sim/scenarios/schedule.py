@@ -38,7 +38,8 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
     of the scalar fields. `remove` is an action of a box or of robots (`_removes_box`). All further
     actions are of robots.
     """
-    section, keys = file.events[index], ("events", index)
+    section = file.events[index]
+    keys = ("events", index)
     action = _action(layers, section, keys)
     if section.at >= file.duration:
         raise layers.error(
@@ -111,7 +112,8 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
 def _box_event(
     layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys, movable: Sequence[str]
 ) -> ScheduledEvent:
-    name, box = f"events[{keys[1]}]", section.place or section.remove or ""
+    name = f"events[{keys[1]}]"
+    box = section.place or section.remove or ""
     if box not in movable:
         fault = unknown("box with a name and a mass", box, movable)
         raise layers.error(keys, f"{name}.{keys[2]}: {fault}")
@@ -268,7 +270,8 @@ class _ScheduleChecker:
     def __init__(
         self, layers: Layered, file: ScenarioFile, groups: Groups, absent: frozenset[str]
     ) -> None:
-        self._layers, self._sections = layers, file.events
+        self._layers = layers
+        self._sections = file.events
         self._movable_boxes = {box.name: box.at is not None for box in file.arena.boxes}
         self._robots = {robot: _Robot(is_there=robot not in absent) for robot in groups.robots}
         self.preflights: list[Preflight] = []
@@ -295,7 +298,8 @@ class _ScheduleChecker:
         for robot, state in self._present(event):
             if state.is_estopped:
                 raise self._error(keys, f"{robot} is estopped at {event.at:g} s; reset it before")
-            state.pattern, state.parameters = event.pattern, dict(event.parameters)
+            state.pattern = event.pattern
+            state.parameters = dict(event.parameters)
             state.until = event.at + (event.seconds or math.inf)
             self.preflights.append(Preflight(keys, robot, event.pattern, state.parameters))
 
@@ -324,9 +328,11 @@ class _ScheduleChecker:
                 state.pattern = ""
 
     def _come_or_go(self, keys: Keys, event: ScheduledEvent) -> None:
-        is_joining, is_removed = event.action == "join", event.action == "remove"
+        is_joining = event.action == "join"
+        is_removed = event.action == "remove"
         for robot in event.robots:
-            state, fault = self._robots[robot], ""
+            state = self._robots[robot]
+            fault = ""
             if state.is_out:
                 fault = "not in the arena"
             elif state.is_there == is_joining and not is_removed:

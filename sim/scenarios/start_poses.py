@@ -116,7 +116,8 @@ def start_group_of(
     layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int]
 ) -> StartGroup:
     """A checked group; ConfigError for unknown layouts and for keys of another layout."""
-    layout, key = layout_of(start), dotted(keys)
+    layout = layout_of(start)
+    key = dotted(keys)
     if layout not in KEYS:
         text = f"{key}.layout: {unknown('layout', layout, KEYS)}"
         raise layers.error((*keys, "layout"), text)
@@ -149,7 +150,8 @@ def _place(placement: Placement, part: StartGroup, seed: int) -> None:
 
     ConfigError with the file and key of the group if a robot does not fit.
     """
-    start, layout = part.start, layout_of(part.start)
+    start = part.start
+    layout = layout_of(part.start)
     # A random layout must not depend on the order of the ids in the file.
     rows = sorted(part.rows) if layout in _SEEDED else part.rows
     center = start.center or (0.0, 0.0)
@@ -158,7 +160,8 @@ def _place(placement: Placement, part: StartGroup, seed: int) -> None:
     rng = generator(seed, "starts", part.key)
     try:
         if layout == "chain":
-            near, far = start.near or 0.0, start.far or 0.0
+            near = start.near or 0.0
+            far = start.far or 0.0
             chain(placement, rows, rng, near=near, far=far, center=center, heading=heading)
         elif layout == "random":
             scatter(
@@ -175,7 +178,8 @@ def _place(placement: Placement, part: StartGroup, seed: int) -> None:
             poses[:, 2] = np.radians(poses[:, 2])
             placement.place_all(rows, poses)
         else:  # row, paper or grid by the spacing, ring by the radius
-            radius, spacing = start.radius or _RADIUS, start.spacing or _SPACING
+            radius = start.radius or _RADIUS
+            spacing = start.spacing or _SPACING
             size = radius if layout == "ring" else spacing
             poses = moved(REGULAR[layout](len(rows), size), center, heading or 0.0)
             placement.place_all(rows, poses)

@@ -34,7 +34,8 @@ from swarmd.view.source import ShownArena, ShownRobot, points_of
 
 CONTACT_TIME = 1.0
 """Seconds for which a contact is shown after its last step: rows go to the page twice a second."""
-MAX_EVENTS, MAX_MARKS = 20, 400
+MAX_EVENTS = 20
+MAX_MARKS = 400
 _NO_LINKS: Sequence[tuple[int, int]] = ()
 
 
@@ -138,7 +139,8 @@ class _ShownRun:
 
         Scans are shown if this machine knows the platforms of all robots.
         """
-        trace = self._trace = run.trace
+        trace = run.trace
+        self._trace = run.trace
         self.robots = [
             ShownRobot(name, i, trace.platforms[i], trace.footprint(i))
             for i, name in enumerate(trace.ids)
@@ -181,7 +183,8 @@ class _ShownRun:
         """The row of each robot."""
         if not len(self._t):
             return {}
-        at, trace = self._at(now), self._trace
+        at = self._at(now)
+        trace = self._trace
         reports: list[dict[str, Any]] = [{} for _ in trace.ids]
         readings: list[dict[str, Any]] = [{} for _ in trace.ids]
         for rows_of, arrays in ((reports, trace.report), (readings, trace.readings)):
@@ -202,7 +205,8 @@ class _ShownRun:
 
     def scan(self, name: str, now: float) -> Array | None:
         """Points (k, 2) in the base frame that an ideal lidar measures."""
-        i, trace = self._index.get(name), self._trace
+        i = self._index.get(name)
+        trace = self._trace
         if self._sensors is None or i is None or not len(self._t):
             return None
         at = self._at(now)
@@ -260,7 +264,8 @@ class _ShownRun:
         return {"values": values, "events": events[::-1][:MAX_EVENTS]}
 
     def _marks(self) -> list[tuple[float, str, Sequence[str]]]:
-        ids, state = self._trace.ids, self._trace.state
+        ids = self._trace.ids
+        state = self._trace.state
         lines = [
             EventLine(c.start - self._start, c.a, "event", f"touches {_partner(c, c.a)}")
             for c in self._contacts
@@ -290,7 +295,8 @@ class _ShownRun:
         is_present = bool(self._present[at, i])
         state = "running" if trace.state is None else str(trace.state[at, i])
         reason = "" if trace.reason is None else str(trace.reason[at, i])
-        bound, requested = _finite(trace.bound, at, i), _finite(trace.requested, at, i)
+        bound = _finite(trace.bound, at, i)
+        requested = _finite(trace.requested, at, i)
         gap = _finite(trace.gap, at, i)
         row: dict[str, Any] = {
             "presence": "alive" if is_present else "absent",
@@ -314,7 +320,8 @@ class _ShownRun:
 
         Protection that recovers leads the robot around an obstacle.
         """
-        active, recovering = self._trace.active, self._trace.recovering
+        active = self._trace.active
+        recovering = self._trace.recovering
         if recovering is not None and recovering[at, i]:
             return "recovering"
         if active is None or state != "running":
@@ -440,7 +447,8 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> Runs:
         run = runs[name]
         effective = run.variant.effective
         fields = fields_of(Layered((str(folder), effective)), effective.get("fields", ()))
-        trace, platforms = load_trace(trace_path(folder, run)), _platforms(effective)
+        trace = load_trace(trace_path(folder, run))
+        platforms = _platforms(effective)
         return RecordedRun(trace, fields, platforms, results.report_units)
 
     plural = "s" if len(kept) > 1 else ""

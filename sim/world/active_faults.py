@@ -89,7 +89,8 @@ class Faults:
         if row not in self._chains and ("odometry", row) not in self._active:
             return reading
         last, own = self._chains.get(row, (reading, reading.pose))
-        pose, twist = reading.pose, reading.twist
+        pose = reading.pose
+        twist = reading.twist
         turn = wrap(pose.yaw - last.pose.yaw)
         # Ahead and to the left of the mean heading, as a complex number.
         way = complex(pose.x - last.pose.x, pose.y - last.pose.y)

@@ -14,7 +14,8 @@ from swarmd.core.numbers import finite_number
 from swarmd.core.values import Array
 from swarmd.sim.world.geometry import transform
 
-MIN_MASS, MAX_MASS = 0.001, 1e6
+MIN_MASS = 0.001
+MAX_MASS = 1e6
 """kg of a movable box; the heaviest is as immovable as a wall."""
 
 _WANTED = (
@@ -103,7 +104,8 @@ class Segment:
     @property
     def box(self) -> Box:
         """The segment as a box."""
-        x, y = self.x2 - self.x1, self.y2 - self.y1
+        x = self.x2 - self.x1
+        y = self.y2 - self.y1
         middle = (self.x1 + self.x2) / 2.0, (self.y1 + self.y2) / 2.0
         return Box(*middle, math.hypot(x, y), _THICKNESS, math.atan2(y, x))
 
@@ -163,7 +165,8 @@ class Arena:
     @property
     def surfaces(self) -> Array:
         """Every fixed flat surface as (k, 2, 2) start and end in m, with the solid on its left."""
-        x, y = self.length / 2.0, self.width / 2.0
+        x = self.length / 2.0
+        y = self.width / 2.0
         walls = np.array([[-x, -y], [-x, y], [x, y], [x, -y]])
         loops = [walls, *(box.corners for _, box in self.fixed)]
         return np.concatenate(
@@ -243,8 +246,10 @@ def _parsed(text: str) -> Arena:
     match = _SIZE.fullmatch(size)
     if match is None:
         raise _TextError(f"{size!r} is no length and width")
-    boxes, poles = list[Box](), list[Pole]()
-    segments, items = list[Segment](), list[Item]()
+    boxes = list[Box]()
+    poles = list[Pole]()
+    segments = list[Segment]()
+    items = list[Item]()
     for part in parts:
         head, *words = part.split(":")
         kind, _, name = head.partition("/")

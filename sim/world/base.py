@@ -102,14 +102,17 @@ class Bases:
         to whole steps of `dt` s.
         """
         n: cython.Py_ssize_t = len(platforms)
-        self._n, self._dt = n, dt
+        self._n = n
+        self._dt = dt
         self._qpos, self._qvel, self._applied = (one.data for one in memory)
         self.before = memory[0].copy(), memory[1].copy()
         self._qpos_before, self._qvel_before = (one.data for one in self.before)
         self._begin_commands(actuation, platforms)
         self._begin_servos(platforms)
-        self.driven, self.drift = np.zeros((n, 3)), np.zeros((n, 2))
-        self._driven, self._drift = self.driven.data, self.drift.data
+        self.driven = np.zeros((n, 3))
+        self.drift = np.zeros((n, 2))
+        self._driven = self.driven.data
+        self._drift = self.drift.data
 
     @cython.cfunc
     def _begin_commands(self, actuation: Any, platforms: Sequence[Platform]) -> cython.int:
@@ -118,7 +121,8 @@ class Bases:
         self.delay_steps = round(actuation.delay / self._dt)
         self._delay_line = np.zeros((self.delay_steps + 1, n, 3)).data
         self._command, self._capped = (np.zeros((n, 3)).data for _ in range(2))
-        linear, angular = actuation.linear_acceleration, actuation.angular_acceleration
+        linear = actuation.linear_acceleration
+        angular = actuation.angular_acceleration
         self._is_capped = linear is not None or angular is not None
         caps = [math.inf if cap is None else cap * self._dt for cap in (linear, angular, linear)]
         self._caps = np.array(caps).data
@@ -160,7 +164,8 @@ class Bases:
         i: cython.Py_ssize_t
         row: cython.Py_ssize_t
         for i in range(len(self._qpos)):
-            self._qpos_before[i], self._qvel_before[i] = self._qpos[i], self._qvel[i]
+            self._qpos_before[i] = self._qpos[i]
+            self._qvel_before[i] = self._qvel[i]
         for row in range(self._n):
             self._aim(row)
             self._push(row)
@@ -268,9 +273,11 @@ class Wheels:
         slip, which the generators `rngs` (n,) draw.
         """
         self._measured = measured.data
-        self._truth, self._reported = truth.data, reported.data
+        self._truth = truth.data
+        self._reported = reported.data
         draws = np.empty((len(rngs), _DRAWS, 2))
-        self._slip, self._rngs = slip, rngs
+        self._slip = slip
+        self._rngs = rngs
         self._blocks = list(draws)
         self._draws = draws.data
         self._used = np.full(len(rngs), _DRAWS, np.intp).data  # the first reading draws

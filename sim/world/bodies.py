@@ -20,13 +20,15 @@ from swarmd.sim.world.arena import Arena, Box, Item
 
 COLLISION, BODY, HOUSING, FIXED = range(4)
 """Geom groups: collision shapes; visible bodies and lidar housings at true height; the arena."""
-SOLID_BIT, GHOST_BIT = 1, 2
+SOLID_BIT = 1
+GHOST_BIT = 2
 """Bits of collision types: solid robots collide with solid robots and the arena, ghosts with the
 arena alone."""
 ARENA_TYPE = SOLID_BIT | GHOST_BIT
 """The type of walls and boxes, which collide with all bodies."""
 
-_BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+_BOX = mujoco.mjtGeom.mjGEOM_BOX
+_CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 _HEIGHT = 0.5
 # By default MuJoCo reserves memory for constraints of each joint with each other joint: 40 GB for
 # 10,000 robots, which use 4 MB, or 36 MB of it with 3,000. The sizes below are reserved instead;
@@ -68,7 +70,8 @@ def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujo
 
 
 def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
-    x, y = arena.length / 2.0, arena.width / 2.0
+    x = arena.length / 2.0
+    y = arena.width / 2.0
     half = _WALL / 2.0
     for name, pos, size in (
         ("wall/west", (-x - half, 0.0), (half, y + _WALL)),
@@ -120,7 +123,8 @@ def _add_movable_box(spec: mujoco.MjSpec, name: str, box: Box) -> None:
 
 def _add_item(spec: mujoco.MjSpec, item: Item) -> None:
     """A sphere, the cheapest shape to collide: in the plane of all centres it is a disc."""
-    mass, radius = item.mass or 1.0, item.size / 2.0
+    mass = item.mass or 1.0
+    radius = item.size / 2.0
     body = _add_planar(spec, f"box-body/{item.name}", mass, mass * radius**2 / 2.0)
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE
     _add_solid(body, f"box/{item.name}", sphere, (0.0, 0.0), (radius, 0.0, 0.0))
@@ -132,7 +136,8 @@ def _add_planar(spec: mujoco.MjSpec, name: str, mass: float, inert: float) -> mu
     body.mass = mass
     body.ipos = [0.0, 0.0, 0.0]
     body.inertia = [inert] * 3
-    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
     for axis, kind, direction in (
         ("x", slide, [1.0, 0.0, 0.0]),
         ("y", slide, [0.0, 1.0, 0.0]),
@@ -161,7 +166,8 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
     )
     # The visible shapes have true heights and collide with nothing. The housing is the target of
     # other lidars.
-    body_top, housing_top = value(platform, "height"), heights(platform).highest
+    body_top = value(platform, "height")
+    housing_top = heights(platform).highest
     body.add_geom(
         name=f"{robot}/body",
         type=_BOX,
@@ -229,7 +235,8 @@ def is_solid(platform: Platform) -> bool:
 
 def _rectangle(platform: Platform) -> tuple[Array, Array]:
     corners = platform.footprint
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     if len(corners) == 4 and np.isin(corners, (low, high)).all():
         return low, high
     raise ConfigError(

@@ -101,8 +101,10 @@ class ContactReader:
         if self._is_left_out is not None:
             is_touching &= ~self._is_left_out.take(geoms).any(axis=1)
         touching = is_touching.nonzero()[0]
-        geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)
-        points, normals = contact.pos.take(touching, axis=0), contact.frame.take(touching, axis=0)
+        geoms = geoms.take(touching, axis=0)
+        rows = rows.take(touching, axis=0)
+        points = contact.pos.take(touching, axis=0)
+        normals = contact.frame.take(touching, axis=0)
         speeds = _speeds_along(normals, points, rows, qpos, qvel)
         # Each pair in order of rows: robots first.
         reversed_pairs = (rows[:, 1] < rows[:, 0]).nonzero()[0]

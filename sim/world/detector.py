@@ -35,7 +35,8 @@ def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...
     clear. Bearings and distances are measured from the axle to the middle of the object. If there
     are more than MAX_DETECTIONS, the last objects of `around` are left out.
     """
-    pose, is_seen = around.pose, np.zeros(len(around.names), dtype=np.bool_)
+    pose = around.pose
+    is_seen = np.zeros(len(around.names), dtype=np.bool_)
     sensor_places = transform(sensors[:, :2], pose)
     for place, (_, _, bearing, view, reach) in zip(sensor_places, sensors, strict=True):
         offset = around.places - place

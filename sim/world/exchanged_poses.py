@@ -13,9 +13,15 @@ from swarmd.core.neighbor_places import NeighborPlaces
 from swarmd.core.values import Array, Neighbor, PeerPlace, Pose, SharedPose
 from swarmd.sim.world.seeding import generator
 
-_SD, _YAW_SD = 0.02, math.radians(2.0)  # m along each axis, rad
-_ERROR, _YAW_ERROR = 3.0 * _SD, 3.0 * _YAW_SD  # bounds of the errors that robots send
-_GAP, _GAP_PERIOD = 0.5, 5.0  # s without a pose, once in each period, at a random phase by robot
+# m along each axis, rad
+_SD = 0.02
+_YAW_SD = math.radians(2.0)
+# bounds of the errors that robots send
+_ERROR = 3.0 * _SD
+_YAW_ERROR = 3.0 * _YAW_SD
+# s without a pose, once in each period, at a random phase by robot
+_GAP = 0.5
+_GAP_PERIOD = 5.0
 _FRAME = "world"
 
 

@@ -465,7 +465,8 @@ class PoseDrift(PoseFault, frozen=True, tag="drift"):
 
     def tracked(self, pose: Array, now: float, fault: ActiveFault) -> Array:
         """A place farther along the direction."""
-        way, angle = self.speed * (now - fault.since), math.radians(self.direction_deg)
+        way = self.speed * (now - fault.since)
+        angle = math.radians(self.direction_deg)
         x, y, yaw = pose
         return np.array((x + way * math.cos(angle), y + way * math.sin(angle), yaw))
 
@@ -478,7 +479,8 @@ class TurnedPose(PoseFault, frozen=True, tag="turned"):
     def tracked(self, pose: Array, now: float, fault: ActiveFault) -> Array:
         """The pose turned about the origin."""
         turn = math.radians(self.angle_deg)
-        c, s = math.cos(turn), math.sin(turn)
+        c = math.cos(turn)
+        s = math.sin(turn)
         x, y, yaw = pose
         return np.array((c * x - s * y, s * x + c * y, yaw + turn))
 
@@ -538,7 +540,8 @@ def _rearranged(scan: Scan, fault: ActiveFault, source: Callable[[Array], Array]
 
 def _braked(command: Array, most: Array, fault: ActiveFault) -> Array:
     """The command (3,), whose parts fall by `most` (3,) in m/s2 or rad/s2 at most."""
-    before, way = fault.keep(command), most * fault.step
+    before = fault.keep(command)
+    way = most * fault.step
     is_braking = (np.abs(command) < np.abs(before)) | (command * before < 0.0)
     slower = before + np.clip(command - before, -way, way)
     fault.kept = np.where(is_braking, slower, command)

@@ -57,16 +57,21 @@ class Patch(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
             colours[self._covers(places)] = self.colour
             return
         x, y, length, width = self.rectangle
-        cos, sin = math.cos(math.radians(self.yaw_deg)), math.sin(math.radians(self.yaw_deg))
-        dx, dy = places[:, 0] - x, places[:, 1] - y
+        cos = math.cos(math.radians(self.yaw_deg))
+        sin = math.sin(math.radians(self.yaw_deg))
+        dx = places[:, 0] - x
+        dy = places[:, 1] - y
         # Shares of the sides, from the corner of least x and y.
-        u, v = (cos * dx + sin * dy) / length + 0.5, (cos * dy - sin * dx) / width + 0.5
+        u = (cos * dx + sin * dy) / length + 0.5
+        v = (cos * dy - sin * dx) / width + 0.5
         inside = (u >= 0.0) & (u < 1.0) & (v >= 0.0) & (v < 1.0)
-        u, v = u[inside], v[inside]
+        u = u[inside]
+        v = v[inside]
         if self.image is not None:
             pixels = picture(self.image)
             rows, columns = pixels.shape[:2]
-            row, column = (rows * (1.0 - v)).astype(int), (columns * u).astype(int)
+            row = (rows * (1.0 - v)).astype(int)
+            column = (columns * u).astype(int)
             colours[inside] = pixels[np.minimum(row, rows - 1), column]
             return
         if self.tiles is not None:

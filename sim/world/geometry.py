@@ -12,7 +12,8 @@ Indices = NDArray[np.intp]
 
 def transform(points: Array, poses: Array) -> Array:
     """Points (..., k, 2) of frames at `poses` (..., 3) x, y, yaw, in the world frame."""
-    cos, sin = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
+    cos = np.cos(poses[..., 2, None])
+    sin = np.sin(poses[..., 2, None])
     x = poses[..., 0, None] + cos * points[..., 0] - sin * points[..., 1]
     y = poses[..., 1, None] + sin * points[..., 0] + cos * points[..., 1]
     return np.stack((x, y), axis=-1)
@@ -65,7 +66,8 @@ def crossings(a: Array, b: Array, start: Array, end: Array) -> NDArray[np.bool_]
 
     Touching an end of the segment counts, touching an end of the path does not.
     """
-    way, wall = b - a, end - start
+    way = b - a
+    wall = end - start
     sides = _cross(wall, a - start) * _cross(wall, b - start)
     ends = _cross(way, start - a) * _cross(way, end - a)
     return np.asarray((sides < 0.0) & (ends <= 0.0))
@@ -73,7 +75,8 @@ def crossings(a: Array, b: Array, start: Array, end: Array) -> NDArray[np.bool_]
 
 def apart(points: Array, a: Array, b: Array) -> Array:
     """The distance in m of points (..., 2) from the segment between a and b (..., 2)."""
-    way, to = b - a, points - a
+    way = b - a
+    to = points - a
     along = (to * way).sum(axis=-1) / np.maximum((way * way).sum(axis=-1), 1e-300)
     rest = to - np.clip(along, 0.0, 1.0)[..., None] * way
     distance: Array = np.hypot(rest[..., 0], rest[..., 1])

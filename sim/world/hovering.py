@@ -42,7 +42,8 @@ class Hovering:
         self._keep = math.exp(-dt / _MEMORY)
         self._new = math.sqrt(1.0 - self._keep**2)
         self._errors = np.zeros((count, 3))  # of x, y and height, in standard deviations
-        self._drawn, self._next = np.zeros((count, 0, 3)), 0
+        self._drawn = np.zeros((count, 0, 3))
+        self._next = 0
 
     def __bool__(self) -> bool:
         return bool(self._rows)

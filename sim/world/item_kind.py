@@ -12,7 +12,8 @@ from swarmd.core.values import Platform
 from swarmd.sim.world.arena import Item
 from swarmd.sim.world.field_kind import Coordinate, Extent, Name, Point
 
-HELD, DELIVERED = "held", "delivered"
+HELD = "held"
+DELIVERED = "delivered"
 """Readings of a robot: 1 while it holds an item; the items that it has dropped in a nest."""
 Disc = tuple[Coordinate, Coordinate, Extent]
 _MOST = 10_000

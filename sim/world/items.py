@@ -71,7 +71,8 @@ class Items:
         `outlines`: (c, 2) of each robot and box, which no puck may overlap. ConfigError if there is
         no room.
         """
-        self._data, self._dt = data, float(model.opt.timestep)
+        self._data = data
+        self._dt = float(model.opt.timestep)
         self._dofs = slice(model.nv - 3 * len(self._pucks), model.nv)
         solid = self._solid
         for number, kind in enumerate(self._kinds):
@@ -138,7 +139,8 @@ class Items:
         for number, kind in enumerate(self._kinds):
             near = np.flatnonzero((self._kind_of == number) & (distance <= kind.range))
             readings[kind.name] = float(len(near))
-            bearing = reach = 0.0
+            bearing = 0.0
+            reach = 0.0
             if len(near):
                 nearest = near[distance[near].argmin()]
                 x, y = away[nearest]
@@ -153,7 +155,8 @@ class Items:
 
     def release(self, robot: int) -> None:
         """Release the item of a robot that is taken out of the arena; the item stays in place."""
-        self._held[robot], self._is_closed[robot] = -1, False
+        self._held[robot] = -1
+        self._is_closed[robot] = False
 
     def _pick(self, robot: int, front: Array) -> None:
         distance = np.hypot(*(self._places[:, :2] - front).T)
@@ -174,13 +177,15 @@ class Items:
 
     def _drawn(self, number: int, solid: Sequence[Array], taken: Array) -> Array:
         """A free place (2,) in the source of a kind; ConfigError if there seems to be none."""
-        kind, rng = self._kinds[number], self._rngs[number]
+        kind = self._kinds[number]
+        rng = self._rngs[number]
         assert kind.source is not None
         x, y, radius = kind.source
         walls = np.array([self._arena.length, self._arena.width]) / 2.0 - kind.size / 2.0
         for _ in range(_TRIES):
             # Uniform over the disc, whose area grows with the square of the radius.
-            away, angle = radius * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
+            away = radius * math.sqrt(rng.random())
+            angle = 2.0 * math.pi * rng.random()
             place = np.array([x + away * math.cos(angle), y + away * math.sin(angle)])
             if (np.abs(place) > walls).any():
                 continue

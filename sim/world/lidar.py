@@ -155,9 +155,11 @@ class Lidar:
         if spec.cone > 0.0:
             across = np.linspace(-0.5, 0.5, _RAYS_IN_BEAM) * spec.cone
             spec = replace(spec, bearings=np.add.outer(spec.bearings, across).ravel())
-        self._spec, self._rays = spec, SortedRays(spec.bearings)
+        self._spec = spec
+        self._rays = SortedRays(spec.bearings)
         # Surfaces: x and y of the start, x and y from there to the end.
-        start, end = shapes.walls[:, 0], shapes.walls[:, 1]
+        start = shapes.walls[:, 0]
+        end = shapes.walls[:, 1]
         walls = np.concatenate((start, end - start), axis=1)
         farthest_sides = -spec.range_max * np.hypot(walls[:, 2], walls[:, 3])
         corners = shapes.polygons
@@ -191,7 +193,8 @@ class Lidar:
         `ends` (steps + 1,): the number of rays that are measured from the begin of a sweep up to
         each of its steps. `ranges` (2 n, rays) in m: two rows for each of n robots.
         """
-        sweep, bearings = self._spec.sweep, self._spec.bearings
+        sweep = self._spec.sweep
+        bearings = self._spec.bearings
         assert sweep is not None
         counts = np.diff(ends, prepend=0)
         start = self._rays.place_of(sweep_order(bearings, sweep)[0][0])

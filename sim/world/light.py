@@ -40,7 +40,8 @@ class LightField(FieldKind, frozen=True, kw_only=True, tag="light"):
 
         `bearings` (k,) rad in the world, NaN for a sensor that takes light from all directions.
         """
-        x, y = self.center[0] - places[:, 0], self.center[1] - places[:, 1]
+        x = self.center[0] - places[:, 0]
+        y = self.center[1] - places[:, 1]
         squared = x * x + y * y + self.height**2
         light: Array = self.power / squared
         if bearings is not None:

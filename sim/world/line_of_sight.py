@@ -18,14 +18,16 @@ class LineOfSight:
 
     def __init__(self, arena: Arena) -> None:
         """Take the fixed obstacles of the arena."""
-        self._walls, self._poles = arena.surfaces, arena.circles
+        self._walls = arena.surfaces
+        self._poles = arena.circles
 
     def is_clear(self, a: Array, b: Array, movable_boxes: Array | None = None) -> NDArray[np.bool_]:
         """(k,) True where the line from a to b (k, 2), in m in the world frame, is clear.
 
         `movable_boxes` (boxes, corners, 2) in m; NaN for a box outside the arena.
         """
-        walls, poles = self._walls, self._poles
+        walls = self._walls
+        poles = self._poles
         if movable_boxes is not None and len(movable_boxes):
             edges = np.stack((movable_boxes, np.roll(movable_boxes, -1, axis=1)), axis=2).reshape(
                 -1, 2, 2
@@ -35,7 +37,8 @@ class LineOfSight:
         stride = max(1, MAX_BATCH // max(1, len(walls) + len(poles)))
         for first in range(0, len(a), stride):
             some = slice(first, first + stride)
-            here, there = a[some, None], b[some, None]
+            here = a[some, None]
+            there = b[some, None]
             is_behind = crossings(here, there, walls[:, 0], walls[:, 1]).any(axis=1)
             if len(poles):
                 is_behind |= (apart(poles[:, :2], here, there) < poles[:, 2]).any(axis=1)

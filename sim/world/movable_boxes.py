@@ -127,7 +127,8 @@ class MovableBoxes:
 
     def _obstacles(self, row: int) -> list[tuple[str, Array]]:
         """Names and outlines of all obstacles except robots, outer walls and box `row`."""
-        arena, poses = self._arena, self.poses()
+        arena = self._arena
+        poses = self.poses()
         fixed = [(name, box.corners) for name, box in arena.fixed]
         fixed += [(f"pole/{index}", pole.corners) for index, pole in enumerate(arena.poles)]
         others = [i for i in range(len(self.names)) if i != row and self.is_there[i]]

@@ -54,7 +54,8 @@ class NoisyLidar:
         sensor's driver: an LDS reports no return as 0, and a sensor with `near: lost` reports a
         return nearer than range_min as no return.
         """
-        measured, rays = ranges.copy(), len(ranges)
+        measured = ranges.copy()
+        rays = len(ranges)
         if rays not in self._errors:
             self._errors[rays] = self._errors_of(rays)
         errors, normal, uniform = self._errors[rays]  # `errors` reads the buffers of random numbers
@@ -67,7 +68,8 @@ class NoisyLidar:
         return measured
 
     def _errors_of(self, rays: int) -> tuple[Any, Array, NDArray[np.float32]]:
-        normal, uniform = np.empty(rays), np.empty(rays + math.ceil(rays / BLOCK), dtype=np.float32)
+        normal = np.empty(rays)
+        uniform = np.empty(rays + math.ceil(rays / BLOCK), dtype=np.float32)
         encoded = np.stack((self._near, self._nothing), axis=-1)
         errors = load_kernel("swarmd.sim.world.ray_caster").Errors(
             self._noise,

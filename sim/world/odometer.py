@@ -56,7 +56,8 @@ class Odometers:
             is_lateral=np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
         base = load_kernel("swarmd.sim.world.base")
-        truth, reported = starts.copy(), np.zeros_like(starts)
+        truth = starts.copy()
+        reported = np.zeros_like(starts)
         self._wheels = base.Wheels(self._measured, truth, reported, noise.slip, rngs)
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
@@ -69,7 +70,8 @@ class Odometers:
         """
         if self._noise.is_ideal:
             return self._relative(rows, poses), twists[rows]
-        reported, measured = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+        reported = np.empty((len(rows), 3))
+        measured = np.empty((len(rows), 3))
         at = np.ascontiguousarray(rows)
         self._wheels.read(at, poses, twists, reported, measured)
         return reported, measured
@@ -94,7 +96,8 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
     # Measured way / true way of each wheel: the mean diameter over the wheel's diameter. The true
     # ways are linear +- angular * base / 2. The measured linear motion is the mean of the measured
     # ways, the measured angular motion their difference / separation.
-    right, left = (1.0 + diameter) / (2.0 * diameter), (1.0 + diameter) / 2.0
+    right = (1.0 + diameter) / (2.0 * diameter)
+    left = (1.0 + diameter) / 2.0
     base = separation * wheelbase
     matrix = np.zeros((len(diameter), 3, 3))
     matrix[:, 0, 0] = (right + left) / 2.0

@@ -111,7 +111,8 @@ class Radio:
     ) -> None:
         """`ids` (n,) in the order of rows; ConfigError if the settings contradict each other."""
         check_radio(settings)
-        self.settings, self._ids = settings, tuple(ids)
+        self.settings = settings
+        self._ids = tuple(ids)
         self._reach = math.inf if settings.range is None else settings.range
         self._sight = LineOfSight(arena) if settings.line_of_sight else None
         self._rank_rngs = [generator(seed, "rank", robot) for robot in ids]
@@ -200,11 +201,13 @@ class Radio:
         that miss the message by random loss.
         """
         # The sender's own generator: the messages of other robots do not change the losses.
-        settings, rng = self.settings, self._loss_rngs[row]
+        settings = self.settings
+        rng = self._loss_rngs[row]
         receivers = self.hearers(row, poses, movable_boxes)
         if settings.loss > 0.0:
             receivers = receivers[rng.random(len(receivers)) >= settings.loss]
-        rows, arrival = receivers.tolist(), now + settings.delay
+        rows = receivers.tolist()
+        arrival = now + settings.delay
         rank = self._rank(row, now)
         if settings.jitter > 0.0:
             jitter = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()

@@ -147,7 +147,8 @@ class Caster:
         self._set_rays(spec, rays)
         self._walls = np.array(walls, order="C").data
         self._poles = np.array(poles, order="C").data
-        self._polygon_count, self._corner_count = len(edges), edges.shape[1]
+        self._polygon_count = len(edges)
+        self._corner_count = edges.shape[1]
         self._body_count = len(edges) + len(discs)
         self._edges = np.array(edges, order="C").data
         self._discs = np.array(discs, order="C").data
@@ -167,8 +168,10 @@ class Caster:
         self._cos = np.array(rays.cos[:n]).data
         self._sin = np.array(rays.sin[:n]).data
         self._bearings = np.array(rays.bearings).data
-        self._is_even, self._ray_step = rays.is_even, rays.step
-        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._is_even = rays.is_even
+        self._ray_step = rays.step
+        self._range_min = spec.range_min
+        self._range_max = spec.range_max
         self._sensor_x, self._sensor_y = spec.offset
 
     @cython.cfunc
@@ -221,7 +224,8 @@ class Caster:
         called with `poses`.
         """
         i: cython.Py_ssize_t
-        self._first, self._count = first, count
+        self._first = first
+        self._count = count
         for i in range(count):
             self._inverse[i] = 0.0  # no return
         # The pose of an absent robot is NaN in x, y and yaw, so x is enough to check.
@@ -272,12 +276,16 @@ class Caster:
         north: cython.double = -HUGE_VAL
         for body in range(self._body_count):
             owner = self._owner[body]
-            x, y = poses[owner, 0], poses[owner, 1]
-            self._body_places[body, 0], self._body_places[body, 1] = x, y
+            x = poses[owner, 0]
+            y = poses[owner, 1]
+            self._body_places[body, 0] = x
+            self._body_places[body, 1] = y
             if not isfinite(x):  # the owner is absent
                 continue
-            west, east = min(west, x), max(east, x)
-            south, north = min(south, y), max(north, y)
+            west = min(west, x)
+            east = max(east, x)
+            south = min(south, y)
+            north = max(north, y)
             if body < self._polygon_count:
                 self._place_polygon(body, x, y, poses[owner, 2])
             else:
@@ -328,14 +336,16 @@ class Caster:
         the longest reach of a body. So all bodies that a sensor may detect are in its cell and the
         eight cells around. Returns 0, always.
         """
-        self._grid_columns = self._grid_rows = 0
+        self._grid_columns = 0
+        self._grid_rows = 0
         if not west <= east:
             return 0
         # `_cell_begin` has room for about as many cells as bodies.
         self._cell_size = max(
             self._max_reach, max(east - west, north - south) / sqrt(self._body_count)
         )
-        self._west, self._south = west, south
+        self._west = west
+        self._south = south
         self._grid_columns = cython.cast(cython.Py_ssize_t, (east - west) / self._cell_size) + 1
         self._grid_rows = cython.cast(cython.Py_ssize_t, (north - south) / self._cell_size) + 1
         return self._sort_bodies()
@@ -381,7 +391,8 @@ class Caster:
     @cython.cfunc
     def _set_sensor(self, x: cython.double, y: cython.double, yaw: cython.double) -> cython.int:
         """Set the pose of the sensor, from the pose of its robot."""
-        self._cos_yaw, self._sin_yaw = cos(yaw), sin(yaw)
+        self._cos_yaw = cos(yaw)
+        self._sin_yaw = sin(yaw)
         self._x = x + (self._cos_yaw * self._sensor_x - self._sin_yaw * self._sensor_y)
         self._y = y + (self._sin_yaw * self._sensor_x + self._cos_yaw * self._sensor_y)
         self._yaw = wrap(yaw)
@@ -394,8 +405,10 @@ class Caster:
         middle: cython.double = self._yaw + 0.5 * (low + high)
         half: cython.double = 0.5 * (high - low)
         self._is_wide = half > _WIDE
-        self._cos_middle, self._sin_middle = cos(middle), sin(middle)
-        self._cos_half, self._sin_half = cos(half), sin(half)
+        self._cos_middle = cos(middle)
+        self._sin_middle = sin(middle)
+        self._cos_half = cos(half)
+        self._sin_half = sin(half)
 
     @cython.cfunc
     def _outside(self, x: cython.double, y: cython.double, side: cython.double) -> cython.double:
@@ -424,11 +437,13 @@ class Caster:
         end_y: cython.double
         side: cython.double
         for i in range(len(self._walls)):
-            x, y = self._walls[i, 0] - self._x, self._walls[i, 1] - self._y
+            x = self._walls[i, 0] - self._x
+            y = self._walls[i, 1] - self._y
             # See `_meet_surface` for `side`: the sensor is before the wall, and the wall in reach.
             side = x * self._walls[i, 3] - y * self._walls[i, 2]
             if side < -_MIN_SIDE and side >= self._walls[i, 4]:
-                end_x, end_y = x + self._walls[i, 2], y + self._walls[i, 3]
+                end_x = x + self._walls[i, 2]
+                end_y = y + self._walls[i, 3]
                 # Both ends lie outside one edge of the cone.
                 if not self._is_wide and (
                     min(self._outside(x, y, 1.0), self._outside(end_x, end_y, 1.0)) > _ROUNDING
@@ -461,7 +476,8 @@ class Caster:
         # outside the grid, `east` equals `west` or `north` is not above `south`: no members.
         west: cython.Py_ssize_t = min(max(sensor_column - 1, 0), self._grid_columns)
         east: cython.Py_ssize_t = max(min(sensor_column + 2, self._grid_columns), west)
-        south, north = max(sensor_row - 1, 0), min(sensor_row + 2, self._grid_rows)
+        south = max(sensor_row - 1, 0)
+        north = min(sensor_row + 2, self._grid_rows)
         for grid_row in range(south, north):
             # The members of the cells of a row follow each other.
             for member in range(
@@ -504,8 +520,10 @@ class Caster:
         along_y: cython.double
         side: cython.double
         for i in range(self._corner_count):
-            x, y = self._placed_edges[body, i, 0], self._placed_edges[body, i, 1]
-            along_x, along_y = self._placed_edges[body, i, 2], self._placed_edges[body, i, 3]
+            x = self._placed_edges[body, i, 0]
+            y = self._placed_edges[body, i, 1]
+            along_x = self._placed_edges[body, i, 2]
+            along_y = self._placed_edges[body, i, 3]
             side = along_x * self._y
             side -= along_y * self._x
             side += x * along_y - y * along_x
@@ -570,7 +588,8 @@ class Caster:
                 inverse = by_cos * self._cos[index] + by_sin * self._sin[index]
                 if inverse > self._inverse[i]:
                     self._inverse[i] = inverse
-            begin, end = 0, end - self._rays
+            begin = 0
+            end = end - self._rays
         return 0
 
     @cython.cfunc
@@ -590,7 +609,8 @@ class Caster:
         if is_around_sensor or self._is_outside(x, y, radius):  # outside the sector's cone
             return 0
         # The circle covers the bearings `middle` +- `half` (rad).
-        middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
+        middle = atan2(y, x) - self._yaw
+        half = asin(radius / hypot(x, y))
         first: cython.Py_ssize_t = self._ray_index((middle - half) - _BEARING_MARGIN)
         rays: cython.Py_ssize_t = self._ray_index((middle + half) + _BEARING_MARGIN) - first
         return self._note_circle(
@@ -636,7 +656,8 @@ class Caster:
                 inverse = farther / tangent_squared
                 if inverse > self._inverse[i]:
                     self._inverse[i] = inverse
-            begin, end = 0, end - self._rays
+            begin = 0
+            end = end - self._rays
         return 0
 
     @cython.cfunc
@@ -691,8 +712,10 @@ class Sweeps:
         sectors count by steps from the begin of a scan, the rays by bearing. `ranges` (2 n, rays)
         in m of n robots: the rows into which scans are cast, in the order of the scan's rays.
         """
-        self._caster, self._steps = caster, len(counts) - 1
-        self._first, self._counts = first.data, counts.data
+        self._caster = caster
+        self._steps = len(counts) - 1
+        self._first = first.data
+        self._counts = counts.data
         self._ranges = ranges.data
         self._scans = np.empty((len(ranges), 3), np.intp).data
 
@@ -701,7 +724,9 @@ class Sweeps:
     ) -> None:
         """Begin a scan of `robot` at `step`, the latest so far, in `row` of the ranges."""
         place: cython.Py_ssize_t = self._count
-        self._scans[place, 0], self._scans[place, 1], self._scans[place, 2] = robot, step, row
+        self._scans[place, 0] = robot
+        self._scans[place, 1] = step
+        self._scans[place, 2] = row
         self._count += 1
 
     def advance(
@@ -721,7 +746,8 @@ class Sweeps:
         if not cython.compiled:
             poses = np.asarray(poses).data
         for i in range(self._count):
-            robot, row = self._scans[i, 0], self._scans[i, 2]
+            robot = self._scans[i, 0]
+            row = self._scans[i, 2]
             sector = step - self._scans[i, 1]  # the steps since the scan began
             if sector == self._steps:
                 ended.append((robot, row))
@@ -788,13 +814,18 @@ class Errors:
         normal: Array,
         uniform: Any,
     ) -> None:
-        self._near, self._near_sd, self._far_sd = noise.near, noise.near_sd, noise.far_sd
+        self._near = noise.near
+        self._near_sd = noise.near_sd
+        self._far_sd = noise.far_sd
         self._resolution = noise.resolution
         self._dropout = float(np.float32(noise.dropout))  # as the numbers that it is compared to
-        self._factors, self._reach = factors.data, reach.data
-        self._lost, self._encoded = lost.data, encoded.data
+        self._factors = factors.data
+        self._reach = reach.data
+        self._lost = lost.data
+        self._encoded = encoded.data
         self._block_dropout = block_dropout.data
-        self._normal, self._uniform = normal.data, uniform.data
+        self._normal = normal.data
+        self._uniform = uniform.data
 
     def measure(self, row: cython.Py_ssize_t, ranges: cython.double[::1]) -> None:
         """Replace the exact `ranges` (rays,) in m of robot `row` by those that its driver reports.

@@ -39,7 +39,8 @@ class RollingScans:
         `sectors`: the least number of sectors of a sweep; a sweep with fewer steps has one sector
         for each step.
         """
-        spec, sweep = platform.scan, platform.scan.sweep
+        spec = platform.scan
+        sweep = platform.scan.sweep
         assert sweep is not None
         order, times = sweep_order(spec.bearings, sweep)  # rays in the order of the sweep
         duration = min(sweep.duration, 1.0 / spec.rate)  # ends before the next scan begins
@@ -93,5 +94,6 @@ class RollingScans:
         self._waiting.difference_update(ready)
         for robot in ready:
             row = (self._last_row[robot] + self._n) % len(self._ranges)
-            self._last_begun[robot], self._last_row[robot] = step, row
+            self._last_begun[robot] = step
+            self._last_row[robot] = row
             self._sweeps.begin(robot, step, row)

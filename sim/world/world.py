@@ -39,7 +39,9 @@ from swarmd.sim.world.rolling import RollingScans
 from swarmd.sim.world.scalar_fields import Field, readings_at
 
 TIME_STEP = 0.01  # s of a step
-_POSE_ERROR, _POSE_YAW_ERROR = 0.01, 0.01  # m and rad, as of motion capture
+# m and rad, as of motion capture
+_POSE_ERROR = 0.01
+_POSE_YAW_ERROR = 0.01
 
 
 class World:
@@ -79,8 +81,11 @@ class World:
         n = len(robots)
         if starts.shape != (n, 3):
             raise ConfigError(f"{n} robots, but start poses of shape {starts.shape}")
-        self.ids, self.platforms = tuple(robots), tuple(robots.values())
-        self.arena, self.dt, self._steps = arena, TIME_STEP, 0
+        self.ids = tuple(robots)
+        self.platforms = tuple(robots.values())
+        self.arena = arena
+        self.dt = TIME_STEP
+        self._steps = 0
         self.time = 0.0
         """Simulated time in s."""
         self.fields = tuple(fields)
@@ -97,20 +102,24 @@ class World:
 
     def _begin_bodies(self, robots: Mapping[str, Platform], starts: Array) -> None:
         """Build the model of MuJoCo, with robots and boxes at their start poses."""
-        n, arena = len(robots), self.arena
+        n = len(robots)
+        arena = self.arena
         pucks = tuple(item for item in arena.items if item.mass is not None)
         self.model = bodies.build_model(robots, replace(arena, items=pucks), self.dt)
         self.data = mujoco.MjData(self.model)
         # Views of MuJoCo's memory.
-        self._qpos, self._qvel = self.data.qpos, self.data.qvel
+        self._qpos = self.data.qpos
+        self._qvel = self.data.qvel
         self._qpos[: 3 * n] = starts.ravel()
         self._robot_poses = self._qpos[: 3 * n].reshape(-1, 3)
         self._movable_boxes = MovableBoxes(arena, self.model, self.data, n)
-        self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
+        self.movable_boxes = self._movable_boxes.names
+        self.box_shapes = self._movable_boxes.shapes
         self._contacts = ContactReader(self.model, n, n + len(self.movable_boxes))
         self._touching: list[ContactPoints] = []
         # Robots that were taken out of the arena.
-        self._is_out, self._are_all_in = np.zeros(n, dtype=np.bool_), True
+        self._is_out = np.zeros(n, dtype=np.bool_)
+        self._are_all_in = True
         shapes = [platform.footprint for platform in self.platforms]
         # m: the largest distance of the centres of a robot and a box that touch.
         self._widest = sum(
@@ -260,7 +269,8 @@ class World:
         n = len(self.ids)
         vx, vy, angular = self._qvel[: 3 * n].reshape(-1, 3).T
         yaw = self._qpos[2 : 3 * n : 3] - angular * (self.dt / 2.0)
-        cos, sin = np.cos(yaw), np.sin(yaw)
+        cos = np.cos(yaw)
+        sin = np.sin(yaw)
         twists = np.empty((n, 3))
         twists[:, 0] = cos * vx + sin * vy
         twists[:, 1] = angular
@@ -320,7 +330,8 @@ class World:
         spec = self.platforms[robot].ranges
         assert spec is not None, f"{self.ids[robot]} has no ring"
         (seen,) = self._ring_sensors.cast(self._all_poses(), np.array([robot], dtype=np.intp))
-        ranges, seq = self._ring_noise.measured(robot, seen), self._ring_seq[robot]
+        ranges = self._ring_noise.measured(robot, seen)
+        seq = self._ring_seq[robot]
         self._ring_seq[robot] += 1
         return Scan(seq, self.time, ranges, spec.bearings, spec.range_min, spec.range_max)
 
@@ -335,9 +346,11 @@ class World:
 
     def odometry(self, robots: Indices | None = None) -> list[Odometry]:
         """The next reading of each of `robots` (all if None), in the frame of its own start."""
-        chosen, now = np.arange(len(self.ids)) if robots is None else robots, self.time
+        chosen = np.arange(len(self.ids)) if robots is None else robots
+        now = self.time
         poses, twists = self._odometers.read(chosen, self._places(), self.twists())
-        places, speeds = map(Pose, *poses.T.tolist()), map(Twist, *twists.T.tolist())
+        places = map(Pose, *poses.T.tolist())
+        speeds = map(Twist, *twists.T.tolist())
         readings = list(map(Odometry, repeat(now), places, speeds))
         if self.faults.have_effect:
             readings = list(map(self.faults.odometry, chosen.tolist(), readings))
@@ -415,11 +428,13 @@ class World:
 
     def take_out(self, robot: int) -> None:
         """Remove a robot from contacts and scans for good."""
-        self._is_out[robot], self._are_all_in = True, False
+        self._is_out[robot] = True
+        self._are_all_in = False
         self._items.release(robot)
         self.grips[robot] = False
         geom = self.model.geom(self.ids[robot]).id
-        self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = 0
+        self.model.geom_contype[geom] = 0
+        self.model.geom_conaffinity[geom] = 0
 
     def remove(self, box: str) -> None:
         """Take a movable box out of the arena; SwarmError if it is not there."""

@@ -59,7 +59,8 @@ def pushed(evidence: Evidence) -> Verdict:
     barrier = evidence.platform.protection["barrier"]
     if verdict.result is not Result.FAIL or barrier is None:
         return verdict
-    speed, bound = _speed_of_box(evidence), float(barrier["others_speed"])
+    speed = _speed_of_box(evidence)
+    bound = float(barrier["others_speed"])
     if speed <= bound:
         return verdict
     return not_shown(f"the box came at {speed:.1f} m/s, and {bound:g} m/s are assumed: push slower")
@@ -69,7 +70,8 @@ def passage(way: float) -> Judge:
     """A judge of a drive of `way` m along a wall or through a door, without a touch."""
 
     def judge(evidence: Evidence) -> Verdict:
-        made, least = way_of(evidence.samples), _LEAST_SHARE * way
+        made = way_of(evidence.samples)
+        least = _LEAST_SHARE * way
         if made < least:
             reason = "protection did not let it pass: see the widths in swarmctl describe"
             return failed(reason, f"{made:.2f} m", f"{least:.2f} m")

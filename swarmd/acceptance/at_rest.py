@@ -27,9 +27,13 @@ _OFTEN_SHARE = 1.5  # of the declared rate; a lidar of 5 Hz turns by at most 7 H
 _LEAST_APART = 0.05  # m (median of the rays) by which the scans of two sensors differ, and
 _APART_SHARE = 3.0  # so many times more than two scans of one of them
 _LOST_SHARE = 0.02  # of the scans; 5 % of lost datagrams are usual on a poor WiFi
-_LATEST_ODOMETRY, _STALE_ODOMETRY = 0.15, 0.5  # s: docs/safety.md, assumption 7
+# s: docs/safety.md, assumption 7
+_LATEST_ODOMETRY = 0.15
+_STALE_ODOMETRY = 0.5
 _STALE_SHARE = 0.1  # of the time in which the newest odometry may be older
-_DRIFT, _TURN_DRIFT = 0.01, math.radians(2.0)  # m, rad, in a minute at rest
+# m, rad, in a minute at rest
+_DRIFT = 0.01
+_TURN_DRIFT = math.radians(2.0)
 _CLOCK_ERROR = 0.5  # s between two clocks that should agree
 _DAY = 86400.0  # s: two clocks farther apart have another zero, which is no fault
 _LOAD = "load"
@@ -89,11 +93,13 @@ def base(evidence: Evidence) -> Verdict:
 
 def scan_rate(evidence: Evidence) -> Verdict:
     """Rate, losses and the longest gap of the scans."""
-    spec, scans = evidence.platform.scan, evidence.samples.scans
+    spec = evidence.platform.scan
+    scans = evidence.samples.scans
     if len(scans) < _LEAST_SCANS:
         return failed(f"scans are missing: {_driver_text(evidence)}", f"{len(scans)} scans")
     gaps = np.diff([at for at, _ in scans])
-    period, mean = float(np.median(gaps)), float(gaps.mean())
+    period = float(np.median(gaps))
+    mean = float(gaps.mean())
     came = f"{len(scans)} scans in {float(gaps.sum()):.1f} s"
     if _are_of_two([_distances(scan.ranges) for _, scan in scans]):
         return failed(
@@ -135,7 +141,8 @@ def scan_rate(evidence: Evidence) -> Verdict:
 
 def stamps(evidence: Evidence) -> Verdict:
     """Whether scans and odometry are stamped by one clock, and whether it is the wall clock."""
-    spec, samples = evidence.platform.scan, evidence.samples
+    spec = evidence.platform.scan
+    samples = evidence.samples
     scans = [(at, scan.stamp) for at, scan in samples.scans]
     odometry = [(at, reading.stamp) for at, reading in samples.odometry]
     if len(scans) < _LEAST_SCANS or len(odometry) < _LEAST_SCANS:
@@ -148,7 +155,8 @@ def stamps(evidence: Evidence) -> Verdict:
             return failed(f"the stamps of {name} went back: a clock was set, or two nodes publish")
         if steps.max() <= 0.0:
             return failed(f"the stamps of {name} stand still: look at the clock of its node")
-    scan_lag, odometry_lag = _least_lag(scans), _least_lag(odometry)
+    scan_lag = _least_lag(scans)
+    odometry_lag = _least_lag(odometry)
     apart = scan_lag - odometry_lag
     if _CLOCK_ERROR < abs(apart) < _DAY:
         which = "older" if apart > 0.0 else "newer"
@@ -189,7 +197,8 @@ def hand(wanted: float, ahead: str = "") -> Judge:
             why = f"no hand was seen within {_HAND} m: the lidar is blind there, or the hand"
             return failed(f"{why} was above or below its plane", bound=f"{wanted:.0f} deg")
         degrees = math.degrees(seen)
-        figure, bound = f"{degrees:.0f} deg", f"{wanted:.0f} +- {math.degrees(_ASTRAY):.0f} deg"
+        figure = f"{degrees:.0f} deg"
+        bound = f"{wanted:.0f} +- {math.degrees(_ASTRAY):.0f} deg"
         if _is_near(seen, math.radians(wanted)):
             return passed("the hand is where the scan shows it", figure, bound, bearing=degrees)
         earlier = evidence.earlier.get(ahead)
@@ -215,7 +224,8 @@ def odometry_at_rest(evidence: Evidence) -> Verdict:
         return failed(
             "the base repeats one reading: look at its odometry", f"{len(readings)} readings"
         )
-    period, longest = float(np.median(gaps)), float(gaps.max())
+    period = float(np.median(gaps))
+    longest = float(gaps.max())
     pauses = np.diff([at for at, _ in readings])
     stale = float(np.maximum(pauses - _LATEST_ODOMETRY, 0.0).sum() / max(pauses.sum(), 1e-9))
     if stale > _STALE_SHARE and period <= _LATEST_ODOMETRY:
@@ -317,11 +327,13 @@ def _hand_bearing(samples: Samples) -> float | None:
     scans = samples.scans
     if not scans:
         return None
-    begin, count = scans[0][0], len(scans[0][1].ranges)
+    begin = scans[0][0]
+    count = len(scans[0][1].ranges)
     same = [(at, scan) for at, scan in scans if len(scan.ranges) == count]
     before = [_distances(scan.ranges) for at, scan in same if at - begin < LOOK_TIME]
     background = np.median(before, axis=0)
-    best, bearing = _HAND, None
+    best = _HAND
+    bearing = None
     for at, scan in same:
         distances = _distances(scan.ranges)
         is_new = distances < background - _NEARER

@@ -25,7 +25,9 @@ _AGE_SHARE = 0.2  # of the period of scans: half a scan that is half a period ol
 _MANY_RAYS = 90
 _HEADING = math.radians(10.0)  # rad between two headings
 _FAR_QUANTILE = 0.9  # of the headings; what is seen in a corner of a room varies
-_NEAR_SHARE, _LEAST_NEAR = 0.85, 5  # of the distance of other rays, and rays that see no farther
+# of the distance of other rays, and rays that see no farther
+_NEAR_SHARE = 0.85
+_LEAST_NEAR = 5
 _LEAST_SHARE = 0.5  # of the commanded way that a base must drive at a low speed
 
 
@@ -129,8 +131,10 @@ def low_speed(speed: float, seconds: float) -> Judge:
     """A judge of a drive at a low speed in m/s, for `seconds`: a base may have a dead zone."""
 
     def judge(evidence: Evidence) -> Verdict:
-        least, way = _LEAST_SHARE * speed * seconds, way_of(evidence.samples)
-        figure, bound = f"{way:.3f} m", f"at least {least:.3f} m"
+        least = _LEAST_SHARE * speed * seconds
+        way = way_of(evidence.samples)
+        figure = f"{way:.3f} m"
+        bound = f"at least {least:.3f} m"
         if way < least:
             cause = f"the base hardly moves at {speed:g} m/s: it has a dead zone, or sticks"
             return failed(cause, figure, bound)
@@ -144,7 +148,9 @@ def level(evidence: Evidence) -> Verdict:
 
     In a whole turn on the spot each ray of a level lidar sees the same distances.
     """
-    platform, heights, far = evidence.platform, evidence.platform.heights, _far_ranges(evidence)
+    platform = evidence.platform
+    heights = evidence.platform.heights
+    far = _far_ranges(evidence)
     status = evidence.status
     if far is None and status is not None and status.reason is Reason.INVALID_SCAN:
         return failed(f"{status.detail}; or the lidar is tilted, and sees the floor there")
@@ -180,7 +186,8 @@ def _far_ranges(evidence: Evidence) -> Array | None:
 
     Masked rays, and rays without a return, count as range_max.
     """
-    spec, odometry = evidence.platform.scan, evidence.samples.odometry
+    spec = evidence.platform.scan
+    odometry = evidence.samples.odometry
     count = len(spec.bearings)
     scans = [pair for pair in evidence.samples.scans if len(pair[1].ranges) == count]
     if not scans or not odometry or count < _MANY_RAYS:

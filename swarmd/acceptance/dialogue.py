@@ -51,7 +51,9 @@ START_TIME = 10.0
 """Seconds in which a run must start: the pattern is loaded first."""
 SETTLE = 1.0
 """Seconds in which the pose of a robot at rest changes by less than STILL and STILL_TURN."""
-STILL, STILL_TURN = 0.005, 0.02  # m, rad
+# m, rad
+STILL = 0.005
+STILL_TURN = 0.02
 _LATE = 2.0  # s after a question: an emergency stop that was reset may be told until then
 
 YES = frozenset({"y"})
@@ -237,9 +239,11 @@ class Dialogue:
     # The robot
 
     def _see(self, sight: Sight, now: float) -> None:
-        self._sight, self._heard = sight, now
+        self._sight = sight
+        self._heard = now
         if self._still is None or not _is_near(sight.pose, self._still, STILL, STILL_TURN):
-            self._still, self._still_since = sight.pose, now
+            self._still = sight.pose
+            self._still_since = now
 
     def _is_heard(self, now: float) -> bool:
         return now - self._heard <= SILENCE
@@ -295,7 +299,8 @@ class Dialogue:
         return verdict is not None and verdict.result is Result.PASS
 
     def _while_asked(self, input: Input, now: float) -> list[Action]:
-        sight, step = self._sight, self.step
+        sight = self._sight
+        step = self.step
         is_stopped = sight is not None and sight.is_estopped and not step.is_latched
         if isinstance(input, Sight) and is_stopped and now - self._since > _LATE:
             return self._finish("the robot is emergency-stopped")
@@ -435,7 +440,8 @@ class Dialogue:
     def _while_judged(self, input: Input, now: float) -> list[Action]:
         if not isinstance(input, Judged):
             return []
-        broken, verdict = self._broken, input.verdict
+        broken = self._broken
+        verdict = input.verdict
         if broken is not None:
             # Both failed: the evidence tells the cause of what broke the step off.
             have_failed = broken.result is verdict.result is Result.FAIL
@@ -453,7 +459,8 @@ class Dialogue:
         return [*([Stop()] if may_move else []), *self._finish("interrupted")]
 
     def _enter(self, phase: Phase, now: float) -> None:
-        self.phase, self._since = phase, now
+        self.phase = phase
+        self._since = now
 
     def _keep(self, step: Step, verdict: Verdict) -> list[Action]:
         self.verdicts[step.id] = verdict

@@ -12,7 +12,9 @@ _SPEED = 0.1  # m/s
 _TAKE_OFF = 4.0  # s, with the estimate that must rest before
 _FLIGHT = 15.0  # s with the take-off; a person acts meanwhile
 _LANDING = 10.0  # s: 5 s of hovering, and the way down
-_WALL, _WALL_WAY = 1.8, 1.0  # m to a wall ahead whose range shows the way, and the way
+# m to a wall ahead whose range shows the way, and the way
+_WALL = 1.8
+_WALL_WAY = 1.0
 _NEAR_WALL = 1.2  # m
 _AHEAD = 2.0  # m of free air
 _SHARES = {"slowly": 0.3, "at half speed": 0.6, "at full speed": 1.0}

@@ -27,7 +27,8 @@ def lands(judge: Judge) -> Judge:
     """`judge`, and whether the drone stands on the floor at the end of the recording."""
 
     def judge_both(evidence: Evidence) -> Verdict:
-        verdict, heights = judge(evidence), evidence.samples.heights
+        verdict = judge(evidence)
+        heights = evidence.samples.heights
         if verdict.result is not Result.PASS:
             return verdict
         height = heights[-1][1] if heights else math.inf
@@ -48,7 +49,8 @@ def hovers(evidence: Evidence) -> Verdict:
     if not len(aloft) or aloft[-1] - aloft[0] < _LEAST_HOVER:
         reason = "it did not stay at its height: the line `driver` of swarmctl describe says why"
         return failed(reason, bound=f"{wanted:.2f} m for {_LEAST_HOVER:g} s")
-    begin, end = float(aloft[0]) + _SWAY_TIME, float(aloft[-1]) - _SWAY_TIME
+    begin = float(aloft[0]) + _SWAY_TIME
+    end = float(aloft[-1]) - _SWAY_TIME
     error = float(np.abs(_between(rows, begin, end)[:, 1] - wanted).max())
     track = _between(track_of(evidence.samples), begin, end)
     if len(track) < 2 or not track[-1, 0] > track[0, 0]:
@@ -80,7 +82,8 @@ def scale(evidence: Evidence) -> Verdict:
     far, near = np.interp(cruise[[0, -1], 0], *seen.T)
     way = float(np.hypot(*(cruise[-1, 1:] - cruise[0, 1:])))
     ratio = way / max(far - near, 1e-3)
-    figure, bound = f"way by estimate over way by range {ratio:.3f}", f"1 +- {SCALE_ERROR:g}"
+    figure = f"way by estimate over way by range {ratio:.3f}"
+    bound = f"1 +- {SCALE_ERROR:g}"
     if abs(ratio - 1.0) > SCALE_ERROR:
         cause = "the scale of the state estimate is wrong: look at the height by the Flow deck"
         return failed(cause, figure, bound)

@@ -79,7 +79,8 @@ def _map(record: AcceptanceRecord, id: str, samples: Samples) -> str:
     if samples.scans:
         scan = samples.scans[0][1]
         is_seen = np.isfinite(scan.ranges) & (scan.ranges > 0.0)
-        bearings, ranges = scan.bearings[is_seen], scan.ranges[is_seen]
+        bearings = scan.bearings[is_seen]
+        ranges = scan.ranges[is_seen]
         points = _pixels(np.stack((ranges * np.cos(bearings), ranges * np.sin(bearings)), axis=1))
         dots = "".join(f"<circle cx='{x:.0f}' cy='{y:.0f}' r='1'/>" for x, y in points)
     return (

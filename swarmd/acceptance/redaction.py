@@ -76,7 +76,8 @@ def masked_recording(path: Path, mask: Mask) -> bytes:
     writer = Writer(output, compression=CompressionType.ZSTD)
     writer.start(PROFILE, "swarmd")
     writer.add_metadata(METADATA, about)
-    channels, inputs = Channels(writer), InputReader()
+    channels = Channels(writer)
+    inputs = InputReader()
     for message in recording.messages:
         input = inputs.read(message)
         has_text = message.kind in _TEXTS if input is None else not isinstance(input[0], _Numbers)

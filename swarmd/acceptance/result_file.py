@@ -111,7 +111,8 @@ class AcceptanceRecord(Struct, frozen=True, kw_only=True):
 
 def subject_of(head: RecordingHead) -> dict[str, str]:
     """What a test of the robot with this head is about: all that a verdict may depend on."""
-    platform, setup = head.identity.platform, head.identity.setup
+    platform = head.identity.platform
+    setup = head.identity.setup
     return {
         "robot": head.identity.robot,
         "swarm": head.swarm,

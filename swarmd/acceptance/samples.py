@@ -30,6 +30,7 @@ def read_samples(files: Iterable[RecordedFile]) -> Samples:
             elif message.topic == _DECISION:
                 decision = messages.message_on(_DECISION, message.kind, message.payload)
                 safe = messages.twist_of(decision.safe)
-                gap, share = float(decision.gap), float(decision.speed_share)
+                gap = float(decision.gap)
+                share = float(decision.speed_share)
                 decisions.append(TimedDecision(at, safe, gap, share))
     return Samples(inputs, decisions, wall)

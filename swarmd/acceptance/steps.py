@@ -49,8 +49,12 @@ NOT_SHOWN_YET: Mapping[str, tuple[str, ...]] = {
 _TEST_SPEED = 0.1  # m/s of the drives of part B
 _LOAD_TIME = 20.0  # s between two readings of the load
 _PERSON_TIME = 30.0  # s of a run that a person ends
-_LOW_SPEED, _LOW_TIME = 0.02, 5.0  # m/s, s; near obstacles robots creep at 0.015 m/s
-_TURN, _TURNS = 0.5, 2.0  # rad/s, and turns that are commanded for a whole one
+# m/s, s; near obstacles robots creep at 0.015 m/s
+_LOW_SPEED = 0.02
+_LOW_TIME = 5.0
+# rad/s, and turns that are commanded for a whole one
+_TURN = 0.5
+_TURNS = 2.0
 _DOOR_SLACK = 0.2  # m beyond the narrowest door
 _HAND_TIME = 10.0  # s
 _LONGEST_CALIBRATION = 600.0  # s
@@ -515,7 +519,8 @@ def _approach(
 
 def _as_it_evades(step: Step, platform: Platform) -> Step:
     """The step with the speeds of mode `potential_field`, which evades a box at full speed."""
-    motion, limits = step.motion, platform.limits
+    motion = step.motion
+    limits = platform.limits
     if motion is None or platform.protection["mode"] != "potential_field":
         return step
     reach = motion.reach + SLACK_TIME * (limits.linear - motion.speed)

@@ -108,7 +108,9 @@ def own_stop(seconds: float) -> Judge:
         track = track_of(evidence.samples)
         if not commanded or len(track) < 2:
             return not_shown("nothing was commanded, or no odometry came")
-        begin, end, last = commanded[0], commanded[-1], float(track[-1, 0])
+        begin = commanded[0]
+        end = commanded[-1]
+        last = float(track[-1, 0])
 
         def way(since: float, until: float) -> float:
             return float(np.ptp(np.interp((since, until), track[:, 0], _ways(track))))
@@ -136,7 +138,8 @@ def latch_after_restart(estop: str) -> Judge:
     """A judge of the latch after a restart; `estop`: the step that set the latch."""
 
     def judge(evidence: Evidence) -> Verdict:
-        status, before = evidence.status, evidence.earlier[estop].values.get("instance")
+        status = evidence.status
+        before = evidence.earlier[estop].values.get("instance")
         if status is None:
             return failed("the robot does not answer after the restart")
         if status.instance == before:
@@ -175,7 +178,8 @@ def _rest_after(evidence: Evidence, event: float, within: float) -> Verdict:
     track = track_of(evidence.samples)
     if evidence.platform.is_drone:
         track = track[track[:, 0] <= event + within + _HOVER_TIME]
-    times, ways = track[:, 0], _ways(track)
+    times = track[:, 0]
+    ways = _ways(track)
     stop = stop_of(times, ways, event) if len(track) else None
     if stop is None or stop.speed < _LEAST_CRUISE:
         causes = "motors off, a dead zone of the base, or a drone that did not take off"
@@ -195,7 +199,8 @@ def _rest_after(evidence: Evidence, event: float, within: float) -> Verdict:
 
 def _is_moving(track: Array, platform: Platform) -> Array:
     """(n,) bool: whether the base still moves at each row; a drone that drifts does not."""
-    times, ways = track[:, 0], _ways(track)
+    times = track[:, 0]
+    ways = _ways(track)
     if not platform.is_drone:
         return np.asarray(ways[-1] - ways > _AT_REST)
     near = np.interp(times[:, None] + (-_DRIFT_TIME, _DRIFT_TIME), times, np.arange(len(times)))

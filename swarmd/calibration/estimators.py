@@ -58,7 +58,8 @@ def stop_of(times: Array, distances: Array, stop_time: float) -> Braking | None:
     cruise = before[times[before] >= stop_time - CRUISE]
     if len(cruise) < 3:
         return None
-    first, last = cruise[0], cruise[-1]
+    first = cruise[0]
+    last = cruise[-1]
     if not times[last] > times[first]:
         return None
     speed = float((distances[last] - distances[first]) / (times[last] - times[first]))
@@ -150,7 +151,8 @@ def turn_delay(
     """
     # With each candidate delay the time of measurement must lie within the odometry.
     usable = arrivals - _MAX_DELAY >= times.min(initial=math.inf)
-    arrivals, scan_headings = arrivals[usable], scan_headings[usable]
+    arrivals = arrivals[usable]
+    scan_headings = scan_headings[usable]
     are_numbers = bool(np.isfinite(scan_headings).all() and np.isfinite(odometry_headings).all())
     if len(arrivals) < 8 or not are_numbers:
         return (Figure(why="fewer than eight scans of the turns could be matched"),) * 2

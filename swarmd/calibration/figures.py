@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import NamedTuple, Self
 
 PATTERN = "calibration"
-DONE, REFUSED = "done", "refused"
+DONE = "done"
+REFUSED = "refused"
 """Values of `state` in the report: measured, or ended without figures for the reason in `why`."""
 NOT_FREE = "is not free"
 """In `why`: the floor was not as it was asked for, which says nothing about the robot."""

@@ -25,7 +25,8 @@ def top_speeds(platform: Platform) -> dict[str, float]:
 
     `lateral` only for a base that moves sideways.
     """
-    surface, limits = _SHARE * _surface_speed(platform), platform.limits
+    surface = _SHARE * _surface_speed(platform)
+    limits = platform.limits
     speeds = {
         "linear": min(limits.linear, surface),
         "angular": min(limits.angular, surface / _outer(platform)),
@@ -58,7 +59,8 @@ def _needed_half(platform: Platform, speed: float, reach: float, late: float) ->
 
     `reach`: distance in m from axle to outline in the direction of the drive.
     """
-    barrier, spec = _barrier(platform), platform.scan
+    barrier = _barrier(platform)
+    spec = platform.scan
     drive_length = travel(speed)
     age = 1.0 / spec.rate + spec.latency + late + _TICK
     brake = float(barrier.get("braking_linear") or 1.0)

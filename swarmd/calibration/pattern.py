@@ -40,7 +40,10 @@ _UNSEEN_SHARE = 0.03  # least share of the commanded distance that odometry must
 _BRAKED_SHARE = 0.75  # share of a drive's longest distance at which it brakes
 _LOOKS = 6  # scans at rest before the first drive
 _LOOK_TIME = 10.0  # s within which these scans must arrive
-_SWINGS, _SWING_PERIOD, _SWING_SHARE = 3.0, 3.0, 0.5  # count; s a swing; share of top turn rate
+# count; s a swing; share of top turn rate
+_SWINGS = 3.0
+_SWING_PERIOD = 3.0
+_SWING_SHARE = 0.5
 _LEAST_WAY = 0.08  # m between two scans that give a scale of odometry
 _ASTRAY = math.radians(
     30.0
@@ -186,7 +189,9 @@ class Calibration(Pattern[CalibrationParams]):
     def _record(self, inputs: Inputs) -> None:
         odometry = inputs.odometry
         if odometry is not None:
-            stamp, pose, rows = odometry.stamp, odometry.pose, self._odometry
+            stamp = odometry.stamp
+            pose = odometry.pose
+            rows = self._odometry
             if rows and stamp < rows[-1][0]:
                 raise _EndError("the clock of odometry was set back")
             if not rows or stamp > rows[-1][0]:
@@ -196,7 +201,8 @@ class Calibration(Pattern[CalibrationParams]):
             self._offset = min(self._offset, inputs.now - stamp)
             self._lags.append(inputs.now - stamp)
         if inputs.is_new_scan and inputs.scan is not None:
-            self._scan, self._scan_at = inputs.scan, inputs.now
+            self._scan = inputs.scan
+            self._scan_at = inputs.now
             self._scan_count += 1
 
     def _track(self, since: float) -> Array:
@@ -221,7 +227,8 @@ class Calibration(Pattern[CalibrationParams]):
         scales = dict[str, list[_Distances]]()
         stops = dict[str, list[tuple[float, Braking]]]()
         for axis in (axis for axis in _AXES if axis in self._speeds):
-            stops[axis], scales[axis] = [], []
+            stops[axis] = []
+            scales[axis] = []
             yield from self._stops(axis, stops[axis], scales[axis])
         self._step_name = "swings"
         seen, track = yield from self._swing()
@@ -269,7 +276,8 @@ class Calibration(Pattern[CalibrationParams]):
         """Take scans of the floor and check it, before the robot moves."""
         looks: list[Scan] = []
         arrivals: list[tuple[float, float]] = []
-        begin, count = None, 0
+        begin = None
+        count = 0
         while len(looks) < _LOOKS:
             yield ZERO
             begin = self._now if begin is None else begin
@@ -297,7 +305,8 @@ class Calibration(Pattern[CalibrationParams]):
         figure = delay_by_stamps(arrivals, odometry, scan, self._spec)
         late = 0.0 if figure.delay is None else figure.delay - self._spec.latency
         self._late = late if late > TOLERANCE else 0.0
-        platform, floor = self.context.platform, self.params.floor
+        platform = self.context.platform
+        floor = self.params.floor
         needed = needed_floor(platform, self._late)
         if floor < needed:
             late_text = f" with scans that come {self._late:.2f} s late" if self._late else ""
@@ -310,7 +319,8 @@ class Calibration(Pattern[CalibrationParams]):
         """End if a return lies on the floor; `points` are seen from `pose` in the start frame."""
         half = 0.5 * self.params.floor
         half -= tolerance(half)
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        cos = math.cos(pose.yaw)
+        sin = math.sin(pose.yaw)
         x = pose.x + cos * points[:, 0] - sin * points[:, 1]
         y = pose.y + sin * points[:, 0] + cos * points[:, 1]
         inside = np.flatnonzero((np.abs(x) < half) & (np.abs(y) < half))
@@ -354,7 +364,8 @@ class Calibration(Pattern[CalibrationParams]):
         drive without a measured stop (`_stop` gives None), all drives are repeated at a slower
         speed. _EndError after more than _RETRIES such drives.
         """
-        failures, words = 0, _AXES[axis]
+        failures = 0
+        words = _AXES[axis]
         # To and fro at the top speed, then to and fro at a slow speed; this `repeats` times.
         speed_shares = (1.0, -1.0, _SLOW, -_SLOW)
         drive_count = len(speed_shares) * self.params.repeats
@@ -397,7 +408,8 @@ class Calibration(Pattern[CalibrationParams]):
         while not is_too_long and (steady_since is None or self._now - steady_since < _CLEAR):
             yield twist
             track = self._track(begin)
-            times, distances = track[:, 0], _distances(track, axis, sign)
+            times = track[:, 0]
+            distances = _distances(track, axis, sign)
             if steady_since is None and is_steady(times, distances):
                 steady_since = self._now
             drive_time = self._now - begin
@@ -446,7 +458,8 @@ class Calibration(Pattern[CalibrationParams]):
 
     def _stand(self) -> _Drives:
         """Command zero until the robot stands by odometry and a whole scan was taken since."""
-        begin, still = self._now, self._now
+        begin = self._now
+        still = self._now
         sweep = 0.0 if self._scan is None or self._scan.ages is None else self._scan.ages.max()
         latency = self._spec.latency + self._late
         settle = max(_SETTLE, latency + 1.5 / self._spec.rate, float(sweep))
@@ -493,7 +506,8 @@ class Calibration(Pattern[CalibrationParams]):
         `before`, `after`: the poses at rest from `_rest`. Ends the calibration by _EndError if
         scans show another direction than odometry.
         """
-        (start, start_by_scan), (end, end_by_scan) = before, after
+        (start, start_by_scan) = before
+        (end, end_by_scan) = after
         if start_by_scan is None or end_by_scan is None:
             return None
         if not (start_by_scan.binds_place and end_by_scan.binds_place):
@@ -504,10 +518,12 @@ class Calibration(Pattern[CalibrationParams]):
         distance = math.hypot(*scan_way)
         if distance < _LEAST_WAY:
             return None
-        direction, scan_direction = math.atan2(way[1], way[0]), math.atan2(scan_way[1], scan_way[0])
+        direction = math.atan2(way[1], way[0])
+        scan_direction = math.atan2(scan_way[1], scan_way[0])
         astray = math.remainder(scan_direction - direction, 2.0 * math.pi)
         if abs(astray) > _ASTRAY:
-            words, angle = _AXES[axis], math.degrees(astray)
+            words = _AXES[axis]
+            angle = math.degrees(astray)
             raise _EndError(
                 f"scans show a {words.way} in another direction than odometry, by {angle:.0f} deg:"
                 f" {words.astray.format(-angle)}"
@@ -519,7 +535,8 @@ class Calibration(Pattern[CalibrationParams]):
 
         Returns the arrival in s and each scan, and odometry as `_track`.
         """
-        begin, last_scan = self._now, self._scan
+        begin = self._now
+        last_scan = self._scan
         seen: list[tuple[float, Scan]] = []
         top_rate = _SWING_SHARE * self._speeds["angular"]
         while self._now - begin < _SWINGS * _SWING_PERIOD:
@@ -603,7 +620,8 @@ class Calibration(Pattern[CalibrationParams]):
         speed_ratios = [stop.speed / speed for speed, stop in pairs if speed == top_speed]
         speed_ratio = mean_of(speed_ratios, "no steady drive")
         if scale.is_measured:  # to metres by scans, by which protection measures its gaps
-            speed_ratio, deceleration = speed_ratio.over(scale), deceleration.over(scale)
+            speed_ratio = speed_ratio.over(scale)
+            deceleration = deceleration.over(scale)
         # `braking_linear` also holds for the lateral axis.
         key = "braking_angular" if axis == "angular" else "braking_linear"
         barrier = self.context.platform.protection.get("barrier") or {}
@@ -651,7 +669,8 @@ def _distances(track: Array, axis: str, sign: float) -> Array:
     """
     _, x, y, turned = (track - track[0]).T
     yaw = float(track[0, 3])
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
     distances: dict[str, Array] = {
         "linear": cos * x + sin * y,
         "lateral": cos * y - sin * x,

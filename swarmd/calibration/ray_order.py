@@ -123,7 +123,8 @@ class RayOrder:
         if self._why:
             return SweepFigure(why=self._why)
         is_left = np.array(self._sides) > 0.0
-        count, left_count = len(is_left), int(np.count_nonzero(is_left))
+        count = len(is_left)
+        left_count = int(np.count_nonzero(is_left))
         if count < _MIN_SCANS or min(left_count, count - left_count) < _MIN_SCANS_OF_SIDE:
             return SweepFigure(why="too few scans during fast turns to both sides show it")
         rows = np.array(self._rows)
@@ -186,7 +187,8 @@ class RayOrder:
         if not len(ranges):
             return np.full(_CELLS, math.nan)
         headings = scan.bearings[known] + yaw
-        cos, sin = math.cos(yaw), math.sin(yaw)
+        cos = math.cos(yaw)
+        sin = math.sin(yaw)
         ahead, left = self._offset
         x = cos * ahead - sin * left - ahead + ranges * np.cos(headings)
         y = sin * ahead + cos * left - left + ranges * np.sin(headings)

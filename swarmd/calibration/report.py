@@ -83,7 +83,8 @@ def settings(
             chosen.append(_lower(f"limits.{axis}", value, speed, text))
 
     # 2. The scan.
-    scan_delay, margin = figures["scan_delay"], figures["margin"]
+    scan_delay = figures["scan_delay"]
+    margin = figures["margin"]
     if scan_delay.is_measured:
         value = _up(scan_delay.value + _DEVIATIONS * scan_delay.spread)
         text = f"{_text(scan_delay)}, and 2 sd"

@@ -40,8 +40,10 @@ class Located(NamedTuple):
 def points_of(scan: Scan, offset: tuple[float, float]) -> Array:
     """(k, 2) returns in the base frame in m; `offset`: of the sensor in the base frame, m."""
     is_return = (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)
-    ranges, bearings = scan.ranges[is_return], scan.bearings[is_return]
-    x, y = offset[0] + ranges * np.cos(bearings), offset[1] + ranges * np.sin(bearings)
+    ranges = scan.ranges[is_return]
+    bearings = scan.bearings[is_return]
+    x = offset[0] + ranges * np.cos(bearings)
+    y = offset[1] + ranges * np.sin(bearings)
     return np.stack((x, y), axis=1)
 
 
@@ -65,12 +67,16 @@ class Reference:
         """
         if min(len(points), len(self._points)) < _LEAST_POINTS:
             return None
-        x, y, yaw = guess.x, guess.y, guess.yaw
-        match_count, normal_matrix = 0, np.eye(3)
+        x = guess.x
+        y = guess.y
+        yaw = guess.yaw
+        match_count = 0
+        normal_matrix = np.eye(3)
         for max_distance in _GATES:
             # 1. Match each point with the nearest point of the reference. The squared distances
             # |p|^2 - 2 p q + |q|^2 lack |p|^2, which is equal for all points q of the reference.
-            cos, sin = math.cos(yaw), math.sin(yaw)
+            cos = math.cos(yaw)
+            sin = math.sin(yaw)
             rotated = points @ np.array(((cos, sin), (-sin, cos)))
             placed = rotated + np.array((x, y))
             nearest = (self._squares - 2.0 * placed @ self._points.T).argmin(axis=1)
@@ -82,7 +88,8 @@ class Reference:
 
             # 2. One Gauss-Newton step on the distances from the reference's lines. The columns of
             # the Jacobian are the derivatives by x, y and yaw.
-            nearest, rotated = nearest[is_match], rotated[is_match]
+            nearest = nearest[is_match]
+            rotated = rotated[is_match]
             normals = self._normals[nearest]
             errors = (offsets[is_match] * normals).sum(axis=1)
             by_yaw = rotated[:, 0] * normals[:, 1] - rotated[:, 1] * normals[:, 0]
@@ -91,7 +98,9 @@ class Reference:
             # The small diagonal keeps unconstrained coordinates at the guess.
             damped = normal_matrix + _DAMPING * match_count * np.eye(3)
             change = np.linalg.solve(damped, jacobian.T @ errors)
-            x, y, yaw = x - float(change[0]), y - float(change[1]), yaw - float(change[2])
+            x = x - float(change[0])
+            y = y - float(change[1])
+            yaw = yaw - float(change[2])
 
         # 3. A coordinate is constrained if enough normals point along it. The place counts in the
         # direction in which the normals constrain it least (the smaller eigenvalue). A turn moves a
@@ -106,7 +115,8 @@ class Reference:
 
 def _middle(points: Array) -> Array:
     """(n, 2) the median point of each bearing bin, in the order of bearings."""
-    ranges, bearings = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
+    ranges = np.hypot(*points.T)
+    bearings = np.arctan2(points[:, 1], points[:, 0])
     bins = ((bearings + np.pi) * (_BINS / (2.0 * np.pi))).astype(np.intp) % _BINS
     medians = []
     for bin_index in np.unique(bins):

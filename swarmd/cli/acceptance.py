@@ -154,7 +154,8 @@ def _new_record(tested: TestedRobot) -> AcceptanceRecord:
     from swarmd.acceptance.result_file import AcceptanceRecord, subject_of
     from swarmd.network.operator.operator_text import operator_name
 
-    setup, platform = tested.head.identity.setup, tested.head.identity.platform
+    setup = tested.head.identity.setup
+    platform = tested.head.identity.platform
     status = tested.status()
     versions = {
         "swarmd": setup.version,
@@ -182,7 +183,9 @@ class Results:
     """The results of a test in a folder, on the disk at once."""
 
     def __init__(self, folder: Path, record: AcceptanceRecord, steps: Sequence[Step]) -> None:
-        self._folder, self.record, self._steps = folder, record, steps
+        self._folder = folder
+        self.record = record
+        self._steps = steps
         self._write()
 
     @property

@@ -53,7 +53,9 @@ _BATTERY = "battery"  # the reading
 _PROBE = "probe"
 _PROBE_TIME = 1.5  # s of the recording that tells the robot's platform
 _LAST_TIME = 2.0  # s of the recording after a daemon or a link has come back
-_FINISH_TIME, _POLL = 10.0, 0.2  # s in which a recording that was stopped is on the disk
+# s in which a recording that was stopped is on the disk
+_FINISH_TIME = 10.0
+_POLL = 0.2
 
 
 class TestedRobot:
@@ -69,7 +71,9 @@ class TestedRobot:
         self, options: CommonOptions, robot: str, folder: Path, config: Path | None
     ) -> None:
         """Not connected. `folder`: of the results. `config`: of the daemon, on the robot itself."""
-        self.robot, self._folder, self._config = robot, folder, config
+        self.robot = robot
+        self._folder = folder
+        self._config = config
         self.inputs: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self.head: RecordingHead
         self.platform: Platform
@@ -249,7 +253,8 @@ class TestedRobot:
                 self._answer = f"the stop was answered: {reply.text}"
 
     def _end_lease(self) -> None:
-        runner, self._runner = self._runner, None
+        runner = self._runner
+        self._runner = None
         if runner is not None:
             runner.close()
 
@@ -349,7 +354,8 @@ class TestedRobot:
         if status is None:
             return unknown("platform file", "the robot does not answer")
         path = self._folder / f"{self.robot}.yaml"
-        today, values = datetime.date.today().isoformat(), verdicts["C2"].values
+        today = datetime.date.today().isoformat()
+        values = verdicts["C2"].values
         path.write_text(measured_file(self.robot, status.platform, today, values))
         return Finding("platform file", True, f"written: {path}")
 

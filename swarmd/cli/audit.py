@@ -109,7 +109,8 @@ def _with_older(
 
     `newest`: the newest page. A reply has at most AUDIT_PAGE entries, so older pages are queried.
     """
-    reply, lines = newest, _lines(newest)
+    reply = newest
+    lines = _lines(newest)
     while len(lines) < count and reply.has_more and reply.entries:
         first_number = reply.entries[0].seq  # entries have serial numbers, oldest first
         page_size = min(count - len(lines), AUDIT_PAGE)
@@ -124,7 +125,8 @@ def _with_older(
 
 
 def _lines(reply: AuditReply) -> list[_Line]:
-    now, pairs = time.time(), zip(reply.entries, reply.ages, strict=False)
+    now = time.time()
+    pairs = zip(reply.entries, reply.ages, strict=False)
     return [_Line(reply.robot, one.wall if age is None else now - age, one) for one, age in pairs]
 
 
@@ -138,12 +140,14 @@ def _row(line: _Line) -> tuple[str, ...]:
 def _time(at: float | None) -> str:
     if at is None:
         return NOTHING
-    shown, now = datetime.fromtimestamp(at), datetime.now()
+    shown = datetime.fromtimestamp(at)
+    now = datetime.now()
     return f"{shown:%H:%M:%S}" if shown.date() == now.date() else f"{shown:%Y-%m-%d %H:%M:%S}"
 
 
 def _record(line: _Line) -> dict[str, Any]:
-    entry, at = line.entry, line.at
+    entry = line.entry
+    at = line.at
     moment = None if at is None else datetime.fromtimestamp(at).astimezone()
     return {
         "robot": line.robot,

@@ -22,7 +22,8 @@ from swarmd.core.processes import keep_from_tracing
 from swarmd.texts.assignments import Value, read_assignments
 
 # Open files: a daemon needs about 40 for itself, and one for each link of an operator.
-MIN_DESCRIPTORS, WANTED_DESCRIPTORS = 128, 4096
+MIN_DESCRIPTORS = 128
+WANTED_DESCRIPTORS = 4096
 
 # Subcommands, which a daemon must not import: its start takes 0.2 s of CPU.
 VERBS = {

@@ -45,7 +45,9 @@ class Talk:
         keyboard: Terminal | GivenYes,
         results: Results | None = None,
     ) -> None:
-        self._dialogue, self._robot, self._keyboard = dialogue, robot, keyboard
+        self._dialogue = dialogue
+        self._robot = robot
+        self._keyboard = keyboard
         self._results = results
         self._end = ""
         self._doing = ""  # what the robot says that it does

@@ -21,7 +21,8 @@ def effective_config(settings: DaemonSettings) -> str:
     A comment names the source of each value. The values of the platform follow as comments, since
     the key `platform` stands for them.
     """
-    file, folder = settings.file, settings.plugin_dir
+    file = settings.file
+    folder = settings.plugin_dir
     values = to_builtins(file) | {
         "id": settings.id,
         "identity": None if settings.identity is None else str(settings.identity.folder.absolute()),

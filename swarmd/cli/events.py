@@ -88,9 +88,11 @@ def _print(lines: Iterable[EventLine]) -> None:
     for line, robots in together(lines):
         at = _time(line)
         shown = f"{at:%H:%M:%S}" if at.date() == datetime.now().date() else f"{at:%m-%d %H:%M:%S}"
-        name, text = line.robot, line.text
+        name = line.robot
+        text = line.text
         if len(robots) > 1:
-            name, text = f"{len(robots)} robots", f"{text}: {', '.join(sorted(robots))}"
+            name = f"{len(robots)} robots"
+            text = f"{text}: {', '.join(sorted(robots))}"
         click.echo(printable(f"{shown}  {name.ljust(NAME_WIDTH)}  {text}"))
 
 

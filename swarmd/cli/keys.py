@@ -115,7 +115,8 @@ def init(
     if settings["interface"] and not settings["profile"] and config is None:
         settings["profile"] = "field"
     swarm_yaml = swarm_settings(swarm, config, settings)
-    folder, identities = authority_folder(swarm), configuration() / "identities" / swarm
+    folder = authority_folder(swarm)
+    identities = configuration() / "identities" / swarm
     for path in (folder, identities):
         if path.exists():
             raise ConfigError(f"{path} is there already; remove it to begin anew")
@@ -231,7 +232,8 @@ def list_(options: CommonOptions) -> None:
     count, since the bundle may not be installed yet.
     """
     authority = open_authority(options.swarm)
-    roster, now = authority.roster, time.time()
+    roster = authority.roster
+    now = time.time()
     rows: list[dict[str, Any]] = []
     for name in roster.names:
         record = authority.record_of(name)  # None before the first bundle of the name

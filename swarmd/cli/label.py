@@ -24,7 +24,8 @@ class LabelCommand(click.Command):
         """Replace the signs by options; one letter after `-` stays an option."""
         words: list[str] = []
         for word in args:
-            sign, label = word[:1], word[1:]
+            sign = word[:1]
+            label = word[1:]
             is_signed = sign == "+" or (sign == "-" and len(label) > 1 and is_id(label))
             words += ["--add" if sign == "+" else "--remove", label] if is_signed else [word]
         return super().parse_args(ctx, words)

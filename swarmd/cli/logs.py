@@ -116,7 +116,8 @@ class _Follower:
         view: MembersView,
         printer: _Printer,
     ) -> None:
-        self._options, self._operator = options, operator
+        self._options = options
+        self._operator = operator
         self._targets = targets
         self._view = view  # the result of the last query
         self._printer = printer
@@ -202,7 +203,8 @@ class _Printer:
         lines = []
         for batch in batches:
             life = batch.robot, batch.instance
-            last, now = self._last.get(life, 0), time.time()
+            last = self._last.get(life, 0)
+            now = time.time()
             self._last[life] = max(last, batch.last)
             for one in matching(batch.records, self.query.level, self.query.grep):
                 if one.seq > last:
@@ -225,7 +227,8 @@ class _Printer:
             if self._is_json:
                 print_json("LogRecord", _record(line), indent=None)
                 continue
-            record, name = line.record, line.robot.ljust(self._width)
+            record = line.record
+            name = line.robot.ljust(self._width)
             level = logging.getLevelName(record.level).lower()
             text = f"{level.ljust(7)}  {record.source}: {record.text}"
             if self._is_coloured:

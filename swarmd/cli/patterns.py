@@ -19,7 +19,9 @@ from swarmd.core.verbs import shortened
 from swarmd.plugins import find_pattern, place_of_pattern
 from swarmd.texts.values import NOTHING, printable, short_number
 
-NEEDS_WIDTH, FROM_WIDTH = 22, 16  # columns on a terminal
+# columns on a terminal
+NEEDS_WIDTH = 22
+FROM_WIDTH = 16
 
 _platform = click.option(
     "--platform",

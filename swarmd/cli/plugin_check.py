@@ -118,7 +118,8 @@ def parameter_fault(specs: Mapping[str, Record], key: str, value: object) -> str
         is_wrong = not value.is_integer()
     if is_wrong and not isinstance(value, str | None):
         return f"{key} is {value!r}; expected {spec['wanted']}"
-    low, high = spec["ge"], spec["le"]
+    low = spec["ge"]
+    high = spec["le"]
     if isinstance(value, int | float) and not (
         (low is None or value >= low) and (high is None or value <= high)
     ):
@@ -215,7 +216,8 @@ class _Check(NamedTuple):
 def _check_of(row: Record) -> _Check | None:
     """The check that ends with `row`; None for a row of another kind."""
     if "lost" in row:  # the child ended, or hangs
-        fields, hangs = {"fault": f"the process that checks it {row['how']}"}, row["hangs"]
+        fields = {"fault": f"the process that checks it {row['how']}"}
+        hangs = row["hangs"]
         return _Check(row["lost"], fields, hangs, has_ended_child=not hangs)
     if "result" in row:  # the child goes on, also after a hang that it noticed itself
         return _Check(row["result"], row, row.get("is_hang", False), has_ended_child=False)
@@ -355,7 +357,8 @@ def _lines(stream: IO[bytes], timeout: float, pid: int, items: int = 0) -> Itera
     buffer = b""
     size = 0
     begun: set[str] = set()
-    deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
+    deadline = time.monotonic() + timeout
+    until = used_by(pid)[0] + timeout
     with selectors.DefaultSelector() as selector:
         selector.register(stream, selectors.EVENT_READ)
         while True:
@@ -378,7 +381,8 @@ def _lines(stream: IO[bytes], timeout: float, pid: int, items: int = 0) -> Itera
                 item = str(_record_of(line).get("begin", ""))
                 if item and item not in begun and len(begun) < items:
                     begun.add(item)
-                    deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
+                    deadline = time.monotonic() + timeout
+                    until = used_by(pid)[0] + timeout
                 yield line
 
 

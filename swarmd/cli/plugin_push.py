@@ -52,7 +52,9 @@ PUSH_TIMEOUT = 15.0  # s: a trial on a robot may take 10
 CANARY_TIME = 90.0  # s: a version is held after 60 s of runs
 LOOK_PERIOD = 0.5  # s between two queries of the canaries
 TELL_PERIOD = 10.0  # s between two lines about the wait for canaries
-MAX_NAME, MAX_VERSION = 63, 32  # characters in a manifest
+# characters in a manifest
+MAX_NAME = 63
+MAX_VERSION = 32
 DIGEST_LENGTH = 12  # characters of the hash in a report of pushed patterns
 
 
@@ -306,16 +308,21 @@ class _Pusher:
         *,
         name: str = "",
     ) -> None:
-        self._asked, self._operator = asked, asked.operator
-        self._source, self._version = source, version
-        self._replace, self._rerun, self._name = replace, rerun, name
+        self._asked = asked
+        self._operator = asked.operator
+        self._source = source
+        self._version = version
+        self._replace = replace
+        self._rerun = rerun
+        self._name = name
 
     def next_generation(self) -> int:
         """The generation for a push: greater than the generation of every robot that answers.
 
         Failure if no robot answers; ConfigError after the last generation.
         """
-        options, view = self._asked.options, self._asked.view
+        options = self._asked.options
+        view = self._asked.view
         pushed = pushed_patterns_of(options, self._operator, view, view.members)
         if not pushed:
             names = ", ".join(sorted(view.members)) or "any robot"
@@ -373,7 +380,8 @@ class _Pusher:
         source code the manifest removes the pattern from robots. `generation`: the version number
         that orders all manifests of the pattern. ConfigError for a manifest that is too large.
         """
-        source, operator = self._source, self._operator
+        source = self._source
+        operator = self._operator
         identity = operator.identity
         # Without an identity: `user@host`, cut to the length of a name in a manifest.
         issuer = operator.name[:MAX_NAME] if identity is None else identity.name
@@ -435,7 +443,8 @@ def _await_canary(
     Failure if a canary does not answer, or has returned to another version: the robots of `rest`
     then keep their code.
     """
-    options, operator = asked.options, asked.operator
+    options = asked.options
+    operator = asked.operator
     digest = hashlib.sha256(source.code).hexdigest()[:DIGEST_LENGTH]
     began = told = time.monotonic()
     while True:

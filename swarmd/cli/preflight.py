@@ -97,7 +97,8 @@ def peers_text(settings: DaemonSettings) -> str:
     their platforms. The settings `accepts_unseen` and `accepts_faster` may also name a platform
     that swarmd lacks, such as a file on another robot; the text says so.
     """
-    own, speed = body_of(settings.platform), assumed_speed(settings.platform)
+    own = body_of(settings.platform)
+    speed = assumed_speed(settings.platform)
     granted = settings.robot
     accepts = Accepts.of(granted.accepts_unseen, granted.accepts_faster)
     held: list[str] = []
@@ -282,7 +283,8 @@ def _check_low_battery(settings: DaemonSettings) -> Iterator[Finding]:
     given = settings.robot.on_low_battery
     if given is None:
         return
-    act, fault = "stands", ""
+    act = "stands"
+    fault = ""
     if given.pattern is not None:
         act = f"runs {given.pattern}"
         run = _run(settings, act, given.pattern, given.params)

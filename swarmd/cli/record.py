@@ -83,7 +83,8 @@ def list_(options: CommonOptions, targets: Targets) -> None:
             rows = []
             for robot, reply in replies.items():
                 for file in reply.files:
-                    size, times = megabytes(file.size, 2), _times(file, reply.now)
+                    size = megabytes(file.size, 2)
+                    times = _times(file, reply.now)
                     rows.append((robot, file.name, size, *times, str(file.dropped)))
             print_table(("NAME", "FILE", "SIZE", "LENGTH", "ENDED", "DROPPED"), rows)
             click.echo(f"{counted(len(rows), 'file')} of {counted(len(replies), 'robot')}")
@@ -196,7 +197,8 @@ def _recordings(
     from swarmd.recording.fetch import recordings_of
 
     view = known_members(options, operator)
-    recordings, failed = {}, []
+    recordings = {}
+    failed = []
     for robot in targets_of(view, targets):
         try:
             recordings[robot] = recordings_of(partial(_ask, options, operator), robot)

@@ -279,7 +279,8 @@ def _why(life: Life, *, is_raw: bool) -> Iterator[str]:
     `is_raw`: also the last inputs and decisions. They are the last ones before its first
     difference, else before the incident, else before the end.
     """
-    replay, name = life.replay, Path(life.where).name
+    replay = life.replay
+    name = Path(life.where).name
     robot = life.head.identity.robot
     # A file may name others of the same minute: its name begins with the id of its own incident.
     own = sorted(replay.incidents, key=lambda one: name.startswith(one.incident.id))[-1:]
@@ -287,7 +288,8 @@ def _why(life: Life, *, is_raw: bool) -> Iterator[str]:
     last, until = (own[0].last, "the incident") if own else (tuple(replay.last), "the end")
     end = math.inf
     if replay.difference is not None:
-        last, until = replay.difference.last, f"{replay.difference.field} differs"
+        last = replay.difference.last
+        until = f"{replay.difference.field} differs"
         end = replay.difference.at
     if replay.changes is not None:
         yield f"{robot}, what changed{'' if math.isinf(end) else f' before {until}'}:"

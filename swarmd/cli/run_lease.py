@@ -24,7 +24,8 @@ def run_while_here(asked: Asked, run: Run, targets: tuple[str, ...]) -> NoReturn
     A lease ends the run of a robot that does not hear this program. `targets`: those of the run's
     goal.
     """
-    lease, ended = run.lease or 0.0, None
+    lease = run.lease or 0.0
+    ended = None
     with signals_end(), ExitStack() as opened:
         try:
             started = carry_out(run, asked.targeted, targets, opened)

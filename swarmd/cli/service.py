@@ -130,7 +130,9 @@ def uninstall(root: Path, dry_run: bool, purge: bool) -> None:
 def status(root: Path, output: str | None) -> None:
     """Show unit, settings, identity and the last lines of the log; 3 if it is not active."""
     steps = _steps(root)
-    found, log, active = status_rows(steps), last_lines(steps), is_active(steps)
+    found = status_rows(steps)
+    log = last_lines(steps)
+    active = is_active(steps)
     if output == "json":
         print_json("ServiceStatus", {**dict(found), "is_active": active, "log": log})
     else:

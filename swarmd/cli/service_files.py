@@ -104,7 +104,8 @@ def keep_for_root(root: Path = Path("/")) -> None:
     """
     if os.geteuid() != 0:
         return
-    account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
+    account = _account(root)
+    folder = root / CONFIG_FOLDER.relative_to("/")
     try:
         with open_folder(folder) as outer:
             if os.fstat(outer).st_uid != 0:
@@ -128,7 +129,8 @@ def give_to_service(root: Path = Path("/")) -> bool:
     into the folder. ConfigError if another user than root owns /etc/swarmd, or if one of the
     folders is a link.
     """
-    account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
+    account = _account(root)
+    folder = root / CONFIG_FOLDER.relative_to("/")
     if account is None or not folder.exists() or os.geteuid() != 0:
         return False
     keep_for_root(root)

@@ -74,7 +74,8 @@ def reset(
     with asking(options, targets, needs_status=True) as asked:
         # A latch is an emergency stop that lasts until a reset. `latches`: those that the robots
         # reported just now, by id; the request names these ids, so a later latch stays.
-        robots, latches = asked.names, asked.view.latches(asked.names)
+        robots = asked.names
+        latches = asked.view.latches(asked.names)
         # Say what the reset clears.
         for latch_id, latch in latches.items():
             warn(f"clears emergency stop {latch_id} {stop_text(latch)}")
@@ -83,6 +84,7 @@ def reset(
         for robot, finding in findings_of(asked.view, robots):
             warn(f"{robot}: {finding_action}: {finding}")
         if len(robots) > 1 and not yes:
-            question, to_check = f"Reset {', '.join(robots)}?", "all of them may move again"
+            question = f"Reset {', '.join(robots)}?"
+            to_check = "all of them may move again"
             need_consent(f"reset of {len(robots)} robots", to_check, question)
         asked.report(clear(asked.targeted, reason=reason, findings=findings))

@@ -29,8 +29,12 @@ from swarmd.core.errors import (
 )
 from swarmd.core.files import as_text
 
-LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
-OWN, RECORD, HERE = "Patterns of your own", "Measure and record", "This machine"
+LOOK = "Look at robots"
+MOVE = "Command robots"
+FILES = "A swarm file"
+OWN = "Patterns of your own"
+RECORD = "Measure and record"
+HERE = "This machine"
 PLUGINS = "Simulate, and verbs of other plugins"
 EXIT_CODES_HELP = """\b
 Exit codes:
@@ -144,7 +148,8 @@ class Verbs(LazyGroup):
             text = f"nothing was sent and no robot stops: {error.format_message()}"
             raise click.UsageError(text, error.ctx) from error
         except ModuleNotFoundError as error:
-            verb, missing = ctx.invoked_subcommand, error.name
+            verb = ctx.invoked_subcommand
+            missing = error.name
             if verb is None or verb in VERBS or not missing or missing.startswith("swarmd"):
                 raise
             from swarmd import plugins

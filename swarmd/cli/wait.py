@@ -37,7 +37,9 @@ def wait(options: CommonOptions, targets: Targets, wanted: tuple[str, ...]) -> N
     conditions = read_awaited(wanted)
     with options.operator() as operator:
         done = wait_for(session_of(options, operator), targets, conditions)
-        names, met, missing = list(done.names), list(done.met), dict(done.missing)
+        names = list(done.names)
+        met = list(done.met)
+        missing = dict(done.missing)
         if options.is_json:
             code = TIMEOUT if missing else APPLIED
             content = {"robots": names, "met": met, "missing": missing, "exit_code": code}

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from swarmd.view.server import Commander, ViewServer
     from swarmd.view.source import Source
 
-HOST, PORT = "127.0.0.1", 8080
+HOST = "127.0.0.1"
+PORT = 8080
 TOKEN_BYTES = 12
 MAX_TOKEN = 200  # characters that are read of a file
 _START_TIME = 10.0  # s

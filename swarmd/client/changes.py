@@ -69,5 +69,6 @@ def forget(session: Session, view: MembersView, name: str) -> Outcome:
     if view.members[name].presence is Presence.ALIVE:
         text = f"{name} is alive; only robots that failed or left can be forgotten"
         raise RequestError(text, REFUSED)
-    epochs, wait = view.epochs(view.alive), session.time_left(view)
+    epochs = view.epochs(view.alive)
+    wait = session.time_left(view)
     return session.operator.request(ForgetRequest, epochs, timeout=wait, name=name)

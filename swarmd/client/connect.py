@@ -46,7 +46,9 @@ class Connection:
         tell: Tell | None = None,
         places: Places | None = None,
     ) -> None:
-        self._make, self._timeout, self._places = make, timeout, places
+        self._make = make
+        self._timeout = timeout
+        self._places = places
         self._tell = logging.getLogger("swarmd.client").warning if tell is None else tell
         self._opened: Swarm | AsyncSwarm | None = None
 
@@ -59,7 +61,8 @@ class Connection:
 
     def _open(self, life: LoopLife | None) -> Swarm:
         """As `open`, of a caller on the loop of `life`; None: outside of a loop."""
-        make, tell = self._make, self._tell
+        make = self._make
+        tell = self._tell
         pool = OperatorPool(lambda: make(tell), life)
         try:
             with pool.lend():  # errors of options come now
@@ -81,7 +84,8 @@ class Connection:
         trace: TracebackType | None,
     ) -> None:
         assert isinstance(self._opened, Swarm)
-        opened, self._opened = self._opened, None
+        opened = self._opened
+        self._opened = None
         opened.close()
 
     async def __aenter__(self) -> AsyncSwarm:
@@ -109,7 +113,8 @@ class Connection:
     ) -> None:
         assert self._opened is not None
         assert not isinstance(self._opened, Swarm)
-        opened, self._opened = self._opened, None
+        opened = self._opened
+        self._opened = None
         await opened.close()
 
     def _check_free(self) -> None:

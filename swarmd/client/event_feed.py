@@ -18,7 +18,8 @@ from swarmd.core.messages import (
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.operator.members_view import MembersView, SeenMember
 
-RATE, BURST = 2.0, 20.0
+RATE = 2.0
+BURST = 20.0
 """Lines of one robot per second, and at once; further lines are only counted."""
 TOGETHER = 1.0
 """s within which equal texts of several robots, numbers aside, become one line."""
@@ -61,7 +62,8 @@ class EventFeed:
 
     def on_status(self, status: Status, now: float) -> list[EventLine]:
         """The lines that follow from a status."""
-        name, known = status.robot, self._last.get(status.robot)
+        name = status.robot
+        known = self._last.get(status.robot)
         if known is not None and _is_overtaken(status, known[0]):
             return []
         self._last[name] = status, now
@@ -105,7 +107,8 @@ class EventFeed:
 
     def _logged(self, before: Status | None, status: Status, now: float) -> list[EventLine]:
         """The events that the status before did not have, and a change of the hold."""
-        name, events = status.robot, status.events
+        name = status.robot
+        events = status.events
         new = events if before is None else _new(before.events, events)
         is_full = len(events) == MAX_EVENTS  # earlier events may have been dropped
         lines = [
@@ -120,7 +123,8 @@ class EventFeed:
         elif before.events and is_full and len(new) == MAX_EVENTS:
             text = "events before this one may be missing: more came than a robot keeps"
             lines.insert(0, EventLine(lines[0].at, name, "gap", text))
-        hold, earlier = _hold(status), None if before is None else _hold(before)
+        hold = _hold(status)
+        earlier = None if before is None else _hold(before)
         if hold != earlier and hold is not None:
             detail = f": {status.detail}" if status.detail else ""
             lines.append(EventLine(now, name, "hold", f"held by {hold}{detail}"))

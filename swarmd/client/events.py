@@ -21,7 +21,8 @@ PERIOD = 0.5  # s after which a wait for news is interrupted
 
 def events_of(feed: EventFeed, view: MembersView, names: Sequence[str]) -> list[EventLine]:
     """The events that one look shows, in the order of time."""
-    now, lines = time.monotonic(), []
+    now = time.monotonic()
+    lines = []
     for name in names:
         member = view.members.get(name)
         if member is not None and member.status is not None:
@@ -49,7 +50,8 @@ def follow_events(session: Session, feed: EventFeed, targets: Targets) -> Iterat
                 if status_or_view is None or isinstance(status_or_view, Status):
                     continue
                 session.tell_awaited(status_or_view, targets)
-                lines, early = sorted(early), None
+                lines = sorted(early)
+                early = None
             yield [line for line in lines if targets.matching([line.robot])]
     finally:
         watch.close()

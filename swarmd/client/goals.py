@@ -27,7 +27,8 @@ def resume_on(
         status = view.members[name].status if name in view.members else None
         own = status.goal.own if status is not None and status.goal is not None else None
         by_digest[own.digest if own is not None else ""][name] = epoch
-    request, began = session.operator.request, session.began
+    request = session.operator.request
+    began = session.began
     return joined(
         request(ResumeRequest, epoch_by_robot, timeout=timeout, issued=began, digest=digest)
         for digest, epoch_by_robot in by_digest.items()

@@ -147,9 +147,11 @@ def map_of(members: Members) -> str:
     poses = members.poses
     if not poses:
         return ""
-    xs, ys = [pose[0] for pose in poses.values()], [pose[1] for pose in poses.values()]
+    xs = [pose[0] for pose in poses.values()]
+    ys = [pose[1] for pose in poses.values()]
     side = 1.2 * max(max(xs) - min(xs), max(ys) - min(ys), 1.0)
-    left, top = (min(xs) + max(xs) - side) / 2, (min(ys) + max(ys) + side) / 2
+    left = (min(xs) + max(xs) - side) / 2
+    top = (min(ys) + max(ys) + side) / 2
     scale = _SIDE / side
     shapes = [_arrow(members, name, poses[name], left, top, scale) for name in sorted(poses)]
     frame = f'<rect width="{_SIDE}" height="{_SIDE}" fill="none" stroke="#999"/>'

@@ -121,7 +121,8 @@ class OperatorPool:
         atexit.unregister(self._end)
         with self._lock:
             self._is_closed = True
-            idle, self._idle = self._idle, []
+            idle = self._idle
+            self._idle = []
         self._end_leases()
         for operator in idle:
             operator.close()
@@ -135,7 +136,8 @@ class OperatorPool:
 
     def _end_leases(self) -> None:
         with self._lock:
-            leases, self._leases = self._leases, []
+            leases = self._leases
+            self._leases = []
         for _, lease in leases:
             lease.close()
 

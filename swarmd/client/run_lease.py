@@ -47,7 +47,8 @@ class LeasedRuns:
     ) -> None:
         self.running = dict(running)
         self.ended: dict[str, Status | None] = {}  # the status that ended each run; None: not heard
-        self._goal, self._patience = goal, patience
+        self._goal = goal
+        self._patience = patience
         self._heard = dict.fromkeys(running, now)
         self._lapse: Lapse | None = None  # the last one that was told
 
@@ -107,7 +108,8 @@ def follow_runs(
     runs = LeasedRuns(goal, patience, running, boottime())
     with statuses_of(session.operator) as status_queue:
         while runs.running:
-            status, now = next_status(status_queue, 0.5), boottime()
+            status = next_status(status_queue, 0.5)
+            now = boottime()
             for line in runs.advance(now, lapse(now)):
                 session.tell(line)
             if status is not None:
@@ -154,7 +156,9 @@ class LeaseKeeper(threading.Thread):
     ) -> None:
         super().__init__(name="swarmd-lease", daemon=True)
         self._is_owned = is_owned
-        self._operator, self._goal_id, self._names = operator, goal_id, names
+        self._operator = operator
+        self._goal_id = goal_id
+        self._names = names
         self._period = lease / PARTS
         self._ending = threading.Event()
         self._lease = lease
@@ -170,7 +174,8 @@ class LeaseKeeper(threading.Thread):
 
     def run(self) -> None:
         """Renew until `close`, or until nothing owns the lease."""
-        operator, count = self._operator, 0
+        operator = self._operator
+        count = 0
         while self._is_owned() and not self._ending.is_set():
             count += 1
             operator.send_lease(self._goal_id, count, self._names)

@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from swarmd.texts.assignments import Value
 
 ON_JOIN = ("offer", "run")
-MIN_LEASE, MAX_LEASE = 1.0, 3600.0  # s
+# s
+MIN_LEASE = 1.0
+MAX_LEASE = 3600.0
 
 
 class Run(Struct, frozen=True, kw_only=True):
@@ -184,7 +186,8 @@ def send_goal(
 
     The request counts as issued when the verb of `session` began.
     """
-    request, began = session.operator.request, session.began
+    request = session.operator.request
+    began = session.began
     if goal.pattern is None:
         return request(GoalRequest, epochs, issued=began, goal=goal, **fields)
     return request(
@@ -221,7 +224,8 @@ def start_at(
     cancelled before the start; robots that have accepted the run are then stopped.
     """
 
-    session, timeout = targeted.session, targeted.time_left
+    session = targeted.session
+    timeout = targeted.time_left
     if timeout is not None and timeout <= at:
         raise ConfigError(f"the timeout is too short for a start in {in_short(at)}")
 
@@ -296,7 +300,8 @@ def run_with_canary(
     """
     from swarmd.client.canary import CANARY_TIME
 
-    session, operator = targeted.session, targeted.operator
+    session = targeted.session
+    operator = targeted.operator
     view = targeted.view
     # This goal targets only the canaries, so that it ends no run of another robot.
     canary_goal = signed_again(operator, goal, targets=canaries)

@@ -161,7 +161,9 @@ def unreachable(operator: Operator, sent: str = "") -> NetworkError:
 
 def other_swarms(operator: Operator) -> str:
     """The other swarms that were heard, in words, when no robot was reached."""
-    swarm, profile, found = operator.settings.swarm, operator.settings.profile, operator.swarms()
+    swarm = operator.settings.swarm
+    profile = operator.settings.profile
+    found = operator.swarms()
     if swarm in found:
         keys = "has no keys for it (--identity)" if operator.identity is None else "has other keys"
         return f"; there is a swarm of that name, and this swarmctl {keys} or another profile"

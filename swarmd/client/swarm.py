@@ -63,7 +63,9 @@ class Swarm(Closing):
         cancelled: threading.Event | None = None,
     ) -> None:
         self._pool_of_parent = pool  # its own, unless this process was forked
-        self._timeout, self._tell, self._places = timeout, tell, places
+        self._timeout = timeout
+        self._tell = tell
+        self._places = places
         self._cancelled = cancelled or threading.Event()
         self._parents: tuple[threading.Event, ...] = ()
         self._began: float | None = None  # when the call began; None: when it takes an operator
@@ -339,7 +341,8 @@ class Swarm(Closing):
         """Change parameters of running patterns, until the next run."""
         from swarmd.client.changes import set_params
 
-        plain, targets = plain_params(values), _targets(robots, labels, exclude)
+        plain = plain_params(values)
+        targets = _targets(robots, labels, exclude)
         if not plain:
             raise ConfigError("param needs values, such as {'speed': 0.15}")
         with self._session(timeout, is_request=True) as session:
@@ -380,7 +383,8 @@ class Swarm(Closing):
         targets = _targets(robots, labels, exclude)
         with self._session(timeout, is_request=True) as session:
             targeted = session.target(targets, needs_status=True)
-            wait, names = targeted.time_left, targeted.names
+            wait = targeted.time_left
+            names = targeted.names
             return targeted.counted(resume_on(session, targeted.view, names, timeout=wait))
 
     def undo(self, *, timeout: float | None = None) -> Outcome:
@@ -410,7 +414,8 @@ class Swarm(Closing):
         from swarmd.client.waits import wait_for
         from swarmd.texts.awaited import read_awaited
 
-        words, targets = check_words(conditions, "conditions"), _targets(robots, labels, exclude)
+        words = check_words(conditions, "conditions")
+        targets = _targets(robots, labels, exclude)
         if not words:
             raise ConfigError("wait needs a condition, such as 'state=running'")
         awaited = read_awaited(words, "conditions")
@@ -482,7 +487,8 @@ class Swarm(Closing):
         began = boottime() if self._began is None else self._began
         events = (self._cancelled, *self._parents)
         process = os.getpid()
-        pool, caller = self._pool, threading.current_thread()
+        pool = self._pool
+        caller = threading.current_thread()
 
         def is_cancelled() -> bool:
             if os.getpid() != process:
@@ -508,7 +514,8 @@ class Swarm(Closing):
 
 def _targets(robots: Words | None, labels: Words, exclude: Words) -> Targets:
     names = () if robots is None else check_words(robots, "robots")
-    labels, exclude = check_words(labels, "labels"), check_words(exclude, "exclude")
+    labels = check_words(labels, "labels")
+    exclude = check_words(exclude, "exclude")
     if robots is not None and not names and not labels:
         raise no_target("the list of robots is empty")
     return make_targets(names, exclude, labels)

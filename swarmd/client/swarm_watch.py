@@ -36,7 +36,9 @@ class SwarmWatch:
         on_status: Callable[[Status], None] = lambda status: None,
         on_view: Callable[[MembersView], None] = lambda view: None,
     ) -> None:
-        self._operator, self._tell_status, self._tell_view = operator, on_status, on_view
+        self._operator = operator
+        self._tell_status = on_status
+        self._tell_view = on_view
         self._lock = threading.Lock()
         self._statuses: dict[str, tuple[Status, float]] = {}
         self._view = MembersView({})

@@ -85,7 +85,8 @@ def make_targets(
 
     Ranges such as `tb3-[01-07]` are expanded: requests contain only names and globs.
     """
-    wanted, excluded = _expanded(names), _expanded(exclude)
+    wanted = _expanded(names)
+    excluded = _expanded(exclude)
     labels = tuple(labels)
     for label in labels:
         if not is_id(label):

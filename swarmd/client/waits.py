@@ -41,12 +41,14 @@ def wait_for(session: Session, targets: Targets, conditions: Awaited) -> Waited:
     the session is cancelled.
     """
     limit = TIME if session.timeout is None else session.timeout
-    operator, until = session.operator, boottime() + limit
+    operator = session.operator
+    until = boottime() + limit
     while True:
         view = operator.members(cap=max(until - boottime(), 0.05))
         view = signed_goals(view, operator.identity) if conditions.goal else view
         names = _names(view, targets)
-        missing, met = unmet(view, names, conditions), meeting(view, names, conditions)
+        missing = unmet(view, names, conditions)
+        met = meeting(view, names, conditions)
         if not missing or boottime() >= until or session.is_cancelled():
             break
         time.sleep(min(PERIOD, max(until - boottime(), 0.0)))

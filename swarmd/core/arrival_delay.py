@@ -27,7 +27,8 @@ class ArrivalDelay:
 
     def __init__(self) -> None:
         self._count = 0
-        self._stamp = self._arrival = -math.inf
+        self._stamp = -math.inf
+        self._arrival = -math.inf
         self._lag = math.inf  # the lowest difference of arrival and stamp
 
     def take(self, stamp: float, now: float) -> float | None:
@@ -38,7 +39,8 @@ class ArrivalDelay:
         if not math.isfinite(stamp):
             return None
         if stamp < self._stamp - _SET_BACK:
-            self._count, self._lag = 0, math.inf
+            self._count = 0
+            self._lag = math.inf
         elif stamp <= self._stamp:
             return None
         lag = now - stamp
@@ -46,6 +48,7 @@ class ArrivalDelay:
             self._lag if math.isinf(self._lag) else self._lag + _MAX_DRIFT * (now - self._arrival)
         )
         self._lag = min(drifted, lag)
-        self._stamp, self._arrival = stamp, now
+        self._stamp = stamp
+        self._arrival = now
         self._count += 1
         return lag - self._lag if self._count >= _MIN_COUNT else None

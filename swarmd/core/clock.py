@@ -60,7 +60,8 @@ def clock_id() -> str:
     """
     import hashlib  # `swarmctl --help` reads no clock
 
-    boot = namespace = ""
+    boot = ""
+    namespace = ""
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     with suppress(OSError):

@@ -41,7 +41,8 @@ __all__ = [
     "tan",
 ]
 
-INFINITY = HUGE_VAL = math.inf
+INFINITY = math.inf
+HUGE_VAL = math.inf
 NAN = math.nan
 compiled = False
 
@@ -54,7 +55,8 @@ class _Type:
 
     def __init__(self, zero: builtins.float | None, length: builtins.int = 0) -> None:
         """`zero`: the first value of an attribute. `length`: of an array; 0 for any other type."""
-        self._zero, self._length = zero, length
+        self._zero = zero
+        self._length = length
 
     def __getitem__(self, shape: Any) -> _Type:
         """The type of an array of the length `shape`; slices give the type of a memory view."""
@@ -92,7 +94,9 @@ def cfunc(function: _Function) -> _Function:
     return function
 
 
-ccall = inline = final = cfunc
+ccall = cfunc
+inline = cfunc
+final = cfunc
 
 
 def exceptval(value: Any = None, *, check: bool = False) -> Callable[[_Function], _Function]:

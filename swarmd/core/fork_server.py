@@ -102,7 +102,8 @@ def start_server(modules: Iterable[str]) -> None:
 def use_short_folder() -> None:
     """Let the server's socket be in /tmp if the path of the usual temporary folder is too long."""
     if len(os.fsencode(tempfile.gettempdir())) > _MAX_TEMP:
-        usual, tempfile.tempdir = tempfile.tempdir, "/tmp"
+        usual = tempfile.tempdir
+        tempfile.tempdir = "/tmp"
         try:
             get_temp_dir()  # made here, and kept for this process
         finally:

@@ -11,8 +11,8 @@ CPython interprets the files if
 - the environment has SWARMD_COMPILED=0,
 - a library was compiled from other sources than the present files: callers might use functions that
   the library lacks,
-- the library `_views` is absent or was compiled by another version of Cython. All libraries import this
-  file, which contains Cython's code for memory views.
+- the library `_views` is absent or was compiled by another version of Cython. All libraries import
+  it, since it contains Cython's code for memory views.
 
 setup.py runs this file alone, so this file imports no other module of swarmd.
 
@@ -202,7 +202,8 @@ def _is_wanted() -> bool:
 @cache
 def _fault_of(name: str) -> str:
     """Why a library cannot be used; empty if it can. Opens the library without importing it."""
-    path, library = _file(name), _opened(name)
+    path = _file(name)
+    library = _opened(name)
     views = _opened(VIEWS)
     if path is None or library is None or views is None:
         return _NOT_COMPILED

@@ -14,7 +14,9 @@ from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.verbs import LOG_PAGE, MAX_LOG_LINE, LogRecord, LogsQuery
 
 CAPACITY = 1000
-RATE, BURST = 50.0, 200.0  # lines per second, and in one burst, of each source
+# lines per second, and in one burst, of each source
+RATE = 50.0
+BURST = 200.0
 MAX_SOURCES = 64
 
 

@@ -60,11 +60,13 @@ def is_clock_synced() -> bool | None:
 
 def _disk(purpose: str, folder: Path) -> DiskFacts:
     fault = write_fault(folder)
-    free = size = 0
+    free = 0
+    size = 0
     with suppress(OSError, StopIteration):
         there = next(path for path in (folder, *folder.parents) if path.exists())
         usage = shutil.disk_usage(there)
-        free, size = usage.free, usage.total
+        free = usage.free
+        size = usage.total
     return DiskFacts(purpose=purpose, path=str(folder)[:1000], free=free, size=size, fault=fault)
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from swarmd.core.token_bucket import TokenBucket
 
-CHANNEL_RATE, CHANNEL_BURST = 20.0, 5.0
+CHANNEL_RATE = 20.0
+CHANNEL_BURST = 5.0
 """Messages per second on one channel, and at once."""
-SENDER_RATE, SENDER_BURST = 100.0, 25.0
+SENDER_RATE = 100.0
+SENDER_BURST = 25.0
 """Messages per second of one sender: five channels at their full rate."""
-BYTE_RATE, BYTE_BURST = 32_000.0, 16_000.0
+BYTE_RATE = 32_000.0
+BYTE_BURST = 16_000.0
 """Encoded bytes per second of one sender: 31 messages of the largest size, or 320 bytes each at
 SENDER_RATE. The shipped patterns send less than 1 kB/s."""
 MAX_CHANNELS = 64

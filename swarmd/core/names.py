@@ -86,7 +86,8 @@ def _words(text: str) -> tuple[str, ...]:
 
 def _expanded(word: str, text: str) -> Iterator[str]:
     pieces = _PARTS.split(word)
-    fixed, ranges = pieces[::2], pieces[1::2]
+    fixed = pieces[::2]
+    ranges = pieces[1::2]
     if any("[" in piece or "]" in piece for piece in fixed):
         raise ConfigError(f"{text!r} has a bracket without its pair; expected such as {_EXAMPLE}")
     for numbers in product(*(tuple(_numbers(inside, text)) for inside in ranges)):
@@ -103,7 +104,8 @@ def _numbers(inside: str, text: str) -> Iterator[str]:
         match = _NUMBERS.fullmatch(part.strip())
         if match is None:
             raise ConfigError(f"{text!r} has the range [{inside}]; expected such as {_EXAMPLE}")
-        first, last = match[1], match[2] or match[1]
+        first = match[1]
+        last = match[2] or match[1]
         if int(last) < int(first) or int(last) - int(first) >= MAX_NAMES:
             raise ConfigError(
                 f"{text!r} has the range {part.strip()}; expected up to {MAX_NAMES} rising numbers"

@@ -77,7 +77,9 @@ class NeighborPlaces:
         age = now - min(self._own[1], at)
         if age > PLACE_TIMEOUT or place.frame != own.frame:
             return neighbor
-        dx, dy = place.x - own.pose.x, place.y - own.pose.y  # m, from own to peer
+        # m, from own to peer
+        dx = place.x - own.pose.x
+        dy = place.y - own.pose.y
         bearing = _known(neighbor.bearing, math.atan2(dy, dx), own)
         heading = _known(neighbor.heading, place.heading, own)
         if neighbor.distance is not None:

@@ -89,7 +89,8 @@ class OdometryTrail:
     _newest: cython.Py_ssize_t  # the number of the newest reading in the buffer
 
     def __init__(self) -> None:
-        self.latest, self.readings = NAN, doubles(_FIELDS * _READINGS)
+        self.latest = NAN
+        self.readings = doubles(_FIELDS * _READINGS)
 
     @cython.ccall
     def take(self, odometry: Odometry, checks: cython.bint = False) -> cython.int:
@@ -98,7 +99,8 @@ class OdometryTrail:
         `checks`: a reading is REFUSED with a number that is not finite or beyond MAX_COORDINATE.
         Without, such a number is in the poses, so that the barrier lets no command pass.
         """
-        pose, twist = odometry.pose, odometry.twist
+        pose = odometry.pose
+        twist = odometry.twist
         stamp: cython.double = odometry.stamp
         x: cython.double = pose.x
         y: cython.double = pose.y
@@ -124,7 +126,8 @@ class OdometryTrail:
             if seconds < 0.0 or is_jump(
                 x - r[start + R_X], y - r[start + R_Y], yaw - r[start + R_YAW], seconds
             ):
-                self.count, taken = 0, ANEW
+                self.count = 0
+                taken = ANEW
             elif seconds == 0.0:
                 return SAME
         # Overwrites the oldest reading, or the newest if that came soon after the one before it.
@@ -132,10 +135,13 @@ class OdometryTrail:
             self._newest = (self._newest + 1) % _READINGS
             self.count = min(self.count + 1, _READINGS)
             start = self.place(0)
-        r[start] = self.latest = stamp
-        r[start + R_X], r[start + R_Y] = x, y
+        r[start] = stamp
+        self.latest = stamp
+        r[start + R_X] = x
+        r[start + R_Y] = y
         r[start + R_YAW] = yaw
-        r[start + R_LINEAR], r[start + R_ANGULAR] = linear, angular
+        r[start + R_LINEAR] = linear
+        r[start + R_ANGULAR] = angular
         r[start + R_LATERAL] = lateral
         return taken
 
@@ -143,7 +149,8 @@ class OdometryTrail:
     @cython.exceptval(-1)
     def clear(self) -> cython.int:
         """Forget all readings."""
-        self.count, self.latest = 0, NAN
+        self.count = 0
+        self.latest = NAN
         return 0
 
     @cython.cfunc

@@ -79,7 +79,8 @@ class Entry:
 
     def covers(self, lesser: Entry) -> bool:
         """True if no robot needs the lesser entry any more because of this entry."""
-        mine, its = self.manifest, lesser.manifest
+        mine = self.manifest
+        its = lesser.manifest
         return mine.name == its.name and (not mine.targets or mine.targets == its.targets)
 
 

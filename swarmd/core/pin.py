@@ -114,7 +114,7 @@ def how_made() -> dict[str, str]:
     `pinned` (`yes`, `no`), `processor`, and what chooses or brings functions: `simd` (the
     instruction sets that numpy uses), `numpy` and `libc` with their versions.
     """
-    import numpy as np
+    import numpy as np  # after the environment is set: numpy reads it at its import
 
     simd = _simd()
     return {

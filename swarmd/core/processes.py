@@ -18,7 +18,8 @@ OUT_OF_MEMORY = 77
 """Exit code of a pattern host that needs more memory than it may have."""
 MAX_OUTPUT = 1 << 24
 """Bytes that code of others may print into a file."""
-LOAD_GROWTH, STEP_GROWTH = 1 << 30, 1 << 28
+LOAD_GROWTH = 1 << 30
+STEP_GROWTH = 1 << 28
 """Bytes by which a pattern host may grow while it loads a pattern, and after that."""
 
 

@@ -62,9 +62,12 @@ def sort_rays(
         angle: cython.double = given[ray]
         k = i
         while k > 0 and (risen[k - 1] > angle or (risen[k - 1] == angle and rays[k - 1] > ray)):
-            risen[k], rays[k] = risen[k - 1], rays[k - 1]
-            k, moves_left = k - 1, moves_left - 1
-        risen[k], rays[k] = angle, ray
+            risen[k] = risen[k - 1]
+            rays[k] = rays[k - 1]
+            k = k - 1
+            moves_left = moves_left - 1
+        risen[k] = angle
+        rays[k] = ray
         if moves_left < 0 or not isfinite(angle):
             break
         ray = wrapped_index(ray + index_step, count)
@@ -74,4 +77,5 @@ def sort_rays(
     # 3. Too many exceptions: sorts by numpy.
     found: cython.longlong[::1] = np.argsort(np.asarray(angles)[:count], kind="stable")
     for i in range(count):
-        order[i], rising[i] = found[i], angles[found[i]]
+        order[i] = found[i]
+        rising[i] = angles[found[i]]

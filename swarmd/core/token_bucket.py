@@ -10,8 +10,10 @@ class TokenBucket:
     """
 
     def __init__(self, rate: float, burst: float) -> None:
-        self._rate, self._burst = rate, burst
-        self._tokens, self._at = burst, 0.0
+        self._rate = rate
+        self._burst = burst
+        self._tokens = burst
+        self._at = 0.0
 
     def holds(self, amount: float, now: float) -> bool:
         """True if `amount` units may pass at `now`."""

@@ -117,7 +117,8 @@ class Scan(Struct, frozen=True, eq=False):
     borrowed: int = 0
 
 
-MAX_STEP, MAX_SPEED = 0.5, 10.0
+MAX_STEP = 0.5
+MAX_SPEED = 10.0
 """m and m/s, rad and rad/s: two readings of odometry farther apart have no common frame."""
 
 
@@ -144,7 +145,9 @@ class Odometry(Struct, frozen=True, array_like=True, gc=False):
     @property
     def is_valid(self) -> bool:
         """True if all numbers are finite, and pose and twist within MAX_COORDINATE."""
-        pose, twist, most = self.pose, self.twist, MAX_COORDINATE
+        pose = self.pose
+        twist = self.twist
+        most = MAX_COORDINATE
         return (
             self.stamp * 0.0 == 0.0
             and -most <= pose.x <= most
@@ -158,7 +161,9 @@ class Odometry(Struct, frozen=True, array_like=True, gc=False):
     @property
     def fault(self) -> str:
         """The first number that makes the reading invalid, with its value; empty if it is valid."""
-        pose, twist, most = self.pose, self.twist, MAX_COORDINATE
+        pose = self.pose
+        twist = self.twist
+        most = MAX_COORDINATE
         if not math.isfinite(self.stamp):
             return f"its stamp is {self.stamp:g}"
         for what, value, unit in (
@@ -285,7 +290,8 @@ class Detection(Struct, frozen=True, array_like=True, gc=False):
         return has_words and abs(self.bearing) < math.inf and 0.0 <= distance < math.inf
 
 
-MAX_DETECTIONS, MAX_WORD = 256, 63
+MAX_DETECTIONS = 256
+MAX_WORD = 63
 """Detections in one input, and characters of a kind or id."""
 
 
@@ -317,7 +323,9 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
 
     def clip(self, twist: Twist) -> Twist:
         """The twist with each component clipped to its limit; no other code does so."""
-        linear, angular, lateral = self.linear, self.angular, self.lateral
+        linear = self.linear
+        angular = self.angular
+        lateral = self.lateral
         if (
             -linear <= twist.linear <= linear
             and -angular <= twist.angular <= angular

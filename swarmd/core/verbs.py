@@ -766,7 +766,8 @@ def _request(
     return Verb(str(asked.__struct_config__.tag), asked, Reply, handler, audit)
 
 
-_ROBOT, _TOOLS = Handler.ROBOT, Handler.TOOLS
+_ROBOT = Handler.ROBOT
+_TOOLS = Handler.TOOLS
 _RECORDING = Handler.RECORDING
 
 MEMBERS = Verb("members", MembersQuery, PeerView, Handler.NETWORK)

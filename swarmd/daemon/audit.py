@@ -28,16 +28,21 @@ log = logging.getLogger(__name__)
 MAX_LINE = 300  # characters
 MAX_WHAT = 120  # characters of a request
 
-APPLIED_RATE, APPLIED_BURST = 2.0, 20.0
-OTHER_RATE, OTHER_BURST = 0.2, 5.0
+APPLIED_RATE = 2.0
+APPLIED_BURST = 20.0
+OTHER_RATE = 0.2
+OTHER_BURST = 5.0
 """Lines per second: refused junk must not displace the lines of applied requests."""
-APPLIED_ENTRIES, OTHER_ENTRIES, ENTRY_BURST = 20.0, 0.1, 200.0
+APPLIED_ENTRIES = 20.0
+OTHER_ENTRIES = 0.1
+ENTRY_BURST = 200.0
 """Entries per second, and the burst: the files have room for more than the log has. `OTHER` holds
 for repeats of a stop, too. At 2 a second refused stops filled the files in 97 minutes; by
 the rate of applied requests a node that repeats a stop filled them in 11."""
 MAX_STOPS = 16
 """Stops that are known again between two other requests."""
-PEER_RATE, PEER_BURST = 0.1, 50.0
+PEER_RATE = 0.1
+PEER_BURST = 50.0
 """Lines and entries per second for messages that robots relay: a stolen robot can invent stops,
 latches and goals, which must not displace the requests of operators in the files."""
 HANDED_ON = "handed on by "
@@ -58,7 +63,10 @@ class Audit:
         clock: str = "",
         wall: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        self._write, self._keep, self._clock, self._wall = write, keep, clock, wall
+        self._write = write
+        self._keep = keep
+        self._clock = clock
+        self._wall = wall
         self._lines = _Limits(APPLIED_RATE, APPLIED_BURST, OTHER_RATE, OTHER_BURST)
         self._entries = _Limits(APPLIED_ENTRIES, ENTRY_BURST, OTHER_ENTRIES, ENTRY_BURST)
         self._peer_lines = _Limits(PEER_RATE, PEER_BURST, PEER_RATE, PEER_BURST)
@@ -84,10 +92,12 @@ class Audit:
         robots, None for all. `is_relayed`: `source` is another robot, which may have invented the
         operator. So the source becomes "handed on by ...", and lower limits hold.
         """
-        line_limits, entry_limits = self._lines, self._entries
+        line_limits = self._lines
+        entry_limits = self._entries
         if is_relayed:
             source = f"{HANDED_ON}{source}"
-            line_limits, entry_limits = self._peer_lines, self._peer_entries
+            line_limits = self._peer_lines
+            entry_limits = self._peer_entries
         result = reply.code if reply.refusal is None else f"{reply.code} ({reply.refusal})"
         is_stop = what.startswith(("stop", "estop"))
         is_applied = reply.code is Code.APPLIED or (is_stop and reply.code is Code.FAILED)
@@ -158,7 +168,8 @@ class _Limits:
         if not (self._applied if is_applied else self._others).take(1.0, now):
             self._left_out += 1
             return None
-        left_out, self._left_out = self._left_out, 0
+        left_out = self._left_out
+        self._left_out = 0
         return left_out
 
 
@@ -197,13 +208,17 @@ class AuditLog:
     def __init__(
         self, folder: Path, on_event: Callable[[str], None], *, max_bytes: int = MAX_BYTES
     ) -> None:
-        self._folder, self._on_event, self._max_bytes = folder, on_event, max_bytes
+        self._folder = folder
+        self._on_event = on_event
+        self._max_bytes = max_bytes
         self._queue: queue.Queue[AuditEntry | threading.Event | None] = queue.Queue(MAX_PENDING)
         self._lock = threading.Lock()  # guards the files
         self._thread: threading.Thread | None = None
         self._seq: int | None = None
         # Counts of entries: dropped by the loop, not written by the thread, and reported as lost.
-        self._unqueued = self._unwritten = self._reported = 0
+        self._unqueued = 0
+        self._unwritten = 0
+        self._reported = 0
         self.fault = ""
 
     def add(self, entry: AuditEntry) -> None:

@@ -161,7 +161,9 @@ class NetworkConnection:
         signed datagram. At the begin of such a flood this method also reopens the session, which
         ends the connections that wait.
         """
-        flood, session, shares = self._flood, self._session, self._shares
+        flood = self._flood
+        session = self._session
+        shares = self._shares
         if flood is None or session is None or shares is None or not flood.is_due(now):
             return
         links = self._end_excess(session, shares, flood, now)
@@ -253,7 +255,8 @@ class NetworkConnection:
 
     def _follow_ipv4(self, state: InterfaceState) -> None:
         """Reopen the session for a new IPv4 address: it answers no Zenoh scouts there yet."""
-        is_new, self._ipv4 = not {*state.ipv4} <= {*self._ipv4}, state.ipv4
+        is_new = not {*state.ipv4} <= {*self._ipv4}
+        self._ipv4 = state.ipv4
         if not (is_new and self._answers_scouts):
             return
         if self._reopening is None:
@@ -343,7 +346,8 @@ class NetworkConnection:
 
     def _use(self, session: zenoh.Session) -> None:
         """Use a newly opened session. A secured one gets shares of its links and a link gate."""
-        swarm, now = self._settings.swarm, boottime()
+        swarm = self._settings.swarm
+        now = boottime()
         self._session = session
         self.bus = ZenohBus(session, swarm=swarm, robot=self._robot, drops=self._drops)
         if self._identity is None or self._settings.profile == "routed":
@@ -395,7 +399,8 @@ class NetworkConnection:
         if self._gate is not None:
             self._gate.close()  # frees the port, which any open socket would keep taken
             self._gate = None
-        session, self._session = self._session, None
+        session = self._session
+        self._session = None
         return session
 
 

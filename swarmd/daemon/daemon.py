@@ -192,7 +192,8 @@ class Daemon:
         self._pattern_versions = PatternVersions(files, settings.id, swarm, self._operators)
         self._pattern_intake = PatternIntake(self._pattern_versions, self._drops)
         self._pushed_runs = PushedRuns(self._pattern_versions)
-        state, intake = self._pattern_versions, self._pattern_intake
+        state = self._pattern_versions
+        intake = self._pattern_intake
         self._pattern_pull = PatternPull(
             state, intake, self._puller, self._on_pulled_code, self._drops
         )
@@ -465,7 +466,9 @@ class Daemon:
     def on_input(self, input: events.Input) -> None:
         """Hand the robot an input that came from a peer; audit an adopted latch or goal."""
         robot = self._robot
-        held, goal, state = set(robot.latches), robot.goal, robot.state
+        held = set(robot.latches)
+        goal = robot.goal
+        state = robot.state
         if isinstance(input, events.PlaceInput):
             self._neighborhood.places.on_place(input.place, boottime())
         elif isinstance(input, events.DuplicateInput) and input.holder is not None:

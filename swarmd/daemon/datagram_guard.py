@@ -72,7 +72,8 @@ class DatagramGuard:
         # `lost`: what the log says that an unreadable file leads to.
         self._file = StateFile(counters, StopCounters, lost="replayed stops may count")
         self._drops = drops
-        self._on_event, self._on_newer_roster = on_event, on_newer_roster
+        self._on_event = on_event
+        self._on_newer_roster = on_newer_roster
         self._trust = Trust.of(identity)
         # The counters that are on disk now.
         self._written: Mapping[bytes, int] = self._file.read().counters

@@ -70,7 +70,9 @@ class DriverCommands:
         clock: Callable[[], float] = boottime,
     ) -> None:
         """Keep the present epoch; call `note_epoch` at each tick. `clock`: in s."""
-        self._robot, self._requests, self._identity = robot, requests, identity
+        self._robot = robot
+        self._requests = requests
+        self._identity = identity
         self._clock = clock
         # Since when (s) the robot has had each epoch, oldest first.
         self._epochs: deque[tuple[float, Epoch]] = deque()

@@ -37,12 +37,14 @@ class GoalService:
         self._identity = identity
         self._writer = RecordWriter(self._file, on_event)
         # Two budgets of verifications: false goals of robots must not use up that of operators.
-        self._check, self._check_asked = GoalCheck(self._key_of), GoalCheck(self._key_of)
+        self._check = GoalCheck(self._key_of)
+        self._check_asked = GoalCheck(self._key_of)
 
     def read(self) -> GoalRecord:
         """The goals that an earlier instance stored, without goals that do not count."""
         record = self._file.read()
-        now, stood = boottime(), record.stood
+        now = boottime()
+        stood = record.stood
         if stood is not None and (record.clock != clock_id() or stood > now):
             # The machine was restarted or set back since: all its earlier times lie before now.
             record = replace(record, stood=now)
@@ -99,9 +101,11 @@ class GoalService:
         counts = self._check_asked(goal, boottime())
         if counts:
             return None
-        refusal, text = Refusal.INVALID_GOAL, f"{goal.text}: not signed by {goal.issuer}"
+        refusal = Refusal.INVALID_GOAL
+        text = f"{goal.text}: not signed by {goal.issuer}"
         if counts is None:
-            refusal, text = Refusal.BUSY, "too many goals to verify at once; ask again"
+            refusal = Refusal.BUSY
+            text = "too many goals to verify at once; ask again"
         return Reply(id=request.id, robot=robot, code=Code.REFUSED, refusal=refusal, text=text)
 
     def _key_of(self, issuer: str) -> bytes | None:

@@ -20,14 +20,16 @@ class UsageMeter:
 
     def __init__(self) -> None:
         self._pid: int | None = None
-        self._time, self._at = 0.0, 0.0
+        self._time = 0.0
+        self._at = 0.0
         self.usage: ProcessUsage | None = None
 
     def measure(self, pid: int | None, now: float) -> None:
         """Set `usage` to the usage since the last call; None at first, or without a process."""
         found = None if pid is None else _read(pid)
         if found is None:
-            self._pid, self.usage = None, None
+            self._pid = None
+            self.usage = None
             return
         time, memory = found
         if pid == self._pid and now > self._at:
@@ -35,7 +37,9 @@ class UsageMeter:
             self.usage = ProcessUsage(cpu=share, memory=memory)
         else:
             self.usage = None
-        self._pid, self._time, self._at = pid, time, now
+        self._pid = pid
+        self._time = time
+        self._at = now
 
 
 def _read(pid: int) -> tuple[float, int] | None:
@@ -61,7 +65,8 @@ class HealthMeter:
     def __init__(self, timer: TickTimer, drops: Iterable[Callable[[], Mapping[str, int]]]) -> None:
         self._timer = timer
         self._drops = tuple(drops)
-        self._own, self._pattern = UsageMeter(), UsageMeter()
+        self._own = UsageMeter()
+        self._pattern = UsageMeter()
 
     def measure(self, pattern_pid: int | None, now: float) -> None:
         """Measure the load since the last call; call it at 1 Hz."""

@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from swarmd.core.incident import Incident, IncidentKind
 from swarmd.core.verbs import KeptIncident
 
-MAX_KEPT, MAX_BYTES = 20, 64 * 2**20
+MAX_KEPT = 20
+MAX_BYTES = 64 * 2**20
 """Files that a robot keeps, and their bytes; marks take at most half of both, and no file but
 another mark of an operator displaces one that an operator has made."""
 

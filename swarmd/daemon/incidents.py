@@ -84,7 +84,8 @@ log = logging.getLogger(__name__)
 
 TAIL = 10.0
 """Seconds after an incident that its file has, too."""
-GAP, HOURLY = 10.0, 6
+GAP = 10.0
+HOURLY = 6
 """At most one incident in GAP s, and HOURLY an hour, of one origin."""
 RATE = 40_000
 """Bytes of the ring for each second that it keeps: 4 MB for 60 s. A robot with 360 rays at 10 Hz
@@ -185,12 +186,17 @@ class IncidentService:
         is_member: Callable[[str], bool],
         on_event: Callable[[str], None],
     ) -> None:
-        self._robot, self._section, self._seconds = robot, section, section.seconds
+        self._robot = robot
+        self._section = section
+        self._seconds = section.seconds
         self._folder = folder / LIST
         digest = hashlib.blake2b(str(folder.absolute()).encode(), digest_size=6).hexdigest()
         self._ring_name = f"{robot}-{digest}"
-        self._recorder, self._puller = recorder, puller
-        self._head, self._identity, self._is_member = head, identity, is_member
+        self._recorder = recorder
+        self._puller = puller
+        self._head = head
+        self._identity = identity
+        self._is_member = is_member
         self._on_event = on_event
         self._status: Status | None = None  # the last one
         self._status_at = 0.0
@@ -206,7 +212,9 @@ class IncidentService:
         self._asks = Asks(LIST_PERIOD)
         self._tasks: set[asyncio.Task[None]] = set()
         self._is_writing = False  # a thread writes a file
-        self._advanced_at, self._stalled_at = boottime(), -math.inf  # s
+        # s
+        self._advanced_at = boottime()
+        self._stalled_at = -math.inf
         self.fault = "" if section.seconds else "off: blackbox.seconds is 0"
         recorder.on_status = self._on_status
 
@@ -236,7 +244,8 @@ class IncidentService:
     def _begin_ring(self, folder: Path) -> None:
         """Keep the last minute from now on."""
         self._keeps_left = False
-        head, now = self._head(), boottime()
+        head = self._head()
+        now = boottime()
         self._recorder.black_box.ring = Ring(
             folder / self._ring_name,
             head.texts(),
@@ -326,8 +335,10 @@ class IncidentService:
     @_contained
     def _on_status(self, status: Status) -> None:
         """Begin an incident if the robot has one since its last status."""
-        before, self._status = self._status, status
-        before_at, self._status_at = self._status_at, boottime()
+        before = self._status
+        self._status = status
+        before_at = self._status_at
+        self._status_at = boottime()
         what = found(before, status)
         if what is not None and what.kind is IncidentKind.STALL:
             what = Found(what.kind, what.text, self._id_of_silence(what.id, before_at))
@@ -421,8 +432,10 @@ class IncidentService:
         signed, or words of another kind, hide neither what befell the robot nor a silence that it
         found. If the file of the peer's tale ends before the incident, it is written again.
         """
-        id, kind = own.incident.id, own.incident.kind
-        told, kept = self._told.get(id), self._kept.get(id)
+        id = own.incident.id
+        kind = own.incident.kind
+        told = self._told.get(id)
+        kept = self._kept.get(id)
         known = told or kept
         if known is None or known.incident.by == self._robot:
             return
@@ -584,7 +597,9 @@ class IncidentService:
         """Take the time of a known incident from the robot that told it, if a peer stated it."""
         if not known.source or told.source or known.incident != told.incident:
             return
-        known.at, known.told, known.source = told.at, told.told, ""
+        known.at = told.at
+        known.told = told.told
+        known.source = ""
         if told.incident.id in self._due:
             self._due[told.incident.id] = max(told.at + TAIL, boottime())
 
@@ -614,13 +629,15 @@ class IncidentService:
 
     def _write_due(self, id: str, *, is_waiting: bool = False) -> None:
         del self._due[id]
-        ring, told = self._recorder.black_box.ring, self._told.get(id)
+        ring = self._recorder.black_box.ring
+        told = self._told.get(id)
         if ring is None or told is None:
             return
         if ring.begin is None:
             self._on_event(f"incident {id}: nothing is kept of it so far")
             return
-        begin, end = ring.begin, boottime()
+        begin = ring.begin
+        end = boottime()
         try:
             reader = ring.reader()
         except OSError as error:
@@ -669,7 +686,8 @@ class IncidentService:
 
     def _write_again(self, id: str, *, is_waiting: bool = False) -> None:
         """Write a file that the disk has refused before."""
-        refused, kept = self._waiting[id], tuple(self._kept.values())
+        refused = self._waiting[id]
+        kept = tuple(self._kept.values())
         assert refused.head is not None
         work = partial(_write_file, self._folder, refused.head, refused.data, kept)
         self._do(work, id, is_waiting=is_waiting)
@@ -721,7 +739,8 @@ class IncidentService:
             self._fail(fault)
 
     def _note_kept(self, head: IncidentHead, size: int, crc: int) -> None:
-        id, at = head.incident.id, head.at
+        id = head.incident.id
+        at = head.at
         self._times[id] = at if head.clock == clock_id() else None
         self._kept[id] = KeptIncident(
             incident=head.incident,
@@ -765,7 +784,8 @@ class IncidentService:
 
     def on_incidents(self, _: verbs.Nothing) -> verbs.IncidentsReply:
         """The incidents of which this robot keeps its last minute, and those that are awaited."""
-        now, ring = boottime(), self._recorder.black_box.ring
+        now = boottime()
+        ring = self._recorder.black_box.ring
         awaited = {
             id: KeptIncident(
                 incident=told.incident, age=None, file=id + SUFFIX, operator=told.operator,
@@ -854,7 +874,8 @@ def _signed(incident: Incident, identity: Identity | None) -> ToldIncident | Non
     from swarmd.security.private_keys import load_private_key  # 64 ms, for keys alone
 
     try:
-        key, certificate = load_private_key(identity.key), read_regular(identity.certificate)
+        key = load_private_key(identity.key)
+        certificate = read_regular(identity.certificate)
     except (OSError, ConfigError) as error:
         log.warning("incident %s is not told: %s", incident.id, error)
         return None
@@ -895,7 +916,8 @@ def _is_signed(told: ToldIncident, incident: Incident, identity: Identity) -> bo
 def _marked_by(incident: Incident, identity: Identity) -> str:
     """The operator of the roster who has signed these words as a mark; empty if none has."""
 
-    name, now = incident.operator, time.time()
+    name = incident.operator
+    now = time.time()
     if incident.kind != IncidentKind.MARK or not incident.text.startswith(f"{name}: "):
         return ""
     has_clocks = min(now, incident.marked) >= FIRST_WALL

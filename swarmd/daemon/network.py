@@ -447,7 +447,8 @@ class Network:
     def _take(self, payload: bytes, source: Address, waited: float) -> None:
         if self._peer is None:
             return
-        now, author = boottime(), None
+        now = boottime()
+        author = None
         if self._guard is not None and is_of_swarm(self._tag, payload):
             author = self._guard.author_of(payload, source, now)
             if author is None:

@@ -139,7 +139,8 @@ class PatternIntake:
 
     def _refusal_of(self, entry: Entry) -> tuple[Refusal, str] | None:
         """Why this robot refuses a manifest, signature and code aside; None if it is accepted."""
-        manifest, operators = entry.manifest, self._state.operators()
+        manifest = entry.manifest
+        operators = self._state.operators()
         if manifest.swarm != self._state.swarm:
             return Refusal.NOT_SIGNED, f"it is for swarm {manifest.swarm!r}"
         if operators is not None and not operators:
@@ -263,7 +264,8 @@ class PatternIntake:
 
     async def _adopt(self, id: str, entry: Entry) -> Reply:
         """Adopt a manifest that needs no trial: a removal, or a newer manifest of current code."""
-        robot, name = self._state.robot, entry.manifest.name
+        robot = self._state.robot
+        name = entry.manifest.name
         is_here = name in self._state.versions
 
         def is_wanted() -> bool:
@@ -319,7 +321,9 @@ class PatternIntake:
 
     async def _accept(self, candidate: Candidate, event: TrialDone) -> None:
         """Write the record of a version that passed its trial, then hand `event` to the robot."""
-        state, entry, version = self._state, candidate.entry, candidate.version
+        state = self._state
+        entry = candidate.entry
+        version = candidate.version
 
         def is_wanted() -> bool:
             return state.candidate is candidate  # False after the robot has ended the trial itself
@@ -377,10 +381,12 @@ class PatternIntake:
         state.save()
 
 
-TABLE, CODE = "patterns", "pattern"
+TABLE = "patterns"
+CODE = "pattern"
 # s until the same table or code is pulled from the same robot again: the robot may lack the code,
 # or its manifests may be signed by an operator who is not on the own roster.
-TABLE_PERIOD, CODE_PERIOD = 30.0, 5.0
+TABLE_PERIOD = 30.0
+CODE_PERIOD = 5.0
 FALSE_PERIOD = 300.0
 """s for which nothing is pulled from a robot that handed over a false signature. To refuse one
 takes 4 ms of a core, and an honest robot keeps only verified entries."""
@@ -494,7 +500,8 @@ class PatternPull:
         pulled from `robot` for FALSE_PERIOD.
         """
         state = self._state
-        known, operators = frozenset(state.table), state.operators()
+        known = frozenset(state.table)
+        operators = state.operators()
 
         with self._drops.refusing(
             f"shared/{TABLE}", lambda _code, text: log.warning("%s: %s", robot, text)

@@ -58,8 +58,10 @@ class PatternControl:
     ) -> None:
         self._robot = robot
         self._runner = runner
-        self._on_request, self._step = on_request, step
-        self._reply, self._warn = reply, warn
+        self._on_request = on_request
+        self._step = step
+        self._reply = reply
+        self._warn = warn
 
     def try_code(self, request: ReloadRequest) -> None:
         """Hand a reload request to the robot; the reply reaches `PatternIntake.on_reply`."""
@@ -129,7 +131,8 @@ class PatternVersions:
     ) -> None:
         self.files = files
         self._writer = RecordWriter(files, lambda text: self.control.fault(text))
-        self.robot, self.swarm = robot, swarm
+        self.robot = robot
+        self.swarm = swarm
         self.operators = operators
         self.control: PatternControl  # set by `open`
         self.table: pattern_manifest.Table = ()
@@ -146,7 +149,8 @@ class PatternVersions:
         """Read and check the state on disk; called once, before the robot may run."""
         self.control = control
         record = await asyncio.to_thread(self.files.read)
-        table, versions = pattern_manifest.read_table(record.table), record.versions
+        table = pattern_manifest.read_table(record.table)
+        versions = record.versions
         if not table and not versions:
             return
         foreign, checked = await asyncio.to_thread(self._check, table, versions)
@@ -166,7 +170,8 @@ class PatternVersions:
 
     def _record(self) -> CodeRecord:
         """The record to write: the present state, or during `adopt` the adopted state."""
-        table, versions = self.table, dict(self.versions)
+        table = self.table
+        versions = dict(self.versions)
         if self._adopting is not None:
             table, versions = self._adopted(*self._adopting)
         return CodeRecord(tuple(entry.signed for entry in table), versions)
@@ -175,7 +180,8 @@ class PatternVersions:
         self, entry: pattern_manifest.Entry, version: Version
     ) -> tuple[pattern_manifest.Table, dict[str, PushedPattern]]:
         """The state after a removal, or after a trial that `version` passed."""
-        versions, name = dict(self.versions), entry.manifest.name
+        versions = dict(self.versions)
+        name = entry.manifest.name
         if entry.is_removal:
             versions.pop(name, None)
         else:
@@ -263,7 +269,8 @@ class PatternVersions:
 
         Damaged code counts as missing, so that it is pulled from another robot.
         """
-        current, before = code.current, code.before
+        current = code.current
+        before = code.before
         if before is not None and not (self._is_signed(before) and self._is_whole(before)):
             before = None
         if current is not None and not self._is_signed(current):
@@ -298,12 +305,14 @@ class PatternVersions:
 
         Without keys True for each entry of this swarm.
         """
-        operators, manifest = self.operators(), entry.manifest
+        operators = self.operators()
+        manifest = entry.manifest
         if manifest.swarm != self.swarm:
             return False
         if operators is None:
             return True
-        key, signature = operators.get(manifest.issuer), entry.signed.signature
+        key = operators.get(manifest.issuer)
+        signature = entry.signed.signature
         return key is not None and is_signed_by(key, Purpose.MANIFEST, entry.content, signature)
 
     # What is here
@@ -311,7 +320,8 @@ class PatternVersions:
     def set_table(self, table: pattern_manifest.Table) -> None:
         """Replace the table."""
         self.changes += 1
-        self.table, self.digest = table, pattern_manifest.digest_of(table)
+        self.table = table
+        self.digest = pattern_manifest.digest_of(table)
 
     def wanted(self) -> Mapping[str, pattern_manifest.Entry]:
         """By name: the newest entry that targets this robot, removals included."""
@@ -363,7 +373,8 @@ class PatternVersions:
         wanted = self.wanted()
         rows = []
         for name in sorted({*self.versions, *wanted}):
-            entry, code = wanted.get(name), self.versions.get(name)
+            entry = wanted.get(name)
+            code = self.versions.get(name)
             if code is None and entry is not None and entry.is_removal:
                 continue
             rows.append(_report(name, entry, code or PushedPattern()))
@@ -388,7 +399,8 @@ class PatternVersions:
 def _report(
     name: str, entry: pattern_manifest.Entry | None, code: PushedPattern
 ) -> PushedPatternReport:
-    current, manifest = code.current, None if entry is None else entry.manifest
+    current = code.current
+    manifest = None if entry is None else entry.manifest
     is_missing = entry is not None and not entry.is_removal and code.lacks(entry)
     used = None if current is None else pattern_manifest.read_entry(current.signed).manifest
     shown = used or manifest

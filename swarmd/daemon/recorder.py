@@ -161,7 +161,8 @@ class Recorder:
             self.black_box.end(repr(error))
 
     def _settle(self, robot: Robot) -> None:
-        steps, self._steps = self._steps, []
+        steps = self._steps
+        self._steps = []
         if self.black_box.ring is not None:
             self.black_box.ring.revision = robot.epoch.revision
         statuses: list[Status] = []
@@ -183,7 +184,8 @@ class Recorder:
     def input(self, input: Input, now: float) -> None:
         """Record an input; a scan whose geometry equals that of the last scan omits it."""
         if isinstance(input, ScanInput | RangesInput):
-            scan, last = input.scan, self._scans.get(type(input))
+            scan = input.scan
+            last = self._scans.get(type(input))
             self._scans[type(input)] = scan
             if last is not None and frames.has_geometry_of(scan, last):
                 input = type(input)(frames.without_geometry(scan))

@@ -140,7 +140,8 @@ class RecorderProcess:
         """Send the entries since the last call; drop them if the socket has no room."""
         if self._open is None or not self._entries:
             return
-        entries, self._entries = self._entries, []
+        entries = self._entries
+        self._entries = []
         part: list[bytes] = []
         size = 0
         for number, encoded in enumerate(entries):
@@ -149,7 +150,8 @@ class RecorderProcess:
                     # Later entries may depend on the dropped part (scans without geometry).
                     self._drop(len(entries) - number)
                     return
-                part, size = [], 0
+                part = []
+                size = 0
             if len(encoded) > frames.MAX_ENTRY:
                 self._drop(1)
                 continue
@@ -180,7 +182,8 @@ class RecorderProcess:
         now = boottime()
         if now - self._reported_at >= DROPS_PERIOD:
             self._reported_at = now
-            count, self._unreported = self._unreported, 0
+            count = self._unreported
+            self._unreported = 0
             self._on_event(f"recording: {count} entries dropped: the disk is slow")
 
     def _on_report(self, recorder: _Process) -> None:
@@ -225,7 +228,8 @@ class RecorderProcess:
         self._on_event(f"recording ends: {fault}")
 
     def _disconnect(self) -> None:
-        recorder, self._open = self._open, None
+        recorder = self._open
+        self._open = None
         if recorder is not None:
             self._loop.remove_reader(recorder.socket)
             recorder.socket.close()

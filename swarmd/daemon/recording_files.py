@@ -36,7 +36,9 @@ def recordings_in(folder: Path, *, open_now: str, dropped: int) -> tuple[verbs.R
 
 def piece_of(robot: str, folder: Path, suffix: str, query: verbs.FetchQuery) -> verbs.FetchReply:
     """Bytes of a file in `folder` whose name ends in `suffix`, for an operator."""
-    data, size, text = b"", 0, ""
+    data = b""
+    size = 0
+    text = ""
     try:
         if not query.file.endswith(suffix):
             raise FileNotFoundError

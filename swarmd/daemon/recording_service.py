@@ -31,7 +31,9 @@ class RecordingService:
         head: Callable[[], RecordingHead],
         on_event: Callable[[str], None],
     ) -> None:
-        self._robot, self._section, self._head = robot, section, head
+        self._robot = robot
+        self._section = section
+        self._head = head
         self._folder = Path(section.folder or "recordings")
         self._on_event = on_event
         self.recorder = Recorder(asyncio.get_running_loop(), on_event)
@@ -60,8 +62,10 @@ class RecordingService:
         """Start or stop the recording; `fault`: why no file can be written to its folder."""
         if self._is_closed:
             return
-        recorder, is_on = self.recorder, self.recorder.is_on
-        code, refusal = Code.APPLIED, None
+        recorder = self.recorder
+        is_on = self.recorder.is_on
+        code = Code.APPLIED
+        refusal = None
         if request.action == "start" and is_on:
             text = "records already"
         elif request.action == "start":
@@ -71,7 +75,8 @@ class RecordingService:
                 self._start()
                 text = f"records to {self._folder}"
             except (OSError, PluginError) as error:
-                code, refusal = Code.FAILED, Refusal.INVALID_REQUEST
+                code = Code.FAILED
+                refusal = Refusal.INVALID_REQUEST
                 text = f"cannot record: {error}"
         elif is_on:
             recorder.process.stop()

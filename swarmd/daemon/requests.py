@@ -40,7 +40,10 @@ MAX_PENDING = 64  # requests without a reply
 # Replies kept for repeated requests. A repeat of an older request is refused by its epoch: the
 # count of a robot's changes (`core/messages.Epoch`) that the operator saw and the request quotes.
 MAX_REPLIES = 64
-MAX_ID, MAX_OPERATOR, MAX_TEXT = 63, 128, 300  # characters
+# characters
+MAX_ID = 63
+MAX_OPERATOR = 128
+MAX_TEXT = 300
 UNREADABLE = "?"
 """The id in the refusal of a request without a readable id."""
 

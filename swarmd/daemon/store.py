@@ -50,7 +50,8 @@ class StateFile(Generic[T]):
 
     def __init__(self, path: Path, kind: type[T], lost: str, limit: int = MAX_CONTROL) -> None:
         self.path = path
-        self._kind, self._lost = kind, lost
+        self._kind = kind
+        self._lost = lost
         self._decode = Decoder(kind, limit)
         self._written: T | None = None
 
@@ -130,7 +131,8 @@ class LatchFile(StateFile[LatchRecord]):
             self._unwritten = record
             self.fault = f"{self.path.parent} cannot be written ({error.strerror})"
             return False
-        self._unwritten, self.fault = None, ""
+        self._unwritten = None
+        self.fault = ""
         return True
 
     def _unreadable(self, error: Exception) -> LatchRecord:
@@ -203,7 +205,8 @@ class RecordWriter(Generic[T]):
         """Write until the newest record is on disk."""
         while True:
             self._asked.clear()
-            tried, self._tried = self._tried, None
+            tried = self._tried
+            self._tried = None
             fault = await asyncio.to_thread(self._try, self._newest)
             if fault != self._fault:
                 self._fault = fault
@@ -235,7 +238,8 @@ def _raise(task: asyncio.Task[None]) -> None:
         task.result()
 
 
-CODE, WHEEL = "code", "code.whl"
+CODE = "code"
+WHEEL = "code.whl"
 
 MAX_CODE_RECORD = 16 * 1024 * 1024  # bytes
 

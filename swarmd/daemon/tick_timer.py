@@ -37,7 +37,8 @@ class TickTimer:
         self._wake_at: float | None = None
         self._wake: asyncio.TimerHandle | None = None
         self._lateness: deque[float] = deque(maxlen=MAX_LATENESS_SAMPLES)
-        self.stalls = self.periods = 0
+        self.stalls = 0
+        self.periods = 0
 
     @property
     def p99(self) -> float:
@@ -56,7 +57,8 @@ class TickTimer:
         at = self._loop.time() + TICK
         if not is_resting and self._step > 1 and at < self._next:
             self._handle.cancel()
-            self._next, self._step = at, 1
+            self._next = at
+            self._step = 1
             self._handle = self._loop.call_at(at, self._on_time)
 
     def tick_early(self) -> None:
@@ -110,4 +112,5 @@ class TickTimer:
         """Set the loop's timer for the wake-up if it comes before the next tick."""
         at = self._wake_at
         if at is not None and at < self._next:
-            self._wake_at, self._wake = None, self._loop.call_at(at, self._tick)
+            self._wake_at = None
+            self._wake = self._loop.call_at(at, self._tick)

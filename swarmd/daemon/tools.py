@@ -88,8 +88,12 @@ class FieldTools:
         `keys()`: a summary of identity and roster, None in a swarm without keys. `sandbox()`: how
         the pattern host is confined. Both are called at each use, since their values change.
         """
-        self._settings, self._instance, self._network = settings, instance, network
-        self._version, self._keys, self._sandbox = version, keys, sandbox
+        self._settings = settings
+        self._instance = instance
+        self._network = network
+        self._version = version
+        self._keys = keys
+        self._sandbox = sandbox
         self._loop = asyncio.get_running_loop()
         self._ring = LogRing()  # the last log records
         self._capture = LogCapture(self._ring)
@@ -109,7 +113,8 @@ class FieldTools:
         if now < self._publish_at or self._ring.last == self._published:
             return
         self._publish_at = now + PUBLISH_PERIOD
-        since, self._published = self._published, self._ring.last
+        since = self._published
+        self._published = self._ring.last
         self._network.publish("log", lambda: encode(self._batch(self._ring.since(since))))
 
     def close(self) -> None:
@@ -122,9 +127,13 @@ class FieldTools:
     def on_forget(self, request: verbs.ForgetRequest, answer: SendReply) -> None:
         """Remove a member from the list of members, unless the member is alive."""
         name = request.name
-        code, refusal, text = Code.APPLIED, None, f"forgot {name}"
+        code = Code.APPLIED
+        refusal = None
+        text = f"forgot {name}"
         if not self._network.forget(name):
-            code, refusal, text = Code.REFUSED, Refusal.MEMBER_ALIVE, f"{name} is alive"
+            code = Code.REFUSED
+            refusal = Refusal.MEMBER_ALIVE
+            text = f"{name} is alive"
         robot = self._settings.id
         answer(Reply(id=request.id, robot=robot, code=code, refusal=refusal, text=text))
 
@@ -135,7 +144,9 @@ class FieldTools:
         return partial(self._read_audit, query)
 
     def _read_audit(self, query: verbs.AuditQuery) -> verbs.AuditReply:
-        now, clock, wall = boottime(), clock_id(), time.time()
+        now = boottime()
+        clock = clock_id()
+        wall = time.time()
 
         def age_of(entry: verbs.AuditEntry) -> float | None:
             if entry.clock == clock:
@@ -160,7 +171,8 @@ class FieldTools:
 
     def _batch(self, records: list[verbs.LogRecord]) -> verbs.LogBatch:
         """The newest records that fit into MAX_BATCH bytes."""
-        bytes_left, first = MAX_BATCH, max(len(records) - verbs.LOG_PAGE, 0)
+        bytes_left = MAX_BATCH
+        first = max(len(records) - verbs.LOG_PAGE, 0)
         for index in range(len(records) - 1, first - 1, -1):
             bytes_left -= len(records[index].text.encode()) + RECORD_OVERHEAD
             if bytes_left < 0:
@@ -209,7 +221,8 @@ class FieldTools:
         `heard`: for each way of datagrams, such as `multicast`, the number of robots that are heard
         by this way; `any`: by any way.
         """
-        settings, keys = self._settings, self._keys()
+        settings = self._settings
+        keys = self._keys()
         machine, network = self._measured_facts()
         return verbs.DoctorReply(
             robot=settings.id,

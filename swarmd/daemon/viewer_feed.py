@@ -23,7 +23,9 @@ class ViewerFeed:
     """
 
     def __init__(self, robot: Robot, network: Network, display: StateDisplay | None) -> None:
-        self._robot, self._network, self._display = robot, network, display
+        self._robot = robot
+        self._network = network
+        self._display = display
         self._status: Status | None = None  # for the display, with the next motion
         self._shown_scan = -1  # sequence number of the last published scan
 
@@ -38,7 +40,8 @@ class ViewerFeed:
         self._network.publish("pose", self._pose)
         self._network.publish("decision", self._decision)
         if self._display is not None:
-            status, self._status = self._status, None
+            status = self._status
+            self._status = None
             now = boottime()
             self._display.show(status, self._robot.motion(now), self._robot.shared_pose(now))
         scan = self._robot.scan

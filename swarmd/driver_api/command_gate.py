@@ -22,7 +22,9 @@ class CommandGate:
     """
 
     def __init__(self) -> None:
-        self._is_open = self._has_sent = self._is_stopped = False
+        self._is_open = False
+        self._has_sent = False
+        self._is_stopped = False
         self._needs_zero = True
         self._repeat_until = -math.inf
 
@@ -43,7 +45,8 @@ class CommandGate:
 
     def open(self) -> None:
         """Note that the base is connected: the next command is zero."""
-        self._is_open = self._needs_zero = True
+        self._is_open = True
+        self._needs_zero = True
 
     def require_zero(self) -> None:
         """Make the next command zero, since another node may take over the commands."""
@@ -60,7 +63,8 @@ class CommandGate:
             return None
         twist = ZERO if self._needs_zero or is_stopped else twist
         # A zero to a lost base may not arrive, so the first command after the reconnect is zero.
-        self._needs_zero, self._has_sent = not self._is_open, True
+        self._needs_zero = not self._is_open
+        self._has_sent = True
         return twist
 
     def close(self, now: float) -> bool:
@@ -84,11 +88,13 @@ class CommandGate:
 
     def cut(self) -> None:
         """Note that the connection itself has ended: zero can neither be published nor repeated."""
-        self._is_open, self._repeat_until = False, -math.inf
+        self._is_open = False
+        self._repeat_until = -math.inf
 
     def end(self) -> bool:
         """Note the driver's end; True if it must publish zero now. Resets for a later `run`."""
         has_sent = self._has_sent
         self.cut()
-        self._has_sent = self._is_stopped = False
+        self._has_sent = False
+        self._is_stopped = False
         return has_sent

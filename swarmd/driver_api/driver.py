@@ -233,4 +233,7 @@ class NullSink:
     def _ignore(self, *args: Any, **kwargs: Any) -> None:
         pass
 
-    take = message = state = dropped = _ignore
+    take = _ignore
+    message = _ignore
+    state = _ignore
+    dropped = _ignore

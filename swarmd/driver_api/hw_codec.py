@@ -117,7 +117,8 @@ def decode_scan(payload: bytes, spec: ScanSpec) -> Scan:
 
 def encode_odometry(odometry: Odometry) -> bytes:
     """The bytes of an odometry value."""
-    pose, twist = odometry.pose, odometry.twist
+    pose = odometry.pose
+    twist = odometry.twist
     return encode(
         OdometryWire(
             odometry.stamp, pose.x, pose.y, pose.yaw, twist.linear, twist.angular, twist.lateral

@@ -46,8 +46,10 @@ ZERO_PERIOD = 0.05
 MAX_HINT = 15
 """Characters of the hint for the sender that may follow a tick."""
 
-TICK, FAREWELL = b"t", b"f"
-READY, FAULT = b"r", b"e"
+TICK = b"t"
+FAREWELL = b"f"
+READY = b"r"
+FAULT = b"e"
 ZEROS = b"z"
 """The answer to a tick while zeros are sent; the answer otherwise is a tick.
 
@@ -143,7 +145,8 @@ class Watchdog:
     def __init__(
         self, daemon: socket.socket, sender: ZeroSender, name: str | None, tie: int | None
     ) -> None:
-        self._daemon, self._sender = daemon, sender
+        self._daemon = daemon
+        self._sender = sender
         daemon.setblocking(False)
         self._timer = WatchdogTimer()
         self._name = None if name is None else _claimed(name)
@@ -201,7 +204,8 @@ class Watchdog:
             self._on_relief(self._name)
         if self._tie in ready:
             os.close(self._tie)
-            self._tie, self._is_asked = -1, True
+            self._tie = -1
+            self._is_asked = True
 
     def _read_ticks(self) -> None:
         while True:

@@ -46,7 +46,8 @@ class WatchdogProcess:
         self._loop = asyncio.get_running_loop()
         self._first: asyncio.Future[bytes] = self._loop.create_future()
         self._lost: asyncio.Future[str] = self._loop.create_future()
-        self._fed_at = self._unanswered_since = 0.0
+        self._fed_at = 0.0
+        self._unanswered_since = 0.0
         self._frozen = -1
         self.pid = 0
         self.requires_zero = False
@@ -172,7 +173,10 @@ class WatchedDriver:
         self, driver: Driver, spec: ZeroSenderSpec, *, name: str, tie: int | None = None
     ) -> None:
         self.is_simulated = driver.is_simulated
-        self.wrapped, self._spec, self._name, self._tie = driver, spec, name, tie
+        self.wrapped = driver
+        self._spec = spec
+        self._name = name
+        self._tie = tie
         self._watchdog: WatchdogProcess | None = None
         self._before: WatchdogProcess | None = None
 
@@ -218,7 +222,8 @@ class WatchedDriver:
 
 
 async def _while_watched(run: Coroutine[Any, Any, None], watchdog: WatchdogProcess) -> None:
-    running, losing = asyncio.create_task(run), asyncio.create_task(watchdog.lost())
+    running = asyncio.create_task(run)
+    losing = asyncio.create_task(watchdog.lost())
     try:
         await asyncio.wait({running, losing}, return_when=asyncio.FIRST_COMPLETED)
         if not running.done():

@@ -70,9 +70,12 @@ class Evidence:
     @cython.cfunc
     def begin(self, x: cython.double, y: cython.double) -> cython.int:
         """Begin anew. `x`, `y`: the place of the robot that moves, by its own odometry."""
-        self.count, self.extent = 0, 0.0
-        self._first_x = self._last_x = x
-        self._first_y = self._last_y = y
+        self.count = 0
+        self.extent = 0.0
+        self._first_x = x
+        self._last_x = x
+        self._first_y = y
+        self._last_y = y
 
     @cython.cfunc
     def is_news(self, x: cython.double, y: cython.double) -> cython.bint:
@@ -83,7 +86,8 @@ class Evidence:
     def add(self, x: cython.double, y: cython.double) -> cython.int:
         """Count a place."""
         self.count += 1
-        self._last_x, self._last_y = x, y
+        self._last_x = x
+        self._last_y = y
         self.extent = max(self.extent, length(x - self._first_x, y - self._first_y))
 
 
@@ -131,7 +135,9 @@ class Hypothesis:
         s: cython.double = sin(self.yaw)
         dx: cython.double = c * ahead - s * left
         dy: cython.double = s * ahead + c * left
-        self.x, self.y, self.yaw = self.x + dx, self.y + dy, self.yaw + turn
+        self.x = self.x + dx
+        self.y = self.y + dy
+        self.yaw = self.yaw + turn
         # The yaw's error moves the place aside.
         self.xx += -2.0 * dy * self.xt + dy * dy * self.tt
         self.yy += 2.0 * dx * self.yt + dx * dx * self.tt
@@ -145,7 +151,9 @@ class Hypothesis:
         """Widen by the error of a motion; `lever`: m from the robot that moved to the peer."""
         yaw: cython.double = _TURN_DRIFT * way + _YAW_DRIFT * turn
         place: cython.double = _PLACE_DRIFT * way + 0.5 * lever * lever * yaw
-        self.xx, self.yy, self.tt = self.xx + place, self.yy + place, self.tt + yaw
+        self.xx = self.xx + place
+        self.yy = self.yy + place
+        self.tt = self.tt + yaw
 
     @cython.cfunc
     def see(
@@ -238,7 +246,9 @@ class Hypothesis:
             i = POINT * k
             far: cython.double = _deviation(points[i] - x, points[i + 1] - y, s11, s12, s22)
             if far < nearest:
-                nearest, dx, dy = far, points[i] - x, points[i + 1] - y
+                nearest = far
+                dx = points[i] - x
+                dy = points[i + 1] - y
         if nearest == INFINITY:
             return False
         if is_news:
@@ -290,10 +300,14 @@ def begun(
 ) -> Hypothesis:
     """A new pose with these standard deviations; `prove` must follow."""
     one: Hypothesis = Hypothesis.__new__(Hypothesis)  # without objects of Python for its numbers
-    one.x, one.y, one.yaw = x, y, yaw
+    one.x = x
+    one.y = y
+    one.yaw = yaw
     one.xx = one.yy = sd * sd
-    one.tt, one.seen_at = yaw_sd * yaw_sd, -INFINITY
-    one.sights, one.mutual = Evidence.__new__(Evidence), Evidence.__new__(Evidence)
+    one.tt = yaw_sd * yaw_sd
+    one.seen_at = -INFINITY
+    one.sights = Evidence.__new__(Evidence)
+    one.mutual = Evidence.__new__(Evidence)
     return one
 
 

@@ -66,7 +66,8 @@ _pack_object = cython.declare(object, OBJECT.pack)
 _unpack_objects = cython.declare(object, OBJECT.iter_unpack)
 _object_size = cython.declare(cython.Py_ssize_t, OBJECT.size)
 _most_objects = cython.declare(cython.Py_ssize_t, MOST_OBJECTS)
-_Neighbor, _Told = cython.declare(object, Neighbor), cython.declare(object, Told)
+_Neighbor = cython.declare(object, Neighbor)
+_Told = cython.declare(object, Told)
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
 _MOST_PEERS = cython.declare(cython.Py_ssize_t, 24)
@@ -137,7 +138,9 @@ class _Track:
     _count: cython.Py_ssize_t  # of all places since the first
 
     def __init__(self, id: cython.longlong) -> None:
-        self.id, self._places, self.still_x = id, doubles(3 * _MEMORY), INFINITY
+        self.id = id
+        self._places = doubles(3 * _MEMORY)
+        self.still_x = INFINITY
 
     @cython.cfunc
     def add(
@@ -147,11 +150,14 @@ class _Track:
         places: cython.double[::1] = self._places
         i: cython.Py_ssize_t = 3 * (self._count % _MEMORY)
         places[i] = time
-        places[i + 1], places[i + 2] = x, y
+        places[i + 1] = x
+        places[i + 2] = y
         self._count += 1
         if not length(x - self.still_x, y - self.still_y) <= _STILL:
-            self.still_x, self.still_y = x, y
-            self.still_since, self.still_way = time, own_way
+            self.still_x = x
+            self.still_y = y
+            self.still_since = time
+            self.still_way = own_way
 
     @cython.cfunc
     def is_other(self, peer: _Peer) -> cython.bint:
@@ -226,8 +232,13 @@ class _Peer:
     row: cython.Py_ssize_t  # of the neighbors that `complete` took last
 
     def __init__(self) -> None:
-        self.resets, self.hypotheses = -1, []
-        self.stamp = self.heard_at = self.time = self.began_at = self.compared_at = -INFINITY
+        self.resets = -1
+        self.hypotheses = []
+        self.stamp = -INFINITY
+        self.heard_at = -INFINITY
+        self.time = -INFINITY
+        self.began_at = -INFINITY
+        self.compared_at = -INFINITY
         self.delay = INFINITY
 
     @cython.cfunc
@@ -254,8 +265,10 @@ class _Peer:
         """Note that the peer has moved, once it has gone a way of _CLEARED; then begin another."""
         way: cython.double = length(self.told_x - self.began_x, self.told_y - self.began_y)
         if self.began_at == -INFINITY or way > _CLEARED:
-            self.moved_since, self.began_at = self.began_at, self.time
-            self.began_x, self.began_y = self.told_x, self.told_y
+            self.moved_since = self.began_at
+            self.began_at = self.time
+            self.began_x = self.told_x
+            self.began_y = self.told_y
 
     @cython.cfunc
     def expect(self, pose: Hypothesis, now: cython.double) -> cython.int:
@@ -302,11 +315,16 @@ class Kin:
 
         `resets`: the first number that marks the frame of the odometry; another one in each life.
         """
-        self._middle, self._resets = middle, resets
-        self._trail, self._tracks, self._peers = OdometryTrail(), [], {}
-        self._seen_at = self._told_at = -INFINITY
+        self._middle = middle
+        self._resets = resets
+        self._trail = OdometryTrail()
+        self._tracks = []
+        self._peers = {}
+        self._seen_at = -INFINITY
+        self._told_at = -INFINITY
         self._free = doubles(_SECTORS)
-        self._places, self._objects = doubles(POINT * _MOST_TRACKS), doubles(POINT * _most_objects)
+        self._places = doubles(POINT * _MOST_TRACKS)
+        self._objects = doubles(POINT * _most_objects)
 
     def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
         """Take in an own reading, ten a second. A jump moves the frame: all is forgotten."""
@@ -320,7 +338,8 @@ class Kin:
             self._resets += 1
             self._tracks = []
             for peer in self._peers.values():
-                peer.hypotheses, peer.best = [], None
+                peer.hypotheses = []
+                peer.best = None
         self._shift = odometry.stamp - now
 
     def observe(self, tracks: Iterable[Any], scan: Scan, now: cython.double) -> None:
@@ -329,10 +348,12 @@ class Kin:
             return
         self._set_own(now)
         self._way += length(self._x - self._last_x, self._y - self._last_y)
-        self._last_x, self._last_y = self._x, self._y
+        self._last_x = self._x
+        self._last_y = self._y
         c: cython.double = cos(self._yaw)
         s: cython.double = sin(self._yaw)
-        known, self._tracks = self._tracks, []
+        known = self._tracks
+        self._tracks = []
         track: _Track
         for seen in tracks:
             if len(self._tracks) == _MOST_TRACKS:
@@ -348,7 +369,8 @@ class Kin:
             x -= self._middle
             track.add(now, self._x + c * x - s * y, self._y + s * x + c * y, self._way)
             self._tracks.append(track)
-        self._seen_at, self._scan = now, scan
+        self._seen_at = now
+        self._scan = scan
         self._match(now)
 
     @cython.cfunc
@@ -386,7 +408,9 @@ class Kin:
         if now - self._told_at < period - _EARLY:
             return None
         self._told_at = now
-        self._told_x, self._told_y, self._told_yaw = self._x, self._y, self._yaw
+        self._told_x = self._x
+        self._told_y = self._y
+        self._told_yaw = self._yaw
         points: cython.double[::1] = self._places
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -396,7 +420,8 @@ class Kin:
             x, y, _ = track.place_at(now)
             dx: cython.double = x - self._x
             dy: cython.double = y - self._y
-            points[count], points[count + 1] = length(dx, dy), wrap(atan2(dy, dx) - self._yaw)
+            points[count] = length(dx, dy)
+            points[count + 1] = wrap(atan2(dy, dx) - self._yaw)
             count += 2
         objects = bytearray()
         for _ in range(min(count // 2, _most_objects)):
@@ -456,15 +481,26 @@ class Kin:
             ahead: cython.double = c * dx + s * dy
             left: cython.double = c * dy - s * dx
             self._move(peer, ahead, left, turn)
-            peer.ahead, peer.left = ahead / gap, left / gap
+            peer.ahead = ahead / gap
+            peer.left = left / gap
             peer.turn = turn / gap
         else:
-            peer.hypotheses, peer.best = [], None
-            peer.ahead = peer.left = peer.turn = 0.0
+            peer.hypotheses = []
+            peer.best = None
+            peer.ahead = 0.0
+            peer.left = 0.0
+            peer.turn = 0.0
             peer.began_at = -INFINITY
-        peer.resets, peer.stamp, peer.heard_at, peer.time = told.resets, stamp, now, time
-        peer.told_x, peer.told_y, peer.told_yaw = x, y, yaw
-        peer.own_x, peer.own_y, peer.own_yaw = self._x, self._y, self._yaw
+        peer.resets = told.resets
+        peer.stamp = stamp
+        peer.heard_at = now
+        peer.time = time
+        peer.told_x = x
+        peer.told_y = y
+        peer.told_yaw = yaw
+        peer.own_x = self._x
+        peer.own_y = self._y
+        peer.own_yaw = self._yaw
         peer.follow()
         gap = time - peer.compared_at
         if gap >= period - _EARLY:
@@ -523,7 +559,9 @@ class Kin:
                 peer.y = y
         dx: cython.double = peer.x - self._trail.x
         dy: cython.double = peer.y - self._trail.y
-        distance, bearing, heading = known.distance, known.bearing, known.heading
+        distance = known.distance
+        bearing = known.bearing
+        heading = known.heading
         if bearing is None:
             bearing = wrap(atan2(dy, dx) - self._trail.yaw)
         if heading is None:
@@ -705,7 +743,8 @@ class Kin:
             and min(best.sights.count, best.mutual.count) >= _LEAST_NEWS
             and min(best.sights.extent, best.mutual.extent) >= _LEAST_EXTENT
         ):
-            peer.best, peer.since = best, peer.time
+            peer.best = best
+            peer.since = peer.time
         return 0
 
     @cython.cfunc
@@ -781,7 +820,8 @@ class Kin:
         taken: dict[int, _Peer] = {}
         for _, _, number, peer, track in claims:
             if peer.track is None and number not in taken:
-                peer.track, taken[number] = track, peer
+                peer.track = track
+                taken[number] = peer
         for _, _, number, peer, track in claims:  # a peer without a track contests another's
             other = taken.get(number, peer)
             if peer.track is None and other is not peer:
@@ -789,7 +829,8 @@ class Kin:
                 if later < _EARLIER:
                     other.track = None
                 if later < -_EARLIER:
-                    peer.track, taken[number] = track, peer
+                    peer.track = track
+                    taken[number] = peer
         return 0
 
     @cython.cfunc

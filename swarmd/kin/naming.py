@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from swarmd.kin.kin import NO_ROBOT, Kin, hear_many
 else:
     _kernel = load_kernel("swarmd.kin.kin")
-    NO_ROBOT, Kin, hear_many = _kernel.NO_ROBOT, _kernel.Kin, _kernel.hear_many
+    NO_ROBOT = _kernel.NO_ROBOT
+    Kin = _kernel.Kin
+    hear_many = _kernel.hear_many
 
 __all__ = ["NO_ROBOT", "Kin", "hear_many"]

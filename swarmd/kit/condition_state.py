@@ -137,7 +137,8 @@ def _settled(condition: conditions.Settled) -> _Evaluate:
         nonlocal last, since
         value = seen.reports.get(condition.report)
         if value is None or value != last:
-            last, since = value, seen.now
+            last = value
+            since = seen.now
         return value is not None and seen.now - since >= condition.seconds - _ROUNDING
 
     return evaluate
@@ -150,7 +151,8 @@ def _drawn(probability: Callable[[Observation], float], started: float) -> _Eval
     def evaluate(seen: Observation) -> bool:
         nonlocal last
         assert seen.rng is not None
-        seconds, last = seen.now - last, seen.now
+        seconds = seen.now - last
+        last = seen.now
         return bool(seen.rng.random() >= (1.0 - probability(seen)) ** seconds)
 
     return evaluate

@@ -83,7 +83,8 @@ class FieldPattern(MovementPattern[F]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """The command from the latest scan."""
-        scan, params = inputs.scan, self.params
+        scan = inputs.scan
+        params = self.params
         if scan is None:
             return ZERO
         if params.law != "paper":

@@ -34,7 +34,8 @@ _MAX_RANGE_SHARE = 0.95
 # A position is the mean of at most so many measurements. If a measurement differs from the mean by
 # more than so many m plus this share of its distance, the robot has moved.
 _MAX_AVERAGED = 20
-_MOVED_DISTANCE, _MOVED_SHARE = 0.06, 0.08
+_MOVED_DISTANCE = 0.06
+_MOVED_SHARE = 0.08
 # s for which a neighbour that is no longer sensed is assumed to stay where it was.
 _TRACK_TIMEOUT = 2.0
 
@@ -48,7 +49,8 @@ def place_on_line(others: Array, spacing: float) -> Array:
     points = _with_itself(others)
     middle = _middle(points)
     away = [point - middle for point in points]
-    xy = xx_yy = 0.0
+    xy = 0.0
+    xx_yy = 0.0
     for offset in away:
         xy += offset.real * offset.imag
         xx_yy += offset.real * offset.real - offset.imag * offset.imag
@@ -65,7 +67,8 @@ def place_on_circle(others: Array, radius: float) -> Array:
     The center is the mean of all positions. The robots keep their order at equal angles.
     """
     points = _with_itself(others)
-    middle, turn = _middle(points), 2.0 * math.pi / len(points)
+    middle = _middle(points)
+    turn = 2.0 * math.pi / len(points)
     if len(points) < 2:
         return np.zeros(2)
     angles = [math.atan2((point - middle).imag, (point - middle).real) for point in points]
@@ -98,14 +101,17 @@ def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float
 
 def to_base_frame(point: Sequence[float], pose: Pose) -> tuple[float, float]:
     """A point x, y of the odometry frame, in the base frame at `pose`."""
-    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
-    x, y = point[0] - pose.x, point[1] - pose.y
+    cos = math.cos(pose.yaw)
+    sin = math.sin(pose.yaw)
+    x = point[0] - pose.x
+    y = point[1] - pose.y
     return cos * x + sin * y, cos * y - sin * x
 
 
 def to_odometry_frame(point: Sequence[float], pose: Pose) -> tuple[float, float]:
     """A point x, y of the base frame at `pose`, in the odometry frame."""
-    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+    cos = math.cos(pose.yaw)
+    sin = math.sin(pose.yaw)
     x, y = point
     return pose.x + cos * x - sin * y, pose.y + sin * x + cos * y
 
@@ -132,11 +138,14 @@ class NeighborTracker:
 
     def update(self, neighbors: Sequence[Neighbor], pose: Pose, reach: float, now: float) -> Array:
         """The positions (k, 2) of the neighbours within `reach` m, in the base frame at `pose`."""
-        known, positions = self._known, []
+        known = self._known
+        positions = []
         self._known = {}
-        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
+        here = complex(pose.x, pose.y)
+        heading = cmath.rect(1.0, pose.yaw)
         for neighbor in neighbors:
-            distance, bearing = neighbor.distance, neighbor.bearing
+            distance = neighbor.distance
+            bearing = neighbor.bearing
             track = known.get(neighbor.id)
             if distance is not None and bearing is not None and math.isfinite(distance + bearing):
                 if not 0.0 <= distance <= reach:

@@ -217,7 +217,8 @@ class FormationPattern(MovementPattern[F]):
         if self._goal is not None:  # low-pass filter (first order)
             elapsed_s = max(inputs.now - self._aimed_at, 0.0)
             weight = 1.0 - math.exp(-elapsed_s / _PLACE_TIME_CONSTANT)
-            (x, y), (new_x, new_y) = self._goal, goal
+            (x, y) = self._goal
+            (new_x, new_y) = goal
             goal = x + weight * (new_x - x), y + weight * (new_y - y)
         self._goal = goal
         self._aimed_at = inputs.now
@@ -239,10 +240,13 @@ class FormationPattern(MovementPattern[F]):
         return robot_centers(scan, reach=reach, width=params.object_width, offset=offset)
 
     def _follow(self, x: float, y: float, length: float) -> Twist:
-        params, points = self.params, self._points
-        spacing, brake = params.clearance, params.brake
+        params = self.params
+        points = self._points
+        spacing = params.clearance
+        brake = params.brake
         share = min(max(length / brake, _MIN_SPEED_SHARE), 1.0)
-        x, y = x / length * share, y / length * share
+        x = x / length * share
+        y = y / length * share
         x, y = points.keep_clear(x, y, spacing=spacing, brake=brake)
         return points.steer(
             x, y, params.speed, params.turn, spacing=spacing, brake=brake, may_back=True

@@ -196,7 +196,8 @@ def _of_attribute(error: AttributeError) -> str:
         return f"a {found[1]} never changes; make a new one: `{example}`"
     if _ON_NUMBER.search(str(error)):  # `error.name` is empty if the attribute was to be set
         return _NUMBERS
-    name, owner = error.name, error.obj
+    name = error.name
+    owner = error.obj
     if not name:
         return ""
     if callable(owner) and name in Inputs.__struct_fields__ and not isinstance(owner, type):

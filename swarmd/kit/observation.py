@@ -222,7 +222,8 @@ def _values(part: Part, inputs: Inputs, platform: Platform) -> list[float]:
         reading = inputs.readings.get(part.name, math.nan)
         share = (reading - part.low) / (part.high - part.low)
         return [0.0 if math.isnan(share) else 2.0 * share - 1.0]
-    odometry, limits = inputs.odometry, platform.limits
+    odometry = inputs.odometry
+    limits = platform.limits
     twist = Twist() if odometry is None else odometry.twist
     pairs = [(twist.linear, limits.linear), (twist.angular, limits.angular)]
     if part.lateral:

@@ -337,7 +337,8 @@ def _unwrap(hint: Any) -> tuple[Any, Meta, bool]:
             others = [arm for arm in get_args(hint) if arm is not type(None)]
             if len(others) != 1:
                 return hint, meta, True
-            hint, is_optional = others[0], True
+            hint = others[0]
+            is_optional = True
         else:
             return hint, meta, is_optional
 

@@ -133,7 +133,8 @@ class NearPoints:
                 raise ZeroDivisionError("brake is 0 m")
             excess = x * toward_x + y * toward_y - (distance - spacing) / brake
             if excess > 0.0:
-                x, y = x - excess * toward_x, y - excess * toward_y
+                x = x - excess * toward_x
+                y = y - excess * toward_y
         return x, y
 
     def steer(
@@ -209,7 +210,8 @@ class RobotsInSight:
         places = [(d * cos(b), d * sin(b)) for d, b in named]
         forward: cython.double = offset[0]
         left: cython.double = offset[1]
-        self.objects, self.polar = [], []
+        self.objects = []
+        self.polar = []
         self.narrow = [] if places else self.objects
         for one in objects:
             row: tuple[Any, ...] = tuple(one)  # of a tuple itself, whose items C reads faster
@@ -281,7 +283,8 @@ class RobotsInSight:
             left: cython.double = sin(bearing)
             excess: cython.double = -(x * ahead + y * left) - max(reach - distance, 0.0) / brake
             if excess > 0.0:
-                x, y = x + excess * ahead, y + excess * left
+                x = x + excess * ahead
+                y = y + excess * left
         return x, y
 
 
@@ -316,7 +319,8 @@ def to_middle(scan: Scan, robots: Iterable[Sequence[Any]]) -> Pair:
                 ray[0, i] = NAN
     for i in range(ray.shape[1]):
         if not isnan(ray[0, i]):
-            ray[0, count], ray[1, count] = ray[0, i], ray[1, i]
+            ray[0, count] = ray[0, i]
+            ray[1, count] = ray[1, i]
             count += 1
     if count == 0:
         return 0.0, 0.0
@@ -346,9 +350,13 @@ def robot_centers(
     candidates = [i for i in range(len(ranges)) if widths[i] <= width and ranges[i] <= reach]
     whole_halves = [0.5 * widths[i] for i in candidates if is_free[i]]
     usual_half: cython.double = median(whole_halves) if whole_halves else 0.0
-    centers, weights = [], []  # (range, bearing) from the lidar, and number of rays
+    # (range, bearing) from the lidar, and number of rays
+    centers = []
+    weights = []
     for i in candidates:
-        away, bearing, half = ranges[i], bearings[i], 0.5 * widths[i]
+        away = ranges[i]
+        bearing = bearings[i]
+        half = 0.5 * widths[i]
         side = 0 if is_free[i] else _hidden_side(ranges, bearings, widths, i)
         if side == _BOTH:
             continue
@@ -358,7 +366,8 @@ def robot_centers(
         # The center lies half a width behind the visible side.
         centers.append((away + half, bearing))
         weights.append(counts[i])
-    xs, ys = [], []
+    xs = []
+    ys = []
     for away, bearing in polar_from_base(centers, offset):
         xs.append(away * cos(bearing))
         ys.append(away * sin(bearing))
@@ -436,13 +445,17 @@ def _merge(
     y: cython.double
     while True:
         # The nearest pair; `second` is 0 if no pair is near enough, since second > first.
-        shortest, second = least, 0
+        shortest = least
+        second = 0
         for i in range(len(xs)):
-            x, y = xs[i], ys[i]
+            x = xs[i]
+            y = ys[i]
             for j in range(i + 1, len(xs)):
                 distance = hypot(xs[j] - x, ys[j] - y)
                 if distance < shortest:
-                    shortest, first, second = distance, i, j
+                    shortest = distance
+                    first = i
+                    second = j
         if not second:
             return 0  # for compiled callers: no error was raised
         # The pair becomes one point.

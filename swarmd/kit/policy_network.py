@@ -105,7 +105,8 @@ def network_of(
     if len(parameters) != parameter_count(spec, hidden):
         wanted = parameter_count(spec, hidden)
         raise ConfigError(f"policy: {len(parameters)} parameters; expected {wanted}")
-    weights, biases = [], []
+    weights = []
+    biases = []
     start = 0
     for outputs, inputs in _layers(spec, hidden):
         end = start + outputs * inputs
@@ -138,7 +139,8 @@ def network_from_bytes(data: bytes) -> PolicyNetwork:
         # 2. Read the arrays; without pickle, which could run code.
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        spec, activation = arrays.pop("spec").tobytes(), str(arrays.pop("activation"))
+        spec = arrays.pop("spec").tobytes()
+        activation = str(arrays.pop("activation"))
         layer_count, remainder = divmod(len(arrays), 2)
         if remainder:
             raise ValueError("a weight without its bias")

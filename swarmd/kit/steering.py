@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from swarmd.kit.points import NearPoints, RobotsInSight, polar_from_base, to_middle
 else:
     _kernel = load_kernel("swarmd.kit.points")
-    NearPoints, RobotsInSight = _kernel.NearPoints, _kernel.RobotsInSight
-    polar_from_base, to_middle = _kernel.polar_from_base, _kernel.to_middle
+    NearPoints = _kernel.NearPoints
+    RobotsInSight = _kernel.RobotsInSight
+    polar_from_base = _kernel.polar_from_base
+    to_middle = _kernel.to_middle
 
 __all__ = [
     "AHEAD_HALF_WIDTH",
@@ -60,7 +62,8 @@ def keep_clear(vector: Array, points: Array, *, spacing: float, brake: float) ->
     limited to (range - spacing) / brake: to 1 at the range `spacing + brake`, to 0 at the range
     `spacing`. A nearer point makes the component negative, so that the vector leads away.
     """
-    x, y = float(vector[0]), float(vector[1])
+    x = float(vector[0])
+    y = float(vector[1])
     return np.array(NearPoints(points.tolist()).keep_clear(x, y, spacing=spacing, brake=brake))
 
 
@@ -101,7 +104,8 @@ class Ahead:
     def within(self, distance: float, scan: Scan | None) -> Ray | None:
         """The return of `scan` if it is nearer to the sensor than `distance` m."""
         if scan is not self._scan:
-            self._scan, self._ray = scan, nearest(scan, half_width=AHEAD_HALF_WIDTH)
+            self._scan = scan
+            self._ray = nearest(scan, half_width=AHEAD_HALF_WIDTH)
         ray = self._ray
         return ray if ray is not None and ray.range < distance else None
 

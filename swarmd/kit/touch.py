@@ -84,5 +84,6 @@ def describe_zone(zone: TouchZone) -> str:
 
 
 def _zone(section: TouchSection) -> TouchZone:
-    bearing, half_width = math.radians(section.bearing_deg), math.radians(section.half_width_deg)
+    bearing = math.radians(section.bearing_deg)
+    half_width = math.radians(section.half_width_deg)
     return TouchZone(bearing, half_width, section.speed)

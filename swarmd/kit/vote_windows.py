@@ -83,7 +83,8 @@ class VoteWindow:
         opened = self._opened if self.period is None else now - self.length
         oldest = max(opened, now - self.expiry)
         votes = {sender: vote for sender, vote in self._votes.items() if vote[1] >= oldest}
-        self._opened, self._votes = now, {} if self.period is None else votes
+        self._opened = now
+        self._votes = {} if self.period is None else votes
         return {sender: opinion for sender, (opinion, _) in votes.items()}
 
 
@@ -160,7 +161,8 @@ class Rounds:
         return self._begin(self.round + 1, votes, now)
 
     def _begin(self, number: int, votes: Mapping[str, int], now: float) -> Mapping[str, int]:
-        self.round, self._began = number % ROUNDS, now
+        self.round = number % ROUNDS
+        self._began = now
         return votes
 
     def _expire(self, oldest: float) -> None:

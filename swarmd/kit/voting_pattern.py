@@ -152,7 +152,8 @@ class VotingPattern(Pattern[V]):
             self._window = None
         super().update(params)
         if self._window is not None:
-            self._window.length, self._window.expiry = params.window, params.expiry
+            self._window.length = params.window
+            self._window.expiry = params.expiry
             if self._window.period is not None:
                 self._window.period = params.period
         if self.opinion >= params.opinions:
@@ -163,7 +164,8 @@ class VotingPattern(Pattern[V]):
 
     def _open(self, now: float) -> VoteWindow | Rounds:
         params = self.params
-        length, period = params.window, params.period
+        length = params.window
+        period = params.period
         expiry = params.expiry
         if params.windows == "rounds":
             return Rounds(length, period, now=now, expiry=expiry)
@@ -195,7 +197,8 @@ class VotingPattern(Pattern[V]):
 
     def _conclude(self, votes: dict[str, int]) -> None:
         """Set the opinion by the votes of a window that has ended."""
-        self._previous, self._heard = self.opinion, len(votes)
+        self._previous = self.opinion
+        self._heard = len(votes)
         if not votes:
             return
         if self.params.count_own:

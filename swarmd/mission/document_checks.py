@@ -215,7 +215,8 @@ def _check_parallel(parallel: Parallel, keys: Keys) -> Iterator[Fault]:
 def _check_map(mapping: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
     yield from _check_reference(mapping.source, (*keys, "from"), names)
     yield from _check_reference(mapping.target, (*keys, "to"), names)
-    (source, _), (target, param) = split(mapping.source), split(mapping.target)
+    (source, _) = split(mapping.source)
+    (target, param) = split(mapping.target)
     if param in _SHARED:
         yield fault_at((*keys, "to"), _SHARED[param])
     if source == target:

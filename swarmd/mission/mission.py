@@ -51,7 +51,8 @@ class Mission(CombinedPattern[Params]):
         """
         values_by_name: dict[str, Value] = {}
         for own, (name, param) in cls.document.parameters.items():
-            part, kind = cls.document.parts[name], cls.classes[name]
+            part = cls.document.parts[name]
+            kind = cls.classes[name]
             configured = platform.patterns.get(part.pattern, {})
             values = {**kind.defaults(platform), **configured, **part.params}
             if param in values:
@@ -305,7 +306,8 @@ class _Node(ABC):
         self._begin(now)
 
     def _begin(self, now: float) -> None:
-        self.ended, self.has_failed = "", False
+        self.ended = ""
+        self.has_failed = False
         self._is_new = True
         self.target = None
         for condition in (self._until, self._fails, *(state for _, state in self._transitions)):
@@ -321,9 +323,11 @@ class _Node(ABC):
         3. The first transition whose condition holds sets `target`. The element itself does not
            end: the sequence around it starts the step `target` in its place.
         """
-        is_new, self._is_new = self._is_new, False
+        is_new = self._is_new
+        self._is_new = False
         if not self.ended:
-            until, fails = self._until, self._fails
+            until = self._until
+            fails = self._fails
             # Every condition has a memory, and so must be evaluated at every step.
             targets = [name for name, state in self._transitions if state.is_met(seen)]
             is_over = until is not None and until.is_met(seen) and not is_new
@@ -345,7 +349,8 @@ class _Node(ABC):
             self._begin(now)
         else:
             prefix = "" if reason.startswith(_FAILED) else _FAILED
-            self.ended, self.has_failed = prefix + reason, True
+            self.ended = prefix + reason
+            self.has_failed = True
 
     def _end_like(self, child: _Node, mission: Mission, now: float) -> None:
         """End as the child has ended, or fail as the child has failed."""

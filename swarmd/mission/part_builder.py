@@ -84,8 +84,10 @@ def build_setters(
     new_opinion_counts = opinions or {}
     setters = []
     for keys, mapping in builder.document.maps:
-        source, target = split(mapping.source), split(mapping.target)
-        (source_part, source_report), (target_part, target_parameter) = source, target
+        source = split(mapping.source)
+        target = split(mapping.target)
+        (source_part, source_report) = source
+        (target_part, target_parameter) = target
         if source_part not in parts or target_part not in parts:
             continue
         # An unknown parameter is reported here once, instead of once for each value.
@@ -221,7 +223,8 @@ def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None
             )
             builder.faults.append(fault_at(keys, text))
             return {}
-        base, step = mapping.base or 0.0, mapping.step or 0.0
+        base = mapping.base or 0.0
+        step = mapping.step or 0.0
         table = {number: base + step * number for number in range(count)}
     missing = [number for number in range(opinions or 0) if number not in table]
     if missing:

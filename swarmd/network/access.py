@@ -38,7 +38,8 @@ _ALL_MESSAGES = [
     *("liveliness_token", *_LIVELINESS),
 ]
 Access = dict[str, Any]
-_IN, _OUT = "ingress", "egress"
+_IN = "ingress"
+_OUT = "egress"
 
 
 def may_ask(role: Role, verb: str) -> bool:
@@ -184,7 +185,8 @@ def _allow_at_router(rules: _Rules, roster: Roster, name: str) -> None:
     All datagrams go through the router: on keys multicast/all and unicast/<receiver>, under the
     sender's name. Operators and viewers send under a random name of OPERATOR_SENDERS.
     """
-    swarm, is_robot = roster.swarm, roster.role_of(name) is Role.ROBOT
+    swarm = roster.swarm
+    is_robot = roster.role_of(name) is Role.ROBOT
     sender = name if is_robot else OPERATOR_SENDERS
     own_keys = [subtree(roster, name)] if is_robot else [f"{ROOT}/{swarm}/{sender}/*/*"]
     queried = [*_request_keys(roster, name), build(swarm, ANY, SHARED, ANY, name)]

@@ -177,7 +177,8 @@ class Peer:
         admission: Admission | None = None,
         check_goal: CheckGoal = lambda goal, now: True,
     ) -> None:
-        self.robot, self._instance = settings.robot, settings.instance
+        self.robot = settings.robot
+        self._instance = settings.instance
         self._settings = settings
         self._admission = admission
         self._roster = roster
@@ -193,7 +194,8 @@ class Peer:
         self.links = LinkQualities(BEACON_PERIOD)
         # None once this robot owns its id.
         self._claim: Claim | None = Claim(settings.robot, settings.instance, settings.settle, now)
-        self._began = self._members_at = now
+        self._began = now
+        self._members_at = now
         self._new_peer_at = now  # when a peer was heard for the first time, or returned
         self._duplicates: dict[bytes, float] = {}
         self._windows = MessageWindows()
@@ -211,7 +213,8 @@ class Peer:
         """Set up the robot's own datagrams, their times, and the budget of answers."""
         self._swarm = Swarm(swarm=settings.swarm, profile=settings.profile, robot=settings.robot)
         self._body = None if settings.body is None else BodyReport.of(settings.body)
-        self._sequence = self._message_sequence = 0
+        self._sequence = 0
+        self._message_sequence = 0
         self._times = BeaconTimes(now)
         self._lists_at = now + self._random.uniform(0.0, 1.0)
         self._solicits_at = [now, now + 0.3]
@@ -525,7 +528,8 @@ class Peer:
         """Solicit the latches of a peer if their digest differs from the own digest."""
         # A robot that was heard only briefly may be invented: few such robots are asked at once.
         is_stranger = not self.membership.is_established(beacon.robot)
-        digest, own_digest = beacon.digest(RecordKind.LATCH), digest_of(summary.latches)
+        digest = beacon.digest(RecordKind.LATCH)
+        own_digest = digest_of(summary.latches)
         if self._sync.wants(beacon.instance, digest, own_digest, now, is_stranger=is_stranger):
             actions.sends.append((self._solicit(now, latches=True), source))
 
@@ -707,7 +711,8 @@ class Peer:
             if taken is None:
                 actions.replayed.append((stop, source))
                 return
-            stop, actions.is_repeated = taken.stop, taken.is_repeated
+            stop = taken.stop
+            actions.is_repeated = taken.is_repeated
         is_member = self.membership.is_address(source)
         actions.sends.extend(self._relay.on_stop(stop, source, now, is_member=is_member))
         actions.stops.append((stop, source))

@@ -16,7 +16,8 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.keys import check_id
 
 FIELD_PORT = 7440  # Zenoh's own 7447 belongs to the bridges and routers of ROS robots
-MIN_LEASE, MAX_LEASE = 0.2, 60.0
+MIN_LEASE = 0.2
+MAX_LEASE = 60.0
 
 Profile = Literal["dev", "field", "routed"]
 DEFAULT_SWARM = "default"

@@ -216,7 +216,8 @@ class Verifier:
         """The operator or viewer that signed a trailer NAMED, whose name begins at `at`."""
         if len(payload) <= at or len(payload) != at + 1 + payload[at] + SIGNATURE_BYTES:
             return Flaw.UNSIGNED
-        signed, tag = payload[:-SIGNATURE_BYTES], payload[-SIGNATURE_BYTES:]
+        signed = payload[:-SIGNATURE_BYTES]
+        tag = payload[-SIGNATURE_BYTES:]
         name = signed[at + 1 :].decode(errors="replace")
         known = self._names.get(name)
         if known is None:
@@ -240,7 +241,8 @@ class Trust:
     @classmethod
     def of(cls, identity: Identity, previous: Previous | None = None) -> Trust:
         """The signer and verifier of an identity."""
-        keys, role = identity.datagram_keys, identity.role
+        keys = identity.datagram_keys
+        role = identity.role
         verifier = Verifier(keys, role, identity.roster, previous)
         before = None if previous is None else Signer(previous.keys, role, identity.name)
         return cls(identity.name, role, Signer(keys, role, identity.name, before), verifier)

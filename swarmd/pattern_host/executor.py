@@ -109,7 +109,8 @@ class PatternExecutor:
         assert self._assembled is not None
         pattern = self._assembled.pattern
         inputs, dropped = _typed(step.inputs, pattern.channels)
-        scan, last = inputs.scan, self._scan
+        scan = inputs.scan
+        last = self._scan
         # Each frame contains its own copy of the scan; `is_new_scan` must be set once per scan.
         if scan is not last and scan and last and scan.seq == last.seq and not inputs.is_new_scan:
             inputs = replace(inputs, scan=last)
@@ -128,7 +129,8 @@ class PatternExecutor:
     def _on_set(self, command: host_messages.SetParams) -> host_messages.SentEvent:
         assert self._assembled is not None
         assert self._load is not None
-        pattern, load = self._assembled.pattern, self._load
+        pattern = self._assembled.pattern
+        load = self._load
         layers = (*load.layers, (host_messages.REQUEST_LAYER, command.values))
 
         def change() -> host_messages.ParamSources:
@@ -175,7 +177,9 @@ def _checked_twist(twist: object) -> Twist:
     """The command with Python's own floats; PluginError if it is no Twist."""
     if not isinstance(twist, Twist):
         raise PluginError(f"the command is {named(twist)}; expected a Twist or None")
-    linear, angular, lateral = twist.linear, twist.angular, twist.lateral
+    linear = twist.linear
+    angular = twist.angular
+    lateral = twist.lateral
     are_floats = type(linear) is float and type(angular) is float and type(lateral) is float
     return twist if are_floats else Twist(float(linear), float(angular), float(lateral))
 

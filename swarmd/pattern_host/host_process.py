@@ -145,7 +145,8 @@ class HostProcess:
             except BlockingIOError:
                 return
             except OSError:
-                frame, flags = b"", 0
+                frame = b""
+                flags = 0
             if not frame:  # the socket is closed; `_on_end` follows by the pidfd
                 self._loop.remove_reader(self.socket)
                 return
@@ -233,7 +234,8 @@ class TrialProcess:
 
     def end(self) -> HostProcess | None:
         """Kill the process; returns the host if its process must still be waited for."""
-        host, self._host = self._host, None
+        host = self._host
+        self._host = None
         if host is not None:
             host.kill()
         return host
@@ -242,7 +244,8 @@ class TrialProcess:
         """Give the host to `owner`; None if the host has ended or has not answered yet."""
         if self._host is None or not self._is_done:
             return None
-        host, self._host = self._host, None
+        host = self._host
+        self._host = None
         host.owner = owner
         return host
 

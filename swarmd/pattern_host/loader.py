@@ -61,7 +61,8 @@ class PatternLoader:
 
         `digests`: by name, the SHA-256 that the file or wheel must have.
         """
-        self.origins, self._files = origins, {}
+        self.origins = origins
+        self._files = {}
         self._digests = digests or {}
         self._missions.clear()
 

@@ -431,7 +431,8 @@ def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | No
     frames = traceback.extract_tb(error.__traceback__)
     lines = [(sources[f.filename], f.lineno) for f in frames if f.filename in sources]
     if isinstance(error, SyntaxError) and error.filename in sources:
-        text, lines = error.msg, [(sources[error.filename], error.lineno)]
+        text = error.msg
+        lines = [(sources[error.filename], error.lineno)]
     elif not lines and kind is not None and isinstance(error, PluginError | AssertionError):
         found = _lines_of_default(kind, text, path) or _lines_of_step(kind, path)
         lines = [(path.name, line) for line in found]

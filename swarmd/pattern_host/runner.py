@@ -40,7 +40,9 @@ MAX_RESPAWN_DELAY = 5.0
 
 Overlay = Callable[[Mapping[str, Origin], host_messages.Load, bool], Mapping[str, Origin]]
 """The robot's own patterns, a load and whether it is a trial, to all patterns for that load."""
-PRINT_RATE, PRINT_BURST = 20.0, 100.0  # logged lines of a pattern: per second, and in one burst
+# logged lines of a pattern: per second, and in one burst
+PRINT_RATE = 20.0
+PRINT_BURST = 100.0
 MAX_LINE = 500  # bytes
 _READ = 65536
 _PAUSE = 0.02
@@ -268,7 +270,8 @@ class ProcessRunner:
 
     def _end_trial(self) -> None:
         if self._trial is not None:
-            host, self._trial = self._trial.end(), None
+            host = self._trial.end()
+            self._trial = None
             if host is not None:
                 self._dying.append(host)
 
@@ -320,7 +323,8 @@ class PrintedLines:
         return [text for text in to_log if text]
 
     def _left_out_line(self) -> str:
-        count, self._left_out = self._left_out, 0
+        count = self._left_out
+        self._left_out = 0
         return f"[{count} lines left out]"
 
 

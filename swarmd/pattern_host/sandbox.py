@@ -40,7 +40,8 @@ _SYSTEM = (
 _CREATE_RULESET = 444
 _ADD_RULE = 445
 _RESTRICT_SELF = 446
-_GET_VERSION, _BENEATH = 1, 1
+_GET_VERSION = 1
+_BENEATH = 1
 _EXECUTE = 1 << 0
 _WRITE_FILE = 1 << 1
 _READ_FILE = 1 << 2
@@ -145,8 +146,11 @@ _CLONE = (56, 220)
 _OPEN = (2, None)
 _OPENAT = (257, 56)
 # CLONE_NEWNS and the like; CLONE_PARENT, which makes a child of the daemon that nothing reaps
-_NAMESPACES, _OF_PARENT = 0x7E020000, 0x8000
-_TRUNCATE, _NEITHER = os.O_TRUNC, os.O_ACCMODE  # of open: bits, and an access mode of 3
+_NAMESPACES = 0x7E020000
+_OF_PARENT = 0x8000
+# of open: bits, and an access mode of 3
+_TRUNCATE = os.O_TRUNC
+_NEITHER = os.O_ACCMODE
 _REFUSED_COMMANDS: tuple[tuple[tuple[int, int], int, tuple[int, ...]], ...] = (
     # prctl: PR_SET_PDEATHSIG, PR_SET_DUMPABLE (the daemon reads the size), PR_SCHED_CORE
     ((157, 167), 0, (1, 4, 62)),

@@ -66,7 +66,8 @@ else:
 
 MIN_SHARE = 0.2
 """The lowest `speed_share`."""
-SOUND, WEAK = 0.85, 0.7
+SOUND = 0.85
+WEAK = 0.7
 """Shares of the declared braking between which the test distinguishes."""
 ALARM = 14.0
 """The sum of the test at which it alarms: sound brakes do so once in a million stops (e^14)."""
@@ -78,7 +79,8 @@ _LONGEST_DELAY = 0.6  # s from the command to the stamp at which the base respon
 _DELAYS = np.linspace(0.0, _LONGEST_DELAY, 13)
 _FINE_DELAYS = np.linspace(-0.04, 0.04, 9)
 # Noise of odometry as a share of a reading before any stop, and how many readings it counts for.
-_SLIP, _SLIP_FREEDOM = 0.05, 20.0
+_SLIP = 0.05
+_SLIP_FREEDOM = 20.0
 _MAX_FREEDOM = 400.0  # readings that count for the noise at most, so that older ones fade
 _MAX_VARIANCE_RATIO = 9.0  # times the variance: the most that a stop adds to its estimate
 # Share of the speed before a stop: a slower reading has the noise of that speed.
@@ -109,16 +111,20 @@ _MAX_TRAVELS = cython.declare(cython.Py_ssize_t, 64)
 
 _NEAR_GAP = cython.declare(cython.double, 1.5)  # m within which an approach counts
 # s of scans from which a speed is measured: most and least
-_MAX_APPROACH_TIME, _MIN_APPROACH_TIME = 0.85, 0.35
+_MAX_APPROACH_TIME = 0.85
+_MIN_APPROACH_TIME = 0.35
 _MIN_SCANS = 4  # in that time: a lidar of 5 Hz sees a pedestrian in no more
 _MAX_GAP_TIME = cython.declare(cython.double, 0.6)  # s between two scans of one approach
 _CLEARLY_FASTER = 1.15  # times others_speed: an approach that is clearly faster
 _RANGE_NOISE = 0.01  # m of the nearest range, at least
 # m, plus a share of the distance, by which a scan may differ from an even approach: if an object
 # appears or is lost, the nearest return jumps.
-_MAX_RESIDUAL, _MAX_RESIDUAL_SHARE = 0.03, 0.05
+_MAX_RESIDUAL = 0.03
+_MAX_RESIDUAL_SHARE = 0.05
 _STANDARD_DEVIATIONS = 3.0  # standard deviations by which an approach must be too fast
-_MIN_APART, _MAX_APART = 5.0, 600.0  # s between two approaches that together are a violation
+# s between two approaches that together are a violation
+_MIN_APART = 5.0
+_MAX_APART = 600.0
 _WALL_DOUBT = 300.0  # s after the last wall that moved, in which no wall counts as standing
 
 RESPONSE = 0.05
@@ -184,9 +190,12 @@ class _Stop:
         fell_at: float,
         cruise: list[Any],
     ) -> None:
-        self.sign, self.fell_at = sign, fell_at
-        self.begin_speed, self.least_speed = begin_speed, least_speed
-        self.cruise, self.steps = cruise, []
+        self.sign = sign
+        self.fell_at = fell_at
+        self.begin_speed = begin_speed
+        self.least_speed = least_speed
+        self.cruise = cruise
+        self.steps = []
 
 
 @cython.final
@@ -220,11 +229,15 @@ class _Brake:
     _misfits: Array
 
     def __init__(self, declared: float, min_drop: float, unit: str) -> None:
-        self.declared, self._unit = declared, unit
+        self.declared = declared
+        self._unit = unit
         self._min_drop = max(min_drop, _MIN_DROP_TIME * declared)
         self.interrupt()
-        self._variance, self._freedom = _SLIP**2, _SLIP_FREEDOM  # of a reading, as a share of it
-        self._delays, self.late = deque(maxlen=_RESPONSES), ""
+        # of a reading, as a share of it
+        self._variance = _SLIP**2
+        self._freedom = _SLIP_FREEDOM
+        self._delays = deque(maxlen=_RESPONSES)
+        self.late = ""
         self.forget()
 
     def check_indices(self) -> None:
@@ -234,13 +247,15 @@ class _Brake:
 
     def forget(self) -> None:
         """Trust the declared braking again, and begin the test anew."""
-        self.braking, self.evidence = self.declared, ""
+        self.braking = self.declared
+        self.evidence = ""
         self._begin()
 
     def interrupt(self) -> None:
         """Drop the stop under way, as after a jump of the clock or the pose of odometry."""
         self._stop = None
-        self._cruise_count = self._commands = 0
+        self._cruise_count = 0
+        self._commands = 0
         self._note(-math.inf, self._command)
 
     @cython.ccall
@@ -270,11 +285,13 @@ class _Brake:
     def _note(self, stamp: cython.double, command: cython.double) -> None:
         """Store a command, which holds from the stamp on, in the ring buffers."""
         place: cython.Py_ssize_t = self._commands % _MAX_COMMANDS
-        self._stamps[place], self._speeds[place] = stamp, command
+        self._stamps[place] = stamp
+        self._speeds[place] = command
         self._commands += 1
 
     def _begin(self) -> None:
-        self._log_likelihood_sum, self._stop_count = 0.0, 0
+        self._log_likelihood_sum = 0.0
+        self._stop_count = 0
         self._misfits = np.zeros(len(_SHARES))
 
     @cython.ccall
@@ -376,7 +393,8 @@ class _Brake:
             return
         # Where the three numbers of this period begin in the ring buffer.
         start: cython.Py_ssize_t = 3 * (self._cruise_count % _CRUISE)
-        self._cruise[start], self._cruise[start + 1] = begin, end
+        self._cruise[start] = begin
+        self._cruise[start + 1] = end
         self._cruise[start + 2] = moved
         self._cruise_count += 1
 
@@ -462,7 +480,8 @@ class _Brake:
         measured = previous / slowness
         spread = measured * slowness_deviation / slowness
         self.braking = min(max(measured - 2.0 * spread, MIN_SHARE * measured), previous)
-        unit, stops = self._unit, self._stop_count
+        unit = self._unit
+        stops = self._stop_count
         self.evidence = (
             f"{_BRAKED} {measured:.2f} +- {spread:.2f} {unit} in {stops} stops, declared"
             f" {self.declared:.2f}"
@@ -484,7 +503,8 @@ def _best_slowness(misfits: Array) -> tuple[float, float]:
     neighbours = slice(i - 1, i + 2)
     curvature, gradient, _ = np.polyfit(slowness[neighbours], misfits[neighbours], 2)
     optimum = float(-0.5 * gradient / curvature) if curvature > 0.0 else float(slowness[best])
-    lowest, highest = float(slowness[neighbours].min()), float(slowness[neighbours].max())
+    lowest = float(slowness[neighbours].min())
+    highest = float(slowness[neighbours].max())
     return min(max(optimum, lowest), highest), 1.0 / math.sqrt(max(float(curvature), 1e-6))
 
 
@@ -505,7 +525,8 @@ def _misfits(stop: _Stop, commands: list[Any], full_braking: float) -> tuple[Arr
             the delay in s of the share that fits best.
     """
     readings = np.array((*stop.cruise, *stop.steps))
-    periods, distances = readings[:, 1] - readings[:, 0], stop.sign * readings[:, 2]
+    periods = readings[:, 1] - readings[:, 0]
+    distances = stop.sign * readings[:, 2]
 
     # 1. The commands that the base may have followed. Before the first command the speed is 0.
     stamps, speeds = np.array(_since(commands, readings[0, 0] - _LONGEST_DELAY)).T
@@ -542,7 +563,8 @@ def _since(commands: list[Any], earliest_stamp: float) -> list[Any]:
     last = len(commands) - 1
     used = []
     for k, command in enumerate(commands[:last]):
-        stamp, next_stamp = command[0], commands[k + 1][0]
+        stamp = command[0]
+        next_stamp = commands[k + 1][0]
         if earliest_stamp < next_stamp and next_stamp != stamp:
             used.append(command)
     return [*used, commands[last]]
@@ -586,15 +608,18 @@ def _weighted_residuals(
                 periods, stamps, speeds, model_speeds, braking, coarse[k], total
             )
             if residual < least:
-                least, best_coarse = residual, coarse[k]
+                least = residual
+                best_coarse = coarse[k]
 
         # 2. The best delay of the fine grid around this delay.
-        result[0, j], result[1, j] = _inf, best_coarse
+        result[0, j] = _inf
+        result[1, j] = best_coarse
         for k in range(len(fine)):
             delay: cython.double = best_coarse + fine[k]
             residual = _residual(periods, stamps, speeds, model_speeds, braking, delay, total)
             if residual < result[0, j]:
-                result[0, j], result[1, j] = residual, delay
+                result[0, j] = residual
+                result[1, j] = delay
     return result
 
 
@@ -726,10 +751,15 @@ class AssumptionMonitor:
         is_lateral = platform.limits.lateral > 0.0
         sideways = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[2]) if is_lateral else None
         self._lateral = sideways
-        self._command, self._stamp = ZERO, -math.inf
-        self._gaps, self._approaches = deque(maxlen=64), deque()
-        self._approach_text, self._approach_share, self.speed_share = "", 1.0, 1.0
-        self._wall_text, self._wall_moves = "", deque()
+        self._command = ZERO
+        self._stamp = -math.inf
+        self._gaps = deque(maxlen=64)
+        self._approaches = deque()
+        self._approach_text = ""
+        self._approach_share = 1.0
+        self.speed_share = 1.0
+        self._wall_text = ""
+        self._wall_moves = deque()
         self._wall_moved_at = -math.inf
 
     def check_indices(self) -> None:
@@ -777,7 +807,8 @@ class AssumptionMonitor:
             if brake.evidence in findings:
                 brake.forget()
         if self._approach_text in findings:
-            self._approach_text, self._approach_share = "", 1.0
+            self._approach_text = ""
+            self._approach_share = 1.0
             self._approaches.clear()
         if self._wall_text in findings:
             self._wall_text = ""
@@ -812,7 +843,8 @@ class AssumptionMonitor:
         The motion since the reading before is a period of each axis: ahead, turning, sideways. A
         jump of the clock or of the pose drops the stops under way and the scans.
         """
-        pose, twist = odometry.pose, odometry.twist
+        pose = odometry.pose
+        twist = odometry.twist
         begin: cython.double = self._stamp
         end: cython.double = odometry.stamp
         x: cython.double = pose.x
@@ -823,8 +855,12 @@ class AssumptionMonitor:
         turned: cython.double = remainder(yaw - self._yaw, TURN)
         middle_yaw: cython.double = self._yaw + 0.5 * turned
         distance: cython.double = sqrt(dx * dx + dy * dy)
-        self._stamp, self._x, self._y, self._yaw = end, x, y, yaw
-        self._linear_speed, self._angular_speed = twist.linear, twist.angular
+        self._stamp = end
+        self._x = x
+        self._y = y
+        self._yaw = yaw
+        self._linear_speed = twist.linear
+        self._angular_speed = twist.angular
         self._lateral_speed = twist.lateral
 
         # 1. A jump: begins anew.
@@ -833,7 +869,8 @@ class AssumptionMonitor:
             self._angular.interrupt()
             if self._lateral is not None:
                 self._lateral.interrupt()
-            self._travel_first = self._travel_end = 0
+            self._travel_first = 0
+            self._travel_end = 0
             self._gaps.clear()
             return ""
         if end == begin or begin == -math.inf:  # the same or the first reading: no period
@@ -843,7 +880,8 @@ class AssumptionMonitor:
         if dx or dy or turned:
             self._travelled += distance + self._radius * fabs(turned)
         place: cython.Py_ssize_t = self._travel_end % _MAX_TRAVELS
-        self._travel_stamps[place], self._travels[place] = end, self._travelled
+        self._travel_stamps[place] = end
+        self._travels[place] = self._travelled
         self._travel_end += 1
 
         # 3. The motion of each axis, in the direction of the mean yaw.
@@ -884,7 +922,8 @@ class AssumptionMonitor:
 
         # 2. Are there enough scans? Several scans of one approach count once.
         is_new_approach = _is_apart(self._approaches, stamp)
-        first_stamp, first_gap = gaps[0][0], gaps[0][1]
+        first_stamp = gaps[0][0]
+        first_gap = gaps[0][1]
         seconds = stamp - first_stamp
         if len(gaps) < _MIN_SCANS or seconds < _MIN_APPROACH_TIME or not is_new_approach:
             return ""

@@ -111,7 +111,8 @@ class Barrier:
                 " protection.barrier with others_speed and unseen_extent"
             )
         settings = msgspec.convert(given, BarrierSettings)
-        self._limits, self._scan = platform.limits, platform.scan
+        self._limits = platform.limits
+        self._scan = platform.scan
         # Returns nearer than range_min are lost, as if nothing were there: a memory keeps them.
         if platform.scan.near == "lost" and platform.scan.range_min > 0.0:
             base_speed = math.hypot(platform.limits.linear, platform.limits.lateral)  # m/s at most
@@ -128,7 +129,8 @@ class Barrier:
         self._projection = Projection()
         self._stop = StopCheck(assumptions, outline, feasible.constraints)
         self._limiting = LimitingRows(assumptions, feasible.constraints, outline)
-        self._asked, self._speeds = Speeds(), Speeds()
+        self._asked = Speeds()
+        self._speeds = Speeds()
         self._decision = ModeDecision(ZERO, is_active=False)
 
     def clearance(self, speed: float) -> Clearance:
@@ -265,7 +267,8 @@ class Barrier:
         limit: cython.double = feasible.assumptions.linear_limit
         if lateral != 0.0:
             speed = hypot(requested.linear, lateral)
-            along_x, along_y = requested.linear / speed, lateral / speed
+            along_x = requested.linear / speed
+            along_y = lateral / speed
             limit = linear_limit(self._limits, along_x, along_y)
 
         # 3. Builds the constraints, or repeats the decision for the same situation and request.
@@ -278,7 +281,8 @@ class Barrier:
 
         # 4. Limits the request.
         self._is_decided = False  # nothing to repeat until `_judge` has set `_speeds`
-        self._asked.linear, self._asked.angular = speed, angular
+        self._asked.linear = speed
+        self._asked.angular = angular
         self._is_limited = self._judge(speed, angular)
         self._is_decided = True
         if not self._is_limited:
@@ -360,7 +364,8 @@ class Barrier:
             self._speeds.angular = projection.y * axes.angular_limit
         else:
             creeping.end(rows, axes)
-            projection.x, projection.y = present_x, present_y
+            projection.x = present_x
+            projection.y = present_y
 
     @cython.cfunc
     @cython.exceptval(-1)

@@ -61,19 +61,23 @@ class Assumptions:
 
     def __init__(self, platform: Platform, settings: BarrierSettings) -> None:
         self.others_speed = settings.others_speed
-        self.unseen_extent, self.margin = settings.unseen_extent, settings.margin
+        self.unseen_extent = settings.unseen_extent
+        self.margin = settings.margin
         self.braking_linear = settings.braking_linear
         self.braking_angular = settings.braking_angular
-        self.linear_limit, self.angular_limit = platform.limits.linear, platform.limits.angular
+        self.linear_limit = platform.limits.linear
+        self.angular_limit = platform.limits.angular
         binding = BindingRange(platform, settings, TICK)
-        self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
+        self.surface_speed = binding.surface
+        self.top_surface_speed = binding.fastest
         self.standing_speed = settings.standing_speed
         walls = settings.walls_stand
         self.foot = settings.unseen_extent
         if walls is not None and walls.foot is not None:
             self.foot = walls.foot
         self.has_kinds = self.standing_speed < self.others_speed
-        self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
+        self.fresh_binding_range = binding.fresh
+        self.longest_scan_age = binding.stale
         self.envelope_range = binding.for_envelope()
         self.keep_out = math.nan if settings.keep_out is None else settings.keep_out
         can_hide = platform.scan.near != "reported" and settings.keep_out is None

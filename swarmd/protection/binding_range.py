@@ -26,8 +26,11 @@ class BindingRange:
 
     def __init__(self, platform: Platform, settings: BarrierSettings, tick: float) -> None:
         """`tick`: s between two decisions."""
-        self._limits, self._settings, self._tick = platform.limits, settings, tick
-        self._scan, self._footprint = platform.scan, platform.footprint
+        self._limits = platform.limits
+        self._settings = settings
+        self._tick = tick
+        self._scan = platform.scan
+        self._footprint = platform.footprint
         self._outer = float(np.hypot(*platform.footprint.T).max())
         self.own = math.hypot(self._limits.linear, self._limits.lateral)
         self.surface = settings.surface_speed or settings.others_speed
@@ -38,7 +41,8 @@ class BindingRange:
 
     def for_fresh_scan(self, speed: float) -> float:
         """The gap for a scan of age 0 and a surface of the robot that moves at `speed` m/s."""
-        settings, tick = self._settings, self._tick
+        settings = self._settings
+        tick = self._tick
         spin = min(self._limits.angular, speed / self._outer)
         linear = min(speed, self.own)
         braking = max(linear / settings.braking_linear, spin / settings.braking_angular)
@@ -51,7 +55,8 @@ class BindingRange:
 
     def for_scan_age(self, age: float) -> float:
         """As `for_age`, for returns of a scan; they must also stay out of the keep_out circle."""
-        settings, speed = self._settings, self.fastest
+        settings = self._settings
+        speed = self.fastest
         gap = self.for_age(age)
         if settings.keep_out is None:
             return gap

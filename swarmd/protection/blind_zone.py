@@ -329,19 +329,37 @@ class BlindZoneMemory:
         `range_min` in m is the radius of the blind zone, `speed` in m/s the highest speed at which
         obstacles approach, `period` in s the time between two scans.
         """
-        self._radius, self._speed, self._period = range_min, speed, period
+        self._radius = range_min
+        self._speed = speed
+        self._period = period
         self._narrowest_sector = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
-        self._x = self._y = self._old_x = self._old_y = self._old_empty = _NOTHING
-        self._hidden_bearing = self._age = self._nearest_range = self._is_face = _NOTHING
-        self.bearings = self.nearest = _NOTHING
+        self._x = _NOTHING
+        self._y = _NOTHING
+        self._old_x = _NOTHING
+        self._old_y = _NOTHING
+        self._old_empty = _NOTHING
+        self._hidden_bearing = _NOTHING
+        self._age = _NOTHING
+        self._nearest_range = _NOTHING
+        self._is_face = _NOTHING
+        self.bearings = _NOTHING
+        self.nearest = _NOTHING
         self._order = indices(0)
         self._sector_first = self._sector_width = indices(0)
-        self._crossings = self._angle_rays = self._sector_first
-        self._bearing = self._rising = self._range = _NOTHING
-        self._age_by_ray = self._nearest_by_ray = _NOTHING
-        self._exact_bearing = self._corner = self._turned_angle = self._angles = _NOTHING
+        self._crossings = self._sector_first
+        self._angle_rays = self._sector_first
+        self._bearing = _NOTHING
+        self._rising = _NOTHING
+        self._range = _NOTHING
+        self._age_by_ray = _NOTHING
+        self._nearest_by_ray = _NOTHING
+        self._exact_bearing = _NOTHING
+        self._corner = _NOTHING
+        self._turned_angle = _NOTHING
+        self._angles = _NOTHING
         self._is_empty = self._is_in_entered_sector = self._was_near = self._is_covered = flags(0)
-        self._is_face_by_ray = self._is_hidden = self._is_empty
+        self._is_face_by_ray = self._is_empty
+        self._is_hidden = self._is_empty
 
     def update(
         self, scan: Scan, geometry: ScanGeometry, moved: Pose, driven: Pose, seconds: float
@@ -368,7 +386,8 @@ class BlindZoneMemory:
         # 2. The near points become those of the scan before.
         self._x, self._old_x = self._old_x, self._x
         self._y, self._old_y = self._old_y, self._y
-        self._old_point_count, self._point_count = self._point_count, 0
+        self._old_point_count = self._point_count
+        self._point_count = 0
         if not (self._old_point_count or self._hidden_count or _has_near(ranges, near_range)):
             return  # the usual case: no obstacle is near, was near or is hidden
         if scan.bearings is not self._given_bearings:
@@ -408,7 +427,8 @@ class BlindZoneMemory:
         n: cython.Py_ssize_t = len(values)
         if n > self._reserved:
             self._reserve(n + n // 4)
-        self._given_bearings, self._ray_count = bearings, n
+        self._given_bearings = bearings
+        self._ray_count = n
         i: cython.Py_ssize_t
         for i in range(n):
             self._turned_angle[i] = mod_turn(values[i])
@@ -421,22 +441,34 @@ class BlindZoneMemory:
         """Make room for `size` rays; the hidden obstacles and the near points stay."""
         self._reserved = size
         self._order = indices(size)
-        self._bearing, self._rising = doubles(size), doubles(size)
-        self._range, self._exact_bearing, self._corner = doubles(size), doubles(size), doubles(size)
-        self._age_by_ray, self._nearest_by_ray = doubles(size), doubles(size)
-        self._is_empty, self._is_in_entered_sector = flags(size), flags(size)
-        self._was_near, self._is_covered = flags(size), flags(size)
+        self._bearing = doubles(size)
+        self._rising = doubles(size)
+        self._range = doubles(size)
+        self._exact_bearing = doubles(size)
+        self._corner = doubles(size)
+        self._age_by_ray = doubles(size)
+        self._nearest_by_ray = doubles(size)
+        self._is_empty = flags(size)
+        self._is_in_entered_sector = flags(size)
+        self._was_near = flags(size)
+        self._is_covered = flags(size)
         self._is_face_by_ray = flags(size)
-        self._sector_first, self._sector_width = indices(size), indices(size)
-        self._crossings, self._angle_rays = indices(size), indices(size)
-        self._x, self._y = _grown(self._x, size), _grown(self._y, size)
-        self._old_x, self._old_y = _grown(self._old_x, size), _grown(self._old_y, size)
+        self._sector_first = indices(size)
+        self._sector_width = indices(size)
+        self._crossings = indices(size)
+        self._angle_rays = indices(size)
+        self._x = _grown(self._x, size)
+        self._y = _grown(self._y, size)
+        self._old_x = _grown(self._old_x, size)
+        self._old_y = _grown(self._old_y, size)
         self._old_empty = _grown(self._old_empty, size)
-        self._angles, self._turned_angle = doubles(size), doubles(size)
+        self._angles = doubles(size)
+        self._turned_angle = doubles(size)
         # Candidates: at most a hidden obstacle for each ray, and one for each earlier near point.
         self._bearings = self._hidden_bearing = _grown(self._hidden_bearing, 2 * size)
         self._ranges = self._nearest_range = _grown(self._nearest_range, 2 * size)
-        self._age, self._is_face = _grown(self._age, 2 * size), _grown(self._is_face, 2 * size)
+        self._age = _grown(self._age, 2 * size)
+        self._is_face = _grown(self._is_face, 2 * size)
         self._is_hidden = flags(2 * size)
 
     @cython.cfunc
@@ -499,7 +531,8 @@ class BlindZoneMemory:
             return
         # An obstacle became hidden: the robot leaves hidden obstacles from this place on (rule 4).
         if self._candidate_count > self._hidden_count or is_entered:
-            self._entered_x = self._entered_y = 0.0
+            self._entered_x = 0.0
+            self._entered_y = 0.0
         # 3. Gives each candidate a ray, and extends obstacles over their sectors.
         self._place(turned, obstacle_step)
         self._fill(seconds)
@@ -507,7 +540,8 @@ class BlindZoneMemory:
         k = 0
         for i in range(ray_count):
             if self._age_by_ray[i] < INFINITY:
-                self._hidden_bearing[k], self._age[k] = self._exact_bearing[i], self._age_by_ray[i]
+                self._hidden_bearing[k] = self._exact_bearing[i]
+                self._age[k] = self._age_by_ray[i]
                 self._nearest_range[k] = self._nearest_by_ray[i]
                 self._is_face[k] = self._is_face_by_ray[i]
                 k += 1
@@ -534,7 +568,8 @@ class BlindZoneMemory:
         """
         self._hidden_count = count
         if not count:
-            self._emerged_m = self._vanished_m = 0.0
+            self._emerged_m = 0.0
+            self._vanished_m = 0.0
         self.bearings = np.array(self._bearings[:count]) if count else _NOTHING
         self.nearest = np.array(self._ranges[:count]) if count else _NOTHING
 
@@ -582,7 +617,8 @@ class BlindZoneMemory:
             self._is_empty[wrapped_index(i, ray_count)] = True
         half_angle: cython.double = width * PI / ray_count
         is_flat: cython.bint = half_angle < _FLAT
-        self._sector_first[k], self._sector_width[k] = first, width
+        self._sector_first[k] = first
+        self._sector_width[k] = width
         self._crossings[k] = 0
         if _crosses_rim(
             self._range, ray_count, self._radius, (first + ray_count - 1) % ray_count, -1, is_flat
@@ -633,20 +669,26 @@ class BlindZoneMemory:
         for i in range(self._ray_count):
             self._was_near[i] = False
         for i in range(self._old_point_count):
-            old_x, old_y = self._old_x[i] - moved_x, self._old_y[i] - moved_y
-            x, y = cos_turn * old_x + sin_turn * old_y, cos_turn * old_y - sin_turn * old_x
-            self._old_x[i], self._old_y[i] = x, y
+            old_x = self._old_x[i] - moved_x
+            old_y = self._old_y[i] - moved_y
+            x = cos_turn * old_x + sin_turn * old_y
+            y = cos_turn * old_y - sin_turn * old_x
+            self._old_x[i] = x
+            self._old_y[i] = y
             self._angle_rays[i] = -1
             if hypot(x - sensor_x, y - sensor_y) < self._radius + obstacle_step:
                 self._angles[i] = atan2(y - sensor_y, x - sensor_x)
                 ray = _nearest(self._rising, self._ray_count, self._angles[i])
-                self._angle_rays[i], self._was_near[ray] = ray, True
+                self._angle_rays[i] = ray
+                self._was_near[ray] = True
         self._find_covered(obstacle_step)
         for i in range(self._old_point_count):
             ray = self._angle_rays[i]
             if ray < 0:
                 continue
-            x, y, bearing = self._old_x[i], self._old_y[i], self._angles[i]
+            x = self._old_x[i]
+            y = self._old_y[i]
+            bearing = self._angles[i]
             # 2. Finds a near return of this scan near this place. The search begins at the match of
             # the old return before, since neighbours lie side by side.
             match = _find_match(
@@ -771,7 +813,8 @@ class BlindZoneMemory:
         self._angle_total = 0
         for i in range(self._ray_count):
             self._exact_bearing[i] = self._bearing[i]
-            self._age_by_ray[i] = self._nearest_by_ray[i] = INFINITY
+            self._age_by_ray[i] = INFINITY
+            self._nearest_by_ray[i] = INFINITY
             self._is_face_by_ray[i] = True
             if self._is_empty[i]:
                 self._angles[self._angle_total] = self._rising[i]
@@ -817,7 +860,8 @@ class BlindZoneMemory:
         first: cython.Py_ssize_t
         after_last: cython.Py_ssize_t
         for k in range(self._sector_count):
-            first, after_last = self._sector_first[k], self._sector_first[k] + self._sector_width[k]
+            first = self._sector_first[k]
+            after_last = self._sector_first[k] + self._sector_width[k]
             least_age: cython.double = INFINITY  # inf without a hidden obstacle in the sector
             for i in range(first, after_last):
                 least_age = min(least_age, self._age_by_ray[wrapped_index(i, ray_count)])

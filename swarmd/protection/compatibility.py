@@ -40,7 +40,8 @@ ACCEPTS_NONE = Accepts()
 
 def body_of(platform: Platform) -> Body:
     """The `Body` that a robot of this platform sends to its peers."""
-    barrier, speed = barrier_settings(platform), fastest_corner(platform)
+    barrier = barrier_settings(platform)
+    speed = fastest_corner(platform)
     if barrier is not None:
         speed = BindingRange(platform, barrier, TICK).surface
     heights = platform.heights

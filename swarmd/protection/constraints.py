@@ -67,7 +67,8 @@ class SpeedAxes:
 
 def linear_limit(limits: Limits, along_x: float, along_y: float) -> float:
     """The limit of the linear speed in m/s in the direction of a unit vector."""
-    ahead, aside = abs(along_x), abs(along_y)
+    ahead = abs(along_x)
+    aside = abs(along_y)
     return min(
         limits.linear / ahead if ahead else math.inf, limits.lateral / aside if aside else math.inf
     )
@@ -98,8 +99,10 @@ class ConstraintRows:
 
     def _allocate(self, room: cython.Py_ssize_t) -> None:
         """Make all arrays anew."""
-        self.x, self.y = doubles(room), doubles(room)
-        self.cap, self.gap = doubles(room), doubles(room)
+        self.x = doubles(room)
+        self.y = doubles(room)
+        self.cap = doubles(room)
+        self.gap = doubles(room)
         self.source = indices(room)
 
     @cython.cfunc
@@ -114,8 +117,10 @@ class ConstraintRows:
     ) -> cython.int:
         """Add a constraint; `reserve` must have made room."""
         row: cython.Py_ssize_t = self.count
-        self.x[row], self.y[row] = x, y
-        self.cap[row], self.gap[row] = cap, gap
+        self.x[row] = x
+        self.y[row] = y
+        self.cap[row] = cap
+        self.gap[row] = gap
         self.source[row] = source
         self.count = row + 1
 
@@ -166,13 +171,20 @@ class PlacedPoints:
 
     def _allocate(self, room: cython.Py_ssize_t) -> None:
         """Make all arrays anew."""
-        self.x, self.y = doubles(room), doubles(room)
-        self.gap, self.free = doubles(room), doubles(room)
-        self.age, self.radius = doubles(room), doubles(room)
-        self.contact, self.scan_gap = doubles(room), doubles(room)
-        self.others, self.kind = doubles(room), indices(room)
-        self.normal_x, self.normal_y = doubles(room), doubles(room)
-        self.first_row, self.in_touch_zone = indices(room), indices(room)
+        self.x = doubles(room)
+        self.y = doubles(room)
+        self.gap = doubles(room)
+        self.free = doubles(room)
+        self.age = doubles(room)
+        self.radius = doubles(room)
+        self.contact = doubles(room)
+        self.scan_gap = doubles(room)
+        self.others = doubles(room)
+        self.kind = indices(room)
+        self.normal_x = doubles(room)
+        self.normal_y = doubles(room)
+        self.first_row = indices(room)
+        self.in_touch_zone = indices(room)
         self.near_index = indices(room)
 
     @cython.cfunc
@@ -212,12 +224,17 @@ class PlacedPoints:
         placed_kind: cython.p_longlong = checked_indices(self.kind, end)
         for j in range(count):
             i = first + j
-            placed_x[i], placed_y[i] = chunk_x[j], chunk_y[j]
-            placed_free[i], placed_age[i] = free[j], age[j]
+            placed_x[i] = chunk_x[j]
+            placed_y[i] = chunk_y[j]
+            placed_free[i] = free[j]
+            placed_age[i] = age[j]
             placed_contact[i] = free[j] + hidden[j]  # the obstacle may touch within both parts
-            placed_normal_x[i], placed_normal_y[i] = chunk_normal_x[j], chunk_normal_y[j]
-            placed_gap[i], placed_radius[i] = gap[j], radius[j]
-            placed_others[i], placed_kind[i] = others[j], kind[j]
+            placed_normal_x[i] = chunk_normal_x[j]
+            placed_normal_y[i] = chunk_normal_y[j]
+            placed_gap[i] = gap[j]
+            placed_radius[i] = radius[j]
+            placed_others[i] = others[j]
+            placed_kind[i] = kind[j]
         first_row: cython.p_longlong = checked_indices(self.first_row, end)
         source: cython.p_longlong = checked_indices(rows.source, row + count)
         for j in range(count):
@@ -384,11 +401,14 @@ class Constraints:
     _assumptions: Assumptions
 
     def __init__(self, assumptions: Assumptions, outline: Outline, touch: TouchSector) -> None:
-        self._assumptions, self._outline = assumptions, outline
-        self.rows, self.placed = ConstraintRows(), PlacedPoints()
+        self._assumptions = assumptions
+        self._outline = outline
+        self.rows = ConstraintRows()
+        self.placed = PlacedPoints()
         self.told = ToldPlaces()
         self.axes = SpeedAxes()
-        self.touch, self._chunk = touch, Chunk()
+        self.touch = touch
+        self._chunk = Chunk()
         self.axes.angular_limit = assumptions.angular_limit
 
     def check_indices(self) -> None:
@@ -421,7 +441,8 @@ class Constraints:
         self.placed.reserve(count + discs)
         self.rows.reserve((count + discs) * rows_of_a_point + contacts + touch_rows + ENVELOPE_ROWS)
         self.rows.count = 0
-        self.placed.seen, self.placed.contacts = count, contacts
+        self.placed.seen = count
+        self.placed.contacts = contacts
         self.placed.discs = discs
         return 0
 
@@ -475,7 +496,8 @@ class Constraints:
                     y: cython.double = ys[taken]
                     chunk.x[in_chunk] = frame.x + cos_yaw * x - sin_yaw * y
                     chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
-                    chunk.free[in_chunk], chunk.age[in_chunk] = free, ray_age
+                    chunk.free[in_chunk] = free
+                    chunk.age[in_chunk] = ray_age
                     kind: cython.longlong = kinds[taken]
                     if kind == BARE_WALL:
                         if self.told.hold(chunk.x[in_chunk], chunk.y[in_chunk]):
@@ -553,11 +575,13 @@ class Constraints:
         chunk: Chunk = self._chunk
         free: cython.double = self._assumptions.margin + radius
         chunk.count = 1
-        chunk.x[0], chunk.y[0] = x, y
+        chunk.x[0] = x
+        chunk.y[0] = y
         chunk.free[0] = free + moved
         chunk.age[0] = age + REACTION  # when the command takes effect
         chunk.radius[0] = radius
-        chunk.kind[0], chunk.others[0] = OTHER, self._assumptions.others_speed
+        chunk.kind[0] = OTHER
+        chunk.others[0] = self._assumptions.others_speed
         self._add_chunk(point, 0.0)  # 0: no blind zone, since the lidar does not measure discs
         return self._add_corners(point, 0)  # 0: from the first point of the chunk on
 
@@ -603,7 +627,8 @@ class Constraints:
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
             cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others[j])
-            chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
+            chunk_row_x[j] = linear * limit
+            chunk_row_y[j] = lever[j] * angular_limit
         if assumptions.has_kinds:
             _set_wall_caps(chunk, axes, assumptions)
         # 2. Writes the constraints behind the rows so far.
@@ -612,8 +637,10 @@ class Constraints:
         row_cap: cython.p_double = checked(rows.cap, first_row + count)
         row_gap: cython.p_double = checked(rows.gap, first_row + count)
         for j in range(count):
-            row_x[first_row + j], row_y[first_row + j] = chunk_row_x[j], chunk_row_y[j]
-            row_cap[first_row + j], row_gap[first_row + j] = cap[j], gap[j] - radius[j]
+            row_x[first_row + j] = chunk_row_x[j]
+            row_y[first_row + j] = chunk_row_y[j]
+            row_cap[first_row + j] = cap[j]
+            row_gap[first_row + j] = gap[j] - radius[j]
         # 3. Stores the points, then counts the rows (`place` needs the count before).
         self.placed.place(chunk, first, rows)
         rows.count = first_row + count
@@ -680,7 +707,8 @@ class Constraints:
             for j in range(count):
                 side_x[j] = _side_cos * nx[j] - sine * ny[j]
                 side_y[j] = sine * nx[j] + _side_cos * ny[j]
-                foremost[j], lever[j] = -INFINITY, 0.0
+                foremost[j] = -INFINITY
+                lever[j] = 0.0
             # For each point: the foremost corner in the side direction, and the lever of this
             # corner.
             for k in range(outline.edges):
@@ -734,9 +762,11 @@ class Constraints:
                 # The obstacle may have moved since the scan, so the time begins at the scan.
                 speed: cython.double = half_gap / (chunk.age[j] + DECISION_PERIOD) - reserve
                 linear: cython.double = side_x[j] * axes.along_x + side_y[j] * axes.along_y
-                row_x[row], row_y[row] = linear * axes.limit, lever[j] * axes.angular_limit
+                row_x[row] = linear * axes.limit
+                row_y[row] = lever[j] * axes.angular_limit
                 row_cap[row] = maximum(speed, CREEP_SPEED)
-                row_gap[row], source[row] = gap[j] - chunk.radius[j], first + j
+                row_gap[row] = gap[j] - chunk.radius[j]
+                source[row] = first + j
                 row += 1
         rows.count = row
 
@@ -804,9 +834,11 @@ class Constraints:
             ahead_share: cython.double = aside + along
             back_share: cython.double = aside - along
             if ahead_share > 0.0 and side_speed / ahead_share + braked_speed < ahead_cap:
-                ahead_cap, ahead_point = side_speed / ahead_share + braked_speed, j
+                ahead_cap = side_speed / ahead_share + braked_speed
+                ahead_point = j
             if back_share > 0.0 and side_speed / back_share + braked_speed < back_cap:
-                back_cap, back_point = side_speed / back_share + braked_speed, j
+                back_cap = side_speed / back_share + braked_speed
+                back_point = j
         # 2. Adds the strictest limit ahead, and the strictest limit back.
         if ahead_point >= 0:
             gap: cython.double = chunk.gap[ahead_point] - chunk.radius[ahead_point]
@@ -869,7 +901,8 @@ class Constraints:
                 lever: cython.double = corner_x * dy - corner_y * dx
                 braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
                 new_cap[j] = closing_cap(distance - free[j], braking, age[j], others[j])
-                new_x[j], new_y[j] = linear * limit, lever * angular_limit
+                new_x[j] = linear * limit
+                new_y[j] = lever * angular_limit
                 new_gap[j] = distance
             if assumptions.has_kinds:
                 _set_corner_wall_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
@@ -911,8 +944,10 @@ class Constraints:
             if new_cap[j] > fastest + _SLACK:
                 continue  # no command within the limits violates the constraint
             if _is_near_corners(gap[j], free[j], age[j], others[j]):
-                row_x[row], row_y[row] = new_x[j], new_y[j]
-                row_cap[row], row_gap[row] = new_cap[j], new_gap[j] - radius[j]
+                row_x[row] = new_x[j]
+                row_y[row] = new_y[j]
+                row_cap[row] = new_cap[j]
+                row_gap[row] = new_gap[j] - radius[j]
                 source[row] = first + j
                 row += 1
         rows.count = row

@@ -47,7 +47,9 @@ class PlanarPose:
     @cython.exceptval(-1)
     def set(self, x: cython.double, y: cython.double, yaw: cython.double) -> cython.int:
         """Take another value."""
-        self.x, self.y, self.yaw = x, y, yaw
+        self.x = x
+        self.y = y
+        self.yaw = yaw
         return 0
 
     @cython.cfunc
@@ -58,7 +60,8 @@ class PlanarPose:
         dy: cython.double = pose.y - base.y
         c: cython.double = cos(base.yaw)
         s: cython.double = sin(base.yaw)
-        self.x, self.y = c * dx + s * dy, c * dy - s * dx
+        self.x = c * dx + s * dy
+        self.y = c * dy - s * dx
         self.yaw = pose.yaw - base.yaw
 
 
@@ -87,7 +90,8 @@ class DeadReckoning:
     _trail: OdometryTrail
 
     def __init__(self, assumptions: Assumptions) -> None:
-        self._assumptions, self._trail = assumptions, OdometryTrail()
+        self._assumptions = assumptions
+        self._trail = OdometryTrail()
 
     @cython.cfunc
     def record(self, odometry: Odometry) -> None:
@@ -184,8 +188,10 @@ class CommandRange:
         """
         slowest: cython.double = min(self._least, self._least_before)
         fastest: cython.double = maximum(self._most, self._most_before)
-        self._least_before, self._least = self._least, 0.0
-        self._most_before, self._most = self._most, 0.0
+        self._least_before = self._least
+        self._least = 0.0
+        self._most_before = self._most
+        self._most = 0.0
         least_way: cython.double = slowest * seconds
         most_way: cython.double = fastest * seconds
         if not moved >= least_way:  # also for NaN
@@ -213,10 +219,13 @@ class ScanMotion:
     _reckoning: DeadReckoning
 
     def __init__(self, assumptions: Assumptions, reckoning: DeadReckoning) -> None:
-        self._assumptions, self._reckoning = assumptions, reckoning
-        self.pose, self.moved = PlanarPose(), PlanarPose()
+        self._assumptions = assumptions
+        self._reckoning = reckoning
+        self.pose = PlanarPose()
+        self.moved = PlanarPose()
         self._now = PlanarPose()
-        self.ahead, self.left = CommandRange(), CommandRange()
+        self.ahead = CommandRange()
+        self.left = CommandRange()
         self.measured_at = -INFINITY
 
     @cython.cfunc
@@ -255,7 +264,8 @@ class ScanMotion:
         if age > 0.0 and measured_at < self.measured_at + _AGE_TOLERANCE:
             return False
 
-        self.oldest, self.extra_age = oldest_age, delay + oldest_age
+        self.oldest = oldest_age
+        self.extra_age = delay + oldest_age
         # inf at the first scan; 0 if a scan of age 0 is not newer than the scan before.
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
 
@@ -271,7 +281,8 @@ class ScanMotion:
         reckoning.find_pose(odometry_age, latency, self._now)
         self.moved.set_relative(self._now, self.pose)
         self.pose.set(self._now.x, self._now.y, self._now.yaw)
-        self.measured_at, self.first_use_delay = measured_at, age
+        self.measured_at = measured_at
+        self.first_use_delay = age
         self.resets = reckoning.resets
         return True
 

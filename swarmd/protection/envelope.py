@@ -85,9 +85,12 @@ class Envelope:
     _along_y: cython.double
 
     def __init__(self, outline: Outline, speed: float) -> None:
-        self._outline, self.speed = outline, speed
-        self.vertex_x, self.vertex_y = doubles(ENVELOPE_ROWS), doubles(ENVELOPE_ROWS)
-        self.row_x, self.row_y = doubles(ENVELOPE_ROWS), doubles(ENVELOPE_ROWS)
+        self._outline = outline
+        self.speed = speed
+        self.vertex_x = doubles(ENVELOPE_ROWS)
+        self.vertex_y = doubles(ENVELOPE_ROWS)
+        self.row_x = doubles(ENVELOPE_ROWS)
+        self.row_y = doubles(ENVELOPE_ROWS)
         self.row_cap = doubles(ENVELOPE_ROWS)
 
     def check_indices(self) -> None:
@@ -111,7 +114,8 @@ class Envelope:
         y: cython.p_double = checked(self.row_y, ENVELOPE_ROWS)
         cap: cython.p_double = checked(self.row_cap, ENVELOPE_ROWS)
         for i in range(ENVELOPE_ROWS):
-            to_x[first + i], to_y[first + i] = x[i], y[i]
+            to_x[first + i] = x[i]
+            to_y[first + i] = y[i]
             to_cap[first + i] = cap[i]
 
     @cython.cfunc
@@ -146,7 +150,8 @@ class Envelope:
             scale: cython.double = self.speed / maximum(fastest, _SLOWEST)
             if scale > 1.0:
                 scale = 1.0
-            self.vertex_x[i], self.vertex_y[i] = directions[i, 0] * scale, directions[i, 1] * scale
+            self.vertex_x[i] = directions[i, 0] * scale
+            self.vertex_y[i] = directions[i, 1] * scale
 
         # 2. Constraints: the outward unit normal of each side of the polygon.
         for i in range(ENVELOPE_ROWS):
@@ -156,7 +161,8 @@ class Envelope:
             length: cython.double = hypot(side_y, -side_x)
             normal_x: cython.double = side_y / length
             normal_y: cython.double = -side_x / length
-            self.row_x[i], self.row_y[i] = normal_x, normal_y
+            self.row_x[i] = normal_x
+            self.row_y[i] = normal_y
             self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
 
     @cython.cfunc

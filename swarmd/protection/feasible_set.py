@@ -97,10 +97,13 @@ class Situation:
             and self.along_y == along_y
         ):
             return 1
-        self.is_known, self.now = False, now
-        self.scan_age, self.odometry_age = scan_age, odometry_age
+        self.is_known = False
+        self.now = now
+        self.scan_age = scan_age
+        self.odometry_age = odometry_age
         self.version = version
-        self.along_x, self.along_y = along_x, along_y
+        self.along_x = along_x
+        self.along_y = along_y
         return 0
 
 
@@ -126,15 +129,18 @@ class FeasibleSet:
     def __init__(
         self, assumptions: Assumptions, outline: Outline, layer: ReturnLayer | None
     ) -> None:
-        self.assumptions, self.outline = assumptions, outline
+        self.assumptions = assumptions
+        self.outline = outline
         self.reckoning = DeadReckoning(assumptions)
         self.motion = ScanMotion(assumptions, self.reckoning)
         self.near = NearObstacles(assumptions, outline, self.motion, layer)
-        self.discs, self.touch = ObstacleDiscs(), TouchSector()
+        self.discs = ObstacleDiscs()
+        self.touch = TouchSector()
         self.situation = Situation()
         self.constraints = Constraints(assumptions, outline, self.touch)
         self.creeping = Creeping(assumptions, outline)
-        self._predicted, self._frame = PlanarPose(), PlanarPose()
+        self._predicted = PlanarPose()
+        self._frame = PlanarPose()
         self._disc_pose = PlanarPose()
 
     @cython.cfunc
@@ -196,7 +202,8 @@ class FeasibleSet:
             along_x, along_y: unit vector of the linear speed of the request.
             limit: m/s, the limit of the linear speed in this direction.
         """
-        scan_age, odometry_age = context.scan_age, context.odometry_age
+        scan_age = context.scan_age
+        odometry_age = context.odometry_age
         is_known: cython.bint = self.situation.keep(
             context.now,
             NAN if scan_age is None else scan_age,
@@ -208,7 +215,8 @@ class FeasibleSet:
         if is_known:
             return 1
         axes: SpeedAxes = self.constraints.axes
-        axes.along_x, axes.along_y = along_x, along_y
+        axes.along_x = along_x
+        axes.along_y = along_y
         axes.limit = limit
         self._build(command.linear, command.angular, command.lateral)
         self.situation.is_known = True

@@ -120,9 +120,12 @@ class _Axis:
     _outside_readings: cython.Py_ssize_t
 
     def __init__(self, least: float, acceleration: float, unit: str, tolerance: float) -> None:
-        self._least, self._acceleration, self._unit = least, acceleration, unit
+        self._least = least
+        self._acceleration = acceleration
+        self._unit = unit
         self._tolerance = tolerance
-        self._stamps, self._speeds = doubles(_COMMANDS), doubles(_COMMANDS)
+        self._stamps = doubles(_COMMANDS)
+        self._speeds = doubles(_COMMANDS)
         self.reset(0.0, -math.inf)
 
     def check_indices(self) -> None:
@@ -134,13 +137,21 @@ class _Axis:
     @cython.ccall
     def reset(self, command: cython.double, stamp: cython.double) -> None:
         """Begin again; for WINDOW s, the base may have any speed."""
-        self._first = self._held = self._end = 0
-        self._slow_speed = self._command = command
+        self._first = 0
+        self._held = 0
+        self._end = 0
+        self._slow_speed = command
+        self._command = command
         self._add(command, stamp)
         self._begun_at = stamp
-        self._demanded_way = self._moved_way = self.blocked = 0.0
+        self._demanded_way = 0.0
+        self._moved_way = 0.0
+        self.blocked = 0.0
         self._most_demanded = _inf
-        self._pose_way = self._twist_way = self._path = self._jumps = 0.0
+        self._pose_way = 0.0
+        self._twist_way = 0.0
+        self._path = 0.0
+        self._jumps = 0.0
         self.contradiction = ""
         self._follow()
 
@@ -164,11 +175,16 @@ class _Axis:
             stamps: cython.double[::1] = self._stamps
             speeds: cython.double[::1] = self._speeds
             if 2 * count > len(self._stamps):
-                self._stamps, self._speeds = doubles(4 * count), doubles(4 * count)
+                self._stamps = doubles(4 * count)
+                self._speeds = doubles(4 * count)
             for i in range(count):
-                self._stamps[i], self._speeds[i] = stamps[first + i], speeds[first + i]
-            self._first, self._held, self._end = 0, self._held - first, count
-        self._stamps[self._end], self._speeds[self._end] = stamp, command
+                self._stamps[i] = stamps[first + i]
+                self._speeds[i] = speeds[first + i]
+            self._first = 0
+            self._held = self._held - first
+            self._end = count
+        self._stamps[self._end] = stamp
+        self._speeds[self._end] = command
         self._end += 1
 
     @cython.cfunc
@@ -201,7 +217,9 @@ class _Axis:
     @cython.cfunc
     def _follow(self) -> None:
         """Note that the speed is within the bounds: `text` becomes empty."""
-        self._outside_since, self._outside_readings, self.text = _inf, 0, ""
+        self._outside_since = _inf
+        self._outside_readings = 0
+        self.text = ""
 
     @cython.cfunc
     def _sum_ways(
@@ -301,9 +319,11 @@ class _Axis:
 
         # 2. The bounds: the slow base, and all commands of the last WINDOW (the fast base). Of the
         # two measured speeds, the speed nearer to the bounds counts.
-        low = high = self._slow_speed
+        low = self._slow_speed
+        high = self._slow_speed
         for i in range(self._first, self._end):
-            low, high = min(self._speeds[i], low), max(self._speeds[i], high)
+            low = min(self._speeds[i], low)
+            high = max(self._speeds[i], high)
         tolerance: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
         pose_off: cython.double = max(low - by_pose, by_pose - high)
         twist_off: cython.double = max(low - by_twist, by_twist - high)
@@ -356,7 +376,8 @@ class FollowingMonitor:
     _yaw: cython.double
 
     def __init__(self, platform: Platform) -> None:
-        braking, given = _BRAKING, platform.protection.get("barrier")
+        braking = _BRAKING
+        given = platform.protection.get("barrier")
         if given is not None:
             settings = msgspec.convert(given, BarrierSettings)
             braking = settings.braking_linear, settings.braking_angular
@@ -365,14 +386,18 @@ class FollowingMonitor:
         self._angular = _Axis(_LEAST[1], angular, _UNITS[1], _TOLERANCES[1])
         self._lateral = _Axis(_LEAST[2], linear, _UNITS[2], _TOLERANCES[2])
         self._is_lateral = platform.limits.lateral > 0.0
-        self._command, self.text = ZERO, ""
+        self._command = ZERO
+        self.text = ""
         self.blocked_bearing = NAN
 
     def reset(self) -> None:
         """Drop the last command and reading, as when the robot stops running."""
         if self._has_last:
-            self._has_last, self._command, self.text = False, ZERO, ""
-            self._far_jumps, self.blocked_bearing = 0.0, NAN
+            self._has_last = False
+            self._command = ZERO
+            self.text = ""
+            self._far_jumps = 0.0
+            self.blocked_bearing = NAN
 
     def on_command(self, command: Twist) -> None:
         """Take in the safe command that the driver gets."""
@@ -391,7 +416,8 @@ class FollowingMonitor:
         After a gap in the readings or a jump of the pose that no base can make, the comparison
         begins again. A reading with the stamp of the reading before is ignored.
         """
-        pose, twist = odometry.pose, odometry.twist
+        pose = odometry.pose
+        twist = odometry.twist
         stamp: cython.double = odometry.stamp
         x: cython.double = pose.x
         y: cython.double = pose.y
@@ -404,7 +430,11 @@ class FollowingMonitor:
         middle_yaw: cython.double = self._yaw + 0.5 * turned
         if had_last and period == 0.0:
             return
-        self._has_last, self._stamp, self._x, self._y, self._yaw = True, stamp, x, y, yaw
+        self._has_last = True
+        self._stamp = stamp
+        self._x = x
+        self._y = y
+        self._yaw = yaw
         # 1. Begins again after a gap in the readings, or a jump of the pose.
         way: cython.double = sqrt(dx * dx + dy * dy)
         is_jump: cython.bint = (  # an estimator corrected the pose, or it was reset
@@ -413,7 +443,8 @@ class FollowingMonitor:
         self._far_jumps *= max(1.0 - max(period, 0.0) / _JUMP_TIME, 0.0) if had_last else 0.0
         if is_jump:
             self._far_jumps += 1.0
-            self._far_way, self._far_turn = way, turned
+            self._far_way = way
+            self._far_turn = turned
         if not had_last or not 0.0 < period <= _MAX_PERIOD or is_jump:
             self._linear.reset(self._command.linear, stamp)
             self._angular.reset(self._command.angular, stamp)

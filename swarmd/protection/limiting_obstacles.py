@@ -47,7 +47,8 @@ class LimitingRows:
     def __init__(
         self, assumptions: Assumptions, constraints: Constraints, outline: Outline
     ) -> None:
-        self._assumptions, self._constraints = assumptions, constraints
+        self._assumptions = assumptions
+        self._constraints = constraints
         self._outline = outline
 
     def check_indices(self) -> None:

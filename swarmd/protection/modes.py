@@ -108,7 +108,8 @@ class PotentialField:
             bias=self._forward_bias,
             ray_threshold=self._rays,
         )
-        self._vector = self._evasion = None
+        self._vector = None
+        self._evasion = None
         if not field.is_alone:
             self._vector = field.vector
             self._evasion = self._twist(field.vector)
@@ -161,7 +162,8 @@ class StopZone:
 
     def clearance(self, speed: float) -> Clearance:
         """The room that keeps both zones free."""
-        front, half = self._outline.corners[:, 0].max(), np.abs(self._outline.corners[:, 1]).max()
+        front = self._outline.corners[:, 0].max()
+        half = np.abs(self._outline.corners[:, 1]).max()
         slow = self._settings.slow
         return Clearance(float(front) + slow, float(half) + slow)
 
@@ -173,7 +175,8 @@ class StopZone:
         self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The requested command, a share of it, or zero."""
-        settings, nearest = self._settings, self._nearest
+        settings = self._settings
+        nearest = self._nearest
         if context.near:
             beside = self._outline.nearest_point(context.near_points)
             nearest = beside if nearest is None else min(nearest, beside)

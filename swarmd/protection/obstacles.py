@@ -102,8 +102,10 @@ class Points:
     kind: cython.longlong[::1]
 
     def __init__(self, room: int) -> None:
-        self.x, self.y = doubles(room), doubles(room)
-        self.gap, self.age = doubles(room), doubles(room)
+        self.x = doubles(room)
+        self.y = doubles(room)
+        self.gap = doubles(room)
+        self.age = doubles(room)
         self.kind = indices(room)
 
     @cython.cfunc
@@ -113,8 +115,10 @@ class Points:
         if len(self.x) >= room:
             return 0
         room += room // 2  # else each further point would make new arrays
-        self.x, self.y = doubles(room), doubles(room)
-        self.gap, self.age = doubles(room), doubles(room)
+        self.x = doubles(room)
+        self.y = doubles(room)
+        self.gap = doubles(room)
+        self.age = doubles(room)
         self.kind = indices(room)
 
     @cython.cfunc
@@ -129,7 +133,10 @@ class Points:
     ) -> cython.int:
         """Add a point; `reserve` must have made room."""
         at: cython.Py_ssize_t = self.count
-        self.x[at], self.y[at], self.gap[at], self.age[at] = x, y, gap, age
+        self.x[at] = x
+        self.y[at] = y
+        self.gap[at] = gap
+        self.age[at] = age
         self.kind[at] = kind
         self.count = at + 1
 
@@ -173,14 +180,19 @@ class NearObstacles:
         motion: ScanMotion,
         layer: ReturnLayer | None,
     ) -> None:
-        self._assumptions, self._outline = assumptions, outline
-        self._motion, self._layer = motion, layer
-        self.points, self._unsorted = Points(_ROOM), Points(_ROOM)
+        self._assumptions = assumptions
+        self._outline = outline
+        self._motion = motion
+        self._layer = layer
+        self.points = Points(_ROOM)
+        self._unsorted = Points(_ROOM)
         self.surface_gap = doubles(_ROOM)
         self._unsorted_gap = doubles(_ROOM)
-        self._order, self._spare = indices(_ROOM), indices(_ROOM)
+        self._order = indices(_ROOM)
+        self._spare = indices(_ROOM)
         self.rays = Points(16)
-        self._bearings, self._directions = NO_NUMBERS, doubles(2)
+        self._bearings = NO_NUMBERS
+        self._directions = doubles(2)
 
     def check_indices(self) -> None:
         """ValueError unless the contacts are among the points, each with a ray."""
@@ -203,7 +215,8 @@ class NearObstacles:
         """Take the rays of other bearings; their directions are found when they are needed."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(bearings)
-        self.bearings, self._bearings = bearings, view(bearings)
+        self.bearings = bearings
+        self._bearings = view(bearings)
         if len(self._directions) < 2 * count:
             self._directions = doubles(2 * count)
         directions: cython.p_double = checked(self._directions, 2 * count)
@@ -215,7 +228,8 @@ class NearObstacles:
     def _find_direction(self, ray: cython.Py_ssize_t) -> cython.int:
         """Put the direction of a ray into `_directions`."""
         bearing: cython.double = self._bearings[ray]
-        self._directions[2 * ray], self._directions[2 * ray + 1] = cos(bearing), sin(bearing)
+        self._directions[2 * ray] = cos(bearing)
+        self._directions[2 * ray + 1] = sin(bearing)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -299,9 +313,13 @@ class NearObstacles:
         if len(self._order) < len(self._unsorted.x):
             self._order = indices(len(self._unsorted.x))
             self._spare = indices(len(self._unsorted.x))
-        self.has_contact = self._has_surfaces = False
+        self.has_contact = False
+        self._has_surfaces = False
         self._returns = 0
-        self.points.count = self.rays.count = self._unsorted.count = self.contacts = 0
+        self.points.count = 0
+        self.rays.count = 0
+        self._unsorted.count = 0
+        self.contacts = 0
 
         # 2. The kinds of the returns.
         layer: ReturnLayer | None = self._layer
@@ -396,7 +414,8 @@ class NearObstacles:
             near_x[near_count] = outline.lidar_x + measured_range * directions[2 * i]
             near_y[near_count] = outline.lidar_y + measured_range * directions[2 * i + 1]
             gap: cython.double = outline.gap_of(near_x[near_count], near_y[near_count])
-            near_gap[near_count], near_age[near_count] = gap, age
+            near_gap[near_count] = gap
+            near_age[near_count] = age
             near_kind[near_count] = (
                 layer.kinds[i] if layer is not None and layer.has_kinds else OTHER
             )
@@ -407,7 +426,8 @@ class NearObstacles:
                     least_near_gap = gap
                 if gap <= binding_range:
                     near_count += 1
-        unsorted.count = self._returns = near_count
+        unsorted.count = near_count
+        self._returns = near_count
         self._set_min_gap(least_range, least_gap)
         return least_near_gap
 
@@ -518,7 +538,8 @@ class NearObstacles:
         # 1. Sorts each run of `_FIRST_RUN` points by insertion.
         for left in range(count):
             gap: cython.double = gaps[left]
-            first, right = left - left % run_length, left
+            first = left - left % run_length
+            right = left
             while right > first and gaps[order[right - 1]] > gap:
                 order[right] = order[right - 1]
                 right -= 1
@@ -530,7 +551,8 @@ class NearObstacles:
             while first < count:
                 middle = min(first + run_length, count)
                 end = min(first + 2 * run_length, count)
-                left, right = first, middle
+                left = first
+                right = middle
                 for target in range(first, end):
                     if left < middle and (right >= end or gaps[order[left]] <= gaps[order[right]]):
                         spare[target] = order[left]
@@ -584,7 +606,8 @@ class ObstacleDiscs:
     binding: cython.longlong[::1]  # the indices of these discs in `table`
 
     def __init__(self) -> None:
-        self.obstacles, self.table = (), NO_ROWS
+        self.obstacles = ()
+        self.table = NO_ROWS
         self.binding = indices(8)
 
     @cython.cfunc

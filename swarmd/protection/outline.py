@@ -112,11 +112,13 @@ class Outline:
 
     def __init__(self, platform: Platform) -> None:
         footprint = Footprint(platform.footprint)
-        self.corners = corners = footprint.corners
+        self.corners = footprint.corners
+        corners = footprint.corners
         self.edges = len(corners)
         self.corner_x, self.corner_y = (view(column) for column in corners.T)
         self.axis_x, self.axis_y = (view(column) for column in footprint.axes.T)
-        self.origin, self.length = view(footprint.origins), view(footprint.lengths)
+        self.origin = view(footprint.origins)
+        self.length = view(footprint.lengths)
         self.rear, self.right = corners.min(axis=0)
         self.front, self.left = corners.max(axis=0)
         is_along_axes = np.isin(footprint.axes, (-1.0, 0.0, 1.0)).all()
@@ -235,8 +237,10 @@ class Outline:
             hidden = hidden if (half_chord_square > 0.0) & (hidden > 0.0) else 0.0
 
             # 4. Stores the results.
-            gaps[j], hidden_gaps[j] = gap, hidden
-            normals_x[j], normals_y[j] = nx, ny
+            gaps[j] = gap
+            hidden_gaps[j] = hidden
+            normals_x[j] = nx
+            normals_y[j] = ny
             levers[j] = foot_x[j] * ny - foot_y[j] * nx
 
     @cython.cfunc
@@ -269,7 +273,9 @@ class Outline:
         corner_x: cython.p_double = checked(self.corner_x, edges)
         corner_y: cython.p_double = checked(self.corner_y, edges)
         for j in range(count):
-            nearest[j], greatest_height[j], edge_number[j] = INFINITY, -INFINITY, -1.0
+            nearest[j] = INFINITY
+            greatest_height[j] = -INFINITY
+            edge_number[j] = -1.0
 
         # 1. For each edge: finds the points that are nearer to this edge than to all edges before.
         # A point that is NaN is nearer to each edge.
@@ -301,16 +307,22 @@ class Outline:
         # 2. The place on the nearest edge. A point at infinity is nearest to no edge, and gets 0.
         for j in range(count):
             if edge_number[j] < 0.0:
-                chunk.along_edge[j] = chunk.above_edge[j] = chunk.edge_x[j] = chunk.edge_y[j] = 0.0
-                chunk.foot_x[j] = chunk.foot_y[j] = 0.0
+                chunk.along_edge[j] = 0.0
+                chunk.above_edge[j] = 0.0
+                chunk.edge_x[j] = 0.0
+                chunk.edge_y[j] = 0.0
+                chunk.foot_x[j] = 0.0
+                chunk.foot_y[j] = 0.0
                 continue
             k = cython.cast(cython.Py_ssize_t, edge_number[j])
             along = axis_x[k] * x[j] + axis_y[k] * y[j] - origin[k]
             above = axis_x[edges + k] * x[j] + axis_y[edges + k] * y[j] - origin[edges + k]
             along_clamped = along if along > 0.0 else 0.0
             along_clamped = lengths[k] if along_clamped > lengths[k] else along_clamped
-            chunk.along_edge[j], chunk.above_edge[j] = along - along_clamped, above
-            chunk.edge_x[j], chunk.edge_y[j] = axis_x[k], axis_y[k]
+            chunk.along_edge[j] = along - along_clamped
+            chunk.above_edge[j] = above
+            chunk.edge_x[j] = axis_x[k]
+            chunk.edge_y[j] = axis_y[k]
             chunk.foot_x[j] = corner_x[k] + along_clamped * axis_x[k]
             chunk.foot_y[j] = corner_y[k] + along_clamped * axis_y[k]
 

@@ -47,7 +47,8 @@ class Room:
     _scan: ScanSpec
 
     def __init__(self, assumptions: Assumptions, outline: Outline, scan: ScanSpec) -> None:
-        self._assumptions, self._outline = assumptions, outline
+        self._assumptions = assumptions
+        self._outline = outline
         self._scan = scan
 
     def clearance(self, speed: float) -> Clearance:
@@ -153,7 +154,8 @@ class Room:
         chunk.count = 1
         for x in np.linspace(corners.min(), corners.max(), _PLACES_BESIDE).tolist():
             for y in (-2.0 * outline.outer, 2.0 * outline.outer):
-                chunk.x[0], chunk.y[0] = x, y
+                chunk.x[0] = x
+                chunk.y[0] = y
                 outline.separate(chunk, self._assumptions.blind_radius)
                 hidden = maximum(hidden, chunk.hidden[0])
         return self._assumptions.margin + self._assumptions.unseen_extent + hidden

@@ -41,8 +41,10 @@ class Projection:
     _excess: cython.double[64]  # by which the point violates each row of a chunk
 
     def __init__(self) -> None:
-        self._corner_x, self._corner_y = doubles(64), doubles(64)
-        self._clipped_x, self._clipped_y = doubles(64), doubles(64)
+        self._corner_x = doubles(64)
+        self._corner_y = doubles(64)
+        self._clipped_x = doubles(64)
+        self._clipped_y = doubles(64)
 
     def check_indices(self) -> None:
         """ValueError unless the corners are within each array."""
@@ -109,7 +111,8 @@ class Projection:
                     i += 4
                     continue
                 if not (excess[i] <= worst_excess):
-                    worst_excess, worst_row = excess[i], first + i
+                    worst_excess = excess[i]
+                    worst_row = first + i
                     if worst_excess != worst_excess:
                         return worst_row
                 i += 1
@@ -120,8 +123,14 @@ class Projection:
     @cython.exceptval(-1)
     def _begin_with_box(self) -> cython.int:
         """Take the box of the limits as the polygon."""
-        self._corner_x[0] = self._corner_x[1] = self._corner_y[1] = self._corner_y[2] = 1.0
-        self._corner_x[2] = self._corner_x[3] = self._corner_y[0] = self._corner_y[3] = -1.0
+        self._corner_x[0] = 1.0
+        self._corner_x[1] = 1.0
+        self._corner_y[1] = 1.0
+        self._corner_y[2] = 1.0
+        self._corner_x[2] = -1.0
+        self._corner_x[3] = -1.0
+        self._corner_y[0] = -1.0
+        self._corner_y[3] = -1.0
         self._sides = 4
 
     @cython.cfunc
@@ -132,7 +141,8 @@ class Projection:
         If nothing is left, the polygon is the origin.
         """
         if len(self._clipped_x) < 2 * self._sides:
-            self._clipped_x, self._clipped_y = doubles(4 * self._sides), doubles(4 * self._sides)
+            self._clipped_x = doubles(4 * self._sides)
+            self._clipped_y = doubles(4 * self._sides)
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
         # Corner 0 begins and corner 1 ends the present side of the polygon.
@@ -149,11 +159,15 @@ class Projection:
                 self._clipped_y[count] = y0 + fraction * (y1 - y0)
                 count += 1
             if excess1 <= 0.0:
-                self._clipped_x[count], self._clipped_y[count] = x1, y1
+                self._clipped_x[count] = x1
+                self._clipped_y[count] = y1
                 count += 1
-            x0, y0, excess0 = x1, y1, excess1
+            x0 = x1
+            y0 = y1
+            excess0 = excess1
         if count == 0:
-            self._clipped_x[0] = self._clipped_y[0] = 0.0
+            self._clipped_x[0] = 0.0
+            self._clipped_y[0] = 0.0
             count = 1
 
         # Exchanges the buffers: the clipped polygon becomes the polygon.
@@ -201,12 +215,17 @@ class Projection:
             foot_y: cython.double = y0 + fraction * side_y
             square: cython.double = (x - foot_x) * (x - foot_x) + (y - foot_y) * (y - foot_y)
             if square < nearest_square:
-                nearest_x, nearest_y, nearest_square = foot_x, foot_y, square
-            x0, y0 = x1, y1
+                nearest_x = foot_x
+                nearest_y = foot_y
+                nearest_square = square
+            x0 = x1
+            y0 = y1
         if is_inside or nearest_square <= TOLERANCE * TOLERANCE:
-            self.x, self.y = x, y
+            self.x = x
+            self.y = y
         else:
-            self.x, self.y = nearest_x, nearest_y
+            self.x = nearest_x
+            self.y = nearest_y
 
 
 @cython.cfunc

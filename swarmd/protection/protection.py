@@ -137,8 +137,12 @@ class Protection:
         self.following = load_kernel("swarmd.protection.following").FollowingMonitor(platform)
         self._latency = platform.scan.latency
         self._has_walls = is_barrier(self._mode) and self._mode.has_walls
-        self.events, self._scan_seq, self.moved_at = [], -1, -math.inf
-        self._safe = self.mode_command = self._clipped_request = ZERO
+        self.events = []
+        self._scan_seq = -1
+        self.moved_at = -math.inf
+        self._safe = ZERO
+        self.mode_command = ZERO
+        self._clipped_request = ZERO
 
     @property
     def passage(self) -> NarrowestPassage | None:
@@ -156,9 +160,12 @@ class Protection:
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
-        self._scan_seq, self._scan, self._last_context = scan.seq, scan, None
+        self._scan_seq = scan.seq
+        self._scan = scan
+        self._last_context = None
         self._scan_points = None
-        mode, geometry = self._mode, self._geometry
+        mode = self._mode
+        geometry = self._geometry
         mode.observe(scan, geometry, context)
         if is_barrier(mode):  # which has looked at all returns
             self._min_gap = mode.min_gap
@@ -224,7 +231,8 @@ class Protection:
             permit: what the pattern permits, of which protection reads its touch zone.
             steered: what steering asks in place of the request; None: the request.
         """
-        touch, self._is_running = permit.touch, is_running
+        touch = permit.touch
+        self._is_running = is_running
         self._take_ring(context)
         clipped = self.clip(requested)
         if is_running and hold is None and context.scan_age is None:
@@ -252,7 +260,8 @@ class Protection:
         twist = decision.twist
         is_active: cython.bint = is_replaced or decision.is_active
         if not _is_finite(twist):
-            twist, is_active = _zero, True
+            twist = _zero
+            is_active = True
         # 6. Reports the decision, and stores it for step 4.
         reason = None
         if _is_nearly_zero(twist):
@@ -260,7 +269,8 @@ class Protection:
         last = self._last_decision = self._decision(
             clipped, twist, is_active, decision.rows, reason, context, steered, self._is_bounded
         )
-        self._last_context, self._last_case = context, case
+        self._last_context = context
+        self._last_case = case
         return last
 
     @cython.ccall
@@ -270,7 +280,8 @@ class Protection:
         Most requests are judged more than once, so the result is stored.
         """
         if requested is not self._requested:
-            self._requested, self._clipped_request = requested, _zero
+            self._requested = requested
+            self._clipped_request = _zero
             if requested is not None and _is_finite(requested):
                 self._clipped_request = self._limits.clip(requested)
         return self._clipped_request
@@ -291,7 +302,8 @@ class Protection:
         second limit reduces all speeds by one share: the result still satisfies the constraints of
         the mode, since these are convex and permit zero.
         """
-        command, asked = self._safe, request
+        command = self._safe
+        asked = request
         for bound in self._bounds:
             asked = bound.limit(asked, context, command)
         decision = self._mode.decide(asked, context, command, touch)

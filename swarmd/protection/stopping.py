@@ -110,8 +110,12 @@ class StopMotion:
         self, along_x: cython.double, along_y: cython.double, heading: cython.double
     ) -> cython.int:
         """Begin a stop."""
-        self.along_x, self.along_y, self.heading = along_x, along_y, heading
-        self.x = self.y = self.turned = 0.0
+        self.along_x = along_x
+        self.along_y = along_y
+        self.heading = heading
+        self.x = 0.0
+        self.y = 0.0
+        self.turned = 0.0
         return 0
 
     @cython.cfunc
@@ -195,8 +199,10 @@ class StopPoints:
 
     def _allocate(self, room: cython.Py_ssize_t) -> None:
         """Make all arrays anew."""
-        self.x, self.y = doubles(room), doubles(room)
-        self.gap, self.needed_gap = doubles(room), doubles(room)
+        self.x = doubles(room)
+        self.y = doubles(room)
+        self.gap = doubles(room)
+        self.needed_gap = doubles(room)
         self.others = doubles(room)
 
     @cython.cfunc
@@ -242,8 +248,10 @@ class StopPoints:
             needed_gap: cython.double = free[i] + others[i] * age[i]
             needed_gap_at_end: cython.double = needed_gap + others[i] * seconds
             if gap[i] <= needed_gap_at_end + travel:
-                to_x[count], to_y[count] = x[i], y[i]
-                to_gap[count], to_needed_gap[count] = gap[i], needed_gap
+                to_x[count] = x[i]
+                to_y[count] = y[i]
+                to_gap[count] = gap[i]
+                to_needed_gap[count] = needed_gap
                 to_others[count] = others[i]
                 count += 1
         self.count = count
@@ -276,9 +284,12 @@ class StopCheck:
     def __init__(
         self, assumptions: Assumptions, outline: Outline, constraints: Constraints
     ) -> None:
-        self._assumptions, self._outline = assumptions, outline
-        self._constraints, self._points = constraints, StopPoints()
-        self._shares, self._motion = _SPEED_SHARES, StopMotion()
+        self._assumptions = assumptions
+        self._outline = outline
+        self._constraints = constraints
+        self._points = StopPoints()
+        self._shares = _SPEED_SHARES
+        self._motion = StopMotion()
 
     def check_indices(self) -> None:
         """ValueError unless the poses are within the arrays, and the point is in use."""
@@ -319,7 +330,8 @@ class StopCheck:
         # 3. Tries the pairs of shares; without a clear pair the speeds are 0. Each pair is compared
         # with the constraints, since a lower linear speed alone, or a lower angular speed alone,
         # may violate a constraint that the requested speeds satisfy.
-        speeds.linear = speeds.angular = 0.0
+        speeds.linear = 0.0
+        speeds.angular = 0.0
         for i in range(len(self._shares)):
             reduced_linear: cython.double = self._shares[i, 0] * linear
             reduced_angular: cython.double = self._shares[i, 1] * angular
@@ -327,7 +339,8 @@ class StopCheck:
             if not is_feasible(self._constraints.rows, x, reduced_angular / axes.angular_limit):
                 continue
             if self._is_clear(reduced_linear, reduced_angular):
-                speeds.linear, speeds.angular = reduced_linear, reduced_angular
+                speeds.linear = reduced_linear
+                speeds.angular = reduced_angular
                 break
         is_unchanged: cython.bint = speeds.linear == linear and speeds.angular == angular
         return not is_unchanged
@@ -431,8 +444,10 @@ class StopCheck:
                 linear_braking,
                 turn_braking,
             )
-            self._stop_x[j], self._stop_y[j] = motion.x, motion.y
-            self._stop_cos[j], self._stop_sin[j] = cos(motion.turned), sin(motion.turned)
+            self._stop_x[j] = motion.x
+            self._stop_y[j] = motion.y
+            self._stop_cos[j] = cos(motion.turned)
+            self._stop_sin[j] = sin(motion.turned)
             travel += fabs(motion.moved) + fabs(motion.arc) * radius
             self._stop_travel[j] = travel
 
@@ -558,7 +573,8 @@ class StopCheck:
             last: cython.double
             if above > 0.0:  # outside the line of the edge: a circle around the point cuts the line
                 half_chord: cython.double = sqrt(reach * reach - above * above)
-                first, last = along - half_chord, along + half_chord
+                first = along - half_chord
+                last = along + half_chord
             else:  # inside the line of the edge: the obstacle moves around the nearer corner
                 beyond: cython.double = -along if along < 0.0 else along - length
                 if not beyond > 0.0:

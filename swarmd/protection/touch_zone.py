@@ -47,10 +47,13 @@ class TouchSector:
     @cython.cfunc
     def grant(self, zone: TouchZone | None, corners: Array) -> None:
         """Grant a zone to a robot with the outline `corners` (k, 2); None: no zone."""
-        self.zone, self.is_granted = zone, zone is not None
+        self.zone = zone
+        self.is_granted = zone is not None
         if zone is not None:
-            self.speed, self.least_cos = zone.speed, cos(zone.half_width)
-            self.x, self.y = cos(zone.bearing), sin(zone.bearing)
+            self.speed = zone.speed
+            self.least_cos = cos(zone.half_width)
+            self.x = cos(zone.bearing)
+            self.y = sin(zone.bearing)
             self.corners = view(np.stack(touch_directions(corners, zone), 1))
 
     @cython.cfunc

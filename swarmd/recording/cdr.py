@@ -47,7 +47,8 @@ class CdrWriter:
         seconds = math.floor(stamp)
         rest = round((stamp - seconds) * 1e9)
         if rest == 10**9:
-            seconds, rest = seconds + 1, 0
+            seconds = seconds + 1
+            rest = 0
         clipped = min(max(seconds, -_MAX_SECONDS), _MAX_SECONDS)
         return self._append(4, _STAMP.pack(clipped, rest))
 

@@ -96,7 +96,8 @@ class ClockLine:
 def fit_line(times: Array, offsets: Array, round_trips: Array) -> ClockLine:
     """The line through offsets that were measured at `times` with these round trips, all in s."""
     kept = _shortest(times, round_trips)
-    times, offsets = times[kept], offsets[kept]
+    times = times[kept]
+    offsets = offsets[kept]
     halves = np.maximum(round_trips[kept], MIN_ROUND_TRIP) / 2.0
     weights = 1.0 / halves**2
     at = float(np.average(times, weights=weights))
@@ -200,7 +201,8 @@ def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
     for exchange in exchanges:
         if exchange.own == exchange.peer or exchange.returned < exchange.sent:
             continue
-        middle, trip = (exchange.sent + exchange.returned) / 2.0, exchange.returned - exchange.sent
+        middle = (exchange.sent + exchange.returned) / 2.0
+        trip = exchange.returned - exchange.sent
         # (time on the first clock of the pair, lead of the second clock, round trip)
         if exchange.own < exchange.peer:
             measured[exchange.own, exchange.peer].append((middle, exchange.answered - middle, trip))
@@ -215,7 +217,8 @@ def _along(
     path: tuple[str, ...], lines: Mapping[tuple[str, str], ClockLine], span: tuple[float, float]
 ) -> Alignment:
     """The alignment along a path, from both ends of `span` back to the first clock."""
-    ends, errors = list(span), [0.0, 0.0]
+    ends = list(span)
+    errors = [0.0, 0.0]
     rate = 1.0
     for clock, next_clock in pairwise(reversed(path)):
         line = lines[_pair(clock, next_clock)]

@@ -191,7 +191,8 @@ def _append(
     on_progress: Callable[[int, int], None],
 ) -> Copy:
     """Append the missing pieces of a file to its incomplete copy."""
-    received_bytes, fault = 0, ""
+    received_bytes = 0
+    fault = ""
     with incomplete.open("ab") as copy:
         while copy.tell() < file.size and not fault:
             length = min(PIECE, file.size - copy.tell())

@@ -140,7 +140,8 @@ def _entries(head: IncidentHead, left: Left) -> Iterator[frames.Entry]:
     A robot that was killed has not noted its incident: its next daemon found it.
     """
     told = frames.TextEntry(head.at, "/incident", msgspec.json.encode(head.incident))
-    is_noted, count = False, 0
+    is_noted = False
+    count = 0
     for batch in batches_of(left):
         count += len(batch)
         if count > MAX_ENTRIES:

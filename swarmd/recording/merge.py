@@ -96,7 +96,8 @@ def survey(paths: Sequence[Path]) -> Recordings:
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         source.files.append((min(times), path))
-        source.begin, source.end = min(source.begin, *times), max(source.end, *times)
+        source.begin = min(source.begin, *times)
+        source.end = max(source.end, *times)
         exchanges += _exchanges(recording, source.clock)
     # `record fetch` puts the files into a folder of their robot, and the exchanges with the
     # operator's clock into the folder above. The user may have moved files.
@@ -175,7 +176,8 @@ Timed = tuple[int, str, str, int, bytes]
 
 
 def _write(writer: Writer, messages: Iterable[Timed]) -> int:
-    channels, count = Channels(writer), 0
+    channels = Channels(writer)
+    count = 0
     for at, topic, kind, sequence, payload in messages:
         writer.add_message(channels.id_of(topic, kind), at, payload, at, sequence)
         count += 1

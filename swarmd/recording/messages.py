@@ -153,7 +153,8 @@ def geometry_message(scan: Scan) -> Message:
 def scan_of(message: Any, seq: int, geometry: Any | None) -> Scan:
     """The scan of a LaserScan with its geometry; None: use the rounded angles of the message."""
     with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
-        ranges, stamp = message.ranges.astype(np.float64), stamp_of(message)
+        ranges = message.ranges.astype(np.float64)
+        stamp = stamp_of(message)
     if geometry is not None:
         ages = np.array(geometry.ages) if len(geometry.ages) else None
         limits = geometry.range_min, geometry.range_max

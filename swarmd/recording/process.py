@@ -41,7 +41,8 @@ class Converter:
 
     def __init__(self, begin: frames.Begin, *, chunk_time: float = CHUNK_TIME) -> None:
         self._begin = begin
-        wall, boot = round(begin.wall * 1e9), round(begin.at * 1e9)
+        wall = round(begin.wall * 1e9)
+        boot = round(begin.at * 1e9)
         self._offset = wall - boot
         self._scans: dict[str, Scan] = {}  # by topic: the last scan, with its geometry
         self._memory: list[frames.MemoryEntry] = []  # the received parts of the present memory
@@ -146,7 +147,8 @@ class Converter:
                 text = _said(input.sender, input.channel, input.value)
                 self._text(entry, "/message/received", text)
             case events.HostInput(event=Stepped() as stepped):
-                twist, scan_seq = stepped.outputs.twist or ZERO, stepped.scan_seq
+                twist = stepped.outputs.twist or ZERO
+                scan_seq = stepped.scan_seq
                 message = messages.requested_message(twist, scan_seq, stamp)
                 self._write(entry, "/command/requested", message)
             case events.HostInput() | events.NoteInput() | events.TickInput():
@@ -160,7 +162,8 @@ class Converter:
         self, entry: frames.InputEntry, input: events.ScanInput | events.RangesInput, stamp: float
     ) -> None:
         """Write a scan, and first its geometry if that has changed."""
-        topic, is_new = f"/{events.tag_of(input)}", len(input.scan.bearings) > 0
+        topic = f"/{events.tag_of(input)}"
+        is_new = len(input.scan.bearings) > 0
         scan = frames.with_geometry(input.scan, self._scans.get(topic))
         if scan is None:
             return

@@ -256,7 +256,8 @@ def _records(data: memoryview, at: int = 0) -> Iterator[tuple[int, int, int]]:
     size = len(data)
     while at + 9 <= size:
         code, length = _HEAD.unpack_from(data, at)
-        begin, at = at + 9, at + 9 + length
+        begin = at + 9
+        at = at + 9 + length
         if at > size or not code:
             return
         yield code, begin, at

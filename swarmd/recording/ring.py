@@ -86,7 +86,8 @@ class Ring:
         boot: float,
         wall: float,
     ) -> None:
-        self._path, self._file = path, _open(path)
+        self._path = path
+        self._file = _open(path)
         try:
             packed = msgspec.msgpack.encode(dict(about))
             os.ftruncate(self._file, 0)
@@ -96,8 +97,10 @@ class Ring:
         except OSError:
             os.close(self._file)
             raise
-        self._capacity, self._seconds = capacity, seconds
-        self._tail = self._head = 0
+        self._capacity = capacity
+        self._seconds = seconds
+        self._tail = 0
+        self._head = 0
         self._segments = deque[tuple[int, float]]()  # begin of each: its place, and s
         self.revision = 0
         self._written_revision = 0  # the one in the header
@@ -107,7 +110,8 @@ class Ring:
 
     def set_clock(self, boot: float, wall: float) -> None:
         """Note, with the next frame, what the wall clock shows at `boot` s on the robot's clock."""
-        self._boot, self._wall = boot, wall
+        self._boot = boot
+        self._wall = wall
         self._is_header_old = True
 
     @property
@@ -197,7 +201,8 @@ def entries_of(left: Left) -> list[Entry]:
 
 def batches_of(left: Left) -> Iterator[list[Entry]]:
     """The entries of each frame, up to the first one that is damaged."""
-    data, at = left.frames, 0
+    data = left.frames
+    at = 0
     with suppress(msgspec.MsgspecError, ValueError, RecursionError, struct.error):
         while at < len(data):
             (size,) = _SIZE.unpack_from(data, at)

@@ -71,7 +71,8 @@ class RecordingWriter:
         self._folder = folder
         self._name = name
         self._about = dict(about)
-        self._limits, self._max_age = limits, round(limits.file_seconds * 1e9)
+        self._limits = limits
+        self._max_age = round(limits.file_seconds * 1e9)
         self._latched_topics = latched
         self._chunk_time = chunk_time
         self._latched: dict[str, Message] = {}
@@ -107,7 +108,8 @@ class RecordingWriter:
         self._writer.flush()  # type: ignore[no-untyped-call]
         os.fsync(self._file.fileno())
         self._size = self._file.tell()
-        self._written_at, self._pending = at, 0
+        self._written_at = at
+        self._pending = 0
 
     def close(self) -> None:
         """Finish the present file, and write its index beside it as JSON.
@@ -116,7 +118,8 @@ class RecordingWriter:
         """
         if self._file is None or self.path is None:
             return
-        file, self._file = self._file, None
+        file = self._file
+        self._file = None
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             file.flush()
@@ -146,7 +149,8 @@ class RecordingWriter:
     def abandon(self) -> None:
         """Close the file without its end and index."""
         if self._file is not None:
-            file, self._file = self._file, None
+            file = self._file
+            self._file = None
             with suppress(OSError):
                 file.close()
 
@@ -167,8 +171,11 @@ class RecordingWriter:
         self._writer.start(PROFILE, "swarmd")
         self._channels = Channels(self._writer)
         self._counts: dict[str, int] = {}
-        self._begin = self._end = self._written_at = at
-        self._pending = self._size = 0
+        self._begin = at
+        self._end = at
+        self._written_at = at
+        self._pending = 0
+        self._size = 0
         self._writer.add_metadata(METADATA, {**self._about, "file": str(self._number)})
         sync_folder(self._folder)
         for topic, message in self._latched.items():

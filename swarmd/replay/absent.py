@@ -136,7 +136,9 @@ class _Reader:
     """
 
     def __init__(self, life: Life, robot: str, begin: int) -> None:
-        self._life, self._robot, self._begin = life, robot, begin
+        self._life = life
+        self._robot = robot
+        self._begin = begin
         self._inputs = InputReader()
         self._knows_goal = False  # that of `robot`, by its last beacon
         self._is_told = False  # its incident, which ends what others knew of it before

@@ -156,7 +156,8 @@ class Changes:
         self._end = max(self._end, at)
         words = _decision_words(decision)
         is_ordinary = decision.state == State.RUNNING and decision.reason in _ORDINARY
-        before, self._state = self._state, (words, is_ordinary)
+        before = self._state
+        self._state = (words, is_ordinary)
         if before is None:
             self._add(Change(at, words))
         elif before[0] != words and len(self._decided) < MAX_CHANGES:
@@ -297,7 +298,8 @@ def _bound(decision: Any) -> str:
     """The tightest obstacle of a decision, in words; empty without one."""
     if not (len(decision.bearings) and len(decision.gaps)):
         return ""
-    bearing, gap = float(decision.bearings[0]), float(decision.gaps[0])
+    bearing = float(decision.bearings[0])
+    gap = float(decision.gaps[0])
     return f", an obstacle at {np.degrees(bearing):.0f} deg, {gap:.2f} m"
 
 

@@ -154,7 +154,8 @@ class Replay:
         - `recalls`: begin with the recorded memory (the serialised robot), which the caller has
           found readable; else with a new robot by the head.
         """
-        self._head, self._about = head, about
+        self._head = head
+        self._about = about
         self._platform = platform or head.identity.platform
         self._origins = origins
         self._recalls = recalls
@@ -171,7 +172,8 @@ class Replay:
         self._inputs = InputReader()
         self._begin: float | None = None  # time of the first message, s on the robot's clock
         self.begin = 0.0  # the same in s on the timeline of all robots
-        self.safe, self.requested = Compared(), Compared()
+        self.safe = Compared()
+        self.requested = Compared()
         self.difference: Difference | None = None
         self.last: deque[tuple[Any, float]] = deque(maxlen=LAST)
         self.incidents: list[Noted] = []
@@ -295,7 +297,8 @@ class Replay:
             self._steps.popleft()
         if self._steps and self._steps[0].generation == event.generation:
             own = self._steps.popleft()
-            replayed, recorded = own.outputs.twist or ZERO, event.outputs.twist or ZERO
+            replayed = own.outputs.twist or ZERO
+            recorded = event.outputs.twist or ZERO
             self.requested.add(replayed, recorded, self._place(now))
             self._differ("command of the pattern", recorded, replayed, now)
         else:
@@ -403,7 +406,8 @@ def prepare(
     platform: Platform | None = None,
 ) -> Life:
     """Prepare to replay the files of one recording; ConfigError if the replay is impossible."""
-    where, about = str(files[0].path), files[0].about
+    where = str(files[0].path)
+    about = files[0].about
     if about.get("kind") == "merged":
         raise ConfigError(f"{where}: merged; expected the robot's own recording")
     head = head_of(about, where)
@@ -494,7 +498,8 @@ def _other_program(head: RecordingHead) -> str:
 
 def total(parities: Iterable[Parity]) -> Parity:
     """The sum of several parities; `first`: of the first recording with a difference."""
-    safe, requested = Compared(), Compared()
+    safe = Compared()
+    requested = Compared()
     seconds = 0.0
     notes: dict[str, None] = {}
     difference = None

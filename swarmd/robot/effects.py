@@ -56,7 +56,10 @@ class Effects:
     told: Told | None = cython.declare(object, visibility="public")
 
     def __init__(self, now: cython.double) -> None:
-        self.now, self.messages, self.replies, self.ended = now, _NO_MESSAGES, (), ""
+        self.now = now
+        self.messages = _NO_MESSAGES
+        self.replies = ()
+        self.ended = ""
 
     def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
         """Choose the only command of this event for the pattern host, which runs patterns.

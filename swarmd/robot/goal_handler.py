@@ -55,7 +55,8 @@ class GoalHandler:
         are known now, so that the robot may join its own goal. To join is to run a goal without a
         request of an operator.
         """
-        goals, now = self._goals, effects.now
+        goals = self._goals
+        now = effects.now
         if (
             goal.pattern is None
             and age is not None
@@ -75,7 +76,8 @@ class GoalHandler:
         elif relation is Found.AGED or goals.is_held(goal):
             goals.learn_age(age, now)
         if may_join:
-            self._is_settled, self._settled_at = True, now
+            self._is_settled = True
+            self._settled_at = now
             self.join_if_settled(effects)
 
     def on_lease(self, lease: LeaseInput, now: float) -> bool:
@@ -108,7 +110,8 @@ class GoalHandler:
 
     def on_new_code(self, pattern: str, effects: Effects) -> None:
         """Join the own goal if the goal waited for `pattern`, which has passed its trial."""
-        own, run = self._goals.own, self._lifecycle.pattern_run
+        own = self._goals.own
+        run = self._lifecycle.pattern_run
         if own is not None and own.goal.pattern == pattern and run.loading is None:
             self._goals.offer_again(run.generation)
             self.join_if_settled(effects)
@@ -120,7 +123,8 @@ class GoalHandler:
 
     def resume(self, request: verbs.ResumeRequest, wish: Wish, effects: Effects) -> None:
         """Run the own goal, or refuse; the caller has checked that the robot may start a run."""
-        lifecycle, own = self._lifecycle, self._goals.own
+        lifecycle = self._lifecycle
+        own = self._goals.own
         if own is None or own.goal.pattern is None:
             text = "there is no goal for it" if own is None else f"{own.goal.text}: nothing to run"
             lifecycle.refuse(effects, request, Refusal.NO_GOAL, text)
@@ -141,7 +145,9 @@ class GoalHandler:
 
     def set_goal(self, request: verbs.GoalRequest, effects: Effects) -> None:
         """Adopt the goal of the request without a run, or refuse."""
-        lifecycle, goals, goal = self._lifecycle, self._goals, request.goal
+        lifecycle = self._lifecycle
+        goals = self._goals
+        goal = request.goal
         if refusal := goals.overtaken_by(goal):
             lifecycle.refuse(effects, request, *refusal)
             return
@@ -157,7 +163,8 @@ class GoalHandler:
 
     def set_labels(self, request: verbs.LabelRequest, effects: Effects) -> None:
         """Set the labels; adopt the held goal if that goal targets the robot by these labels."""
-        lifecycle, goals = self._lifecycle, self._goals
+        lifecycle = self._lifecycle
+        goals = self._goals
         lifecycle.raise_revision(f"{request.operator} (label)")
         goals.set_labels(request.labels)
         held = goals.held
@@ -176,7 +183,9 @@ class GoalHandler:
         `may_join`: the robot may run `goal` without a request of an operator, if the state of the
         robot permits that.
         """
-        lifecycle, goals, now = self._lifecycle, self._goals, effects.now
+        lifecycle = self._lifecycle
+        goals = self._goals
+        now = effects.now
         loading = lifecycle.pattern_run.loading
         if loading is not None and loading.goal == goal:  # the robot loads the pattern of `goal`
             goals.adopt(goal, age, now, may_join=False)
@@ -205,11 +214,13 @@ class GoalHandler:
         the goal itself, such as its greatest age. During a load or a trial of new code the robot
         does not join: the caller calls again after the end of the load or trial.
         """
-        own_goal, now = self._goals.own, effects.now
+        own_goal = self._goals.own
+        now = effects.now
         # Until settled, a peer may hold a greater goal that this robot does not know yet.
         if own_goal is None or not self._is_settled or not self._goals.joins(now):
             return
-        goal, age = own_goal.goal, own_goal.age(now)
+        goal = own_goal.goal
+        age = own_goal.age(now)
         if fault_of(goal.conditions) or not self._can_start():
             return
         assert age is not None  # `Goals.joins` demands a known age
@@ -235,7 +246,8 @@ class GoalHandler:
         If a peer handed over `goal`, and nothing else has raised the revision since, then
         `has_goal_by_peer` goes on to accept a late request for `goal`.
         """
-        lifecycle, peer_goal = self._lifecycle, self._peer_goal
+        lifecycle = self._lifecycle
+        peer_goal = self._peer_goal
         revision_before = lifecycle.revision
         lifecycle.raise_revision(goal.text)
         if peer_goal is None or peer_goal.goal != goal:

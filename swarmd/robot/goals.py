@@ -124,14 +124,19 @@ class Goals:
 
     def forget(self, counts: Callable[[Goal], bool]) -> None:
         """Drop each goal for which `counts` is False, such as the goals of a revoked operator."""
-        held, own, before = self.held, self.own, self.before
+        held = self.held
+        own = self.own
+        before = self.before
         self.held = None if held is None or not counts(held.goal) else held
         self.own = None if own is None or not counts(own.goal) else own
         self.before = None if before is None or not counts(before) else before
         if self.held is None:
             self.held = self.own
         if own is not None and self.own is None:
-            self.state, self._reason, self._may_join, self.lease_until = None, "", False, None
+            self.state = None
+            self._reason = ""
+            self._may_join = False
+            self.lease_until = None
         self.is_changed |= (held, own, before) != (self.held, self.own, self.before)
 
     def take_record(self) -> GoalRecord | None:
@@ -174,7 +179,9 @@ class Goals:
 
     def judge(self, goal: Goal) -> Found:
         """The relation of `goal` to the known goals; nothing changes."""
-        new, held, own = HeldGoal.of(goal, None), self.held, self.own
+        new = HeldGoal.of(goal, None)
+        held = self.held
+        own = self.own
         if held is not None and new.content == held.content:
             return Found.AGED if held.issued is None else Found.OLD
         is_own = goal.is_for(self._robot, self.labels)
@@ -184,7 +191,8 @@ class Goals:
 
     def judge_held(self) -> Found:
         """After a change of labels: OWN if the held goal becomes the own goal, else OLD."""
-        held, own = self.held, self.own
+        held = self.held
+        own = self.own
         if held is None or not held.goal.is_for(self._robot, self.labels):
             return Found.OLD
         return Found.OWN if own is None or held.order > own.order else Found.OLD
@@ -208,12 +216,15 @@ class Goals:
             are_stops = before is not None and before.pattern is None and goal.pattern is None
             if before is not None and before.id != goal.id and not are_stops:
                 self.before = before
-            self.held, self._held_since = new, now
+            self.held = new
+            self._held_since = now
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
-            self._lease_count, self.lease_until = -1, None
+            self._lease_count = -1
+            self.lease_until = None
             self._old_lease_at = -math.inf
-            self._has_retried = self._ended_during_run = False
+            self._has_retried = False
+            self._ended_during_run = False
             self._offer("", may_join=may_join)
         self.is_changed = True
         self._decide_stops(now)
@@ -267,13 +278,15 @@ class Goals:
         return self._stand_since(stop, _Undecided(operator, now - age), now)
 
     def _decide_stops(self, now: float) -> None:
-        undecided, self._undecided = self._undecided, {}
+        undecided = self._undecided
+        self._undecided = {}
         for stop, details in undecided.items():
             self._stand_since(stop, details, now)
 
     def _stand_since(self, stop: str, details: _Undecided, now: float) -> bool:
         """Make the goal of a stop that is newer than the held goal; True if the goal is made."""
-        held, generation = self.held, 1
+        held = self.held
+        generation = 1
         if held is not None:
             is_held_newer = held.issued is not None and held.issued > details.issued
             is_made_already = held.goal.id == stop
@@ -312,7 +325,8 @@ class Goals:
         own = self.own
         if own is None or not self._may_join or self.state is not GoalState.OFFERED:
             return False
-        goal, age = own.goal, own.age(now)
+        goal = own.goal
+        age = own.age(now)
         if goal.on_join != "run" or goal.valid is None or age is None or age >= goal.valid:
             return False
         if not self._ended_during_run and now - age <= self._last_stop_at:
@@ -323,7 +337,9 @@ class Goals:
 
     def on_loading(self) -> None:
         """Note that the pattern of the own goal is being loaded for a run."""
-        self.state, self._reason, self._may_join = GoalState.LOADING, "", False
+        self.state = GoalState.LOADING
+        self._reason = ""
+        self._may_join = False
         self._undecided.clear()
 
     def await_code(self, generation: int) -> None:
@@ -361,7 +377,8 @@ class Goals:
         `is_resumed`: the run resumes or joins a goal that was set before, or follows a reload of
         the pattern. Such a run does not renew the lease.
         """
-        self._may_join, self._awaits_code = False, None
+        self._may_join = False
+        self._awaits_code = None
         self._undecided.clear()  # the run was requested after the stops that are still undecided
         if goal is None:
             if self.own is not None:
@@ -369,7 +386,9 @@ class Goals:
             return
         if self.judge(goal) is Found.OWN:
             self.adopt(goal, age, now, may_join=False)
-        self.state, self._reason, self.superseded = GoalState.RUNNING, "", ""
+        self.state = GoalState.RUNNING
+        self._reason = ""
+        self.superseded = ""
         if not is_resumed:
             self.lease_until = None if goal.lease is None else now + goal.lease
         self.is_changed = True
@@ -406,17 +425,21 @@ class Goals:
 
     def bar(self, now: float) -> None:
         """After a stop or reset: join no goal that was set before `now`."""
-        self._last_stop_at, self._ended_during_run, self.is_changed = now, False, True
+        self._last_stop_at = now
+        self._ended_during_run = False
+        self.is_changed = True
 
     def on_end(self, why: str) -> None:
         """End the run of the own goal with the reason `why`; no known goal is joined any more."""
         self.is_changed |= self._may_join
-        self._may_join, self._awaits_code = False, None
+        self._may_join = False
+        self._awaits_code = None
         own = self.own
         if own is None:
             return
         if own.goal.pattern is None:
-            self.state, self._reason = GoalState.STANDING, ""
+            self.state = GoalState.STANDING
+            self._reason = ""
         elif self.state in (GoalState.RUNNING, GoalState.LOADING):
             self._end(why)
 
@@ -434,18 +457,24 @@ class Goals:
     def _offer(self, ended: str, *, may_join: bool) -> None:
         own = self.own
         assert own is not None
-        self._may_join, self._awaits_code = may_join, None
+        self._may_join = may_join
+        self._awaits_code = None
         if own.goal.pattern is None:
-            self.state, self._reason = GoalState.STANDING, ""
+            self.state = GoalState.STANDING
+            self._reason = ""
         elif ended:
-            self.state, self._reason = GoalState.ENDED, ended
+            self.state = GoalState.ENDED
+            self._reason = ended
         else:
             is_leased = own.goal.lease is not None
             text = OFFERED_WITH_LEASE.format(own.goal.issuer) if is_leased else OFFERED
-            self.state, self._reason = GoalState.OFFERED, text
+            self.state = GoalState.OFFERED
+            self._reason = text
 
     def _end(self, why: str) -> None:
-        self.state, self._reason, self.is_changed = GoalState.ENDED, why, True
+        self.state = GoalState.ENDED
+        self._reason = why
+        self.is_changed = True
 
 
 def _known(held: HeldGoal, now: float) -> KnownGoal:

@@ -61,7 +61,9 @@ class Hold:
     ends_run = cython.declare(cython.bint, visibility="public")
 
     def __init__(self, reason: Reason | None, begins: cython.double = INFINITY) -> None:
-        self.reason, self.begins, self.until = reason, begins, INFINITY
+        self.reason = reason
+        self.begins = begins
+        self.until = INFINITY
 
 
 @cython.cclass
@@ -131,7 +133,9 @@ class InputAges:
     _context_at: cython.double
 
     def __init__(self) -> None:
-        self._scan_at = self._odometry_at = self._kin_until = -INFINITY
+        self._scan_at = -INFINITY
+        self._odometry_at = -INFINITY
+        self._kin_until = -INFINITY
         self.lost_hold = Hold(Reason.DRIVER_LOST, -INFINITY)
         self.base_hold = Hold(None)  # the driver gives the reason
         self.hazard_hold = Hold(Reason.HAZARD, -INFINITY)
@@ -165,7 +169,8 @@ class InputAges:
         self._bad_odometry = None if is_new else odometry
         if is_new is None:
             return
-        self._context, self.odometry = None, odometry
+        self._context = None
+        self.odometry = odometry
         if self._history.has_shifted:
             self._conditioner.forget_motion()
             if self._ring is not None:
@@ -206,7 +211,8 @@ class InputAges:
             return ()
         renewals: cython.double = floor(past / _AGE_UPDATE_PERIOD)
         if renewals != self._renewals:
-            self._renewals, past = renewals, renewals * _AGE_UPDATE_PERIOD
+            self._renewals = renewals
+            past = renewals * _AGE_UPDATE_PERIOD
             self._aged = tuple(
                 [
                     Neighbor(n.id, n.age + past, n.distance, n.bearing, n.heading, True, n.error)
@@ -282,7 +288,8 @@ class InputAges:
         """
         if self._scan_at == -INFINITY:
             return None
-        stale_at, ring_at = self.scan_hold.begins, self.ring_hold.begins
+        stale_at = self.scan_hold.begins
+        ring_at = self.ring_hold.begins
         return min(stale_at, ring_at) if ring_at > -INFINITY else stale_at
 
     @cython.ccall

@@ -80,7 +80,8 @@ class KnownStops:
             if stop.at < newest.at:
                 stop, by, newest, issuer = newest, issuer, stop, by
             self._newest[stop.clock] = stop, by
-            stop, by = newest._replace(clock=""), issuer
+            stop = newest._replace(clock="")
+            by = issuer
             newest, issuer = self._newest.get("", (stop, by))
         by = issuer if stop.is_before(newest) else by
         latest = IssueTime(max(stop.at, newest.at), stop.clock, max(stop.issued, newest.issued))

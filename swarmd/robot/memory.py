@@ -256,7 +256,8 @@ class _Writer:
 
     def _array(self, value: Any) -> tuple[int]:
         """The place of an array, or of a view. A view refers to the node of its base array."""
-        base, given = _base_of(value), np.asarray(value)
+        base = _base_of(value)
+        given = np.asarray(value)
         is_fixed = not given.flags.writeable
         if base is value:
             if not given.flags.forc:
@@ -380,14 +381,16 @@ class _Reader:
         far. ValueError if depth, total or the size of a dict key exceeds its bound: a small
         recording from an untrusted machine must not take long to read, compare or hash.
         """
-        size, depth = 1 + len(parts), 0
+        size = 1 + len(parts)
+        depth = 0
         for number, part in enumerate(parts):
             if type(part) is not tuple:
                 continue
             extent = self._extents[part[0]]
             if extent is None:
                 raise ValueError("a value is part of itself, or of one before it")
-            size, depth = size + extent[0], max(depth, extent[1])
+            size = size + extent[0]
+            depth = max(depth, extent[1])
             # A key, which is hashed: of a dict every second part, of a set every part.
             if name in _KEYED and number % _KEYED[name] == 0 and extent[0] > _MAX_KEY:
                 raise ValueError(f"a key of {extent[0]} parts; at most {_MAX_KEY} are taken")
@@ -411,7 +414,8 @@ class _Reader:
     def _bytes(self, parts: list[Any]) -> bytes:
         """The next bytes of `numbers`; the only part is their count."""
         (size,) = parts
-        at, numbers = self._at, self._memory.numbers
+        at = self._at
+        numbers = self._memory.numbers
         if not 0 <= size <= len(numbers) - at:
             raise ValueError(f"{size} bytes of numbers; {len(numbers) - at} are left")
         self._at += size

@@ -74,16 +74,21 @@ class Running:
         self, loading: Loading, event: Loaded, finish_at: cython.double, now: cython.double
     ) -> None:
         """Start the run of `loading`, whose load ended with `event` at `now`."""
-        self.generation, self.pattern, self.params = (
-            loading.generation,
-            loading.pattern,
-            loading.params,
-        )
-        self.rate, self.channels, self.values = event.rate, event.channels, event.params
-        self.wish, self.until, self.permit = loading.wish, loading.until, NOTHING_PERMITTED
-        self.finish_at, self.needs_places = finish_at, event.needs_places
-        self.period, self.expiry = 1.0 / event.rate, max(timeouts.MIN_EXPIRY, 3.0 / event.rate)
-        self.requested_at, self.scan_seq = now, -1
+        self.generation = loading.generation
+        self.pattern = loading.pattern
+        self.params = loading.params
+        self.rate = event.rate
+        self.channels = event.channels
+        self.values = event.params
+        self.wish = loading.wish
+        self.until = loading.until
+        self.permit = NOTHING_PERMITTED
+        self.finish_at = finish_at
+        self.needs_places = event.needs_places
+        self.period = 1.0 / event.rate
+        self.expiry = max(timeouts.MIN_EXPIRY, 3.0 / event.rate)
+        self.requested_at = now
+        self.scan_seq = -1
 
     @cython.ccall
     def channel(self, name: str) -> str | None:
@@ -123,8 +128,11 @@ class PatternRun:
     _faults: deque[float]
 
     def __init__(self) -> None:
-        self.restart_at = self.awaiting_since = INFINITY
-        self.last_step, self.generation, self.stepped_generation = -1.0, 0, 0
+        self.restart_at = INFINITY
+        self.awaiting_since = INFINITY
+        self.last_step = -1.0
+        self.generation = 0
+        self.stepped_generation = 0
         self._faults = deque[float]()
 
     @property
@@ -135,7 +143,8 @@ class PatternRun:
 
     def ready(self, event: Loaded, now: cython.double) -> Loading:
         """Make the loaded pattern the running one, without a requested command yet."""
-        loading, self.loading = self.loading, None
+        loading = self.loading
+        self.loading = None
         assert loading is not None  # the host answers loads alone
         finish_at: cython.double = INFINITY if loading.seconds is None else now + loading.seconds
         if loading.is_restart and self.running is not None:
@@ -143,7 +152,8 @@ class PatternRun:
         else:
             self._faults.clear()
         self.running = Running(loading, event, finish_at, now)
-        self.awaiting_since, self.last_step = INFINITY, -1.0
+        self.awaiting_since = INFINITY
+        self.last_step = -1.0
         return loading
 
     def stepped(self, outputs: Outputs, scan_seq: cython.Py_ssize_t, now: cython.double) -> None:
@@ -153,7 +163,8 @@ class PatternRun:
         asked_at = self.awaiting_since
         running.requested_at = now if asked_at == INFINITY else asked_at
         self.awaiting_since = INFINITY
-        running.requested, running.scan_seq = outputs.twist, scan_seq
+        running.requested = outputs.twist
+        running.scan_seq = scan_seq
 
     def is_expired(self, now: cython.double) -> bool:
         """True if the last requested command has expired, or no pattern runs."""
@@ -181,7 +192,8 @@ class PatternRun:
         assert self.running is not None  # `may_step`
         self.stepped_generation = self.running.generation
         dt = 0.0 if self.last_step < 0.0 else now - self.last_step
-        self.last_step = self.awaiting_since = now
+        self.last_step = now
+        self.awaiting_since = now
         self.is_due = False
         return dt
 
@@ -193,7 +205,8 @@ class PatternRun:
 
     def fault(self, now: cython.double) -> bool:
         """Count a fault; True if the pattern must be quarantined. Else sets `restart_at`."""
-        self.awaiting_since = self.restart_at = INFINITY
+        self.awaiting_since = INFINITY
+        self.restart_at = INFINITY
         self.loading = None
         self.restarts += 1
         faults = self._faults
@@ -212,7 +225,9 @@ class PatternRun:
 
     def end_running(self) -> None:
         """End the run; a load goes on."""
-        self.running, self.restart_at, self.is_due = None, INFINITY, False
+        self.running = None
+        self.restart_at = INFINITY
+        self.is_due = False
 
     @cython.cfunc
     @cython.exceptval(check=False)

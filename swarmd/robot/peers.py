@@ -34,7 +34,9 @@ from swarmd.protection.footprint import radius_of
 TOLD_TIMEOUT = 1.0  # s after which the place of a neighbour is no longer used
 BLIND_RING = 0.1  # m around the outline: a robot does not fit into less
 # Errors of range and bearing: three standard deviations of the boards that the simulator models.
-DISTANCE_ERROR, DISTANCE_SHARE, ANGLE_ERROR = 0.06, 0.06, math.radians(6.0)
+DISTANCE_ERROR = 0.06
+DISTANCE_SHARE = 0.06
+ANGLE_ERROR = math.radians(6.0)
 
 POSE_TIMEOUT = 0.5  # s of age beyond which a pose in a shared frame is neither sent nor used
 FASTEST_POSE = 0.1  # s: upper bound of the least delay of own poses, which no clock can measure
@@ -183,7 +185,8 @@ class Peers:
         late = self._pose_delay.take(pose.stamp, now)
         if late is None:
             return None
-        limits, half = self._limits, 0.5 * FASTEST_POSE
+        limits = self._limits
+        half = 0.5 * FASTEST_POSE
         if twist is None:
             twist = Twist(limits.linear, limits.angular, limits.lateral)
         shift = half * math.hypot(twist.linear, twist.lateral)
@@ -218,15 +221,20 @@ class Peers:
         of its own last pose. False without a fresh own pose in the same frame, for an old report,
         for a peer that is far away, and for a peer that the lidar sees.
         """
-        own_pose, body = self._own_pose, self._bodies.get(place.robot)
+        own_pose = self._own_pose
+        body = self._bodies.get(place.robot)
         if own_pose is None or body is None or not _is_usable(place, own_pose, now):
             return False
         body_radius = self._radii.get(place.robot)
         if body_radius is None:  # the lidar sees the peer
             return False
-        pose, reported_at = own_pose.shared.pose, now - place.age
-        dx, dy = place.x - pose.x, place.y - pose.y  # m in the shared frame, from own to peer
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        pose = own_pose.shared.pose
+        reported_at = now - place.age
+        # m in the shared frame, from own to peer
+        dx = place.x - pose.x
+        dy = place.y - pose.y
+        cos = math.cos(pose.yaw)
+        sin = math.sin(pose.yaw)
         disc = _PeerDisc(
             x=cos * dx + sin * dy,  # rotated by -yaw, from the shared frame to the base frame
             y=cos * dy - sin * dx,
@@ -294,7 +302,8 @@ class Peers:
 
 def _disc_of(neighbor: Neighbor, body_radius: float, now: float) -> _PeerDisc | None:
     """The disc around a neighbour by range and bearing; None without usable numbers."""
-    distance, bearing = neighbor.distance, neighbor.bearing
+    distance = neighbor.distance
+    bearing = neighbor.bearing
     if distance is None or bearing is None:
         return None
     if not (math.isfinite(bearing) and math.isfinite(neighbor.age)):

@@ -64,10 +64,9 @@ MAX_STOPS = 64  # ids of stops that are remembered
 STOP_TIME = 2.0
 """Seconds after a stop in which a base comes to rest: all platforms need less."""
 _RESPONSE = 0.2  # s after the last command to move, in which the base may not have responded yet
-_REST_SPEED, _REST_TURN = (
-    0.02,
-    0.05,
-)  # m/s and rad/s, at most, that odometry shows of a base at rest
+# m/s and rad/s, at most, that odometry shows of a base at rest
+_REST_SPEED = 0.02
+_REST_TURN = 0.05
 MIN_RUN_TIME = 1e-3  # s: a run for no time is no valid run
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
@@ -122,7 +121,8 @@ class RequestHandler:
 
     def _refusal_of(self, request: verbs.Request) -> tuple[Refusal, str] | None:
         """Why a request is refused: the robot is revoked, or another epoch is quoted. Else None."""
-        revoked, quoted = self._lifecycle.revoked, (request.targets or {})[self._robot]
+        revoked = self._lifecycle.revoked
+        quoted = (request.targets or {})[self._robot]
         if revoked and not isinstance(request, verbs.ResetRequest):
             return Refusal.REVOKED, f"{revoked}; it is no longer a robot of this swarm"
         # Only the goal of this same request, received from a peer, may have changed the epoch.
@@ -140,7 +140,8 @@ class RequestHandler:
         A stop may arrive late, or as a copy that a robot relays or the operator repeats. The table
         of the module lists the cases.
         """
-        lifecycle, next_wish = self._lifecycle, self._lifecycle.pattern_run.wish
+        lifecycle = self._lifecycle
+        next_wish = self._lifecycle.pattern_run.wish
         stop = self._time_of(request, effects.now)
         lifecycle.stops.note(stop.issued, request.operator)
         if next_wish is not None and stop.is_before(next_wish):
@@ -177,7 +178,8 @@ class RequestHandler:
         present run has an earlier wish of its own. A stop issued after that wish ends the run, and
         the load continues.
         """
-        lifecycle, running = self._lifecycle, self._lifecycle.pattern_run.running
+        lifecycle = self._lifecycle
+        running = self._lifecycle.pattern_run.running
         if running is not None and not stop.is_before(running.wish):
             lifecycle.raise_revision(f"{request.operator} (stop)")
             lifecycle.stop(Reason.OPERATOR, f"by {request.operator}", effects, keeps_load=True)
@@ -247,11 +249,14 @@ class RequestHandler:
         reach the base, or the base does not obey them. A base that the driver has not reached yet
         may still move by a command of an earlier daemon process.
         """
-        now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
+        now = effects.now
+        sensors = self._sensors
+        lifecycle = self._lifecycle
         executed_at = self._executed.setdefault(request.id, now)
         while len(self._executed) > MAX_STOPS:
             del self._executed[next(iter(self._executed))]
-        text, gets_zero = self._stop_text(now), sensors.is_driver_up or sensors.gets_zero
+        text = self._stop_text(now)
+        gets_zero = sensors.is_driver_up or sensors.gets_zero
         is_moving = not (gets_zero and self._is_at_rest(now))
         if is_moving and now >= executed_at + STOP_TIME:
             lifecycle.fail(effects, request, Refusal.NOT_STOPPED, f"{text}: not known to rest")
@@ -264,7 +269,8 @@ class RequestHandler:
         Without odometry: True once STOP_TIME has passed since the start of the daemon. The text of
         the reply then says that there is no odometry.
         """
-        odometry, age = self._sensors.odometry, self._sensors.odometry_age(now)
+        odometry = self._sensors.odometry
+        age = self._sensors.odometry_age(now)
         if odometry is None or age is None:
             return now >= self._heard_by
         twist = odometry.twist
@@ -283,7 +289,8 @@ class RequestHandler:
             sent = f"commanded zero; {why}"
         else:
             sent = f"nothing was sent: driver lost: {why}"
-        odometry, age = sensors.odometry, sensors.odometry_age(now)
+        odometry = sensors.odometry
+        age = sensors.odometry_age(now)
         if odometry is None or age is None:
             return f"{sent}; no odometry"
         twist = odometry.twist
@@ -312,7 +319,8 @@ class RequestHandler:
         """Why a start is refused for the time at which it was issued; None if it is accepted."""
         if by := self._lifecycle.stops.later_than(wish.issued):
             return Refusal.OVERTAKEN, f"stopped since this was asked for, by {by}"
-        age, planned = now - wish.at, min(request.planned, verbs.MAX_PLANNED)
+        age = now - wish.at
+        planned = min(request.planned, verbs.MAX_PLANNED)
         if age <= verbs.MAX_AGE + planned:
             return None
         most = f"{verbs.MAX_AGE:g} s" + (f" and {planned:.1f} s of work" if planned else "")
@@ -366,7 +374,8 @@ class RequestHandler:
             lifecycle.reset(request.reason or f"by {request.operator}", effects)
             lifecycle.applied(effects, request, "idle")
             # A copy of an earlier stop counts as obeyed, and does not undo the reset.
-            self._obeyed_until = self.reset_at = effects.now
+            self._obeyed_until = effects.now
+            self.reset_at = effects.now
 
     def _refusal_to_reset(self, findings: list[str]) -> tuple[Refusal, str] | None:
         """Why a reset that ends `findings` is refused before it changes anything, else None."""
@@ -397,10 +406,12 @@ class RequestHandler:
         self, findings: list[str], request: verbs.ResetRequest, effects: Effects
     ) -> None:
         """End `findings` of an idle robot, which joins no goal that was set before now."""
-        lifecycle, now = self._lifecycle, effects.now
+        lifecycle = self._lifecycle
+        now = effects.now
         lifecycle.goals.bar(now)
         # A copy of an earlier stop counts as obeyed, and does not undo the reset.
-        self._obeyed_until = self.reset_at = now
+        self._obeyed_until = now
+        self.reset_at = now
         if findings:
             lifecycle.raise_revision(_cause_of_reset(request))
             self._end_findings(findings, request, effects)
@@ -418,7 +429,8 @@ class RequestHandler:
 
     def on_param(self, request: verbs.ParamRequest, effects: Effects) -> None:
         """Set parameters, or refuse; the reply follows once the pattern has taken them."""
-        lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
+        lifecycle = self._lifecycle
+        run = self._lifecycle.pattern_run
         if run.running is None or not lifecycle.is_running or run.is_restarting:
             lifecycle.refuse(effects, request, Refusal.NOT_RUNNING, "no pattern is running")
         elif lifecycle.params_request is not None or run.loading or lifecycle.trial:
@@ -432,7 +444,8 @@ class RequestHandler:
 
     def on_reload(self, request: verbs.ReloadRequest, effects: Effects) -> None:
         """Start a trial of the new code, or refuse; the reply follows when the trial ends."""
-        lifecycle, pattern = self._lifecycle, request.pattern
+        lifecycle = self._lifecycle
+        pattern = request.pattern
         if text := under_way(lifecycle):
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
             return
@@ -457,7 +470,8 @@ class RequestHandler:
         pattern ends, unless a push keeps this run (`keeps_running`). The end of an earlier trial
         is ignored.
         """
-        lifecycle, trial = self._lifecycle, self._lifecycle.trial
+        lifecycle = self._lifecycle
+        trial = self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
             return
         has_failed = bool(event.text)
@@ -466,7 +480,8 @@ class RequestHandler:
             self._goals.join_if_settled(effects)  # a goal waits for the end of the trial
             return
         lifecycle.trial = None
-        request, running = trial.request, lifecycle.pattern_run.running
+        request = trial.request
+        running = lifecycle.pattern_run.running
         if running is None:
             self._replace_idle_host(request, effects)
         elif running.pattern == request.pattern and not request.keeps_running:
@@ -514,8 +529,11 @@ class RequestHandler:
         If the reload request wants a new run (`is_rerun`), a fresh host loads the new code. The new
         run has the parameters, end conditions, goal and remaining seconds of the stopped run.
         """
-        lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
-        request, running, goals = trial.request, run.running, lifecycle.goals
+        lifecycle = self._lifecycle
+        run = self._lifecycle.pattern_run
+        request = trial.request
+        running = run.running
+        goals = lifecycle.goals
         assert running is not None
         # Read before `stop`, which ends the run of the goal.
         goal = goals.own.goal if goals.own and goals.state is GoalState.RUNNING else None
@@ -554,7 +572,8 @@ def _new_code_text(request: verbs.ReloadRequest) -> str:
 
 def under_way(lifecycle: Lifecycle) -> str:
     """The load or trial request that is not answered yet, in words; empty without a request."""
-    loading, trial = lifecycle.pattern_run.loading, lifecycle.trial
+    loading = lifecycle.pattern_run.loading
+    trial = lifecycle.trial
     if loading is not None and loading.request is not None:
         return f"still loading {loading.pattern}, by {loading.request.operator}"
     return f"still trying {trial.request.pattern}, by {trial.request.operator}" if trial else ""

@@ -60,7 +60,8 @@ else:
     ProtectionView = protections.ProtectionView
     PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
     _kernel = load_kernel("swarmd.robot.ticker")
-    DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker
+    DutyCycle = _kernel.DutyCycle
+    Ticker = _kernel.Ticker
 
 
 def _settled(
@@ -254,7 +255,8 @@ class Robot(Ticker):
         self._protection.hear(longest_diagonal(one.bodies.values()))
         for finding in self._sensors.on_peers(one.bodies):
             robots.setdefault((finding.kind, finding.text), []).append(finding.robot)
-            self._due_at = self._quiet_until = -math.inf
+            self._due_at = -math.inf
+            self._quiet_until = -math.inf
         for (kind, text), names in robots.items():
             self._events.log(f"peers {kind}", f"peer {', '.join(names)}: {text}", now)
         self._events.advance(now)
@@ -272,7 +274,8 @@ class Robot(Ticker):
 
     def _on_readings(self, one: events.ReadingsInput, now: float) -> Actions | None:
         self._sensors.on_readings(one.readings)
-        lifecycle, charge = self._lifecycle, self._sensors.readings.get(BATTERY)
+        lifecycle = self._lifecycle
+        charge = self._sensors.readings.get(BATTERY)
         settings = lifecycle.identity.setup.settings.on_low_battery
         if settings is None or not lifecycle.battery.take(charge, settings, now):
             return None
@@ -282,7 +285,8 @@ class Robot(Ticker):
 
     @_settled
     def _on_hazards(self, one: events.HazardsInput, effects: Effects) -> None:
-        holds, now = self._sensors.hazards, effects.now
+        holds = self._sensors.hazards
+        now = effects.now
         before = holds.present
         self._sensors.on_hazards(one.hazards, now)
         if before != holds.present:
@@ -292,7 +296,8 @@ class Robot(Ticker):
 
     @_settled
     def _on_driver(self, one: events.DriverInput, effects: Effects) -> None:
-        sensors, now = self._sensors, effects.now
+        sensors = self._sensors
+        now = effects.now
         if (one.is_up, one.hold) != (sensors.is_driver_up, sensors.base_hold.reason):
             self._lifecycle.log(f"driver: {one.text}", now)
         sensors.on_driver(one.is_up, one.text, now, hold=one.hold, gets_zero=one.gets_zero)
@@ -343,7 +348,8 @@ class Robot(Ticker):
         odometry = self._sensors.odometry
         if odometry is None:
             return None
-        pose, decision = odometry.pose, self.decision
+        pose = odometry.pose
+        decision = self.decision
         return Motion(
             robot=self.id,
             at=now,
@@ -406,11 +412,14 @@ class Robot(Ticker):
 
         `asks`: the running pattern needs the places of peers.
         """
-        sensors, steering, now = self._sensors, self._steering, context.now
+        sensors = self._sensors
+        steering = self._steering
+        now = context.now
         if asks:
             sensors.ask_kin(now)
         sensors.end_kin(now)
-        kin, scan = sensors.kin, sensors.scan
+        kin = sensors.kin
+        scan = sensors.scan
         steering.must_track = kin is not None
         if kin is None or scan is None:
             return None
@@ -466,7 +475,8 @@ class Robot(Ticker):
         is_recent = now - self._published_at < STATUS_PERIOD
         if current_values == self._published and is_recent:
             return False
-        self._published, self._published_at = current_values, now
+        self._published = current_values
+        self._published_at = now
         return True
 
     def _watch_standing(self, now: float) -> None:
@@ -481,11 +491,13 @@ class Robot(Ticker):
 
     def _status_values(self) -> tuple[object, ...]:
         """The values whose change must be published before STATUS_PERIOD has passed."""
-        lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
+        lifecycle = self._lifecycle
+        machine = self._lifecycle.state_machine
         reason = status_reason(lifecycle, self.decision)
         if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):
             reason = None  # may change with every scan: not worth a status before its time
-        running, loading = lifecycle.pattern_run.running, lifecycle.pattern_run.loading
+        running = lifecycle.pattern_run.running
+        loading = lifecycle.pattern_run.loading
         return (
             machine.state,
             reason,

@@ -137,7 +137,9 @@ class Sensors(InputAges):
         self.hazards = HazardHolds()
         self.readings = {}  # scalar sensors, by name
         self._forget_option_inputs()  # sets detections and other optional inputs to None
-        self.pose, self.pose_until = None, -math.inf  # in a shared frame; usable until, in s
+        # in a shared frame; usable until, in s
+        self.pose = None
+        self.pose_until = -math.inf
         self.stale_readings: tuple[str, ...] = ()  # names of readings that are too old
         self.driver_text = "not connected yet"
         self.gets_zero = False  # True: the driver still sends zero to a base that counts as lost
@@ -151,7 +153,8 @@ class Sensors(InputAges):
             self.scan_hold.reason = conditioned
             return False
         self.scan_delay.on_scan(scan, now)
-        self._added, self._is_late = self.scan_delay.added, self.scan_delay.is_late
+        self._added = self.scan_delay.added
+        self._is_late = self.scan_delay.is_late
         is_clock_set = self._is_late and self.scan_delay.is_clock_set
         self.delay_hold.reason = Reason.CLOCK_SET if is_clock_set else Reason.LATE_SCAN
         self._scan_at = self._conditioner.known_at
@@ -195,7 +198,9 @@ class Sensors(InputAges):
                 neighbors = tuple(neighbor for neighbor in neighbors if neighbor.in_reach)
             self._neighbors = neighbors
             self._neighbor_ids = None
-        self._neighbors_at, self._aged, self._renewals = now, self._neighbors, 0.0
+        self._neighbors_at = now
+        self._aged = self._neighbors
+        self._renewals = 0.0
         if self.peers.on_neighbors(self._given, now):
             self._look_at_peers()
 
@@ -204,11 +209,13 @@ class Sensors(InputAges):
         odometry = self._fresh_odometry(now)
         at = self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
         if at is not None:
-            self.pose, self.pose_until = pose.pose, at + POSE_TIMEOUT
+            self.pose = pose.pose
+            self.pose_until = at + POSE_TIMEOUT
             self._known_places.on_pose(pose, at)
             if self._anchors is not None:
                 self._anchors.on_pose(pose, at, self.peers.pose_errors, self._odometry_at)
-                self._context, self.pose_hold.begins = None, self._anchors.until
+                self._context = None
+                self.pose_hold.begins = self._anchors.until
 
     def pose_text(self, now: float) -> str:
         """Why layers have no usable pose; empty with a pose, and without a layer that needs one."""
@@ -233,7 +240,8 @@ class Sensors(InputAges):
 
     def _look_at_peers(self) -> None:
         """Set the hold deadline and the source of places from the present peers."""
-        self._context, self.peers_hold.begins = None, self.peers.hold_due_at()
+        self._context = None
+        self.peers_hold.begins = self.peers.hold_due_at()
         self._teller = self.peers if self.peers.has_places else None
 
     def on_hazards(self, hazards: tuple[Hazard, ...], now: float) -> None:
@@ -381,13 +389,15 @@ class RangeRing:
 
     def __init__(self, platform: Platform, spec: ScanSpec, hold: Hold) -> None:
         """No scan yet. `hold`: the row of the ring, which its scans set."""
-        self._spec, self._outline = spec, Footprint(platform.footprint)
+        self._spec = spec
+        self._outline = Footprint(platform.footprint)
         self._conditioner = ScanConditioner(spec)
         barrier = barrier_settings(platform)
         self._extent = 0.0 if barrier is None else barrier.unseen_extent
         self._speed = fastest_corner(platform)
         self._known_at: float | None = None
-        self._hold, hold.begins = hold, -math.inf
+        self._hold = hold
+        hold.begins = -math.inf
         self._places: list[tuple[float, float]] = []  # x, y of each return in m, base frame
         self._radius = 0.0
         self.scan: Scan | None = None
@@ -403,7 +413,8 @@ class RangeRing:
         self._hold.begins = known_at + self._spec.stale_after
         # Remembered values belong to an earlier pose: enlarge the discs by the motion since then.
         self._radius = self._extent + (now - known_at) * self._speed
-        self.scan, directions = conditioned, unit_vectors(conditioned.bearings)
+        self.scan = conditioned
+        directions = unit_vectors(conditioned.bearings)
         outline = self._outline.along_rays(self._spec.offset, directions)
         # A return within the outline, or too close to measure, lies on the outline.
         distances = np.maximum(np.maximum(conditioned.ranges, conditioned.range_min), outline)

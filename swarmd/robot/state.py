@@ -102,7 +102,11 @@ class Trigger(StrEnum):
     RESET = "reset"
 
 
-_I, _R, _S, _E, _F = State.IDLE, State.RUNNING, State.STOPPED, State.ESTOPPED, State.FAULTED
+_I = State.IDLE
+_R = State.RUNNING
+_S = State.STOPPED
+_E = State.ESTOPPED
+_F = State.FAULTED
 
 # Every state times every trigger.
 TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
@@ -143,7 +147,9 @@ class StateMachine(StateField):
             return
         if target is not self.state:
             self.since = now
-        self.state, self.reason, self.detail = target, reason, detail
+        self.state = target
+        self.reason = reason
+        self.detail = detail
 
 
 _RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
@@ -308,7 +314,8 @@ class Lifecycle:
             self._begin_run(event, effects)
 
     def _end_late_load(self, late: float, effects: Effects) -> None:
-        loading, self.pattern_run.loading = self.pattern_run.loading, None
+        loading = self.pattern_run.loading
+        self.pattern_run.loading = None
         effects.command_host(host_messages.KillHost())
         assert loading is not None
         text = f"{loading.pattern} was loaded {late:.1f} s after the time at which it was to start"
@@ -354,7 +361,8 @@ class Lifecycle:
 
     def _on_load_refused(self, event: host_messages.LoadRefused, effects: Effects) -> None:
         text = event.text
-        loading, self.pattern_run.loading = self.pattern_run.loading, None
+        loading = self.pattern_run.loading
+        self.pattern_run.loading = None
         if loading is None or loading.request is None:
             if loading is not None and loading.wish.is_own:  # the state is stopped before and after
                 self.log(f"{loading.pattern} is not loaded: {text}", effects.now)
@@ -389,7 +397,8 @@ class Lifecycle:
             self.fault("its twist is not finite", effects)
             return
         outputs = event.outputs
-        self.report, effects.grip = outputs.report, outputs.grip
+        self.report = outputs.report
+        effects.grip = outputs.grip
         if outputs.messages:
             passed = self.outbox.take(outputs.messages, running.channels, effects.now)
             effects.messages = {running.full_name(name): value for name, value in passed.items()}
@@ -401,7 +410,8 @@ class Lifecycle:
     def _on_params_set(self, event: host_messages.ParamsSet, effects: Effects) -> None:
         if self.params_request is None or self.params_request.request.id != event.request:
             return
-        request, self.params_request = self.params_request.request, None
+        request = self.params_request.request
+        self.params_request = None
         running = self.pattern_run.running
         if not event.params or running is None:
             refusal = Refusal.INVALID_PARAMETER if event.text else Refusal.NOT_RUNNING
@@ -432,7 +442,8 @@ class Lifecycle:
         quarantines it, and the daemon returns to the version before.
         """
         run = self.pattern_run
-        running, loading = run.running, run.loading
+        running = run.running
+        loading = run.loading
         if running is None or not self.is_running:
             return
         effects.command_host(host_messages.KillHost())
@@ -463,7 +474,8 @@ class Lifecycle:
 
     def fail_load(self, text: str, effects: Effects) -> None:
         """End a failed load and its host."""
-        loading, self.pattern_run.loading = self.pattern_run.loading, None
+        loading = self.pattern_run.loading
+        self.pattern_run.loading = None
         effects.command_host(host_messages.KillHost())
         if loading is None:
             return
@@ -500,7 +512,8 @@ class Lifecycle:
             text = f"{reason} while the new code was being tried"
             self.end_trial(Refusal.OVERTAKEN, text, effects)
         if self.params_request is not None:
-            request, self.params_request = self.params_request.request, None
+            request = self.params_request.request
+            self.params_request = None
             text = f"{reason} before the pattern answered"
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
         self._leave_state(trigger, reason, detail, effects)
@@ -519,7 +532,8 @@ class Lifecycle:
     def _leave_state(self, trigger: Trigger, reason: Reason, detail: str, effects: Effects) -> None:
         """Change the state by `trigger`, and tell goals, log and shell of the end of the run."""
         self.hold_since = math.inf  # no hold: a hold is a reason for which a running robot stands
-        state_before, was_running = self.state_machine.state, self.is_running
+        state_before = self.state_machine.state
+        was_running = self.is_running
         self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
         end_text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
         if reason is not Reason.LEAVING:  # when the daemon ends, the robot keeps its goal
@@ -543,7 +557,8 @@ class Lifecycle:
 
     def end_trial(self, refusal: Refusal, text: str, effects: Effects) -> None:
         """End the present trial, if any, and refuse its request; the running pattern continues."""
-        trial, self.trial = self.trial, None
+        trial = self.trial
+        self.trial = None
         if trial is not None:
             effects.trial = host_messages.CancelTrial()
             self.log(f"{trial.request.pattern} not reloaded: {text}", effects.now)
@@ -660,12 +675,14 @@ class Lifecycle:
 
         A low battery ends the run or the load, and the robot joins no goal that was set before.
         """
-        battery, now = self.battery, effects.now
+        battery = self.battery
+        now = effects.now
         if not battery.is_low:
             self.log(f"the battery is no longer low{battery.charge_text}", now)
             return
         text = f"the battery is below {settings.below:g}{battery.charge_text}"
-        running, loading = self.pattern_run.running, self.pattern_run.loading
+        running = self.pattern_run.running
+        loading = self.pattern_run.loading
         if running is not None and loading is None and running.wish.is_own:
             return  # the run of `on_low_battery` goes on: the charge rose and fell again meanwhile
         if running is None and loading is None:
@@ -715,7 +732,8 @@ class Lifecycle:
         if now >= running.finish_at:
             self._end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
             return None
-        lease_ends_at, own_goal = self.goals.lease_ends, self.goals.own
+        lease_ends_at = self.goals.lease_ends
+        own_goal = self.goals.own
         if lease_ends_at is not None and own_goal is not None and now >= lease_ends_at:
             _end_lease(self, own_goal.goal, effects)
             return None
@@ -723,7 +741,8 @@ class Lifecycle:
 
     def _advance_load(self, effects: Effects) -> None:
         """Begin the run of a loaded pattern at `start_at`; end a load that takes too long."""
-        loading, now = self.pattern_run.loading, effects.now
+        loading = self.pattern_run.loading
+        now = effects.now
         if loading is None:
             return
         if loading.loaded is None:
@@ -735,7 +754,8 @@ class Lifecycle:
 
     def _advance_answers(self, effects: Effects) -> None:
         """End a host that does not answer a step; fail a parameter request without an answer."""
-        run, now = self.pattern_run, effects.now
+        run = self.pattern_run
+        now = effects.now
         if now - run.awaiting_since >= STEP_TIMEOUT:
             run.awaiting_since = math.inf
             self._end_silent_host(effects)
@@ -747,7 +767,8 @@ class Lifecycle:
 
     def _end_silent_host(self, effects: Effects) -> None:
         """End a host that hangs in a step; a load that waits for this host gets a fresh host."""
-        run, text = self.pattern_run, f"gave no answer for {STEP_TIMEOUT:.0f} s"
+        run = self.pattern_run
+        text = f"gave no answer for {STEP_TIMEOUT:.0f} s"
         if run.loading is None or self._load_command is None:
             effects.command_host(host_messages.KillHost())
             self.fault(text, effects)

@@ -61,8 +61,10 @@ def make_status(
     lifecycle are in s on the own clock; the status contains durations in s. The daemon adds the
     health of its own loop. `held_for`: see `StandingWatch.held_for`.
     """
-    identity, setup = lifecycle.identity, lifecycle.identity.setup
-    machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
+    identity = lifecycle.identity
+    setup = lifecycle.identity.setup
+    machine = lifecycle.state_machine
+    running = lifecycle.pattern_run.running
     reason = status_reason(lifecycle, decision)
     neighbors = sensors.neighbors(now)[:MAX_NEIGHBORS]
     return Status(
@@ -177,7 +179,8 @@ def _params(values: ParamSources) -> dict[str, Param]:
 
 
 def _battery(lifecycle: Lifecycle) -> BatterySummary | None:
-    settings, battery = lifecycle.identity.setup.settings.on_low_battery, lifecycle.battery
+    settings = lifecycle.identity.setup.settings.on_low_battery
+    battery = lifecycle.battery
     if settings is None:
         return None
     run = lifecycle.pattern_run

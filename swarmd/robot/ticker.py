@@ -48,10 +48,12 @@ _MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
 _STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
 _STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
 # Constants as C variables: Cython looks up a Python global in a dict at each use.
-_RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
+_RUNNING = cython.declare(object, State.RUNNING)
+_IDLE = cython.declare(object, State.IDLE)
 _Actions = cython.declare(object, Actions)
 _HostInput = cython.declare(object, HostInput)
-_Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
+_Step = cython.declare(object, Step)
+_Stepped = cython.declare(object, Stepped)
 _no_permit = cython.declare(object, NO_PERMIT)
 _Steered = cython.declare(object, Steered)
 _Twist = cython.declare(object, Twist)
@@ -152,8 +154,13 @@ class Ticker:
     _settled: Actions  # the actions of the last event that was not a quiet tick
 
     def __init__(self) -> None:
-        self.decided_at = self._due_at = self._quiet_until = self._published_at = -INFINITY
-        self._hold, self._is_status_due, self._blind = Reason.NO_SCAN, True, ""
+        self.decided_at = -INFINITY
+        self._due_at = -INFINITY
+        self._quiet_until = -INFINITY
+        self._published_at = -INFINITY
+        self._hold = Reason.NO_SCAN
+        self._is_status_due = True
+        self._blind = ""
 
     def step(self, input: Input, now: cython.double) -> Actions | None:
         """Handle one input at `now`; returns the work of the shell, None without work."""
@@ -207,7 +214,8 @@ class Ticker:
         if effects is None:
             Ticker._decide(self, None, now)
             return None
-        effects.is_tick = effects.is_routine = True
+        effects.is_tick = True
+        effects.is_routine = True
         return self._settled_after(effects)
 
     def _settle(self, effects: Effects) -> Actions:
@@ -222,7 +230,8 @@ class Ticker:
         """
         now: cython.double = effects.now
         hold = self._checked_hold(effects)
-        self._quiet_until, self._hold = -INFINITY, hold
+        self._quiet_until = -INFINITY
+        self._hold = hold
         decision = Ticker._decide(self, hold, now)
         if self._run.restart_at < INFINITY:
             self._restart(effects)  # type: ignore[attr-defined]  # of Robot
@@ -238,7 +247,8 @@ class Ticker:
     def _checked_hold(self, effects: Effects) -> Reason | None:
         """The present hold, else None. Ends the run for a hazard, and acts on due deadlines."""
         now: cython.double = effects.now
-        sensors, running = self._sensors, self._run.running
+        sensors = self._sensors
+        running = self._run.running
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
         delay: cython.double = 0.0 if running is None else running.permit.scan_delay
         InputAges.permit_delay(sensors, delay)
@@ -251,7 +261,8 @@ class Ticker:
         if hold is not None or now >= self._due_at or not effects.is_routine:
             self._requests.advance(effects)
             hold = self._lifecycle.advance(hold, effects, sensors.hold_text(hold, now))
-            self._is_status_due, self._due_at = True, -INFINITY
+            self._is_status_due = True
+            self._due_at = -INFINITY
         return hold
 
     @cython.cfunc
@@ -360,8 +371,10 @@ class Ticker:
 
     def _on_scan(self, one: ScanInput, now: cython.double) -> Actions:
         effects: Effects = Ticker._begin(self, now)
-        sensors, protection = self._sensors, self._protection
-        effects.is_routine, effects.is_new_scan = True, sensors.on_scan(one.scan, now)
+        sensors = self._sensors
+        protection = self._protection
+        effects.is_routine = True
+        effects.is_new_scan = sensors.on_scan(one.scan, now)
         self._look_at_stamps(now)
         blind = sensors.blind_text
         if blind != self._blind:
@@ -390,7 +403,8 @@ class Ticker:
 
     @cython.ccall
     def _take_odometry(self, odometry: Odometry, now: cython.double) -> None:
-        sensors, protection = self._sensors, self._protection
+        sensors = self._sensors
+        protection = self._protection
         InputAges.on_odometry(sensors, odometry, now)
         self._look_at_stamps(now)
         if sensors.odometry is odometry:
@@ -474,8 +488,10 @@ def tick_many(
         robot = robots[i]
         actions = robot._tick(now)
         if actions is None:
-            row, twist = rows[i], robot.decision.safe
-            commands[row, 0], commands[row, 1] = twist.linear, twist.angular
+            row = rows[i]
+            twist = robot.decision.safe
+            commands[row, 0] = twist.linear
+            commands[row, 1] = twist.angular
             commands[row, 2] = twist.lateral
         else:
             not_quiet.append((i, actions))

@@ -156,7 +156,8 @@ class Authority:
         signed = pack_roster(content, sign(self._key, Purpose.ROSTER, content))
 
         # 2. The state: the certificates of removed names count as revoked until they end.
-        issued, state = dict(self._state.issued), self._state
+        issued = dict(self._state.issued)
+        state = self._state
         newly_revoked = {name: issued.pop(name).expires for name in remove if name in issued}
         revoked = {name: end for name, end in state.revoked.items() if name not in add}
         past = (*state.past, state.now)[-MAX_PAST:]
@@ -192,7 +193,8 @@ class Authority:
         and of the datagram keys of each operator and viewer. By the digest, the receiver checks a
         secret or keys that a robot hands over.
         """
-        old, generation = self.roster, self.roster.generation + 1
+        old = self.roster
+        generation = self.roster.generation + 1
         operators = [name for name, role in roles.items() if role is Role.OPERATOR]
         viewers = tuple(name for name, role in roles.items() if role is Role.VIEWER)
         return Roster(

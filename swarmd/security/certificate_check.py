@@ -63,7 +63,8 @@ def _peer_of(client: ssl.SSLContext, server: ssl.SSLContext) -> dict[str, Any]:
     """The server's certificate after the client has verified it. Raises SSLError."""
     import ssl  # 19 ms, for keys alone
 
-    to_client, to_server = ssl.MemoryBIO(), ssl.MemoryBIO()
+    to_client = ssl.MemoryBIO()
+    to_server = ssl.MemoryBIO()
     ends = (
         client.wrap_bio(to_client, to_server),
         server.wrap_bio(to_server, to_client, server_side=True),

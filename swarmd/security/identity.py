@@ -25,7 +25,8 @@ from swarmd.security.roster import PublicKey, Role, Roster, read_roster, stored_
 INFO = "identity.json"
 CERTIFICATE = "certificate.pem"
 KEY = "key.pem"
-AUTHORITY, ROSTER = "authority.pem", "roster"
+AUTHORITY = "authority.pem"
+ROSTER = "roster"
 SYSTEM_FOLDER = Path("/etc/swarmd/identities")
 _MODE_OF_OTHERS = 0o077  # permissions of group and others
 Pem = Annotated[bytes, Meta(min_length=1, max_length=8192)]
@@ -110,7 +111,8 @@ def authority_of(identity: Identity | None) -> bytes:
 
 def user_folder(environ: Mapping[str, str] = os.environ) -> Path | None:
     """The folder of this user's configuration (XDG base directories); None without a home."""
-    base, home = environ.get("XDG_CONFIG_HOME", ""), environ.get("HOME", "")
+    base = environ.get("XDG_CONFIG_HOME", "")
+    home = environ.get("HOME", "")
     if os.path.isabs(base):
         return Path(base) / "swarmd"
     return Path(home) / ".config/swarmd" if os.path.isabs(home) else None

@@ -136,7 +136,8 @@ def share_roster(identity: Identity, asker: str) -> bytes | None:
     secret of the swarm. An operator or viewer gets the roster, the asker's datagram keys, and the
     key that the asker shares with this robot. None if the roster lacks the asker, or this robot.
     """
-    keys, role = identity.datagram_keys, identity.roster.role_of(asker)
+    keys = identity.datagram_keys
+    role = identity.roster.role_of(asker)
     if role is None or is_revoked(identity):
         return None
     if role is Role.ROBOT:
@@ -202,7 +203,8 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: st
     proved; empty: no robot. All keys are empty if the roster lacks this identity's name, or has the
     name in another role. CodecError if the secret or the keys do not have the digest on the roster.
     """
-    role, present = roster.role_of(identity.name), identity.datagram_keys
+    role = roster.role_of(identity.name)
+    present = identity.datagram_keys
     if role is not identity.role:
         return DatagramKeys(generation=roster.generation)
     if role is Role.ROBOT:

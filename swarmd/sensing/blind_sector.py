@@ -148,9 +148,12 @@ class BlindSectors:
     def __init__(self, spec: ScanSpec) -> None:
         k: cython.Py_ssize_t
         self._spec = spec
-        self._is_used, self.text = len(spec.bearings) >= _SECTORS, ""
-        self._compared_at, self._compared_yaw = -INFINITY, NAN
-        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._is_used = len(spec.bearings) >= _SECTORS
+        self.text = ""
+        self._compared_at = -INFINITY
+        self._compared_yaw = NAN
+        self._range_min = spec.range_min
+        self._range_max = spec.range_max
         self._is_zero_near = spec.zero == "too_close"
         self.kinds = np.zeros(_SECTORS, np.uint8)
         self._kind = self.kinds.data
@@ -226,7 +229,8 @@ class BlindSectors:
     @cython.cfunc
     def _look_from(self, ranges: cython.double[::1], pose: Pose, now: cython.double) -> cython.bint:
         """Look for blind sectors in a scan from a pose of the robot; true if one is new."""
-        before, look = self._scan_pose or pose, self._look_pose or pose
+        before = self._scan_pose or pose
+        look = self._look_pose or pose
         yaw: cython.double = pose.yaw
         turned: cython.double = remainder(yaw - before.yaw, TURN)
         is_new: cython.bint = False
@@ -329,22 +333,26 @@ class BlindSectors:
         """
         k: cython.Py_ssize_t
         self._look_means[:] = NAN
-        self._scan_pose = self._look_pose = None
+        self._scan_pose = None
+        self._look_pose = None
         self._compared_yaw = NAN
         for k in range(_SECTORS):
             self._seen_at[k] = -INFINITY
             self._range[k] = 0.0
             self._streak[k] = 0
         for k in range(_SECTORS * _SECTORS):
-            self._pending[k] = self._missed[k] = False
+            self._pending[k] = False
+            self._missed[k] = False
 
     @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:
         """Set the sector of each ray, and which sectors have rays that are not masked."""
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
-        self._bearings_of_scan, self._bearings = bearings, view_of(bearings)
-        self._sector, self._direction = indices(n), indices(n)
+        self._bearings_of_scan = bearings
+        self._bearings = view_of(bearings)
+        self._sector = indices(n)
+        self._direction = indices(n)
         self._is_return = flags(n)
         for i in range(n):
             self._sector[i] = _sector_of(self._bearings[i])
@@ -403,7 +411,8 @@ class BlindSectors:
         turned: cython.double = fabs(remainder(yaw - self._compared_yaw, TURN))
         if now - self._compared_at < _COMPARE_PERIOD or turned < TURN / _SECTORS:
             return False
-        self._compared_at, self._compared_yaw = now, yaw
+        self._compared_at = now
+        self._compared_yaw = yaw
         return True
 
     @cython.cfunc
@@ -438,7 +447,8 @@ class BlindSectors:
         i: cython.Py_ssize_t
         d: cython.Py_ssize_t
         for d in range(_SECTORS):
-            self._rays[d] = self._hits[d] = 0
+            self._rays[d] = 0
+            self._hits[d] = 0
             self._sums[d] = 0.0
         for i in range(len(ranges)):
             d = self._direction[i] = _sector_of(self._bearings[i] + yaw)
@@ -488,7 +498,8 @@ class BlindSectors:
         is_decided: cython.bint = is_static or is_new or not self._is_known[d]
         for k in range(_SECTORS if doubts else 0):
             if self._return_streak[k]:  # a sector that has returns now is not blind
-                self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
+                self._pending[_SECTORS * d + k] = False
+                self._missed[_SECTORS * k + d] = False
             elif is_decided and self._pending[_SECTORS * d + k]:
                 self._pending[_SECTORS * d + k] = False
                 self._missed[_SECTORS * k + d] |= is_static
@@ -500,7 +511,8 @@ class BlindSectors:
             self._seen_at[d] = now
         if is_new or has_streak:
             self._range[d] = distance
-            self._x[d], self._y[d] = x, y
+            self._x[d] = x
+            self._y[d] = y
 
     @cython.cfunc
     def _await_confirmation(self) -> cython.int:
@@ -509,7 +521,8 @@ class BlindSectors:
         d: cython.Py_ssize_t
         k: cython.Py_ssize_t
         for i in range(len(self._sector)):
-            d, k = self._direction[i], self._sector[i]
+            d = self._direction[i]
+            k = self._sector[i]
             if self._is_known[d] and not self._hits[d] and not self._return_streak[k]:
                 self._pending[_SECTORS * d + k] = True
 

@@ -90,12 +90,19 @@ class ScanConditioner:
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
         """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
         self._max_sector = max(spec.max_gap, widest_between_rays(spec.bearings)) + 1e-9
-        self._range_min, self._range_max = spec.range_min, spec.range_max
-        self._latency, self._is_noisy = spec.latency, spec.is_noisy
+        self._range_min = spec.range_min
+        self._range_max = spec.range_max
+        self._latency = spec.latency
+        self._is_noisy = spec.is_noisy
         self._spec = spec
-        self._bearings, self._recent_bytes = np.empty(0), []
-        self._blind, self._rays = BlindSectors(spec), RayMemory(spec, guesses_near=guesses_near)
-        self._last_seq = self._newest_seq = self._last_stamp = self._newest_stamp = -INFINITY
+        self._bearings = np.empty(0)
+        self._recent_bytes = []
+        self._blind = BlindSectors(spec)
+        self._rays = RayMemory(spec, guesses_near=guesses_near)
+        self._last_seq = -INFINITY
+        self._newest_seq = -INFINITY
+        self._last_stamp = -INFINITY
+        self._newest_stamp = -INFINITY
         self._kept = self._kept_before = (self._blind.kinds.copy(), 0)
         self._kept_at = -INFINITY
 
@@ -194,7 +201,8 @@ class ScanConditioner:
     @cython.cfunc
     def _has_form(self, scan: Scan) -> cython.bint:
         """Store the bearings and ages of a scan; False if lengths, bearings or ages are wrong."""
-        ranges, bearings = scan.ranges, scan.bearings
+        ranges = scan.ranges
+        bearings = scan.bearings
         if ranges.ndim != 1 or len(ranges) == 0:
             return False
         # The array of an earlier scan was checked with that scan.
@@ -247,8 +255,10 @@ class ScanConditioner:
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
         has_same_stamp: cython.bint = stamp == self._last_stamp
         is_new_message: cython.bint = seq > self._newest_seq
-        before, self._last_ranges = self._last_ranges, ranges
-        self._last_seq, self._last_stamp = seq, stamp
+        before = self._last_ranges
+        self._last_ranges = ranges
+        self._last_seq = seq
+        self._last_stamp = stamp
         if not (stamp > self._newest_stamp and seq > self._newest_seq):
             self._rising_scans = self._rising_scans + 1 if is_next else 0
             if self._rising_scans < _RESTART_SCANS:
@@ -258,7 +268,8 @@ class ScanConditioner:
                     return Reason.CLOCK_SET
                 return Reason.FROZEN_SCAN
         self._rising_scans = 0
-        self._newest_seq, self._newest_stamp = seq, stamp
+        self._newest_seq = seq
+        self._newest_stamp = stamp
         return None
 
     @cython.cfunc

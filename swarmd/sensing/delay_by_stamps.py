@@ -79,9 +79,15 @@ class DelayByStamps:
     _lead: cython.double  # of scans with these ages
 
     def __init__(self, spec: ScanSpec) -> None:
-        self._spec, self._reason_text = spec, "no odometry yet"
-        self.offset = self._lowest = self._lowest_before = INFINITY
-        self._restart_ends = self._stamp = self._scan_stamp = self._period_ends = -INFINITY
+        self._spec = spec
+        self._reason_text = "no odometry yet"
+        self.offset = INFINITY
+        self._lowest = INFINITY
+        self._lowest_before = INFINITY
+        self._restart_ends = -INFINITY
+        self._stamp = -INFINITY
+        self._scan_stamp = -INFINITY
+        self._period_ends = -INFINITY
         self._lead = 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
 
     def check_indices(self) -> None:
@@ -102,7 +108,8 @@ class DelayByStamps:
         self._stamp = stamp
         if is_set:
             self._period_count = 0
-            self._lowest = self._lowest_before = INFINITY
+            self._lowest = INFINITY
+            self._lowest_before = INFINITY
             self._period_ends = now + _PERIOD_TIME
             self._drifts = False
             self._restart(now)
@@ -124,8 +131,10 @@ class DelayByStamps:
     @cython.cfunc
     def _restart(self, now: cython.double) -> cython.int:
         """Drop all ages, and judge the clocks again after _RESTART_TIME."""
-        self._age_count = self._scan_count = 0
-        self.is_restarting, self._restart_ends = True, now + _RESTART_TIME
+        self._age_count = 0
+        self._scan_count = 0
+        self.is_restarting = True
+        self._restart_ends = now + _RESTART_TIME
 
     @cython.cfunc
     def _end_period(self, now: cython.double) -> cython.int:
@@ -146,7 +155,8 @@ class DelayByStamps:
                     self._minima[k] = self._minima[k + 1]
             self._minima[self._period_count] = self._lowest
             self._period_count += 1
-        self._lowest, self._period_ends = INFINITY, now + _PERIOD_TIME
+        self._lowest = INFINITY
+        self._period_ends = now + _PERIOD_TIME
 
         # 2. The lowest lag of the last two periods (inf: no period has had a reading so far).
         previous_lowest: cython.double = self._lowest_before
@@ -174,12 +184,14 @@ class DelayByStamps:
             return 0.0
         ages = scan.ages
         if ages is not self._ages_of_rays:  # usually the same object as in the last scan
-            self._ages_of_rays, self._lead = ages, lead(scan, self._spec)
+            self._ages_of_rays = ages
+            self._lead = lead(scan, self._spec)
         stamp: cython.double = scan.stamp
         age: cython.double = now - self.offset - stamp - self._lead
         self._scan_count += 1
         if self.is_restarting and now > self._restart_ends and self._scan_count > _MIN_STAMPS:
-            self.is_restarting = self._is_shared = False
+            self.is_restarting = False
+            self._is_shared = False
         if self._drifts:
             self._forget("the stamps of odometry do not run at real time")
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
@@ -215,9 +227,11 @@ class DelayByStamps:
             age = self._ages[(self._oldest + k) % _STAMPS]
             if age > first:
                 third = second
-                second, first = first, age
+                second = first
+                first = age
             elif age > second:
-                third, second = second, age
+                third = second
+                second = age
             elif age > third:
                 third = age
         if self._age_count < 3:
@@ -235,7 +249,8 @@ class DelayByStamps:
 
     @cython.cfunc
     def _forget(self, why: str) -> None:
-        self._age_count, self._is_shared = 0, False
+        self._age_count = 0
+        self._is_shared = False
         self._reason_text = why
 
 

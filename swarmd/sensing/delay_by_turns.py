@@ -144,9 +144,12 @@ class DelayByTurns:
     _weight: cython.double
 
     def __init__(self) -> None:
-        self.delay, self.why = NAN, "it has not turned at a changing rate yet"
-        self._times, self._yaws = scratch(4 * _HISTORY), scratch(4 * _HISTORY)
-        self._stamp = self._changed_at = -INFINITY
+        self.delay = NAN
+        self.why = "it has not turned at a changing rate yet"
+        self._times = scratch(4 * _HISTORY)
+        self._yaws = scratch(4 * _HISTORY)
+        self._stamp = -INFINITY
+        self._changed_at = -INFINITY
         self._relief = self._old_relief = scratch(0)
 
     def check_indices(self) -> None:
@@ -174,17 +177,22 @@ class DelayByTurns:
     def forget(self) -> None:
         """Drop the delay and all pairs, and begin the measurement anew."""
         k: cython.Py_ssize_t
-        self.delay, self.pairs = NAN, 0
-        self._mm = self._weight = 0.0
+        self.delay = NAN
+        self.pairs = 0
+        self._mm = 0.0
+        self._weight = 0.0
         for k in range(_CANDIDATES):
-            self._mp[k] = self._pp[k] = 0.0
+            self._mp[k] = 0.0
+            self._pp[k] = 0.0
         self.why = "its last figure was older than a minute"
 
     @cython.cfunc
     def forget_headings(self) -> None:
         """Drop the headings, as when the clock of odometry was set."""
-        self._first = self._end = 0
-        self._stamp, self._has_last = -INFINITY, False
+        self._first = 0
+        self._end = 0
+        self._stamp = -INFINITY
+        self._has_last = False
 
     @cython.cfunc
     def read(
@@ -202,11 +210,14 @@ class DelayByTurns:
             for i in range(_HISTORY):
                 self._times[i] = self._times[3 * _HISTORY + i]
                 self._yaws[i] = self._yaws[3 * _HISTORY + i]
-            self._first, self._end = 0, _HISTORY
+            self._first = 0
+            self._end = _HISTORY
         if self._end > self._first:
             self._turned += remainder(yaw - self._yaw, TURN)
-        self._times[self._end], self._yaws[self._end] = stamp, self._turned
-        self._yaw, self._stamp = yaw, stamp
+        self._times[self._end] = stamp
+        self._yaws[self._end] = self._turned
+        self._yaw = yaw
+        self._stamp = stamp
         self._end += 1
         self._first = max(self._first, self._end - _HISTORY)
 
@@ -245,8 +256,10 @@ class DelayByTurns:
         previous_x: cython.double = self._x
         previous_y: cython.double = self._y
         self._store_ranges(scan)
-        self._scan_at, self._has_last = arrival, True
-        self._x, self._y = self._pose.x, self._pose.y
+        self._scan_at = arrival
+        self._has_last = True
+        self._x = self._pose.x
+        self._y = self._pose.y
         if is_first:
             return
         if arrival - previous_arrival > _MAX_SCAN_PERIOD or self._end == self._first:
@@ -262,7 +275,8 @@ class DelayByTurns:
         least: cython.double = INFINITY
         most: cython.double = -INFINITY
         for k in range(_CANDIDATES):
-            least, most = min(least, self._turns[k]), max(most, self._turns[k])
+            least = min(least, self._turns[k])
+            most = max(most, self._turns[k])
         if most - least < _MIN_TURN_SPREAD or max(-least, most) + _MARGIN > _MAX_SEARCHED:
             return
         turn: cython.double = self._measured_turn(least - _MARGIN, most + _MARGIN)
@@ -288,7 +302,8 @@ class DelayByTurns:
     @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:
         """Take other bearings, with the angle from one ray to the next if they are even."""
-        self._bearings, self._rays = bearings, len(bearings)
+        self._bearings = bearings
+        self._rays = len(bearings)
         self._ray_step = 0.0
         steps = np.diff(np.unwrap(bearings))
         if self._rays >= _MIN_RAYS:
@@ -298,7 +313,8 @@ class DelayByTurns:
                 self._ray_step = step
         if self._ray_step == 0.0:
             self.why = "its rays do not cover a full turn evenly"
-        self._relief, self._old_relief = scratch(2 * self._rays), scratch(2 * self._rays)
+        self._relief = scratch(2 * self._rays)
+        self._old_relief = scratch(2 * self._rays)
 
     @cython.cfunc
     def _store_ranges(self, scan: Scan) -> None:
@@ -363,7 +379,8 @@ class DelayByTurns:
         for shift in range(first, last + 1):
             correlation = self._correlation(shift)
             if correlation > greatest:
-                greatest, best = correlation, shift
+                greatest = correlation
+                best = shift
         # A maximum at the edge of the searched turns may continue beyond the edge.
         if not first < best < last or greatest < _MIN_CORRELATION * self._old_norm * self._norm:
             return NAN

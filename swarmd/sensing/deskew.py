@@ -42,8 +42,10 @@ class TimedRays:
     def __init__(self, bearings: Array, ages: Array | None, sweep: Sweep | None) -> None:
         """`ages` as the driver gives them; None: by the `sweep`."""
         self.bearings = bearings
-        self.given, self.sweep = ages, sweep
-        self.cos, self.sin = np.cos(bearings), np.sin(bearings)
+        self.given = ages
+        self.sweep = sweep
+        self.cos = np.cos(bearings)
+        self.sin = np.sin(bearings)
         if ages is None:
             assert sweep is not None
             ages = _ages_of_sweep(bearings, sweep)
@@ -125,13 +127,19 @@ class Deskewer:
     _filled_count: cython.Py_ssize_t  # its first rays, which are those of the scan before it
 
     def __init__(self, spec: ScanSpec, history: OdometryHistory) -> None:
-        self._sweep, self._bounds = spec.sweep, np.empty(0)
+        self._sweep = spec.sweep
+        self._bounds = np.empty(0)
         self._unknown_span = 1.0 / spec.rate if spec.is_sweep_unknown else 0.0
-        self._latency, self._stale_after = spec.latency, spec.stale_after
-        self._history, self._last_at = history, -INFINITY
+        self._latency = spec.latency
+        self._stale_after = spec.stale_after
+        self._history = history
+        self._last_at = -INFINITY
         self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
         self._sector_args = array("d", 3 * [0.0])
-        self._bearings = self._cos = self._sin = self._ages = self._limits
+        self._bearings = self._limits
+        self._cos = self._limits
+        self._sin = self._limits
+        self._ages = self._limits
 
     def deskew(
         self, scan: Scan, now: cython.double, odometry_age: Any, delay: cython.double = 0.0
@@ -155,7 +163,8 @@ class Deskewer:
             return _scan_with(scan, scan.ranges, scan.bearings, bounds, self._latency, scan.filled)
         if ages is None and self._sweep is None:
             return scan
-        ranges, bearings = scan.ranges, scan.bearings
+        ranges = scan.ranges
+        bearings = scan.bearings
         if bearings is not self._bearings_of_scan or ages is not self._ages_of_scan:
             self._set_rays(bearings, ages)
 
@@ -190,7 +199,8 @@ class Deskewer:
                 filled,
                 self._filled_count,
             )
-        self._last_scan, self._last_at = result, newest_at
+        self._last_scan = result
+        self._last_at = newest_at
         return result
 
     @cython.cfunc
@@ -211,12 +221,17 @@ class Deskewer:
     def _set_rays(self, bearings: Array, ages: Array | None) -> None:
         """Take other bearings and ages; with None as ages, the platform's sweep gives them."""
         rays = _timed_rays(bearings, ages, self._sweep)
-        self._bearings_of_scan, self._ages_of_scan = bearings, ages
+        self._bearings_of_scan = bearings
+        self._ages_of_scan = ages
         self._ray_ages = rays.ages
-        self._bearings, self._ages = view_of(bearings), view_of(rays.ages)
-        self._cos, self._sin = view_of(rays.cos), view_of(rays.sin)
-        self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
-        self._direction, self._oldest = rays.direction, rays.oldest
+        self._bearings = view_of(bearings)
+        self._ages = view_of(rays.ages)
+        self._cos = view_of(rays.cos)
+        self._sin = view_of(rays.sin)
+        self._span = rays.span
+        self._newest_age = max(self._latency - rays.mean_age, 0.0)
+        self._direction = rays.direction
+        self._oldest = rays.oldest
         self._spacing = rays.spacing
 
     @cython.cfunc
@@ -254,7 +269,8 @@ class Deskewer:
         last = self._last_scan if lacks_rays else None
         capacity: cython.Py_ssize_t = count + (0 if last is None else len(last.ranges))
         ages = self._ray_ages  # of this scan; with rays of the scan before: a new array, see below
-        ranges, bearings = np.empty(capacity), np.empty(capacity)
+        ranges = np.empty(capacity)
+        bearings = np.empty(capacity)
         distances: cython.double[::1] = view_of(ranges)
         angles: cython.double[::1] = view_of(bearings)
         if last is not None:
@@ -263,7 +279,8 @@ class Deskewer:
             filled_count = self._fill_sector(
                 last, unmeasured, seconds, distances, angles, view_of(ages)
             )
-            ranges, bearings = ranges[: filled_count + count], bearings[: filled_count + count]
+            ranges = ranges[: filled_count + count]
+            bearings = bearings[: filled_count + count]
             ages = ages[: filled_count + count]
 
         # 3. Moves the rays of this scan, which follow.
@@ -318,7 +335,8 @@ class Deskewer:
         # leaves behind. A ray covers half the angle between two rays to each side of its bearing,
         # so the sector begins half this angle before `_oldest`.
         start: cython.double = self._oldest - 0.5 * self._direction * self._spacing
-        self._sector_args[0], self._sector_args[1] = start, self._direction
+        self._sector_args[0] = start
+        self._sector_args[1] = self._direction
         self._sector_args[2] = unmeasured
         count: cython.Py_ssize_t = rays_in_sector(
             view_of(last.ranges),

@@ -66,7 +66,8 @@ class OdometryHistory:
         self._delay = delay
         self._shifts = 0.0
         self.trail = OdometryTrail()
-        self.path, self.motion = view_of(np.empty((HISTORY + 2, 4))), array("d", 3 * [0.0])
+        self.path = view_of(np.empty((HISTORY + 2, 4)))
+        self.motion = array("d", 3 * [0.0])
 
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
         """Store a reading that arrived at `now` s; True for a new stamp, False for the last stamp.
@@ -86,7 +87,8 @@ class OdometryHistory:
         # Shifts again and again are no corrections: they must not silence what compares rays.
         self.has_shifted = is_shift and self._shifts <= _SHIFTS
         if is_new and self._delay is not None:
-            pose, twist = odometry.pose, odometry.twist
+            pose = odometry.pose
+            twist = odometry.twist
             self._delay.read(stamp, pose.yaw, twist.angular, pose, now)
         return is_new
 
@@ -98,7 +100,8 @@ class OdometryHistory:
             return False
         r: cython.double[::1] = trail.readings
         last: cython.Py_ssize_t = trail.place(0)
-        pose, twist = odometry.pose, odometry.twist
+        pose = odometry.pose
+        twist = odometry.twist
         x: cython.double = pose.x
         y: cython.double = pose.y
         yaw: cython.double = pose.yaw
@@ -169,8 +172,10 @@ class OdometryHistory:
         yaw: cython.double,
     ) -> cython.int:
         p: cython.double[:, ::1] = self.path
-        p[row, 0], p[row, 1] = before, x
-        p[row, 2], p[row, 3] = y, yaw
+        p[row, 0] = before
+        p[row, 1] = x
+        p[row, 2] = y
+        p[row, 3] = yaw
 
     @cython.cfunc
     def _makes_relative(self, rows: cython.Py_ssize_t) -> cython.bint:
@@ -185,9 +190,11 @@ class OdometryHistory:
         moves: cython.bint = False
         i: cython.Py_ssize_t
         for i in range(rows):
-            dx, dy = path[i, 1] - x, path[i, 2] - y
+            dx = path[i, 1] - x
+            dy = path[i, 2] - y
             turned += remainder(path[i, 3] - yaw - turned, TURN)
-            path[i, 1], path[i, 2] = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+            path[i, 1] = cos_yaw * dx + sin_yaw * dy
+            path[i, 2] = cos_yaw * dy - sin_yaw * dx
             path[i, 3] = turned
             if max(fabs(path[i, 1]), fabs(path[i, 2]), fabs(turned)) > _AT_REST:
                 moves = True
@@ -206,5 +213,6 @@ class OdometryHistory:
         dy: cython.double = trail.y - y
         cos_yaw: cython.double = cos(yaw)
         sin_yaw: cython.double = sin(yaw)
-        self.motion[0], self.motion[1] = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+        self.motion[0] = cos_yaw * dx + sin_yaw * dy
+        self.motion[1] = cos_yaw * dy - sin_yaw * dx
         self.motion[2] = trail.yaw - yaw

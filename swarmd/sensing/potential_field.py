@@ -65,7 +65,8 @@ def potential_field(
     if ignore_near:
         is_seen &= (ranges >= range_min) & (ranges > 0.0)
     count = int(np.count_nonzero(is_seen))
-    x = y = 0.0
+    x = 0.0
+    y = 0.0
     if count:
         range_share = np.minimum(np.maximum(ranges[is_seen], range_min) / range_max, 1.0)
         weights = range_share if kind == "attraction" else 1.0 - range_share
@@ -88,7 +89,8 @@ def field_twist(vector: Array, linear_max: float, angular_max: float) -> Twist:
     `|angular|` reaches 1.57 * angular_max (protection clips it), and for a vector that points
     backwards the robot drives backwards. A zero or non-finite vector gives a zero twist.
     """
-    x, y = float(vector[0]), float(vector[1])
+    x = float(vector[0])
+    y = float(vector[1])
     length = math.hypot(x, y)
     if not _NO_DIRECTION < length < math.inf:
         return ZERO

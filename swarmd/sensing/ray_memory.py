@@ -68,7 +68,8 @@ def _nearest_angle(
     # 1. Finds the first angle that is not below `wanted`: near the hint, else by halving.
     for middle in range(hint, min(hint + _GUESSES, n)):
         if rising[middle] >= angle and (middle == 0 or rising[middle - 1] < angle):
-            low = high = middle
+            low = middle
+            high = middle
             break
     while low < high:
         middle = (low + high) // 2
@@ -135,9 +136,12 @@ class RayMemory:
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool) -> None:
         self.known_at = -INFINITY
-        self._range_min, self._range_max = spec.range_min, spec.range_max
-        self._max_gap, self._stale_after = spec.max_gap + _SMALL_ANGLE, spec.stale_after
-        self._zero, self._is_lds = _ZEROS[spec.zero], spec.zero == "lds"
+        self._range_min = spec.range_min
+        self._range_max = spec.range_max
+        self._max_gap = spec.max_gap + _SMALL_ANGLE
+        self._stale_after = spec.stale_after
+        self._zero = _ZEROS[spec.zero]
+        self._is_lds = spec.zero == "lds"
         self._guesses_near = guesses_near
         self._near_below = spec.range_min + _NEAR_MARGIN
         self._step = TURN / max(len(spec.bearings), 1)
@@ -191,7 +195,8 @@ class RayMemory:
         turned: cython.double = self._turn_of(yaw)
         is_same: cython.bint = bearings is self._given  # mostly the same object
         if not is_same and self._ray_count and np.array_equal(bearings, np.asarray(self._bearings)):
-            self._given, is_same = bearings, True
+            self._given = bearings
+            is_same = True
         if not is_same:
             self._set_bearings(bearings, turned)
         elif turned != 0.0 and self._is_even:
@@ -238,8 +243,10 @@ class RayMemory:
                 unknown_count += 1
                 is_lost[i] = not (self._is_lds and is_zero[i])
                 continue
-            is_lost[i], index = False, self._index(i)
-            known_ranges[index], seen_at[index] = distance, now
+            is_lost[i] = False
+            index = self._index(i)
+            known_ranges[index] = distance
+            seen_at[index] = now
             # A zero does not count as near: else guesses would keep a ray near for ever.
             if distance < near_below and not is_zero[i]:
                 self._near_at[index] = now
@@ -305,9 +312,13 @@ class RayMemory:
         i: cython.Py_ssize_t
         values = np.array(bearings, dtype=np.float64, order="C")
         angles: cython.double[::1] = view_of(values % TURN)
-        self._given, self._ray_count = bearings, count
-        self._direction, self._bearings = 1.0, values.data
-        self._rising, self._order, self._place = scratch(count), indices(count), indices(count)
+        self._given = bearings
+        self._ray_count = count
+        self._direction = 1.0
+        self._bearings = values.data
+        self._rising = scratch(count)
+        self._order = indices(count)
+        self._place = indices(count)
         sort_rays(angles, count, self._rising, self._order)
         for i in range(count):
             self._place[self._order[i]] = i
@@ -315,7 +326,8 @@ class RayMemory:
             last_step = math.remainder(values[count - 1] - values[count - 2], TURN)
             self._direction = math.copysign(1.0, last_step)
         self._is_even = self._has_even_rays()
-        self._is_zero, self._is_lost = flags(count), flags(count)
+        self._is_zero = flags(count)
+        self._is_lost = flags(count)
         if old_count:
             self._recall(old_rising, turned)
         else:
@@ -338,11 +350,13 @@ class RayMemory:
     def _set_empty_memory(self) -> cython.int:
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = self._ray_count
-        self._ranges, self._seen_at = scratch(n), scratch(n)
+        self._ranges = scratch(n)
+        self._seen_at = scratch(n)
         self._near_at = scratch(n)
         for i in range(n):
             self._ranges[i] = NAN
-            self._seen_at[i] = self._near_at[i] = -INFINITY
+            self._seen_at[i] = -INFINITY
+            self._near_at[i] = -INFINITY
 
     @cython.cfunc
     def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
@@ -362,7 +376,8 @@ class RayMemory:
             wanted = mod_turn(self._bearings[i] + turned)
             place = _nearest_angle(rising, old_count, wanted, place)
             is_far = angle_between(rising[place], wanted) > too_far
-            source, target = wrapped_index(place + self._shift, old_count), self._place[i]
+            source = wrapped_index(place + self._shift, old_count)
+            target = self._place[i]
             self._ranges[target] = ranges[source]
             self._seen_at[target] = -INFINITY if is_far else seen_at[source]
             self._near_at[target] = -INFINITY if is_far else near_at[source]
@@ -541,7 +556,8 @@ class RayMemory:
                 ranges, last, k, last_angle, angle, last_range, ranges[i]
             ):
                 is_filled = False
-            last, last_angle = k, angle
+            last = k
+            last_angle = angle
             last_range = ranges[i]
 
         # The sector between the last known ray and the first known ray, a turn later.

@@ -116,37 +116,45 @@ def move_rays(
         distance = ranges[i]
         # 1. The turn of the pose at the age of the ray.
         if age != ages[i]:
-            age, has_pose = ages[i], False
+            age = ages[i]
+            has_pose = False
             if not newer_age <= age <= older_age:  # else the segment of the ray before holds
                 # The search begins at the last segment, since ages change little from ray to ray.
                 while row < last_row and age > path[row, 0]:
                     row += 1
                 while row > 1 and age < path[row - 1, 0]:
                     row -= 1
-                newer_age, older_age = path[row - 1, 0], path[row, 0]
-                newer_x, newer_y = path[row - 1, 1], path[row - 1, 2]
+                newer_age = path[row - 1, 0]
+                older_age = path[row, 0]
+                newer_x = path[row - 1, 1]
+                newer_y = path[row - 1, 2]
                 newer_turn = path[row - 1, 3]
-                x_change, y_change = path[row, 1] - newer_x, path[row, 2] - newer_y
+                x_change = path[row, 1] - newer_x
+                y_change = path[row, 2] - newer_y
                 turn_change = path[row, 3] - newer_turn
             fraction = min(max((age - newer_age) / (older_age - newer_age), 0.0), 1.0)
             turn = newer_turn + fraction * turn_change
         # 2. A ray without a finite range only turns.
         if not isfinite(distance):
-            distances[i], angles[i] = distance, wrap(bearings[i] + turn)
+            distances[i] = distance
+            angles[i] = wrap(bearings[i] + turn)
             continue
         # 3. The place of the sensor at the age of the ray, relative to its place at the end: the
         # motion of the base, plus the turn of the sensor's offset.
         if not has_pose:
             has_pose = True
-            cos_turn, sin_turn = cos(turn), sin(turn)
-            x, y = newer_x + fraction * x_change, newer_y + fraction * y_change
+            cos_turn = cos(turn)
+            sin_turn = sin(turn)
+            x = newer_x + fraction * x_change
+            y = newer_y + fraction * y_change
             x += (cos_turn - 1.0) * offset_x - sin_turn * offset_y
             y += sin_turn * offset_x + (cos_turn - 1.0) * offset_y
         # 4. The return relative to the sensor at the end: along and across the direction of its
         # old ray, whose unit vector is (ahead, left), then as range and bearing.
         ahead = cos_turn * cosines[i] - sin_turn * sines[i]
         left = sin_turn * cosines[i] + cos_turn * sines[i]
-        along, across = distance + (ahead * x + left * y), ahead * y - left * x
+        along = distance + (ahead * x + left * y)
+        across = ahead * y - left * x
         distances[i] = _moved_range(along, across, range_min, range_max)
         angles[i] = _moved_bearing(bearings[i], turn, along, across)
 
@@ -208,12 +216,15 @@ def rays_in_sector(
         if mod_turn(from_start + max_change) > width + 2.0 * max_change:
             continue
         if isfinite(ranges[i]):
-            ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
-            along, across = ranges[i] + (ahead * x + left * y), ahead * y - left * x
+            ahead = cos(bearings[i] + turn)
+            left = sin(bearings[i] + turn)
+            along = ranges[i] + (ahead * x + left * y)
+            across = ahead * y - left * x
             distances[count] = _moved_range(along, across, range_min, range_max)
             angles[count] = _moved_bearing(bearings[i], turn, along, across)
         else:
-            distances[count], angles[count] = ranges[i], wrap(bearings[i] + turn)
+            distances[count] = ranges[i]
+            angles[count] = wrap(bearings[i] + turn)
         if mod_turn(from_start) < width or mod_turn(direction * (angles[count] - start)) < width:
             kept_ages[count] = ages[i]
             count += 1  # otherwise the next ray overwrites this ray

@@ -129,7 +129,8 @@ def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
     if is_free.all():
         return [Gap(0.0, _TWO_PI)]
     start = int(np.argmin(is_free))
-    bearings, is_free = np.roll(bearings, -start), np.roll(is_free, -start)
+    bearings = np.roll(bearings, -start)
+    is_free = np.roll(is_free, -start)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], is_free, [False])).astype(np.int8)))
     free = []
     for first, end in zip(edges[::2], edges[1::2], strict=True):

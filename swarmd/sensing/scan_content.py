@@ -18,12 +18,14 @@ ENOUGH_SCANS = MAX_REPEATS + 1
 
 _WIDE_SECTOR = 30.0  # deg without a return that a note names
 # A sensor with less range in m, or with fewer rays, often has no return in an ordinary room.
-_FAR_SENSOR, _MANY_RAYS = 1.0, 8
+_FAR_SENSOR = 1.0
+_MANY_RAYS = 8
 _DEGREES = 360
 _LEAST_OWN = 2  # degrees with returns inside the outline; a single ray may be noise
 # So many rays with one value are no measurement, for lack of noise, if they are this share of all
 # rays, or if the value is the greatest one.
-_LEAST_EQUAL, _EQUAL_SHARE = 8, 0.2
+_LEAST_EQUAL = 8
+_EQUAL_SHARE = 0.2
 
 
 class ScanContent:
@@ -47,7 +49,8 @@ class ScanContent:
         m of points (k, 2) from the outline, 0 for points inside, where no return of another object
         can lie (`Footprint.gaps`); None: the outline is not known.
         """
-        self.spec, self.section = spec, section
+        self.spec = spec
+        self.section = section
         self._gaps = gaps
         self._own_degrees = np.ones(_DEGREES, np.bool_)  # see `_take_inside`, in each scan
         self._coded_degrees = np.ones(_DEGREES, np.bool_)  # without such a range in any scan
@@ -64,7 +67,8 @@ class ScanContent:
         `stated_max`: the greatest range in m by the message itself, which some drivers send for no
         return.
         """
-        self.last, self.count = scan, self.count + 1
+        self.last = scan
+        self.count = self.count + 1
         self._stated_max = np.float32(stated_max)
         self.has_measured |= bool(scan.ranges.any()) or not self._expects_return(scan)
         self._take_inside(scan)
@@ -81,7 +85,8 @@ class ScanContent:
         scan = self.last
         if scan is None:
             return ""
-        distances, returns = self._distances(scan.ranges), self._returns(scan)
+        distances = self._distances(scan.ranges)
+        returns = self._returns(scan)
         rays = len(scan.ranges)
         parts = [f"{rays} rays, {100.0 * returns / max(rays, 1):.0f} % with a return"]
         if returns:
@@ -103,7 +108,8 @@ class ScanContent:
         if self.last is None:
             return ""
         ranges = self.last.ranges
-        is_finite, zero = np.isfinite(ranges), self.spec.zero
+        is_finite = np.isfinite(ranges)
+        zero = self.spec.zero
         groups = (
             (ranges == -np.inf, "too close, by REP 117"),
             (ranges == np.inf, "no return"),
@@ -120,7 +126,8 @@ class ScanContent:
         for is_member, meaning in groups:
             values = ranges[is_member]
             if len(values):
-                least, most = values.min(), values.max()
+                least = values.min()
+                most = values.max()
                 name = f"{most:g}" if least == most or np.isnan(most) else f"{least:g} to {most:g}"
                 parts.append(f"{name} {100.0 * len(values) / len(ranges):.0f} % ({meaning})")
         return ", ".join(parts)
@@ -140,7 +147,8 @@ class ScanContent:
         return "; ".join(filter(None, (self.encoding, text))) if (text := self._fault()) else ""
 
     def _fault(self) -> str:
-        scan, spec = self.last, self.spec
+        scan = self.last
+        spec = self.spec
         if scan is None or not len(scan.ranges):
             return ""
         if not scan.ranges.any():
@@ -167,7 +175,8 @@ class ScanContent:
 
     def _fault_inside(self, scan: Scan) -> str:
         """The text for rays that end inside the outline in each scan."""
-        own, spec = self._own_degrees, self.spec
+        own = self._own_degrees
+        spec = self.spec
         begin = f"rays at {_runs(own)} deg"
         equal = _degrees_of(scan.bearings[self._is_equal(scan.ranges)])
         if (own & self._coded_degrees).any() or own[equal].any():
@@ -194,7 +203,8 @@ class ScanContent:
         values, counts = np.unique(self._distances(ranges), return_counts=True)
         if counts.max(initial=0) < _LEAST_EQUAL:
             return np.zeros(len(ranges), np.bool_)
-        value, count = values[counts.argmax()], counts.max()
+        value = values[counts.argmax()]
+        count = counts.max()
         is_greatest = np.float32(value) in (self._stated_max, np.float32(self.spec.range_max))
         is_code: NDArray[np.bool_] = ranges == value
         return is_code & (is_greatest or count >= _EQUAL_SHARE * len(ranges))
@@ -220,7 +230,8 @@ class ScanContent:
             ranges = np.where(raw < self.spec.range_min, 0.0, raw)
             places = self.spec.offset + ranges[:, None] * directions
             is_inside = self._gaps(places) == 0.0
-            inside, raw = _degrees_of(bearings[is_inside]), raw[is_inside]
+            inside = _degrees_of(bearings[is_inside])
+            raw = raw[is_inside]
             degrees[inside] = True
             is_measured = (raw > 0.0) & (raw < np.inf)
             self._coded_degrees[inside[is_measured]] = False

@@ -57,8 +57,10 @@ class ScanDelay:
     _turns: DelayByTurns
 
     def __init__(self, spec: ScanSpec) -> None:
-        self._latency, self._bound = spec.latency, spec.max_scan_delay
-        self._stamps, self._turns = DelayByStamps(spec), DelayByTurns()
+        self._latency = spec.latency
+        self._bound = spec.max_scan_delay
+        self._stamps = DelayByStamps(spec)
+        self._turns = DelayByTurns()
 
     @cython.cfunc
     def read(

@@ -46,7 +46,8 @@ def nearest(
         if distance < lowest:
             if is_sector and fabs(wrap(layout.wrapped[i] - bearing)) > half_width:
                 continue
-            lowest, index = distance, i
+            lowest = distance
+            index = i
     return None if index < 0 else (lowest, layout.wrapped[index])
 
 
@@ -58,7 +59,8 @@ def unit_vectors(bearings: Array) -> Array:
     i: cython.Py_ssize_t
     for i in range(len(given)):
         angle = given[i]
-        out[i, 0], out[i, 1] = cos(angle), sin(angle)
+        out[i, 0] = cos(angle)
+        out[i, 1] = sin(angle)
     return vectors
 
 
@@ -104,7 +106,8 @@ def _store_nearest_rays(
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     for k in range(count):
-        lowest[k], layout.nearest_ray[k] = INFINITY, 0
+        lowest[k] = INFINITY
+        layout.nearest_ray[k] = 0
     for i in range(ray_count):
         distance = ranges[i]
         if distance < range_min:
@@ -113,7 +116,8 @@ def _store_nearest_rays(
             is_seen = True
             k = layout.sector[i]
             if distance <= lowest[k]:
-                lowest[k], layout.nearest_ray[k] = distance, i
+                lowest[k] = distance
+                layout.nearest_ray[k] = i
     return is_seen
 
 
@@ -193,7 +197,8 @@ def clusters(
         if is_last[k] or i == last:  # `last` is no last ray if all rays are a single object
             if lowest < _UNSEEN:
                 objects.append(_object(layout, first, i, lowest))
-            first, lowest = i + 1, INFINITY
+            first = i + 1
+            lowest = INFINITY
     return objects
 
 
@@ -240,7 +245,8 @@ def _store_last_rays(layout: ScanLayout, jump: cython.double) -> cython.Py_ssize
     first: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     for i in range(count):
-        distance, after = ranges[i], ranges[i + 1] if i + 1 < count else ranges[0]
+        distance = ranges[i]
+        after = ranges[i + 1] if i + 1 < count else ranges[0]
         nearer = after if after < distance else distance
         is_last[i] = is_apart[i] or fabs(distance - after) > jump + nearer * slopes[i]
         if first == 0 and is_last[i]:

@@ -66,12 +66,17 @@ class ScanLayout:
     def __init__(self, n: cython.Py_ssize_t) -> None:
         """For up to n bearings."""
         self.capacity = n
-        self.angles, self.given = np.empty(n), scratch(n)
+        self.angles = np.empty(n)
+        self.given = scratch(n)
         self.steps = scratch(n)
-        self.wrapped, self.work = view_of(self.angles), scratch(n)
-        self.rising, self.slopes = scratch(n), scratch(n)
-        self.order, self.sector = indices(n), indices(n)
-        self.is_apart, self.is_last = flags(n), flags(n)
+        self.wrapped = view_of(self.angles)
+        self.work = scratch(n)
+        self.rising = scratch(n)
+        self.slopes = scratch(n)
+        self.order = indices(n)
+        self.sector = indices(n)
+        self.is_apart = flags(n)
+        self.is_last = flags(n)
 
     @cython.cfunc
     def is_of(self, bearings: cython.const_double[::1]) -> cython.bint:
@@ -172,7 +177,8 @@ def _smallest(
     j: cython.Py_ssize_t
     while low < high:
         middle = values[k]
-        i, j = low, high
+        i = low
+        j = high
         while i <= j:
             while values[i] < middle:
                 i += 1
@@ -180,7 +186,8 @@ def _smallest(
                 j -= 1
             if i <= j:
                 values[i], values[j] = values[j], values[i]
-                i, j = i + 1, j - 1
+                i = i + 1
+                j = j - 1
         if j < k:
             low = i
         if k < i:
@@ -201,7 +208,8 @@ def layout_of(scan: Scan) -> ScanLayout | None:
     for layout in _layouts:
         if layout.scan is scan:
             return layout
-    given_ranges, given_bearings = scan.ranges, scan.bearings
+    given_ranges = scan.ranges
+    given_bearings = scan.bearings
     ranges = np.ascontiguousarray(given_ranges, np.float64)
     bearings = np.ascontiguousarray(given_bearings, np.float64)
     if ranges.shape != bearings.shape or ranges.ndim != 1:
@@ -213,7 +221,8 @@ def layout_of(scan: Scan) -> ScanLayout | None:
     for i in range(len(known)):
         if isnan(known[i]):
             is_known = ~np.isnan(ranges)
-            known, bearings = view_of(ranges[is_known]), bearings[is_known]
+            known = view_of(ranges[is_known])
+            bearings = bearings[is_known]
             break
     if not len(known):
         return None
@@ -224,7 +233,8 @@ def layout_of(scan: Scan) -> ScanLayout | None:
     else:
         layout = _new_layout(view)
     is_fixed = not (given_ranges.flags.writeable or given_bearings.flags.writeable)
-    layout.scan, layout.known = scan if is_fixed else None, known
+    layout.scan = scan if is_fixed else None
+    layout.known = known
     return layout
 
 

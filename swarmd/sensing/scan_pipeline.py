@@ -24,14 +24,16 @@ if TYPE_CHECKING:
 else:
     BlindSectors = load_kernel("swarmd.sensing.blind_sector").BlindSectors
     _conditioning = load_kernel("swarmd.sensing.conditioning")
-    ScanConditioner, COMPARED_SCANS = _conditioning.ScanConditioner, _conditioning.COMPARED_SCANS
+    ScanConditioner = _conditioning.ScanConditioner
+    COMPARED_SCANS = _conditioning.COMPARED_SCANS
     MAX_REPEATS = _conditioning.MAX_REPEATS
     MIN_DISTINCT_RETURNS = _conditioning.MIN_DISTINCT_RETURNS
     delay_by_stamps = load_kernel("swarmd.sensing.delay_by_stamps").delay_by_stamps
     Deskewer = load_kernel("swarmd.sensing.deskew").Deskewer
     OdometryHistory = load_kernel("swarmd.sensing.odometry_history").OdometryHistory
     _scan_delay = load_kernel("swarmd.sensing.scan_delay")
-    ScanDelay, TOLERANCE = _scan_delay.ScanDelay, _scan_delay.TOLERANCE
+    ScanDelay = _scan_delay.ScanDelay
+    TOLERANCE = _scan_delay.TOLERANCE
 
 __all__ = [
     "COMPARED_SCANS",

@@ -140,7 +140,8 @@ def _content(path: Path) -> tuple[str, dict[str, Any]]:
     """The name of a contexts file in errors, and what it holds. ConfigError if it is not YAML."""
     from swarmd.settings.yamlfile import read, shown  # as in `read_contexts`
 
-    name, data = shown(path), read(path)
+    name = shown(path)
+    data = read(path)
     if not data and path.stat().st_size == 0:
         raise ConfigError(f"{name}: is empty, such as after a full disk; expected contexts")
     return name, data
@@ -183,7 +184,8 @@ def readable_part(swarm: str, environ: Mapping[str, str] = os.environ) -> Contex
         data = {} if path is None or not _is_there(path) else _content(path)[1]
     except ConfigError:
         return None
-    contexts, name = data.get("contexts"), environ.get(ENVIRONMENT) or data.get("use")
+    contexts = data.get("contexts")
+    name = environ.get(ENVIRONMENT) or data.get("use")
     if not isinstance(contexts, dict) or not isinstance(name, str):
         return None
     options = contexts.get(name)

@@ -372,7 +372,8 @@ def _check_sensors(file: PlatformFile) -> Iterator[Fault]:
 
 def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
     """Check that distances of protection lie within the ranges that the sensor measures."""
-    scan, protection = file.scan, file.protection
+    scan = file.scan
+    protection = file.protection
     places: dict[Keys, float | None] = {
         ("protection", "presets", name, "threshold"): preset.threshold
         for name, preset in protection.presets.items()
@@ -425,7 +426,8 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
     modes any range suffices. The fault of a short range also names the greatest `limits.linear`
     with which the range suffices. `_check_cone` checks wide beams.
     """
-    scan, limits = platform.scan, platform.limits
+    scan = platform.scan
+    limits = platform.limits
     barrier = barrier_settings(platform)
     yield from _check_rate(scan, "scan")
     if barrier is None:
@@ -555,7 +557,8 @@ _LEAST_RAYS = 90  # of a lidar whose tracks show robots: 4 degrees apart
 
 def _provided(file: PlatformFile) -> frozenset[str]:
     """What the file names, and the places of peers by kin if the lidar shows robots of its kind."""
-    provides, heights = frozenset(file.provides), file.heights
+    provides = frozenset(file.provides)
+    heights = file.heights
     is_seen = heights is not None and heights.lowest <= heights.scan_plane <= heights.highest
     has_tracks = file.protection.mode == "barrier" and len(_bearings(file.scan)) >= _LEAST_RAYS
     has_motion = {"scan", "odometry"} <= provides

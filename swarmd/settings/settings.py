@@ -181,7 +181,8 @@ def with_options(platform: Platform, options: Mapping[str, Value]) -> Platform:
     With a pose in a shared frame the robot computes the places of its peers. Cameras that give the
     places of robots replace kin.
     """
-    inputs, own = _inputs_of(options), platform.provides
+    inputs = _inputs_of(options)
+    own = platform.provides
     if KIN in own and inputs >= PLACES_BY_SIGHT:
         own -= PLACES_BY_POSE | {KIN}
     provides = own | inputs
@@ -204,7 +205,8 @@ def _inputs_of(options: Mapping[str, Value]) -> set[str]:
     ):
         inputs |= PLACES_BY_SIGHT
     for name, reading in _entries_of(options, "readings"):
-        topic, count = reading.get("topic"), reading.get("count")
+        topic = reading.get("topic")
+        count = reading.get("count")
         sensors = len(topic) if isinstance(topic, list) else 0
         if isinstance(count, int):
             sensors = count * max(sensors, 1)

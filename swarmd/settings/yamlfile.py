@@ -124,7 +124,8 @@ def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
 def shown(path: Path) -> str:
     """The path as errors show it: relative if it is below the working directory, else absolute."""
     try:
-        real, here = real_path(path), Path.cwd()
+        real = real_path(path)
+        here = Path.cwd()
     except OSError:  # the working directory was removed
         return str(path)
     return str(real.relative_to(here)) if real.is_relative_to(here) else str(real)
@@ -174,7 +175,8 @@ class _StrictLoader(_Loader):  # type: ignore[misc]  # a base chosen at run time
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         lines: dict[str, int] = {}
         for key_node, _ in node.value:
-            key, mark = self.construct_object(key_node, deep=True), key_node.start_mark
+            key = self.construct_object(key_node, deep=True)
+            mark = key_node.start_mark
             if not isinstance(key, str):
                 is_plain = isinstance(key_node, yaml.ScalarNode) and key is not None
                 text = key_node.value if is_plain else brief(key)

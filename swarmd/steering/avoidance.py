@@ -105,18 +105,22 @@ class Avoidance:
     _held_s: cython.double
 
     def __init__(self, clearance: Clearance, limits: Limits) -> None:
-        self._radius, self._width = clearance.beside, 2.0 * clearance.body
+        self._radius = clearance.beside
+        self._width = 2.0 * clearance.body
         self._reach = self._radius - _WALL_SLACK + _WALL_HORIZON * limits.linear
         self._is_holonomic = limits.lateral > 0.0
         lead = limits.linear / limits.angular if limits.angular > 0.0 else _LEAD[1]
         self._lead = 0.0 if self._is_holonomic else min(max(lead, _LEAD[0]), _LEAD[1])
         self._min_request = _MIN_REQUEST_SHARE * limits.linear
-        self._right_rad, self._last_call_at = _RIGHT_RAD, -INFINITY
+        self._right_rad = _RIGHT_RAD
+        self._last_call_at = -INFINITY
 
     @cython.ccall
     def reset(self) -> None:
         """Forget how long the robot has been held up."""
-        self._right_rad, self._held_s, self.avoiding = _RIGHT_RAD, 0.0, None
+        self._right_rad = _RIGHT_RAD
+        self._held_s = 0.0
+        self.avoiding = None
 
     @cython.ccall
     def command(
@@ -178,7 +182,8 @@ class Avoidance:
             self.avoiding = tracks[worst_line - wall_count]
         else:
             right_rad -= _RIGHT_RAD
-        c, s = cos(right_rad), -sin(right_rad)
+        c = cos(right_rad)
+        s = -sin(right_rad)
         speed: cython.double = math.hypot(x, y)
         chosen_x, chosen_y = nearest(lines, wall_count, c * x - s * y, s * x + c * y, speed)
         self._update_held_up(now, (chosen_x * x + chosen_y * y) / (speed * speed))

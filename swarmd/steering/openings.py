@@ -47,7 +47,8 @@ else:
 _MAX_RANGE = cython.declare(cython.double, 2.5)  # m from the lidar within which openings are seen
 _JUMP = cython.declare(cython.double, 0.25)  # m between neighbouring ranges at the end of a wall
 # Widths of the robot, and m: through a wider opening two robots pass side by side.
-_NARROWEST_SHARE, _WIDEST = 1.5, 1.0
+_NARROWEST_SHARE = 1.5
+_WIDEST = 1.0
 _MIN_RETURNS = cython.declare(cython.int, 10)  # a scan with fewer returns shows no opening
 _MIN_RAYS = cython.declare(cython.int, 3)  # between the posts of an opening
 # m by which a return between the posts may be nearer than the farther post
@@ -71,7 +72,9 @@ _SAME_ANGLE = cython.declare(cython.double, 0.4)
 _LENGTH_WEIGHT = cython.declare(cython.double, 0.4)
 SIGHTINGS = cython.declare(cython.longlong, 2)
 """Sightings of an opening before right of way uses it."""
-_FORGET_SINGLE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
+# s without a sighting after which an opening is forgotten
+_FORGET_SINGLE = 5.0
+_FORGET = 120.0
 _MAX_OPENINGS = 8  # openings
 _MAX_WALL_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or railings
 
@@ -121,12 +124,18 @@ class _PlacedReturns:
         # All buffers from one allocation, which costs as much as a hundred returns.
         n: cython.Py_ssize_t = returns.count
         room: cython.double[::1] = scratch(5 * n)
-        self.ranges, self.bearings = returns.ranges[:n], returns.bearings[:n]
-        self.x, self.y, self.along = room[:n], room[n : 2 * n], room[2 * n : 3 * n]
-        self.side, self.places = room[3 * n : 4 * n], room[4 * n :]
+        self.ranges = returns.ranges[:n]
+        self.bearings = returns.bearings[:n]
+        self.x = room[:n]
+        self.y = room[n : 2 * n]
+        self.along = room[2 * n : 3 * n]
+        self.side = room[3 * n : 4 * n]
+        self.places = room[4 * n :]
         self.offset_x, self.offset_y = offset
-        self.pose_x, self.pose_y = pose.x, pose.y
-        self.pose_cos, self.pose_sin = cos(yaw), sin(yaw)
+        self.pose_x = pose.x
+        self.pose_y = pose.y
+        self.pose_cos = cos(yaw)
+        self.pose_sin = sin(yaw)
 
     @cython.cfunc
     def place(self, row: cython.Py_ssize_t) -> cython.int:
@@ -146,7 +155,9 @@ class _PlacedReturns:
         self.tracks = scratch(3 * len(tracks))
         for x, y, radius in tracks:
             radius += _TRACK_SLACK
-            self.tracks[k], self.tracks[k + 1], self.tracks[k + 2] = x, y, radius * radius
+            self.tracks[k] = x
+            self.tracks[k + 1] = y
+            self.tracks[k + 2] = radius * radius
             k += 3
 
     @cython.cfunc
@@ -224,7 +235,9 @@ class _PlacedReturns:
             if square < least_square:
                 if square <= narrowest * narrowest:
                     return -1
-                steps_to_partner, partner, least_square = step, row, square
+                steps_to_partner = step
+                partner = row
+                least_square = square
         if steps_to_partner <= _MIN_RAYS:
             return -1
 
@@ -324,10 +337,13 @@ class Opening:
         side: cython.double = 0.0
         for i in range(returns.count):
             if self.is_face(returns, i):
-                along, side, count = along + returns.along[i], side + returns.side[i], count + 1
+                along = along + returns.along[i]
+                side = side + returns.side[i]
+                count = count + 1
         if count < _MIN_FACE_RETURNS:
             return False
-        along, side = along / count, side / count
+        along = along / count
+        side = side / count
         covariance: cython.double = 0.0
         variance: cython.double = 0.0
         for i in range(returns.count):
@@ -403,7 +419,8 @@ class Opening:
         # 1. Begin, end and walls of the sighting in the frame of this opening.
         if fabs(remainder(turn, TURN)) > 0.5 * PI:  # seen from the other side
             first, last, left, right = -last, -first, right, left
-        first, last = first + along, last + along
+        first = first + along
+        last = last + along
 
         # 2. The weighted mean.
         self.x += weight * -sin_angle * side
@@ -414,7 +431,8 @@ class Opening:
         self.last += _LENGTH_WEIGHT * (last - self.last)
         self.left += _LENGTH_WEIGHT * (left - self.left)
         self.right += _LENGTH_WEIGHT * (right - self.right)
-        self.hits, self.seen_at = self.hits + 1, sighting.seen_at
+        self.hits = self.hits + 1
+        self.seen_at = sighting.seen_at
 
 
 @cython.final
@@ -429,7 +447,8 @@ class Openings:
     def __init__(self, body: float, returns: ScanReturns | None = None) -> None:
         """`body`: half of the robot's width in m. `returns`: what tracks share; None: its own."""
         self._narrowest = 2.0 * _NARROWEST_SHARE * body
-        self.known, self._returns = [], returns or ScanReturns()
+        self.known = []
+        self._returns = returns or ScanReturns()
 
     @cython.ccall
     def clear(self) -> None:
@@ -565,7 +584,9 @@ def _opening(
     dy: cython.double = returns.y[partner] - returns.y[post]
     opening.x = 0.5 * (returns.x[post] + returns.x[partner])
     opening.y = 0.5 * (returns.y[post] + returns.y[partner])
-    opening.angle, opening.half, opening.hits = atan2(dx, -dy), 0.5 * hypot(dx, dy), 1
+    opening.angle = atan2(dx, -dy)
+    opening.half = 0.5 * hypot(dx, dy)
+    opening.hits = 1
     opening.measure(returns)
     return opening
 
@@ -622,5 +643,7 @@ def gap_middle(
             continue
         gap: cython.double = 0.5 * (sides[i] + sides[i - 1])
         if fabs(gap) < farthest and (not is_measured or fabs(gap - expected) < least_error):
-            is_measured, best, least_error = True, gap, fabs(gap - expected)
+            is_measured = True
+            best = gap
+            least_error = fabs(gap - expected)
     return best if is_measured else None

@@ -206,23 +206,29 @@ class Recovery:
         `seed` seeds the random choices.
         """
         self.lookahead = clearance.ahead + _FOLLOW_TIME * limits.linear
-        self._half_width, self._width = clearance.beside, 2.0 * clearance.body
+        self._half_width = clearance.beside
+        self._width = 2.0 * clearance.body
         self._flank = clearance.body if clearance.body > 0.0 else clearance.beside
-        self._linear_limit, self._angular_limit = limits.linear, limits.angular
+        self._linear_limit = limits.linear
+        self._angular_limit = limits.angular
         self._turn_rate = min(limits.angular, 1.5)
         self._turn_weight = math.pow(limits.linear / limits.angular, 2.0)
         self._rng = Random(seed)
-        self._side, self._side_until = -1.0, -INFINITY
+        self._side = -1.0
+        self._side_until = -INFINITY
         self._back_time = _BACK_OFF_TIME
         self._last_block_at = -INFINITY
-        self._crept_at, self._gained_at = -INFINITY, -INFINITY
+        self._crept_at = -INFINITY
+        self._gained_at = -INFINITY
         self._way_until = -INFINITY
         self.reset()
 
     @cython.ccall
     def reset(self) -> None:
         """Become inactive: the requested command passes."""
-        self._request, self._last_motion, self._began_at = ZERO, None, -INFINITY
+        self._request = ZERO
+        self._last_motion = None
+        self._began_at = -INFINITY
         self._enter("follow", -INFINITY)
 
     @cython.ccall
@@ -315,7 +321,8 @@ class Recovery:
 
         A robot that creeps backs off in any case: straight on no corner swings towards a wall.
         """
-        self._began_at, self._speed = context.now, 0.5 * self._linear_limit
+        self._began_at = context.now
+        self._speed = 0.5 * self._linear_limit
         self._last_motion = None
         if self._has_crept or self._is_fast(requested.linear, requested.lateral):
             self._back_off(points, context.now)
@@ -450,7 +457,8 @@ class Recovery:
         is_new: cython.bint = now - self._last_block_at > _ROUND_TIME
         self._last_block_at = now
         if is_new or not self._is_enclosed(points):
-            self._back_off_count, self._back_time = 0, _BACK_OFF_TIME
+            self._back_off_count = 0
+            self._back_time = _BACK_OFF_TIME
             return
 
         # A random time whose bound doubles with each block.
@@ -579,7 +587,8 @@ class Recovery:
         width, i, k = passage_between(points, _SIDES_FROM, _SIDES_TO, widest)
         if not self._width < width < widest:
             return None
-        left, right = points[i], points[k]
+        left = points[i]
+        right = points[k]
         across = left - right
         direction = np.array((across[1], -across[0])) / width  # through the passage
         middle = 0.5 * (left + right)
@@ -606,7 +615,9 @@ class Recovery:
 
         A robot that creeps takes the first straight one that is no slower than _STRAIGHT_ESCAPE.
         """
-        speed, fastest, escape = 0.5 * self._speed, 0.0, None
+        speed = 0.5 * self._speed
+        fastest = 0.0
+        escape = None
         for sign in (-1.0, 1.0) if self._is_backing else (1.0, -1.0):
             for turn in _ESCAPE_TURNS:
                 twist = Twist(sign * speed, turn)
@@ -614,7 +625,8 @@ class Recovery:
                 if self._has_crept and turn == 0.0 and allowed >= _STRAIGHT_ESCAPE:
                     return twist
                 if allowed > fastest + 0.01 * speed:
-                    fastest, escape = allowed, twist
+                    fastest = allowed
+                    escape = twist
         return escape
 
     @cython.cfunc
@@ -664,7 +676,8 @@ class Recovery:
             free = self._free_length(places, bearing, half_width)
             cost += 20.0 * max(self.lookahead - free, 0.0)
             if cost < least_cost:
-                least_cost, self._bearing = cost, bearing
+                least_cost = cost
+                self._bearing = bearing
 
     @cython.cfunc
     def _free_length(
@@ -674,7 +687,9 @@ class Recovery:
         half_width: cython.double,
     ) -> cython.double:
         """m of free corridor from the axle along a bearing, up to `lookahead`."""
-        c, s, free = cos(bearing), sin(bearing), self.lookahead
+        c = cos(bearing)
+        s = sin(bearing)
+        free = self.lookahead
         for i in range(len(places)):
             ahead = c * places[i, 0] + s * places[i, 1]
             aside = c * places[i, 1] - s * places[i, 0]
@@ -691,7 +706,8 @@ class Recovery:
 
     @cython.cfunc
     def _enter(self, state: str, now: cython.double) -> None:
-        self._state, self._state_since = state, now
+        self._state = state
+        self._state_since = now
         self.is_active = state != "follow"
         self.has_taken_over = self.is_active and state != "pass"
         self._blocked_since = INFINITY

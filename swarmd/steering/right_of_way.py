@@ -162,11 +162,13 @@ class RightOfWay:
         self, clearance: Clearance, limits: Limits, seed: str, returns: ScanReturns | None = None
     ) -> None:
         """`seed` seeds the random choices. `returns`: what tracks share; None: its own."""
-        self._linear_limit, self._angular_limit = limits.linear, limits.angular
+        self._linear_limit = limits.linear
+        self._angular_limit = limits.angular
         lead = limits.linear / limits.angular if limits.angular > 0.0 else _way.lead
         self._lead = min(max(lead, _way.least_lead), _way.most_lead)
         self._rng = Random(f"way {seed}")
-        self._openings, self._trail = Openings(clearance.body, returns), OdometryTrail()
+        self._openings = Openings(clearance.body, returns)
+        self._trail = OdometryTrail()
         self._passed_at = -INFINITY
         self.reset()
 
@@ -186,12 +188,22 @@ class RightOfWay:
     @cython.cfunc
     def _release(self) -> None:
         """Drop the chosen opening: requests pass until another opening is on the way."""
-        self._opening, self._middle_offset, self.state = None, None, WayState.NONE
-        self._wanted_yaw = self._keep_clear_for = self._waiting_side = 0.0
-        self._sides, self._farthest, self._seen_since, self._within_at = {}, {}, {}, {}
+        self._opening = None
+        self._middle_offset = None
+        self.state = WayState.NONE
+        self._wanted_yaw = 0.0
+        self._keep_clear_for = 0.0
+        self._waiting_side = 0.0
+        self._sides = {}
+        self._farthest = {}
+        self._seen_since = {}
+        self._within_at = {}
         self._came_out = set()
-        self._progress_along = self._progress_at = self._busy_at = -INFINITY
-        self._is_backing, self._is_lined_up = False, False
+        self._progress_along = -INFINITY
+        self._progress_at = -INFINITY
+        self._busy_at = -INFINITY
+        self._is_backing = False
+        self._is_lined_up = False
 
     @property
     def is_settled(self) -> bool:
@@ -251,7 +263,8 @@ class RightOfWay:
             safe_for: gives the command that protection would make of any command.
             points: gives the returns of the scan, (n, 2) in m in the base frame.
         """
-        odometry, odometry_age = context.odometry, context.odometry_age
+        odometry = context.odometry
+        odometry_age = context.odometry_age
         now: cython.double = context.now
         if odometry is None or odometry_age is None:
             return requested
@@ -263,7 +276,10 @@ class RightOfWay:
         base_x: cython.double = trail.x
         base_y: cython.double = trail.y
         yaw: cython.double = trail.yaw
-        self._surroundings, self._x, self._y, self._yaw = surroundings, base_x, base_y, yaw
+        self._surroundings = surroundings
+        self._x = base_x
+        self._y = base_y
+        self._yaw = yaw
         linear: cython.double = requested.linear
         angular: cython.double = requested.angular
         lateral: cython.double = requested.lateral
@@ -302,7 +318,8 @@ class RightOfWay:
         c: cython.double = cos(yaw)
         s: cython.double = sin(yaw)
         track: Track
-        others, seen_since = [], {}
+        others = []
+        seen_since = {}
         for track in tracks:
             id = track.id
             since: cython.double = self._seen_since.get(id, now)
@@ -352,7 +369,8 @@ class RightOfWay:
         the base in the frame of the odometry.
         """
         opening: Opening
-        nearest, chosen = INFINITY, None
+        nearest = INFINITY
+        chosen = None
         for opening in self._openings.known:
             # 1. Skips an opening that was seen too rarely, or whose wall the request leads along.
             angle: cython.double = remainder(self._wanted_yaw - opening.angle, TURN)
@@ -378,14 +396,16 @@ class RightOfWay:
             )
             distance: cython.double = hypot(min(along, 0.0), aside)
             if (leads_in or leads_to_wall) and distance < nearest:
-                nearest, chosen = distance, (opening, sign)
+                nearest = distance
+                chosen = (opening, sign)
         if chosen is None:
             return
 
         # 4. Begins with the chosen opening.
         wanted_yaw: cython.double = self._wanted_yaw
         self._release()
-        self._wanted_yaw, self._chosen_at = wanted_yaw, now
+        self._wanted_yaw = wanted_yaw
+        self._chosen_at = now
         self._opening, self._sign = chosen
         if now - self._passed_at < _way.recently:
             self._busy_at = now
@@ -401,7 +421,10 @@ class RightOfWay:
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
         moving objects) in the same frame. `now`: s.
         """
-        is_busy = is_behind = is_close = is_queued = False
+        is_busy = False
+        is_behind = False
+        is_close = False
+        is_queued = False
         for id, along, aside in map(astuple, others):
             # 1. The side from which the track came. The side stays while the track is within or
             # near the opening.
@@ -499,7 +522,8 @@ class RightOfWay:
             self._is_backing = not self._is_backing
         elif not has_moved:
             return
-        self._progress_along, self._progress_at = place.along, now
+        self._progress_along = place.along
+        self._progress_at = now
 
     @cython.cfunc
     def _next_state(self, place: _Place, traffic: _Traffic, now: float) -> WayState:
@@ -629,7 +653,8 @@ class RightOfWay:
         robot creep. So several speeds are tried.
         """
         fastest = abs(twist.linear)
-        best_value, best = -INFINITY, twist
+        best_value = -INFINITY
+        best = twist
         for speed in (fastest, *_SPEEDS):
             candidate = Twist(math.copysign(min(speed, fastest), twist.linear), twist.angular)
             allowed = safe_for(candidate)
@@ -637,7 +662,8 @@ class RightOfWay:
             value = math.copysign(allowed.linear, allowed.linear * candidate.linear)
             value -= _way.turn_cost * abs(allowed.angular - candidate.angular)
             if value > best_value:
-                best_value, best = value, candidate
+                best_value = value
+                best = candidate
         return best
 
     @cython.cfunc

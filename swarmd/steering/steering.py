@@ -57,7 +57,8 @@ class Steering:
     _right_of_way: RightOfWay
 
     def __init__(self, platform: Platform, protection: ProtectionView, seed: str = "") -> None:
-        self._protection, self._offset = protection, platform.scan.offset
+        self._protection = protection
+        self._offset = platform.scan.offset
         clearance = protection.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
         if clearance is not None:
             self._recovery = Recovery(clearance, platform.limits, seed)
@@ -147,7 +148,8 @@ class Steering:
     def _end_recovery(self, recovery: Recovery) -> None:
         """Reset recovery, avoidance and right of way, if they have decided since the last hold."""
         if self._may_recover:
-            self._may_recover = self._is_recovering = False
+            self._may_recover = False
+            self._is_recovering = False
             recovery.reset()
             self._avoidance.reset()
             self._right_of_way.reset()

@@ -153,7 +153,9 @@ class ScanReturns:
         self._make_room(0)  # a view that is not set ends the process when memory is taken
 
     def _make_room(self, count: cython.Py_ssize_t) -> None:
-        self.ranges, self.bearings, self.ages = doubles(count), doubles(count), doubles(count)
+        self.ranges = doubles(count)
+        self.bearings = doubles(count)
+        self.ages = doubles(count)
         self._order = indices(count)
         self._unsorted = doubles(count)
         self._sorted = indices(count)
@@ -187,7 +189,8 @@ class ScanReturns:
         for i in range(len(ranges)):
             if ranges[i] > 0.0 and ranges[i] < INFINITY:
                 if count > 0 and not bearings[i] >= bearings[order[count - 1]]:
-                    falls, lowest = falls + 1, count
+                    falls = falls + 1
+                    lowest = count
                 order[count] = i
                 count += 1
 
@@ -201,12 +204,15 @@ class ScanReturns:
             sort_rays(self._unsorted, count, own_bearings, self._sorted)
             for k in range(count):
                 self._sorted[k] = order[self._sorted[k]]
-            order, lowest = self._sorted, 0
+            order = self._sorted
+            lowest = 0
         for k in range(count):
             i = order[wrapped_index(k + lowest, count)]
-            own_ranges[k], own_bearings[k] = ranges[i], bearings[i]
+            own_ranges[k] = ranges[i]
+            own_bearings[k] = bearings[i]
             own_ages[k] = ages[i] if has_ages else 0.0
-        self.count, self._scan = count, scan
+        self.count = count
+        self._scan = scan
         return 0
 
 
@@ -251,11 +257,13 @@ class _Filter:
     @cython.cfunc
     def begin(self, cluster: _Cluster) -> cython.int:
         """Begin at rest where a cluster shows a new object."""
-        self.state_at = self.seen_at = cluster.measured_at
+        self.state_at = cluster.measured_at
+        self.seen_at = cluster.measured_at
         self.radius = min(max(cluster.half_width, _MIN_RADIUS), _MAX_RADIUS)
         self.x = cluster.x + _DEPTH_SHARE * self.radius * cluster.ray_x
         self.y = cluster.y + _DEPTH_SHARE * self.radius * cluster.ray_y
-        self.pp, self.vv = 0.03**2, _FIRST_SPEED**2
+        self.pp = 0.03**2
+        self.vv = _FIRST_SPEED**2
         self.hits = 1
         return 0
 
@@ -318,7 +326,8 @@ class _Filter:
         self.seen_at = cluster.measured_at
         speed: cython.double = hypot(self.vx, self.vy)
         if speed > self.fastest:
-            self.vx, self.vy = self.vx * self.fastest / speed, self.vy * self.fastest / speed
+            self.vx = self.vx * self.fastest / speed
+            self.vy = self.vy * self.fastest / speed
         self.hits += 1
         self.misses = 0
 
@@ -346,8 +355,11 @@ class Surroundings:
 
     def __init__(self, tracks: tuple[Track, ...] | None, walls: Array | None) -> None:
         """None: computed later by what the tracker sets."""
-        self._tracks, self._walls, self._filters = tracks, walls, []
-        self._wall_x = self._wall_y = _no_doubles
+        self._tracks = tracks
+        self._walls = walls
+        self._filters = []
+        self._wall_x = _no_doubles
+        self._wall_y = _no_doubles
 
     @property
     def tracks(self) -> tuple[Track, ...]:
@@ -371,8 +383,10 @@ class Surroundings:
             dx: cython.double = seen.x + seen.vx * seconds_ahead - self._x
             dy: cython.double = seen.y + seen.vy * seconds_ahead - self._y
             track = Track.__new__(Track)  # without objects of Python for its numbers
-            track.id, track.radius = seen.id, seen.radius
-            track.x, track.y = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+            track.id = seen.id
+            track.radius = seen.radius
+            track.x = cos_yaw * dx + sin_yaw * dy
+            track.y = cos_yaw * dy - sin_yaw * dx
             track.vx = cos_yaw * seen.vx + sin_yaw * seen.vy
             track.vy = cos_yaw * seen.vy - sin_yaw * seen.vx
             tracks.append(track)
@@ -392,7 +406,8 @@ class Surroundings:
         for i in range(self._wall_count):
             dx: cython.double = self._wall_x[i] - self._x
             dy: cython.double = self._wall_y[i] - self._y
-            places[i, 0], places[i, 1] = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+            places[i, 0] = cos_yaw * dx + sin_yaw * dy
+            places[i, 1] = cos_yaw * dy - sin_yaw * dx
         self._walls = walls
         return walls
 
@@ -446,13 +461,15 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget all objects."""
-        self._filters, self._wall_count = [], 0
+        self._filters = []
+        self._wall_count = 0
         self._trail.clear()
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all objects are forgotten."""
         if self._trail.take(odometry) == ANEW:
-            self._filters, self._wall_count = [], 0
+            self._filters = []
+            self._wall_count = 0
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan that has arrived at the time of `context`.
@@ -497,7 +514,8 @@ class Tracker:
                 self._add_wall(cluster.x, cluster.y)
             else:
                 track = _Filter()
-                track.id, track.fastest = self._next_id, self._fastest
+                track.id = self._next_id
+                track.fastest = self._fastest
                 track.begin(cluster)
                 self._filters.append(track)
                 self._next_id += 1
@@ -513,11 +531,15 @@ class Tracker:
             return Surroundings((), np.empty((0, 2)))
         time: cython.double = self._trail.latest + odometry_age
         around: Surroundings = Surroundings(None, None)
-        around._filters, around._time = self._filters, time
-        around._wall_x, around._wall_y = self._wall_x, self._wall_y
+        around._filters = self._filters
+        around._time = time
+        around._wall_x = self._wall_x
+        around._wall_y = self._wall_y
         around._wall_count = self._wall_count
         self._trail.set_pose(time)
-        around._x, around._y, around._yaw = self._trail.x, self._trail.y, self._trail.yaw
+        around._x = self._trail.x
+        around._y = self._trail.y
+        around._yaw = self._trail.yaw
         return around
 
     @cython.cfunc
@@ -534,16 +556,20 @@ class Tracker:
             x: cython.double = obstacle.x
             y: cython.double = obstacle.y
             cluster: _Cluster = _Cluster()
-            cluster.x, cluster.y = trail.x + c * x - s * y, trail.y + s * x + c * y
-            cluster.half_width, cluster.range = obstacle.radius, hypot(x, y)
+            cluster.x = trail.x + c * x - s * y
+            cluster.y = trail.y + s * x + c * y
+            cluster.half_width = obstacle.radius
+            cluster.range = hypot(x, y)
             cluster.visible_ends = 1
-            cluster.measured_at, cluster.is_shared = now - obstacle.age, True
+            cluster.measured_at = now - obstacle.age
+            cluster.is_shared = True
             clusters.append(cluster)
 
     @cython.cfunc
     def _add_wall(self, x: cython.double, y: cython.double) -> cython.int:
         k: cython.Py_ssize_t = self._wall_count
-        self._wall_x[k], self._wall_y[k] = x, y
+        self._wall_x[k] = x
+        self._wall_y[k] = y
         self._wall_count = k + 1
         return 0
 
@@ -562,7 +588,8 @@ class Tracker:
             self._make_room(len(returns.ranges))
         lidar_x: cython.double = base_x + cos(yaw) * self._offset_x - sin(yaw) * self._offset_y
         lidar_y: cython.double = base_y + sin(yaw) * self._offset_x + cos(yaw) * self._offset_y
-        self._lidar_x, self._lidar_y = lidar_x, lidar_y
+        self._lidar_x = lidar_x
+        self._lidar_y = lidar_y
         ranges: cython.double[::1] = returns.ranges
         bearings: cython.double[::1] = returns.bearings
         x: cython.double[::1] = self._x
@@ -570,16 +597,20 @@ class Tracker:
         k: cython.Py_ssize_t
         for k in range(returns.count):
             angle: cython.double = bearings[k] + yaw
-            x[k], y[k] = lidar_x + ranges[k] * cos(angle), lidar_y + ranges[k] * sin(angle)
+            x[k] = lidar_x + ranges[k] * cos(angle)
+            y[k] = lidar_y + ranges[k] * sin(angle)
         return 0
 
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         """Make the arrays of places, runs and walls for `count` rays."""
-        self._x, self._y = doubles(count), doubles(count)
+        self._x = doubles(count)
+        self._y = doubles(count)
         self._is_gap = indices(count)
-        self._run_first, self._run_last = indices(count), indices(count)
+        self._run_first = indices(count)
+        self._run_last = indices(count)
         # Each place of a wall is a return, or the mean of a run.
-        self._wall_x, self._wall_y = doubles(count), doubles(count)
+        self._wall_x = doubles(count)
+        self._wall_y = doubles(count)
 
     @cython.cfunc
     def _cut_into_runs(self) -> cython.Py_ssize_t:
@@ -608,7 +639,8 @@ class Tracker:
             dy: cython.double = self._y[j] - self._y[i]
             self._is_gap[i] = step > max_step
             if self._is_gap[i] or dx * dx + dy * dy > max_distance * max_distance:
-                self._run_first[cuts], self._run_last[cuts] = first, i
+                self._run_first[cuts] = first
+                self._run_last[cuts] = i
                 first = i + 1
                 cuts += 1
         if cuts > 0:  # the returns behind the last cut are the begin of the first run
@@ -712,7 +744,8 @@ class Tracker:
         dx: cython.double = cluster.x - self._lidar_x
         dy: cython.double = cluster.y - self._lidar_y
         to_lidar: cython.double = max(hypot(dx, dy), 1e-6)
-        cluster.ray_x, cluster.ray_y = dx / to_lidar, dy / to_lidar
+        cluster.ray_x = dx / to_lidar
+        cluster.ray_y = dy / to_lidar
         clusters.append(cluster)
         return 0
 
@@ -735,11 +768,15 @@ class Tracker:
         for k in range(index, end + 1, 2):
             for i in range(self._run_first[k], self._run_last[k] + 1):
                 ray = i if i >= 0 else i + self._returns.count
-                x, y = x + self._x[ray], y + self._y[ray]
-                distance, age = distance + self._returns.ranges[ray], age + self._returns.ages[ray]
+                x = x + self._x[ray]
+                y = y + self._y[ray]
+                distance = distance + self._returns.ranges[ray]
+                age = age + self._returns.ages[ray]
                 count += 1
         cluster: _Cluster = _Cluster()
-        cluster.x, cluster.y, cluster.range = x / count, y / count, distance / count
+        cluster.x = x / count
+        cluster.y = y / count
+        cluster.range = distance / count
         cluster.measured_at = scan_time - age / count
         return cluster
 
@@ -778,7 +815,8 @@ class Tracker:
                 ray_sector: cython.double = floor(bearings[i] * _SECTOR)
                 if nearest < 0 or ray_sector != sector:
                     self._add_near_wall(nearest)
-                    nearest, sector = i, ray_sector
+                    nearest = i
+                    sector = ray_sector
                 elif ranges[i] < ranges[nearest]:
                     nearest = i
         return self._add_near_wall(nearest)
@@ -810,7 +848,8 @@ class Tracker:
                     pairs.append((distance / gate, filter_index, cluster_index))
         pairs.sort()
         for _, filter_index, cluster_index in pairs:
-            track, cluster = self._filters[filter_index], clusters[cluster_index]
+            track = self._filters[filter_index]
+            cluster = clusters[cluster_index]
             if track.misses and not cluster.is_used:
                 cluster.is_used = True
                 track.update(cluster)

@@ -49,8 +49,10 @@ class Line:
 def _line(x: cython.double, y: cython.double, dx: cython.double, dy: cython.double) -> Line:
     """A line, made without objects of Python for its numbers."""
     line: Line = Line.__new__(Line)
-    line.x, line.y = x, y
-    line.dx, line.dy = dx, dy
+    line.x = x
+    line.y = y
+    line.dx = dx
+    line.dy = dy
     return line
 
 
@@ -104,8 +106,10 @@ def line_of(
         nx: cython.double = from_cap_x / max(length, _EPSILON)
         ny: cython.double = from_cap_y / max(length, _EPSILON)
         off: cython.double = radius / horizon - length
-        dx, dy = ny, -nx
-        change_x, change_y = off * nx, off * ny
+        dx = ny
+        dy = -nx
+        change_x = off * nx
+        change_y = off * ny
     else:
         # 2. Projects the velocity on the nearer leg of the cone. A leg has the direction of a
         # tangent from the robot to the circle of `radius` around the place. Left of the line lies
@@ -114,11 +118,14 @@ def line_of(
         leg: cython.double = sqrt(max(square - radius * radius, 0.0))  # m, of the tangent
         is_left: cython.bint = px * from_cap_y - py * from_cap_x > 0.0
         if is_left:
-            dx, dy = (px * leg - py * radius) / square, (px * radius + py * leg) / square
+            dx = (px * leg - py * radius) / square
+            dy = (px * radius + py * leg) / square
         else:
-            dx, dy = -(px * leg + py * radius) / square, -(py * leg - px * radius) / square
+            dx = -(px * leg + py * radius) / square
+            dy = -(py * leg - px * radius) / square
         speed: cython.double = vx * dx + vy * dy
-        change_x, change_y = speed * dx - vx, speed * dy - vy
+        change_x = speed * dx - vx
+        change_y = speed * dy - vy
     return _line(robot_vx + share * change_x, robot_vy + share * change_y, dx, dy)
 
 
@@ -202,7 +209,8 @@ def most_violated(
     for i in range(first, len(lines)):
         line_excess: cython.double = excess(lines[i], x, y)
         if line_excess > worst_excess:
-            worst, worst_excess = i, line_excess
+            worst = i
+            worst_excess = line_excess
     return worst
 
 
@@ -241,7 +249,8 @@ def passage_between(
                     continue  # certainly wider: saves most calls of hypot
                 width: cython.double = hypot(dx, dy)
                 if width < least_width:
-                    least_width, best = width, (width, i, k)
+                    least_width = width
+                    best = (width, i, k)
     return best
 
 
@@ -290,11 +299,14 @@ class _Programme:
         max_speed: cython.double = self.max_speed
         length: cython.double = hypot(x, y)
         if is_direction:
-            self.x, self.y = x * max_speed, y * max_speed
+            self.x = x * max_speed
+            self.y = y * max_speed
         elif length > max_speed:
-            self.x, self.y = x * max_speed / length, y * max_speed / length
+            self.x = x * max_speed / length
+            self.y = y * max_speed / length
         else:
-            self.x, self.y = x, y
+            self.x = x
+            self.y = y
         for i in range(len(lines)):
             line = lines[i]
             if excess(line, self.x, self.y) > 0.0 and not self._place(lines, i, x, y, is_direction):
@@ -353,7 +365,8 @@ class _Programme:
             position = high if x * line.dx + y * line.dy > 0.0 else low
         else:
             position = min(max(line.dx * (x - line.x) + line.dy * (y - line.y), low), high)
-        self.x, self.y = line.x + position * line.dx, line.y + position * line.dy
+        self.x = line.x + position * line.dx
+        self.y = line.y + position * line.dy
         return True
 
     @cython.cfunc
@@ -390,11 +403,13 @@ class _Programme:
                     have_same_side: cython.bint = line.dx * other.dx + line.dy * other.dy > 0.0
                     if have_same_side:
                         continue
-                    x, y = 0.5 * (line.x + other.x), 0.5 * (line.y + other.y)
+                    x = 0.5 * (line.x + other.x)
+                    y = 0.5 * (line.y + other.y)
                 else:  # the border leads through the crossing, at `position` m/s along `line`
                     position: cython.double = other.dx * (line.y - other.y)
                     position = (position - other.dy * (line.x - other.x)) / cross
-                    x, y = line.x + position * line.dx, line.y + position * line.dy
+                    x = line.x + position * line.dx
+                    y = line.y + position * line.dy
                 # To the left of this direction `other` is violated less than `line`.
                 dx: cython.double = other.dx - line.dx
                 dy: cython.double = other.dy - line.dy
@@ -406,5 +421,6 @@ class _Programme:
             previous_x: cython.double = self.x
             previous_y: cython.double = self.y
             if self.solve(projected, -line.dy, line.dx, True) < len(projected):
-                self.x, self.y = previous_x, previous_y
+                self.x = previous_x
+                self.y = previous_y
             worst_excess = excess(line, self.x, self.y)

@@ -180,7 +180,8 @@ class CollectingSink:
     ) -> None:
         """Record the state of the base."""
         self.states.append((is_up, text))
-        self.hold, self.gets_zero = hold, gets_zero
+        self.hold = hold
+        self.gets_zero = gets_zero
         self.order.append("up" if is_up else "lost")
 
     def dropped(self, what: str) -> None:
@@ -217,7 +218,8 @@ class DriverHarness:
         The base publishes nothing meanwhile.
         """
         taken: list[Twist] = []
-        loop, due = asyncio.get_running_loop(), -math.inf
+        loop = asyncio.get_running_loop()
+        due = -math.inf
 
         def has_come() -> bool:
             nonlocal due
@@ -294,7 +296,8 @@ def _connected(story: Callable[[Any, DriverHarness], Awaitable[None]]) -> Callab
     def test(self: DriverContract) -> None:
         self.play(partial(story, self))
 
-    test.__name__, test.__doc__ = story.__name__, story.__doc__
+    test.__name__ = story.__name__
+    test.__doc__ = story.__doc__
     return test
 
 
@@ -471,7 +474,8 @@ class DriverContract:
     @_connected
     async def test_garbage_is_counted_and_survived(self, harness: DriverHarness) -> None:
         """Malformed bytes neither end a driver nor hide the messages after them."""
-        rig, sink = _scripted(harness), harness.sink
+        rig = _scripted(harness)
+        sink = harness.sink
 
         def received() -> tuple[int, int]:
             return len(sink.scans), len(sink.odometries)
@@ -523,7 +527,8 @@ class DriverContract:
 
         Their sequence numbers and stamps rise, and no ring's scan arrives as a scan of the lidar.
         """
-        rig, sink = harness.rig, harness.sink
+        rig = harness.rig
+        sink = harness.sink
         spec = rig.platform.ranges
         if spec is None or not isinstance(rig, RingRig):
             pytest.skip("this rig is no RingRig")
@@ -557,7 +562,8 @@ class DriverContract:
         """
 
         async def story(harness: DriverHarness) -> None:
-            rig, sink = _scripted(harness), harness.sink
+            rig = _scripted(harness)
+            sink = harness.sink
             loop = asyncio.get_running_loop()
             spec = harness.rig.platform.scan
             ray_count = len(_bearings(harness))
@@ -576,11 +582,15 @@ class DriverContract:
 
                 None if they do not, but this process stood still, which makes its base silent.
                 """
-                arrived_before, states_before = len(sink.scans), len(sink.order)
+                arrived_before = len(sink.scans)
+                states_before = len(sink.order)
                 begin = loop.time()
-                sent, last, widest = 0, 0.0, 0.0
+                sent = 0
+                last = 0.0
+                widest = 0.0
                 while (elapsed := loop.time() - begin) < seconds:
-                    widest, last = max(widest, elapsed - last), elapsed
+                    widest = max(widest, elapsed - last)
+                    last = elapsed
                     rig.publish_odometry()
                     is_scan_due = elapsed * rate >= sent
                     if is_scan_due:
@@ -594,7 +604,8 @@ class DriverContract:
                 return None if max(widest, elapsed - last) > _STALL else False
 
             # On a busy machine newer scans replace scans that the driver has not read: try again.
-            checks, end = 1, loop.time() + TIMEOUT
+            checks = 1
+            end = loop.time() + TIMEOUT
             while not (has_arrived := await half_arrives()) and checks < _MAX_CHECKS:
                 checks += has_arrived is False or loop.time() > end
                 await harness.until(lambda: sink.is_up, publishing=True)
@@ -754,7 +765,8 @@ async def _comes_back_at_rest(harness: DriverHarness) -> None:
     One command to move is sent as the first one, which must reach the base as zero. Zeros to a
     stopped robot follow, as of a daemon whose run has ended with the loss.
     """
-    rig, loop = harness.rig, asyncio.get_running_loop()
+    rig = harness.rig
+    loop = asyncio.get_running_loop()
     taken: list[Twist] = []
 
     def rests() -> bool:
@@ -781,7 +793,8 @@ async def _sent_scan(harness: DriverHarness, rig: ScriptedRig, seq: int, ranges:
     The scan is published again every second, since a message that waits long may be dropped.
     TimeoutError if the driver hands no scan with these ranges on.
     """
-    spec, bearings = harness.rig.platform.scan, _regular(harness, len(ranges))
+    spec = harness.rig.platform.scan
+    bearings = _regular(harness, len(ranges))
     published = Scan(seq, 0.1 * seq, ranges, bearings, spec.range_min, spec.range_max)
     earlier_count = len(harness.sink.scans)
     loop = asyncio.get_running_loop()
@@ -841,7 +854,8 @@ def is_running(pid: int) -> bool:
 
 def _marked_processes(mark: str) -> list[int]:
     """The living processes that were started with this mark in their environment."""
-    wanted, pids = f"{_MARK}={mark}".encode(), []
+    wanted = f"{_MARK}={mark}".encode()
+    pids = []
     for environ in Path("/proc").glob("[0-9]*/environ"):
         try:
             if wanted in environ.read_bytes().split(b"\0"):

@@ -279,7 +279,8 @@ class PatternContract:
                 began = time.thread_time()
                 pattern.step(inputs)
                 spent.append(time.thread_time() - began)
-        median, limit = sorted(spent)[len(spent) // 2], _MAX_STEP_SHARE / subject.kind.rate
+        median = sorted(spent)[len(spent) // 2]
+        limit = _MAX_STEP_SHARE / subject.kind.rate
         text = f"the median step takes more than {1e3 * limit:.1f} ms, a tenth of its period"
         assert median <= limit, text
 
@@ -365,7 +366,8 @@ def _check_sane(run: Iterable[Outputs], platform: Platform) -> None:
             continue
         assert twist.is_finite, f"the command is {twist}"
         for name in ("linear", "angular", "lateral"):
-            value, limit = getattr(twist, name), getattr(platform.limits, name)
+            value = getattr(twist, name)
+            limit = getattr(platform.limits, name)
             text = f"the {name} command is {value:g}, beyond twice the limit of {limit:g}"
             assert abs(value) <= _MAX_LIMIT_RATIO * limit, text
 

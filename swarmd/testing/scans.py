@@ -54,7 +54,8 @@ def scan_of(
     """
     spec = platform.scan
     # 1. The sensor in the frame of the room, and the direction of each ray.
-    cos, sin = np.cos(spec.bearings + pose.yaw), np.sin(spec.bearings + pose.yaw)
+    cos = np.cos(spec.bearings + pose.yaw)
+    sin = np.sin(spec.bearings + pose.yaw)
     x = pose.x + spec.offset[0] * math.cos(pose.yaw) - spec.offset[1] * math.sin(pose.yaw)
     y = pose.y + spec.offset[0] * math.sin(pose.yaw) + spec.offset[1] * math.cos(pose.yaw)
     # 2. The nearest hit of each ray on the walls and the discs.
@@ -78,7 +79,8 @@ def scan_of(
 
 def scan_from(platform: Platform, ranges: Array, bearings: Array, *, seq: int = 0) -> Scan:
     """A scan of these rays with the platform's range limits, all measured at once."""
-    spec, at_once = platform.scan, np.zeros(len(ranges))
+    spec = platform.scan
+    at_once = np.zeros(len(ranges))
     return Scan(seq, seq / spec.rate, ranges, bearings, spec.range_min, spec.range_max, at_once)
 
 
@@ -122,12 +124,14 @@ def busy_scans(platform: Platform, count: int, *, seed: int = 0) -> list[Scan]:
     """Scans with three to six discs at random places in a room, sensor noise included."""
     rng = np.random.default_rng(seed)
     threshold = float(platform.protection["threshold"])
-    near, far = 1.2 * threshold, 0.9 * platform.scan.range_max
+    near = 1.2 * threshold
+    far = 0.9 * platform.scan.range_max
     scans = []
     for seq in range(count):
         discs = []
         for _ in range(int(rng.integers(3, 7))):
-            distance, bearing = rng.uniform(near, far), rng.uniform(-math.pi, math.pi)
+            distance = rng.uniform(near, far)
+            bearing = rng.uniform(-math.pi, math.pi)
             radius = float(rng.uniform(0.1, 0.2)) * threshold / 0.5
             discs.append(Disc(distance * math.cos(bearing), distance * math.sin(bearing), radius))
         room = float(rng.uniform(2.2, 3.0)) * platform.scan.range_max
@@ -137,7 +141,8 @@ def busy_scans(platform: Platform, count: int, *, seed: int = 0) -> list[Scan]:
 
 def mirrored(scan: Scan) -> Scan:
     """The scan with left and right exchanged."""
-    ranges, bearings = scan.ranges[::-1].copy(), -scan.bearings[::-1]
+    ranges = scan.ranges[::-1].copy()
+    bearings = -scan.bearings[::-1]
     return Scan(scan.seq, scan.stamp, ranges, bearings, scan.range_min, scan.range_max)
 
 
@@ -151,8 +156,10 @@ def reordered(scan: Scan, rng: Generator) -> Scan:
 
 def read_only(scan: Scan) -> Scan:
     """A copy whose arrays raise ValueError when they are written to."""
-    ranges, bearings = scan.ranges.copy(), scan.bearings.copy()
-    ranges.flags.writeable = bearings.flags.writeable = False
+    ranges = scan.ranges.copy()
+    bearings = scan.bearings.copy()
+    ranges.flags.writeable = False
+    bearings.flags.writeable = False
     ages = None if scan.ages is None else scan.ages.copy()
     if ages is not None:
         ages.flags.writeable = False

@@ -17,9 +17,13 @@ MIN_FREE_MEMORY = 100_000_000
 MAX_LOAD = 1.5  # of each core
 MAX_SKEW = 2.0  # s
 EXPIRES_SOON = 14 * 86400.0
-SLOW_TRIP, MUCH_LOSS = 0.2, 0.2  # s and share of a link on which stops come late
+# s and share of a link on which stops come late
+SLOW_TRIP = 0.2
+MUCH_LOSS = 0.2
 _PORT = 7440
-_UNDER_VOLTAGE, _UNDER_VOLTAGE_BEFORE = 1 << 0, 1 << 16  # bits of vcgencmd get_throttled
+# bits of vcgencmd get_throttled
+_UNDER_VOLTAGE = 1 << 0
+_UNDER_VOLTAGE_BEFORE = 1 << 16
 THIS = "this process"
 STEPS: Mapping[str, str] = {
     **dict.fromkeys(("answer", "name", "version", "identity", "roster", "latches"), "A1"),

@@ -161,7 +161,8 @@ def _difference(
 
 def _reason(status: Status, wanted: KnownGoal) -> str:
     """Why a robot does not do what its goal wants; empty if it does."""
-    goals, goal = status.goal, wanted.goal
+    goals = status.goal
+    goal = wanted.goal
     if status.state is State.ESTOPPED:
         return f"estopped{stops_text(status.latches.values())}"
     if status.state is State.FAULTED:

@@ -31,7 +31,8 @@ def row(member: SeenMember) -> tuple[str, ...]:
     version, STATE is that of the beacon, and REASON and PATTERN come from the head of the status,
     which is readable. A cell without a value shows NOTHING.
     """
-    status, status_head = member.status, member.header
+    status = member.status
+    status_head = member.header
     if member.contact is Contact.ANSWERED and status is not None:
         return (
             member.robot,

@@ -91,7 +91,8 @@ class Access:
            that origin and host agree.
         """
         try:
-            origin, host = headers.get("Origin"), headers.get("Host", "")
+            origin = headers.get("Origin")
+            host = headers.get("Host", "")
             if origin is not None and urlsplit(origin).netloc != host:
                 return False
             return bool(self.operator) or is_loopback(urlsplit(f"//{host}").hostname or "")

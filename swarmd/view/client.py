@@ -117,14 +117,18 @@ class Client:
         """
         if self._is_sending:
             return
-        texts, frame = [], None
+        texts = []
+        frame = None
         if source.revision != self._known:  # the moment may show robots that the page lacks
             texts.append(self._hello(source))
             self._looked = None
         if moment is not self._looked and self._unacked < MAX_UNACKED:
-            self._looked, frame = moment, moment.frame
+            self._looked = moment
+            frame = moment.frame
             self._unacked += 1
-            self._rows, self._others = {}, ()  # the present is sent anew
+            # the present is sent anew
+            self._rows = {}
+            self._others = ()
             texts.append(moment.text)
         if texts or self._answers:
             self._sending = asyncio.create_task(self._send(texts, [], frame))
@@ -147,7 +151,8 @@ class Client:
 
     def _hello(self, source: Source) -> str:
         self._known = source.revision
-        self._rows, self._others = {}, ()
+        self._rows = {}
+        self._others = ()
         self._plotted *= source.playback is None  # another run has other moments
         return json.dumps({"kind": "hello", **hello_of(source, self.role)})
 
@@ -158,7 +163,8 @@ class Client:
         ages = ",".join(f"{age:.1f}" if age < math.inf else "null" for age in rows.ages)
         text = f'{{"kind":"rows","rows":{{{",".join(changed)}}},"ages":[{ages}]}}'
         others = [message for message in rows.others if message not in self._others]
-        self._rows, self._others = mine, rows.others
+        self._rows = mine
+        self._others = rows.others
         return [text, *others]
 
     def _scans(self, source: Source) -> list[bytes]:

@@ -51,7 +51,9 @@ class LiveCommander:
         known: Callable[[], Iterable[str]] = tuple,
         reason: str = "from the page",
     ) -> None:
-        self._make, self._known, self._reason = make, known, reason
+        self._make = make
+        self._known = known
+        self._reason = reason
         self._limit = RequestLimit()
         self._stops = asyncio.Semaphore(MAX_STOPS)
         self._ending = threading.Event()
@@ -103,7 +105,8 @@ class LiveCommander:
             return lambda: self._stop("estop" if verb == "estop" else "stop", names, tell, ending)
         if names is None:
             raise ValueError("no robot was targeted")
-        chosen, clicked_at = names, boottime()
+        chosen = names
+        clicked_at = boottime()
         return lambda: self._request(verb, chosen, fields, ending, clicked_at)
 
     def _stop(

@@ -15,7 +15,8 @@ import numpy as np
 from swarmd.core.values import Array
 from swarmd.view.source import DETAIL_KEYS, Source, json_of, pack_frame
 
-SPAN, PERIOD = 300.0, 1.0
+SPAN = 300.0
+PERIOD = 1.0
 """Seconds that are kept of a living swarm, and between two moments."""
 SAMPLES = 300
 """Moments of a recorded run."""
@@ -51,7 +52,8 @@ class History:
     """The moments of a living swarm within SPAN, one each PERIOD."""
 
     def __init__(self, source: Source, clock: Callable[[], float] = time.monotonic) -> None:
-        self._source, self._clock = source, clock
+        self._source = source
+        self._clock = clock
         self._moments: deque[Moment] = deque(maxlen=round(SPAN / PERIOD))
         self._before: tuple[float, Array] | None = None
         self._count = 0
@@ -112,7 +114,8 @@ class Survey:
         assert playback is not None
         if playback.run != self._run:
             self._before += len(self._moments)
-            self._run, self._moments = playback.run, []
+            self._run = playback.run
+            self._moments = []
             self._left = iter(np.linspace(0.0, playback.duration, SAMPLES).tolist())
         now = next(self._left, None)
         if now is None:

@@ -38,7 +38,8 @@ MAX_LINKED = 64
 GONE = {Presence.LEFT: "left in order", Presence.FAILED: "failed: it may still move"}
 """The text for a robot that is not alive."""
 
-MAX_LINES, MAX_MARKS = 2000, 200
+MAX_LINES = 2000
+MAX_MARKS = 200
 """The number of the latest event lines that are kept, and of the latest marks that pages get."""
 Describe = Callable[[str], Sequence[Mapping[str, Any]]]
 """Takes a platform; returns its patterns as `Source.descriptions`. It may take seconds."""
@@ -159,7 +160,8 @@ class LiveSource:
         rows: dict[str, dict[str, Any]] = {}
         for robot in self._robots:
             name = robot.name
-            member, status_and_age = members.get(name), statuses.get(name)
+            member = members.get(name)
+            status_and_age = statuses.get(name)
             if status_and_age is None:
                 rows[name] = _unanswered(member)
                 continue
@@ -232,7 +234,8 @@ class LiveSource:
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """The content of `swarmctl describe`, and events."""
-        known, member = self.statuses().get(name), self.view.members.get(name)
+        known = self.statuses().get(name)
+        member = self.view.members.get(name)
         if known is None or member is None:
             return None
         status, age = known
@@ -310,7 +313,8 @@ class LiveSource:
     def _add(self, names: Iterable[str], statuses: Mapping[str, tuple[Status, float]]) -> None:
         """Add robots to the list; without a status a robot has a plain footprint."""
         for name in names:
-            index, known = self._index.get(name), statuses.get(name)
+            index = self._index.get(name)
+            known = statuses.get(name)
             platform = "" if known is None else known[0].platform
             if index is not None and (not platform or self._robots[index].platform == platform):
                 continue

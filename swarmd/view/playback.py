@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-MIN_SPEED, MAX_SPEED = 0.01, 100.0
+MIN_SPEED = 0.01
+MAX_SPEED = 100.0
 
 
 class Playback:
@@ -32,13 +33,16 @@ class Playback:
         self.is_playing = True
         self.speed = 1.0
         self._clock = clock
-        self._offset, self._since = 0.0, clock()
+        self._offset = 0.0
+        self._since = clock()
         self._looked: float | None = None
 
     def load(self, run: str, duration: float) -> None:
         """Begin another run; playing and speed stay as they are."""
-        self.run, self.duration = run, duration
-        self._offset, self._since = 0.0, self._clock()
+        self.run = run
+        self.duration = duration
+        self._offset = 0.0
+        self._since = self._clock()
 
     @property
     def time(self) -> float:
@@ -60,7 +64,8 @@ class Playback:
     def seek(self, time: float) -> None:
         """Go to a time in s, within the run. ValueError for NaN and infinity."""
         _check(time)
-        self._offset, self._since = min(max(time, 0.0), self.duration), self._clock()
+        self._offset = min(max(time, 0.0), self.duration)
+        self._since = self._clock()
 
     @contextmanager
     def looking_at(self, time: float) -> Iterator[None]:

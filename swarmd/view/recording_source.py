@@ -92,7 +92,8 @@ class RecordingSource:
     def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
         """The last events that robots logged; equal texts of several robots are one line."""
         if self._marks is None:
-            end, tracks = self.playback.duration, self.timeline.tracks
+            end = self.playback.duration
+            tracks = self.timeline.tracks
             lines = [
                 EventLine(at, name, "event", text)
                 for name, track in tracks.items()
@@ -105,7 +106,8 @@ class RecordingSource:
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """What `describe` told, and the last lines of the robot's log."""
-        track, now = self.timeline.tracks.get(name), self.playback.time
+        track = self.timeline.tracks.get(name)
+        now = self.playback.time
         if track is None:
             return None
         titled: list[Any] = []
@@ -125,7 +127,8 @@ class RecordingSource:
 def _row(robot: Track, now: float) -> dict[str, Any]:
     if not robot.is_heard(now):
         return {"presence": "absent", "state": "", "why": "nothing is recorded at this time"}
-    status, decision = robot.status(now), robot.decision(now)
+    status = robot.status(now)
+    decision = robot.decision(now)
     row: dict[str, Any] = {"presence": "alive"} if status is None else row_of(status)
     if decision is not None:
         row |= _decided(decision, row)

@@ -51,7 +51,8 @@ def area_around(poses: Mapping[str, Place]) -> Area:
     spans = []
     for axis in (0, 1):
         values = [pose[axis] for pose in poses.values()]
-        low, high = math.floor(min(values) - 0.5), math.ceil(max(values) + 0.5)
+        low = math.floor(min(values) - 0.5)
+        high = math.ceil(max(values) + 0.5)
         spans.append((low, max(high, low + MIN_SIDE)))
     (left, right), (bottom, top) = spans
     return Area((right - left, top - bottom), ((left + right) / 2.0, (bottom + top) / 2.0))

@@ -67,7 +67,8 @@ class Screen:
 
     def suspend(self) -> None:
         """Restore the terminal, even if it is gone; waiting keys are dropped."""
-        before, self._before = self._before, None
+        before = self._before
+        self._before = None
         if before is None:
             return
         with contextlib.suppress(OSError):

@@ -51,7 +51,8 @@ log = logging.getLogger(__name__)
 
 FRAME_PERIOD = 0.1
 ROWS_PERIOD = 0.5
-FEW_ROBOTS, FEW_ROWS_PERIOD = 50, 0.2
+FEW_ROBOTS = 50
+FEW_ROWS_PERIOD = 0.2
 MAX_MESSAGE = 256 * 1024
 MAX_PAGES = {"operator": 16, "viewer": 100}
 """Open pages by role: many viewers keep out no operator."""
@@ -61,7 +62,8 @@ SELECT_PERIOD = 0.5
 """Seconds between two changes of these: each change is told to the robots."""
 CLOSE_TIME = 1.0
 """Seconds for a page to close its connection."""
-WRONG_TOKEN, ENDED = 4401, 4410
+WRONG_TOKEN = 4401
+ENDED = 4410
 """Codes with which a connection is closed; the page shows the reason."""
 MAX_LOAD = 3.0
 """Load of each core, as of the last minute, from which on this computer is overloaded."""
@@ -71,7 +73,8 @@ PAGE = "page"
 _FILE = re.compile(r"[a-z]{1,32}\.[a-z]{1,8}")
 MAX_WAITING = 128
 """Connections without a role, such as those of files; a new one takes the place of the oldest."""
-VIEWER_RATE, VIEWER_BURST = 30.0, 60.0
+VIEWER_RATE = 30.0
+VIEWER_BURST = 60.0
 """Messages of a read-only page that are read per second, and at once: an open page sends about ten.
 
 A message of more than MESSAGE_BYTES counts as several."""
@@ -103,7 +106,9 @@ class ViewServer:
     ) -> None:
         self.source = source
         self.frames = 0
-        self._commander, self._access, self._period = commander, access, frame_period
+        self._commander = commander
+        self._access = access
+        self._period = frame_period
         self._clients: set[Client] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: Server | None = None
@@ -203,7 +208,8 @@ class ViewServer:
         # 2. Send the present state, then take the commands of the page until it closes. Meanwhile a
         #    task of the server sends the frames (poses).
         client = Client(connection, role)
-        loop, budget = asyncio.get_running_loop(), TokenBucket(VIEWER_RATE, VIEWER_BURST)
+        loop = asyncio.get_running_loop()
+        budget = TokenBucket(VIEWER_RATE, VIEWER_BURST)
         self._clients.add(client)
         try:
             await client.send_hello(self.source)
@@ -264,7 +270,8 @@ class ViewServer:
                 client.tell({"kind": "notice", "text": text})
 
     async def _act(self, client: Client, message: Mapping[str, Any]) -> None:
-        id, verb = str(message.get("id"))[:64], str(message.get("verb"))[:32]
+        id = str(message.get("id"))[:64]
+        verb = str(message.get("verb"))[:32]
 
         def tell(answer: CommandProgress) -> None:
             client.tell({"kind": "answer", "id": id, **asdict(answer)})
@@ -290,7 +297,8 @@ class ViewServer:
         A command quotes the frame that its page had, so it arrived after that frame was sent. The
         frame is then too old, or this server did not look at its pages since.
         """
-        now, watch = boottime(), self._watch
+        now = boottime()
+        watch = self._watch
         return not any(seen == number and watch.is_fresh(at, now) for number, at in self._sent_at)
 
     def _show_estop(self, id: str, answer: CommandProgress, *, is_new: bool = False) -> None:
@@ -318,7 +326,9 @@ class ViewServer:
     async def _send_frames(self) -> None:
         """Send frames at `frame_period`, and rows less often."""
         loop = asyncio.get_running_loop()
-        due, rows_at, selected_at = loop.time(), 0.0, 0.0
+        due = loop.time()
+        rows_at = 0.0
+        selected_at = 0.0
         while True:
             due = max(due + self._period, loop.time())
             await asyncio.sleep(due - loop.time())
@@ -342,7 +352,8 @@ class ViewServer:
         is_few = len(self.source.robots) <= FEW_ROBOTS
         rows = None
         if now - rows_at >= (FEW_ROWS_PERIOD if is_few else ROWS_PERIOD) - 1e-3:
-            rows, rows_at = self._rows(), now
+            rows = self._rows()
+            rows_at = now
         self.frames += 1
         self._sent_at.append((self.frames, boottime()))
         for client in list(self._clients):
@@ -356,7 +367,8 @@ class ViewServer:
 
     def _rows(self) -> Rows:
         selected = {name for client in self._clients for name in client.selected}
-        short, whole = {}, {}
+        short = {}
+        whole = {}
         rows = self.source.rows()
         ages = [0.0] * len(self.source.robots)
         index = {robot.name: robot.index for robot in self.source.robots}

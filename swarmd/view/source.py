@@ -17,7 +17,8 @@ from swarmd.texts.values import printable, seconds
 from swarmd.texts.why import lost_base, protection_word_of, standing_of
 from swarmd.view.playback import Playback
 
-FRAME, SCAN = 1, 2
+FRAME = 1
+SCAN = 2
 """Kinds of binary messages to the page."""
 STOPS = ("stop", "estop", "end_estop")
 """Commands that are carried out however late they come."""
@@ -198,7 +199,8 @@ def pack_scan(index: int, points: Array) -> bytes:
 def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Array:
     """The returns (k, 2) of a scan in the base frame in m; `offset`: of the sensor in the base."""
     is_return = np.isfinite(ranges) & (ranges > 0.0)  # drivers mark rays without return by 0
-    ranges, bearings = ranges[is_return], bearings[is_return]
+    ranges = ranges[is_return]
+    bearings = bearings[is_return]
     return np.stack(
         (offset[0] + ranges * np.cos(bearings), offset[1] + ranges * np.sin(bearings)), axis=1
     )

@@ -26,7 +26,8 @@ COLOURS = {
 }
 COLUMNS = (("state", 9), ("reason", 18), ("pattern", 13), ("scan", 7), ("loop99", 7), ("near", 6))
 NUMBERS = frozenset({"scan", "loop99", "near"})
-NAME_WIDTH, MAX_NAME_WIDTH = 11, 24
+NAME_WIDTH = 11
+MAX_NAME_WIDTH = 24
 TABLE_WIDTH = NAME_WIDTH + sum(1 + width for _, width in COLUMNS)
 LOST = "bold white on magenta"
 """The style of a base that is lost: the robot takes no command, whatever its state."""
@@ -156,7 +157,8 @@ def cell_of(pose: Sequence[float], area: Area, columns: int, rows: int) -> tuple
 
 
 def _row(scene: Scene, robot: str, mark: str, name_width: int) -> Text:
-    status, note = scene.statuses.get(robot), scene.notes.get(robot)
+    status = scene.statuses.get(robot)
+    note = scene.notes.get(robot)
     row = Text(_cell(f"{mark} {robot}", name_width), no_wrap=True)
     if status is None or note:
         row.append(f" {SILENT:9} {printable(note or '')}".rstrip(), "red")

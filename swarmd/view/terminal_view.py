@@ -39,7 +39,9 @@ class TerminalView:
     """
 
     def __init__(self, source: LiveSource, commander: LiveCommander, screen: Screen) -> None:
-        self._source, self._commander, self._screen = source, commander, screen
+        self._source = source
+        self._commander = commander
+        self._screen = screen
         self._keys = TypedKeys()
         self._changed = asyncio.Event()
         self._answers: dict[str, CommandProgress] = {}  # the last answer to each verb
@@ -131,7 +133,8 @@ class TerminalView:
 
     def _scene(self) -> Scene:
         """All that the screen shows now: robots, map, answers to commands, and keys."""
-        view, statuses = self._source.view, self._source.statuses()
+        view = self._source.view
+        statuses = self._source.statuses()
         # A silent robot has a note in place of its last status; every other robot is in `present`,
         # with its status.
         robots = sorted(view.members.keys() | statuses.keys() | view.roster)

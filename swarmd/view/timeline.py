@@ -84,7 +84,8 @@ class Track:
     """The recording of one robot: `about` as texts, topics by name, and the number of losses."""
 
     def __init__(self, about: Mapping[str, str], platform: Platform) -> None:
-        self.about, self.platform = about, platform
+        self.about = about
+        self.platform = platform
         self.topics = {topic: Topic(topic) for topic in _TOPICS}
         self.dropped = 0  # how often the recorder noted that it had dropped entries
         self.end = 0.0
@@ -113,15 +114,19 @@ class Track:
         """The pose at a time, interpolated; None before the first one, or if not recorded."""
         poses = self.topics[topic]
         index = poses.index(now)
-        message, after = poses.get(index), poses.get(index + 1)
+        message = poses.get(index)
+        after = poses.get(index + 1)
         if message is None or not self.is_heard(now):
             return None
-        pose, at = _pose_of(topic, message), poses.times[index]
+        pose = _pose_of(topic, message)
+        at = poses.times[index]
         if after is None or not 0.0 < poses.times[index + 1] - at < MAX_STEP:
             return pose
-        next_pose, share = _pose_of(topic, after), (now - at) / (poses.times[index + 1] - at)
+        next_pose = _pose_of(topic, after)
+        share = (now - at) / (poses.times[index + 1] - at)
         turn = math.remainder(next_pose.yaw - pose.yaw, 2.0 * math.pi)
-        x, y = pose.x + share * (next_pose.x - pose.x), pose.y + share * (next_pose.y - pose.y)
+        x = pose.x + share * (next_pose.x - pose.x)
+        y = pose.y + share * (next_pose.y - pose.y)
         return Pose(x, y, pose.yaw + share * turn)
 
     def scan(self, now: float) -> Scan | None:

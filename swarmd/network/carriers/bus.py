@@ -92,12 +92,14 @@ class ZenohQuery:
         If the selector of the query has `_format=json`, the answer is JSON: the REST server of
         `zenohd` would show MessagePack as base64.
         """
-        query, self._query = self._query, None
+        query = self._query
+        self._query = None
         if query is None:
             return
         encoding = None
         if query.parameters.get("_format") == "json":
-            payload, encoding = as_json(payload), zenoh.Encoding.APPLICATION_JSON
+            payload = as_json(payload)
+            encoding = zenoh.Encoding.APPLICATION_JSON
         try:
             # Without a timestamp the asker gets the status of a storage in place of this answer.
             now = self._session.new_timestamp()
@@ -108,14 +110,16 @@ class ZenohQuery:
 
     def drop(self) -> None:
         """Do not answer."""
-        query, self._query = self._query, None
+        query = self._query
+        self._query = None
         if query is not None:
             query.drop()
 
 
 def without_mapping(address: str) -> str:
     """The address and port; an IPv4-mapped address, `[::ffff:10.0.0.7]:7440`, as IPv4."""
-    start, end = "[::ffff:", "]:"
+    start = "[::ffff:"
+    end = "]:"
     if not address.startswith(start) or "." not in address:
         return address
     return address.removeprefix(start).replace(end, ":", 1)

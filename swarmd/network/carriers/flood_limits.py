@@ -28,15 +28,20 @@ from swarmd.network.datagram import URGENT, Address, Kind
 
 # Datagrams per second of a source. A robot's patterns may send 100 messages a second, which are
 # sent twice while broadcast is the fallback.
-RATE, BURST = 400.0, 400.0
+RATE = 400.0
+BURST = 400.0
 URGENT_RATE = 800.0  # a robot that relays a stop also hands on the acks of other robots
 STRANGERS_RATE = 2000.0  # datagrams a second of all new sources together
 EXCESS = 400  # datagrams beyond the budget within a second that make a flood
-BLOCK_TIME, MAX_BLOCK_TIME = 5.0, 60.0  # s of a block; doubled with each repeated flood
+# s of a block; doubled with each repeated flood
+BLOCK_TIME = 5.0
+MAX_BLOCK_TIME = 60.0
 KNOWN_TIME = 3.0  # s of datagrams after which a source is known
 IDLE_TIME = 5.0  # s of silence after which a source is forgotten
 MAX_SOURCES = 256
-MAX_BLOCKED, MAX_THINNED = 64, 8  # places in the kernel's filter
+# places in the kernel's filter
+MAX_BLOCKED = 64
+MAX_THINNED = 8
 MIN_SHARE = 1 / 128  # of urgent datagrams that the filter passes at least
 MAX_WEIGHT = 64.0
 
@@ -149,7 +154,8 @@ class FloodLimits:
         The time of a flood of new sources does not count.
         """
         if now - sender.last > IDLE_TIME:
-            sender.first, sender.is_known = now, False
+            sender.first = now
+            sender.is_known = False
         strangers = self._strangers
         if now < max(strangers.usual.blocked_until, strangers.urgent.blocked_until):
             sender.first = now
@@ -171,7 +177,8 @@ class FloodLimits:
         return self._rules
 
     def _make_rules(self, now: float) -> FloodRules:
-        blocked, thinned = [], []
+        blocked = []
+        thinned = []
         for address, sender in self._sources.items():
             if now < sender.usual.blocked_until:
                 blocked.append(address)

@@ -28,7 +28,8 @@ BATCH = 8
 BATCH_PAUSE = 0.001  # s
 MAX_KIND_LENGTH = 64
 MAX_KINDS = 256
-FAULT_RATE, FAULT_BURST = 0.1, 5.0
+FAULT_RATE = 0.1
+FAULT_BURST = 5.0
 """Errors that are logged with their traceback: per second, and at once."""
 FAILED = "the daemon failed at it; its log has the error"
 
@@ -61,10 +62,12 @@ class DropCounter:
             yield
             return
         except CodecError as error:
-            code, text = Code.REFUSED, str(error)
+            code = Code.REFUSED
+            text = str(error)
             self.add(f"{kind}:malformed")
         except Exception:
-            code, text = Code.FAILED, FAILED
+            code = Code.FAILED
+            text = FAILED
             self.add(f"{kind}:failed")
             if self._faults.take(1.0, boottime()):  # the limit of the log: FAULT_RATE
                 log.exception("%s: refused, since its handler failed", kind)

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 QUIET_TIME = 0.2  # s without a change after which a burst of changes is over
 MAX_BURST = 1.0  # s after which a burst is over in any case
 
-_SIOCGIFCONF, _SIOCGIFFLAGS = 0x8912, 0x8913  # linux/sockios.h
+# linux/sockios.h
+_SIOCGIFCONF = 0x8912
+_SIOCGIFFLAGS = 0x8913
 _IFREQ = struct.calcsize("16sLLHBBB0L")  # of linux/if.h: a name, and the longest of its values
 _MAX_ADDRESSES = 1024  # of all interfaces
 _UP_AND_RUNNING = 0x41
@@ -108,7 +110,8 @@ class InterfaceHistory:
 
     def on_state(self, state: InterfaceState) -> InterfaceChange | None:
         """The change to this state; None if neither event, index nor addresses changed."""
-        before, self.state = self.state, state
+        before = self.state
+        self.state = state
         if _essence(before) == _essence(state):
             return None
         event = _event(state)
@@ -192,7 +195,8 @@ class InterfaceWatch:
             self._timer = self._loop.call_at(end, self._look)
 
     def _look(self) -> None:
-        self._timer = self._burst_at = None
+        self._timer = None
+        self._burst_at = None
         change = self._history.on_state(read_state(self._interface))
         if change is not None:
             self._on_change(change)

@@ -30,7 +30,9 @@ from swarmd.security.roster import Roster
 
 LOOK_PERIOD = 0.25  # s between two counts of the open files
 MAX_WAITING = 48  # open files beyond those at the start and those of links that make a flood
-CLOSED_TIME, MAX_CLOSED_TIME = 60.0, 600.0  # s; doubled if the flood is back within that time
+# s; doubled if the flood is back within that time
+CLOSED_TIME = 60.0
+MAX_CLOSED_TIME = 600.0
 RENEW_PERIOD = 30.0  # s between two new sessions: a new session also ends the links of operators
 KNOWN_TIME = 600.0  # s after which a host is forgotten
 MAX_HOSTS = 64  # hosts in the kernel's filter
@@ -38,7 +40,8 @@ MAX_NAME_LINKS = 64  # links of one name: a class may share the certificate of a
 MAX_OTHER_LINKS = 512
 """Links of robots and viewers together: Zenoh takes 1000, and the rest stays free for operators."""
 MAX_ENDED = 16  # links of a host that may be ended at one look before the host is refused
-LINE_RATE, LINE_BURST = 0.1, 5.0
+LINE_RATE = 0.1
+LINE_BURST = 5.0
 """Lines about ended links per second, and at once."""
 _SO_DETACH_FILTER = 27
 
@@ -174,7 +177,8 @@ class LinkShares:
     ) -> None:
         self._roster = roster
         self._names = frozenset(roster.names)
-        self._per_name, self._others = per_name, others
+        self._per_name = per_name
+        self._others = others
         self._links: dict[str, str] = {}  # locator of the far end to name, the oldest link first
 
     def excess(self, links: Mapping[str, str]) -> dict[str, str]:

@@ -32,14 +32,18 @@ _EXCEEDS = 0x25
 _JUMP = 0x05
 _RETURN = 0x06
 # Special offsets of the kernel: the IP head (SKF_NET_OFF), and a random number (SKF_AD_RANDOM).
-_IP_HEAD, _RANDOM = 2**32 - 0x100000, 2**32 - 0x1000 + 56
+_IP_HEAD = 2**32 - 0x100000
+_RANDOM = 2**32 - 0x1000 + 56
 _SOURCE4 = _IP_HEAD + 12
 _SOURCE6 = _IP_HEAD + 8
 _SOURCE_PORT = 0
 _UDP_HEAD = 8
 _SO_ATTACH_FILTER = 26  # asm-generic/socket.h
-_KIND_AT, _TAG_AT = _UDP_HEAD + len(MAGIC), _UDP_HEAD + len(MAGIC) + 1
-_KEY_CELL, _KIND_CELL = 0, 1  # indices of cells in the memory of the filter program
+_KIND_AT = _UDP_HEAD + len(MAGIC)
+_TAG_AT = _UDP_HEAD + len(MAGIC) + 1
+# indices of cells in the memory of the filter program
+_KEY_CELL = 0
+_KIND_CELL = 1
 
 _ACCEPT = 0xFFFFFFFF  # the verdict of a block that passes the datagram
 _DROP = 0

@@ -67,7 +67,8 @@ class Programs:
         self._session = session
         self._swarm = swarm
         self._robot = robot
-        self._is_robot, self._drops = is_robot, drops
+        self._is_robot = is_robot
+        self._drops = drops
         self._limits: dict[str, SenderLimits] = {}  # the limits of each sender
         self._lock = threading.Lock()  # guards `_tokens`: Zenoh's threads call `_on_token`
         self._tokens: dict[str, None] = {}  # the names of programs that are alive

@@ -20,7 +20,8 @@ class QueryLinks:
     """
 
     def __init__(self, key: str, calls: AbstractContextManager[object]) -> None:
-        self._key, self._calls = key, calls
+        self._key = key
+        self._calls = calls
         self._queriers: list[tuple[zenoh.Session, dict[str, zenoh.Querier]]] = []
 
     def of(self, robots: Collection[str], sessions: Iterable[zenoh.Session]) -> set[str]:

@@ -34,7 +34,8 @@ class Recipients:
     """
 
     def __init__(self, lease: float, *, with_group: bool = True) -> None:
-        self._lease, self._with_group = 2 * lease, with_group
+        self._lease = 2 * lease
+        self._with_group = with_group
         self._known: dict[Address, _AddressUse] = {}
         self._seeds: frozenset[Address] = frozenset()
 

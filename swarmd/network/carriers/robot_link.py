@@ -84,7 +84,9 @@ class Connection:
         self.socket = connected
         self.is_open = True  # False from the end of the connection on; then call `close`
         self.age = 0.0  # s for which the newest frame waited before `receive`, if `is_timed`
-        self._wanted = self._least = 1  # bytes; see `wait_for`
+        # bytes; see `wait_for`
+        self._wanted = 1
+        self._least = 1
         self._room = ROOM if is_timed else 0
         self._received = bytearray()
         self._unsent = b""
@@ -207,7 +209,8 @@ class RobotServer:
         """
         address = read_endpoint(endpoint, "endpoint is ")
         self.dropped = 0
-        self._swarm, self._clock = swarm, clock
+        self._swarm = swarm
+        self._clock = clock
         # By robot: the connections of its daemons that want sensor frames.
         self._listeners: dict[str, tuple[Connection, ...]] = dict.fromkeys(robots, ())
         self._robots: dict[Connection, str] = {}  # connections whose `Hello` was accepted
@@ -262,7 +265,8 @@ class RobotServer:
         self._socket.close()
 
     def _take(self, file: int, connection: Connection, received: list[Received]) -> None:
-        frames, now = connection.receive(), self._clock()
+        frames = connection.receive()
+        now = self._clock()
         # The age is measured on the wall clock, which may be set: the age is at most the time since
         # the last call.
         arrival = now - min(max(connection.age, 0.0), max(now - self._emptied_at, 0.0))
@@ -338,7 +342,8 @@ class RobotClient:
     def __init__(
         self, endpoint: Endpoint, hello: Hello, on_frames: Callable[[list[Frame]], None]
     ) -> None:
-        self._endpoint, self._on_frames = endpoint, on_frames
+        self._endpoint = endpoint
+        self._on_frames = on_frames
         self._hello = encode(hello)
         self._connection: Connection | None = None
         self._read_now: Callable[[], None] | None = None
@@ -349,7 +354,8 @@ class RobotClient:
         import asyncio  # a zero sender has no loop, and does not import it
 
         loop = asyncio.get_running_loop()
-        host, port = self._endpoint.host, self._endpoint.port
+        host = self._endpoint.host
+        port = self._endpoint.port
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         while True:
             made = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
@@ -382,7 +388,8 @@ class RobotClient:
                 ended.set_result(None)
             self._take(frames)
 
-        self._connection, self._read_now = connection, on_readable
+        self._connection = connection
+        self._read_now = on_readable
         connection.send(HELLO, self._hello)
         loop.add_reader(descriptor, on_readable)
         try:
@@ -392,7 +399,8 @@ class RobotClient:
             has_seen_end = ended.done() and not ended.cancelled()
             if not has_seen_end:
                 loop.remove_reader(descriptor)
-            self._connection = self._read_now = None
+            self._connection = None
+            self._read_now = None
             self.is_known = False
             connection.close()
 

@@ -25,7 +25,8 @@ from swarmd.network.datagram import KIND_OFFSET, MAX_DATAGRAM, URGENT, Address, 
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop
 
-ALL, ONE = "multicast", "unicast"
+ALL = "multicast"
+ONE = "unicast"
 """The planes of the keys."""
 
 

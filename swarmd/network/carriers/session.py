@@ -358,7 +358,8 @@ def tls_options(identity: Identity) -> dict[str, object]:
     The names in the certificates are not compared with addresses, since robots change addresses.
     Access rules compare the names with keys. A link ends when a certificate expires.
     """
-    certificate, key = str(identity.certificate), str(identity.key)
+    certificate = str(identity.certificate)
+    key = str(identity.key)
     return {
         "transport/link/protocols": ["tls"],
         "transport/link/tls": {
@@ -409,7 +410,8 @@ def _options(
     """
     settings.check()
     if identity is not None:
-        listen, connect = _secured(listen), _secured(connect)
+        listen = _secured(listen)
+        connect = _secured(connect)
     return {
         **({} if identity is None else tls_options(identity)),
         "mode": mode,
@@ -527,7 +529,8 @@ def tune_sockets(session: zenoh.Session, lease: float) -> None:
         # All links at once: in a flood of 200 links a second one look takes up to 40 ms.
         new: dict[str, str] = {}
         for event in events:
-            near, far = str(event.link.src), str(event.link.dst)
+            near = str(event.link.src)
+            far = str(event.link.dst)
             if event.kind != zenoh.SampleKind.PUT:
                 tuned.discard(far)
                 new.pop(far, None)

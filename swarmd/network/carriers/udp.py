@@ -75,12 +75,15 @@ RETRY_PERIOD = 5.0  # s between two resolutions while a name has no address
 REFRESH_PERIOD = 1.0  # s between two reads of the interface's addresses
 COPY_TIME = 0.1  # s within which the copies of a datagram arrive by all ways
 _RECEIVE_BUFFER = 2 * 1024 * 1024  # some 2700 small datagrams
-_DROP_COST, _COST = 1, 8
+_DROP_COST = 1
+_COST = 8
 _PORT_TRIES = 5
 _TAG = slice(5, 5 + TAG_BYTES)
 # linux/in.h, linux/in6.h and asm-generic/socket.h; Python names none of them.
-_IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
-_IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
+_IP_UNICAST_IF = 50
+_IP_MULTICAST_ALL = 49
+_IPV6_UNICAST_IF = 76
+_IPV6_MULTICAST_ALL = 29
 _SO_RCVBUFFORCE = 33
 _SO_MEMINFO = 55
 _MEMINFO = struct.Struct("@9I")  # linux/sock_diag.h, SK_MEMINFO_*
@@ -217,7 +220,8 @@ class UdpCarrier:
             for listener in self._listeners:
                 listener.socket.close()
             self._listeners.clear()
-            self._own4 = self._own6 = None
+            self._own4 = None
+            self._own6 = None
 
     # Sending
 
@@ -327,7 +331,8 @@ class UdpCarrier:
             self._weight = 1.0
             self._lost.clear()
         else:
-            before, self._lost = self._lost, {}
+            before = self._lost
+            self._lost = {}
             for sock, _ in self._listeners:
                 if (count := _count_lost(sock)) is not None:
                     self._lost[sock] = count
@@ -372,7 +377,8 @@ class UdpCarrier:
         (`ways`), and decides how datagrams are sent to the source. In a secured swarm a beacon may
         be forged: its way decides only once the caller has called `confirm`.
         """
-        host, port = name[0], name[1]
+        host = name[0]
+        port = name[1]
         self._reads += 1  # `_weigh` compares the datagrams read with the datagrams lost
         if port == self.port and (host in self._addresses or self._is_dev):
             return None  # this robot's own datagram, which its multicast brought back
@@ -694,7 +700,8 @@ def _count_lost(sock: socket.socket) -> int | None:
 
 def _address(name: tuple[object, ...]) -> Address:
     """The `Address` of a socket's address: a scope is appended to the host as `%<index>`."""
-    host, port = str(name[0]), int(str(name[1]))
+    host = str(name[0])
+    port = int(str(name[1]))
     is_scoped = len(name) == 4 and name[3] and "%" not in host
     return (f"{host}%{name[3]}" if is_scoped else host), port
 

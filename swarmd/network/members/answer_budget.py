@@ -10,7 +10,9 @@ from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import Address
 
 # Datagrams per second.
-ANSWER_RATE, ANSWER_RATE_OF_HOST = 100.0, 30.0  # answers to solicits: of all hosts, of one host
+# answers to solicits: of all hosts, of one host
+ANSWER_RATE = 100.0
+ANSWER_RATE_OF_HOST = 30.0
 SCOUT_ANSWER_RATE = 20.0  # answers to solicits of any swarm, whose senders need no keys
 CLAIM_ANSWER_RATE = 40.0  # answers to claimers of the own id
 MAX_HOSTS = 128

@@ -28,10 +28,12 @@ ECHO_TIME = 10.0  # s for which an answer to a question is accepted: twice MAX_R
 MAX_ECHOES = 4096
 MAX_INSTANCES = 2048
 # Questions to instances that are not proven: per second to all together, and at once.
-QUESTION_RATE, QUESTION_BURST = 20.0, 40.0
+QUESTION_RATE = 20.0
+QUESTION_BURST = 40.0
 # s between two questions to one instance. The time doubles with each question, so that replayed
 # beacons of many earlier lives leave room for robots that join.
-QUESTION_PERIOD, LAST_QUESTION_PERIOD = 0.2, 8.0
+QUESTION_PERIOD = 0.2
+LAST_QUESTION_PERIOD = 8.0
 LATCH_TIME = 1.0  # s for which a robot that joins waits for the answer of an instance with latches
 
 _Key = tuple[str, bytes]
@@ -90,7 +92,8 @@ class BeaconFreshness:
         if proven is not None and now - proven.heard <= self._lease:
             if beacon.sequence <= proven.sequence:
                 return Flaw.REPEATED
-            proven.sequence, proven.heard = beacon.sequence, now
+            proven.sequence = beacon.sequence
+            proven.heard = now
             return None
         after = -1e9 if proven is None else proven.heard
         if beacon.flags & Flag.LEFT or not self.is_own_echo(beacon.echo, now, after):

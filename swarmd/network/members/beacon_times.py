@@ -72,7 +72,8 @@ class BeaconTimes:
         period = FAST_BEACON_PERIOD if is_new else BEACON_PERIOD
         if is_claiming:
             period = CLAIM_PERIOD
-        self._last_beacon, self._beacon_at = now, now + period
+        self._last_beacon = now
+        self._beacon_at = now + period
         self._beacons += 1
         return self._beacons
 

@@ -78,7 +78,8 @@ class LinkQualities:
         """Note that a robot answered a clock query after `seconds`."""
         link = self._links.get(robot)
         if link is not None:
-            link.round_trip, link.measured = seconds, now
+            link.round_trip = seconds
+            link.measured = now
 
     def drop_round_trips(self, robots: Iterable[str]) -> None:
         """Drop the round trips of robots that are asked again, or are gone."""

@@ -472,7 +472,8 @@ class Membership:
             present = name, Presence.LEFT if latest.left is not None else Presence.FAILED
         if present == known.shown:
             return False
-        known.shown, known.since = present, now
+        known.shown = present
+        known.since = now
         return True
 
 

@@ -20,7 +20,8 @@ from swarmd.network.members.neighbor_settings import NeighborSettings
 # Hysteresis: a neighbor stays a neighbor up to RANGE_MARGIN times the range, and down to these
 # margins below the limits of quality (share of beacons) and of signal (dB).
 RANGE_MARGIN = 1.1
-QUALITY_MARGIN, SIGNAL_MARGIN = 0.2, 6.0
+QUALITY_MARGIN = 0.2
+SIGNAL_MARGIN = 6.0
 
 
 class Link(NamedTuple):
@@ -66,9 +67,11 @@ class Neighborhood:
     def _is_near(self, candidate: Neighbor, links: Mapping[str, Link]) -> bool:
         was_near = candidate.id in self._ids
         if self.settings.neighborhood == "range":
-            distance, limit = candidate.distance, self.settings.range or 0.0
+            distance = candidate.distance
+            limit = self.settings.range or 0.0
             return distance is not None and distance <= limit * (RANGE_MARGIN if was_near else 1.0)
-        link, signal = links.get(candidate.id), self.settings.signal
+        link = links.get(candidate.id)
+        signal = self.settings.signal
         if link is None:
             return False
         is_strong = (

@@ -10,7 +10,8 @@ from swarmd.network.datagram import Address, ClockQuery, ClockReply
 
 # s between two rounds of questions: FIRST_CLOCK_PERIOD at the begin of a recording, then twice as
 # long each time, up to CLOCK_PERIOD.
-CLOCK_PERIOD, FIRST_CLOCK_PERIOD = 10.0, 1.0
+CLOCK_PERIOD = 10.0
+FIRST_CLOCK_PERIOD = 1.0
 _NANOSECOND = 1e-9  # s
 
 Queries = list[tuple[ClockQuery, Address]]
@@ -22,7 +23,8 @@ class PeerClocks:
     def __init__(self, robot: str, clock: str) -> None:
         self._robot = robot
         self._clock = bytes.fromhex(clock)
-        self._due_at, self._pause = -math.inf, FIRST_CLOCK_PERIOD
+        self._due_at = -math.inf
+        self._pause = FIRST_CLOCK_PERIOD
         self._asked: dict[str, int] = {}  # by robot, the time in ns at which the question was sent
 
     def queries(self, alive: Iterable[tuple[str, Address]], now: float) -> Queries:
@@ -70,7 +72,8 @@ class PeerClocks:
         if self._asked.get(reply.robot) != reply.sent:
             return None
         del self._asked[reply.robot]
-        sent, answered = _NANOSECOND * reply.sent, _NANOSECOND * reply.answered
+        sent = _NANOSECOND * reply.sent
+        answered = _NANOSECOND * reply.answered
         return ClockSample(reply.robot, reply.clock.hex(), sent, answered, now)
 
 

@@ -18,7 +18,8 @@ class PeerPlaces:
     """The places that `robot`, in the life `instance` of its daemon, sends and receives."""
 
     def __init__(self, robot: str, instance: bytes) -> None:
-        self._robot, self._instance = robot, instance
+        self._robot = robot
+        self._instance = instance
         self._due_at = -math.inf
         self._delays: dict[str, tuple[bytes, ArrivalDelay]] = {}
 
@@ -51,7 +52,8 @@ class PeerPlaces:
         delay_s = delay.take(place.sent / 1000.0, now)  # beyond the fastest datagram
         if delay_s is None:
             return None
-        x, y = place.x / 1000.0, place.y / 1000.0
+        x = place.x / 1000.0
+        y = place.y / 1000.0
         error = place.error / 1000.0
         age = place.age / 1000.0 + delay_s + FASTEST_DATAGRAM
         heading = None if place.heading is None else place.heading / 1000.0

@@ -19,9 +19,11 @@ from swarmd.network.datagram import ClockQuery, ClockReply
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
 
-EXCHANGES, PERIOD = 8, 0.03
+EXCHANGES = 8
+PERIOD = 0.03
 """Exchanges with each robot, and s between two: a robot answers 30 queries a second."""
-TIMEOUT, TRIPS = 0.6, 3.0
+TIMEOUT = 0.6
+TRIPS = 3.0
 """The wait for answers: s, and round trips."""
 MAX_DRIFT = 500e-6
 """The largest difference of the rates of two clocks, relative to a clock's rate."""
@@ -59,7 +61,8 @@ class ClockReadings:
         """Take an answer; an answer to no question is ignored."""
         if reply.sent not in self._sent:
             return
-        sent, answered = _NANOSECOND * reply.sent, _NANOSECOND * reply.answered
+        sent = _NANOSECOND * reply.sent
+        answered = _NANOSECOND * reply.answered
         if self._clocks.setdefault(reply.robot, reply.clock) != reply.clock:
             # The robot was booted again, or two daemons hold one id: earlier readings are void.
             self._clocks[reply.robot] = reply.clock

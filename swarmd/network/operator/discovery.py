@@ -38,14 +38,23 @@ MAX_INDIRECT_DIALS = 64  # robots dialled at a time that only other robots repor
 FORGET_PERIOD = 1.0  # s between two searches for robots that no list names any more
 
 # s between two requests for member lists: once all robots heard have sent their lists, and before.
-LISTS_PERIOD, LIST_REPEAT_PERIOD = 2.0, 0.25
+LISTS_PERIOD = 2.0
+LIST_REPEAT_PERIOD = 0.25
 
 # How long a look waits for a robot: *_WAIT in s, *_TRIPS in round trips.
-FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # s for a first robot: on a network, on loopback
-ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # for a robot that is heard, after the last became known
+# s for a first robot: on a network, on loopback
+FIRST_ROBOT_TIMEOUT = 3.0
+DEV_WAIT = 1.0
+# for a robot that is heard, after the last became known
+ANSWER_WAIT = 2.0
+ANSWER_TRIPS = 14.0
 SECURED_WAIT = 1.5  # factor of ANSWER_WAIT in a secured swarm: both ends sign and verify a link
-UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # for a robot that only other robots hear
-GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # for a robot that failed, or is on a roster and was not heard
+# for a robot that only other robots hear
+UNREACHABLE_WAIT = 2.0
+UNREACHABLE_TRIPS = 6.0
+# for a robot that failed, or is on a roster and was not heard
+GONE_WAIT = 0.5
+GONE_TRIPS = 4.0
 LOSS_WAIT = 15.0  # s, times the share of solicits without answer: TCP repeats after 1, 3 and 7 s
 LOOK_CAP = 45.0  # s: the bound of a look, which no datagram can raise
 # s of a look within which each new robot prolongs the look. A robot that is found later prolongs it
@@ -135,7 +144,8 @@ class Discovery:
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:
         """Take a robot's beacon; a beacon of a robot that does not own its id is ignored."""
-        robot, instance = beacon.robot, beacon.instance.hex()
+        robot = beacon.robot
+        instance = beacon.instance.hex()
         if not self._has_room(robot):
             return
         left_at = self._members.left_at(robot, beacon.instance)
@@ -364,7 +374,8 @@ class Discovery:
         first_robot_end = self.started + self._first_robot_wait
         if not self._known_since:
             return first_robot_end
-        trip, loss = self.round_trip, self._loss(now)
+        trip = self.round_trip
+        loss = self._loss(now)
         answer_wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * loss
         known_at = [at for robot, at in self._known_since.items() if self._prolongs(robot)]
         last_known_at = max(known_at, default=self.started)

@@ -74,7 +74,9 @@ class LoopWatch:
 
     def _read(self, now: float) -> float:
         """The longest wait of a thread in s since the last call."""
-        before, self._waited, self._read_at = self._waited, self._processor_waits(), now
+        before = self._waited
+        self._waited = self._processor_waits()
+        self._read_at = now
         return max(
             (wait - before.get(thread, 0.0) for thread, wait in self._waited.items()), default=0.0
         )

@@ -65,7 +65,8 @@ class MemberSearch:
         self._loops.begin(now)
         while True:
             with self._arrivals.lock:
-                now, count = boottime(), self._arrivals.count
+                now = boottime()
+                count = self._arrivals.count
                 is_complete = discovery.is_complete(now)
                 if deadline is not None:
                     ends_incomplete = now >= deadline

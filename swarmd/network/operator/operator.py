@@ -140,7 +140,8 @@ class Operator(Closing):
 
     def _open_datagrams(self, carrier: Carrier | None) -> OperatorDatagrams:
         """The datagrams of this operator, by `carrier`, or by the carrier of the profile."""
-        identity, settings = self.identity, self.settings
+        identity = self.identity
+        settings = self.settings
         # The tag in the head of each datagram, which datagrams of other swarms lack.
         tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
         return OperatorDatagrams(
@@ -208,7 +209,8 @@ class Operator(Closing):
         present links.
         """
         with self._arrivals.lock:
-            admission, before = self._datagrams.answers, self.identity
+            admission = self._datagrams.answers
+            before = self.identity
             if admission is not None and before is not None and before.roster == identity.roster:
                 self.identity = identity
                 admission.take_keys(identity)
@@ -216,7 +218,8 @@ class Operator(Closing):
         answers = self._answers_for(identity)
         with self._arrivals.lock:
             self.identity = identity
-            self._datagrams.answers, self._rosters.shown = answers, None
+            self._datagrams.answers = answers
+            self._rosters.shown = None
             self._roster |= frozenset(identity.roster.robots)
         self._sessions.take_identity(identity)
 
@@ -391,7 +394,8 @@ class Operator(Closing):
         RequestError for a start (`verbs.starts_motion`) if this process stood still since `issued`.
         """
         self._check_role(str(kind.__struct_config__.tag))
-        last_view, present_view = self._last_view, self.seen()
+        last_view = self._last_view
+        present_view = self.seen()
         asked = {  # the targets that were in reach at the last look, or came in reach since
             name: epoch
             for name, epoch in targets.items()

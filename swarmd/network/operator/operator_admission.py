@@ -55,7 +55,8 @@ class OperatorAdmission:
         self._on_newer_roster = on_newer_roster
         self._on_missing_key = on_missing_key
         # The last calls of `on_newer_roster`: for robots of the own roster, for other names.
-        self._known_hint_at = self._unknown_hint_at = -1e9
+        self._known_hint_at = -1e9
+        self._unknown_hint_at = -1e9
         self._key_asked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
         # OperatorDatagrams numbers the questions, and notes each number here.
         self.freshness = BeaconFreshness(lease, lambda: 0)

@@ -28,11 +28,14 @@ if TYPE_CHECKING:
 
 # s since the last new robot, after which the new robots are dialled together; at most
 # MAX_GATHER_TIMES as long while robots keep being found.
-GATHER_TIME, MAX_GATHER_TIMES = 0.004, 10
+GATHER_TIME = 0.004
+MAX_GATHER_TIMES = 10
 # The most sessions at a time, and the s between two, doubled with each session.
-MAX_SESSIONS, DIAL_PERIOD = 8, 0.01
+MAX_SESSIONS = 8
+DIAL_PERIOD = 0.01
 # A robot that does not answer is dialled again after REDIAL_WAIT s and REDIAL_TRIPS round trips.
-REDIAL_WAIT, REDIAL_TRIPS = 1.5, 5.0
+REDIAL_WAIT = 1.5
+REDIAL_TRIPS = 5.0
 _ENDING = 1.0  # s for which the end of the program waits for a call of Zenoh, or for a close
 
 Handler = Callable[[str, bytes], object]
@@ -130,7 +133,8 @@ class OperatorSessions:
         return closing
 
     def _take_opened(self) -> list[zenoh.Session]:
-        opened, self._opened = self._opened, []
+        opened = self._opened
+        self._opened = []
         self._dialled.clear()
         return opened
 
@@ -216,7 +220,8 @@ class OperatorSessions:
             if len(endpoints) < 2:
                 return []
             half = len(endpoints) // 2
-            first, second = endpoints[:half], endpoints[half:]
+            first = endpoints[:half]
+            second = endpoints[half:]
             return [*self._open_to(first), *self._open_to(second)]
 
     # Queries
@@ -326,7 +331,8 @@ class OperatorSessions:
 
         from swarmd.network.carriers.session import MAX_WIRE, on_thread
 
-        handler, swarm = self._watched[name, robot], self._settings.swarm
+        handler = self._watched[name, robot]
+        swarm = self._settings.swarm
 
         def on_sample(sample: zenoh.Sample) -> None:
             key = parse(str(sample.key_expr))

@@ -11,8 +11,10 @@ import os
 import socket
 
 # Bounds of the texts in a request, in characters, and in a datagram, in bytes.
-MAX_OPERATOR, MAX_OPERATOR_BYTES = 128, 256
-MAX_REASON, MAX_REASON_BYTES = 256, 512
+MAX_OPERATOR = 128
+MAX_OPERATOR_BYTES = 256
+MAX_REASON = 256
+MAX_REASON_BYTES = 512
 
 
 def operator_name() -> str:

@@ -15,7 +15,8 @@ from swarmd.core.refusal import Refusal
 from swarmd.network.datagram import Ack
 from swarmd.network.operator.exit_codes import APPLIED, MISTAKES, code_of_outcome
 
-MAX_ROBOTS, MAX_INSTANCES = 1024, 8
+MAX_ROBOTS = 1024
+MAX_INSTANCES = 8
 
 _CODES = frozenset(Code)
 _REFUSALS = {str(refusal): refusal for refusal in Refusal}

@@ -10,7 +10,8 @@ class RepeatTimer:
     """When to do something again; `steps`: (until, period) in s since the start."""
 
     def __init__(self, now: float, steps: tuple[tuple[float, float], ...]) -> None:
-        self._started = self._next = now
+        self._started = now
+        self._next = now
         self._steps = steps
 
     def age(self, now: float) -> float:

@@ -31,7 +31,8 @@ REQUEST_CAP = 45.0  # s
 LINK_PERIOD = 0.003
 LEAST_PAUSE = 0.001  # s for which the sender waits in any case before it sends again
 # s, and round trips, after which robots of another version are not waited for.
-OTHER_VERSION_WAIT, OTHER_VERSION_TRIPS = 1.0, 6.0
+OTHER_VERSION_WAIT = 1.0
+OTHER_VERSION_TRIPS = 6.0
 
 
 _reply_header = Decoder(ReplyHeader, any_version=True)
@@ -84,7 +85,8 @@ class RequestSender:
         links = self._sessions.question_links(request.verb)  # which robots a query would reach
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
         missing = tuple(asked)
-        pause = stood = 0.0
+        pause = 0.0
+        stood = 0.0
         self._loops.begin(now)
         while missing and (time_left := started + timeout - now) > 0:
             newly_linked = self._sessions.linked(links, unlinked)
@@ -144,7 +146,8 @@ class RequestSender:
 
         Robots that did not answer are left out.
         """
-        asked, answers = sorted(set(robots)), dict[str, bytes]()
+        asked = sorted(set(robots))
+        answers = dict[str, bytes]()
         until = boottime() + timeout
         self._loops.begin(boottime())
         while len(answers) < len(asked) and (time_left := until - boottime()) > 0:

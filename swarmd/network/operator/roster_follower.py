@@ -96,7 +96,8 @@ class RosterFollower:
         missing = set()
         while self._missing:  # the carrier's thread may add to it
             missing.add(self._missing.pop())
-        identity, settings = self._operator.identity, self._operator.settings
+        identity = self._operator.identity
+        settings = self._operator.settings
         if not (newer or missing) or identity is None or not self._is_on:
             return
         from swarmd.network.operator.roster_update import pulled_keys, pulled_roster

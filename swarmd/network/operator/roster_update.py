@@ -67,7 +67,8 @@ def pulled_keys(
 async def _pull_shared(
     settings: NetworkSettings, identity: Identity, robot: str, address: Address
 ) -> SharedRoster:
-    name, time = identity.name, PULL_TIMEOUT
+    name = identity.name
+    time = PULL_TIMEOUT
     blob = await pull(settings, robot, address, "roster", name, identity=identity, timeout=time)
     return read_shared(blob)
 

@@ -90,7 +90,8 @@ class RoundTrips:
 
         Solicits of the last round trip are left out: their answers may still come.
         """
-        trip, worst = self.round_trip, 0.0
+        trip = self.round_trip
+        worst = 0.0
         recent = sum(1 for at in self._sent.values() if now - at <= trip + QUIET_TIME)
         for instance in instances:
             if known := self._answers.get(instance):

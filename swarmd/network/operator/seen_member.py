@@ -93,7 +93,8 @@ def silent_member(
         report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)
     if report is None:
         return None
-    presence, contact = report.presence, Contact.GONE
+    presence = report.presence
+    contact = Contact.GONE
     is_recent = now - report.at <= INDIRECT_TIME
     if presence is Presence.ALIVE and is_recent:
         contact = Contact.UNREACHABLE

@@ -25,10 +25,12 @@ RENEW_PERIOD = 0.5  # s between two new origins: refusals of the origin before m
 _MAX_TARGET_BYTES = 400
 _NAME_OVERHEAD = 2  # bytes of MessagePack before a name
 # By default a stop goes on for at least STOP_WAIT s and STOP_TRIPS round trips.
-STOP_WAIT, STOP_TRIPS = 3.0, 8.0
+STOP_WAIT = 3.0
+STOP_TRIPS = 8.0
 # A stop ends at the latest after STOP_CAP s and STOP_TRIPS round trips. A round trip counts as at
 # most MAX_STOP_TRIP s, so that no datagram can raise this bound.
-STOP_CAP, MAX_STOP_TRIP = 20.0, 2.0
+STOP_CAP = 20.0
+MAX_STOP_TRIP = 2.0
 
 
 class PendingStop:
@@ -113,7 +115,8 @@ class PendingStop:
 
     def lacking(self, now: float) -> tuple[str, ...]:
         """The expected robots that have not acked, or whose ack says that the base still moves."""
-        silent, expected = set(self.silent(now)), sorted(self._expected(now))
+        silent = set(self.silent(now))
+        expected = sorted(self._expected(now))
         for name in expected:
             self.acks.forget_ended(name, self._discovery.holders(name))
         return tuple(name for name in expected if name in silent or self.acks.is_moving(name))
@@ -174,7 +177,8 @@ def _in_datagrams(names: Iterable[str]) -> Iterator[tuple[str, ...]]:
         name_size = len(name) + _NAME_OVERHEAD
         if group and size + name_size > _MAX_TARGET_BYTES:
             yield tuple(group)
-            group, size = [], 0
+            group = []
+            size = 0
         group.append(name)
         size += name_size
     if group:

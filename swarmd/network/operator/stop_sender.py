@@ -99,7 +99,8 @@ class StopSender:
         try:
             while True:
                 with self._arrivals.lock:
-                    now, count = boottime(), self._arrivals.count
+                    now = boottime()
+                    count = self._arrivals.count
                     is_over = _is_over(pending, now, until, until_all=until_all)
                     if is_over or is_ended() or pending.is_done(now):
                         break

@@ -26,7 +26,8 @@ class Asks:
     """
 
     def __init__(self, period: float, at_once: int = 1, window: float | None = None) -> None:
-        self._period, self._at_once = period, at_once
+        self._period = period
+        self._at_once = at_once
         self._window = period if window is None else window
         self._known: dict[Hashable, bytes] = {}
         self._asked_until: dict[Hashable, float] = {}

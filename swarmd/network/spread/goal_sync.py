@@ -28,11 +28,14 @@ from swarmd.security.content_signature import Purpose, has_form, is_signed_by
 ASK_PERIOD = 0.25  # s between questions to one robot
 ASKED_AT_ONCE = 2  # robots that are asked for one goal in a period
 AGE_PERIOD = 2.0  # s between questions for the age of the own goal
-ASK_RATE, ASK_BURST = 20.0, 20.0  # questions per second, whatever beacons show
+# questions per second, whatever beacons show
+ASK_RATE = 20.0
+ASK_BURST = 20.0
 ANSWER_TIMEOUT = 2.0  # s
 MAX_REPEATS = 3
 MAX_CHECKED = 64
-CHECK_RATE, CHECK_BURST = 4.0, 8.0
+CHECK_RATE = 4.0
+CHECK_BURST = 8.0
 """Signatures verified per second, and at once: each takes about 4 ms of a core."""
 
 

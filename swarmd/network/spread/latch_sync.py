@@ -25,7 +25,9 @@ STRANGERS_ASKED = 4  # strangers that are asked in one period
 MAX_PARTIAL = 64
 MAX_LATCHES = 64
 ROOM = 1200  # bytes for latches in a datagram
-MAX_ISSUER, MAX_TEXT = 128, 256  # bytes of the issuer and of any other text as they are sent
+# bytes of the issuer and of any other text as they are sent
+MAX_ISSUER = 128
+MAX_TEXT = 256
 
 
 def digest_of(latches: Mapping[str, Latch]) -> bytes:
@@ -38,7 +40,8 @@ def digest_of(latches: Mapping[str, Latch]) -> bytes:
 
 def latch_parts(robot: str, instance: bytes, latches: Mapping[str, Latch]) -> list[Latches]:
     """The swarm-wide latches of a robot in datagrams that fit."""
-    digest, room = digest_of(latches), 0
+    digest = digest_of(latches)
+    room = 0
     parts: list[dict[str, Latch]] = []
     for name, latch in sorted(latches.items()):
         if latch.scope != "swarm":

@@ -37,8 +37,12 @@ MAX_REPLY = 2 * PIECE  # bytes of an encoded reply
 MAX_BLOB = 1024 * 1024
 PULL_TIMEOUT = 20.0  # s for a whole blob, with the opening of the session
 PIECE_TIMEOUT = 2.0  # s after which a piece is asked for again
-PULL_RATE, PULL_BURST = 1.0, 4.0  # pulls a second
-SERVE_RATE, SERVE_BURST = 64.0, 64.0  # pieces a second
+# pulls a second
+PULL_RATE = 1.0
+PULL_BURST = 4.0
+# pieces a second
+SERVE_RATE = 64.0
+SERVE_BURST = 64.0
 MAX_ASKERS = 64
 MAX_SERVING = 4  # pieces that are read from the disk at a time
 DIGEST_BYTES = 32
@@ -137,7 +141,9 @@ class Puller:
         on_done: Callable[[Blob, str], object],
     ) -> None:
         """Pull a blob, and call `on_done`; an unexpected error is logged and counted as `kind`."""
-        blob, reason = None, FAILED  # the reason of an unexpected error
+        # the reason of an unexpected error
+        blob = None
+        reason = FAILED
         with self._drops.refusing(kind):
             try:
                 blob = await begin_pull()
@@ -191,7 +197,8 @@ async def pull(
 async def _pieces(
     session: zenoh.Session, key: str, label: str, name: str, limit: int, digest: bytes | None
 ) -> bytes:
-    content, first = bytearray(), None
+    content = bytearray()
+    first = None
     while first is None or len(content) < first.size:
         reply = await _piece(session, key, PullQuery(name=name, offset=len(content)))
         if reply is None:
@@ -291,5 +298,6 @@ def _answer(provider: Provider, payload: bytes, asker: str) -> bytes:
     if len(blob) > MAX_BLOB:
         return encode(PullReply(text=f"has {len(blob)} bytes; at most {MAX_BLOB} are sent"))
     end = query.offset + query.length
-    data, digest = blob[query.offset : end], hashlib.sha256(blob).digest()
+    data = blob[query.offset : end]
+    digest = hashlib.sha256(blob).digest()
     return encode(PullReply(size=len(blob), offset=query.offset, data=data, digest=digest))

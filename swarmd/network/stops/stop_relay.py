@@ -48,7 +48,8 @@ ACK_PERIOD = 0.08  # s between acks to one source: an operator repeats at 10 Hz
 _NEVER = -1e9  # s
 _SENT = -1.0  # value of `_Relayed.due` once the stop was sent in the present interval
 # The stop is sent at a random moment between these shares of an interval.
-_FIRST_SHARE, _LAST_SHARE = 0.1, 1.0
+_FIRST_SHARE = 0.1
+_LAST_SHARE = 1.0
 
 
 @dataclass(slots=True)

@@ -61,7 +61,8 @@ class Fence:
         self._longest_stop = self._top * (TICK + stop_s)  # m that the axle moves at most
         self._known = (0.0, 0.0, -math.inf)  # a place of the axle, and its clearance
         part = np.arange(_SHARES + 1) / _SHARES
-        ones, zeros = np.ones_like(part), np.zeros_like(part)
+        ones = np.ones_like(part)
+        zeros = np.zeros_like(part)
         columns = ((part, ones), (ones, part), (part, part), (part, zeros), (zeros, part))
         shares = np.unique(np.concatenate([np.stack(one, axis=1) for one in columns]), axis=0)
         self._shares = shares[(shares > 0.0).any(axis=1)]
@@ -81,17 +82,21 @@ class Fence:
     def widest(self) -> float:
         """About the radius in m of the largest circle that the fence permits; 0 without any."""
         outer = self._polygons[0]
-        low, high = outer.min(axis=0), outer.max(axis=0)
-        best, center = 0.0, (low + high) / 2.0
+        low = outer.min(axis=0)
+        high = outer.max(axis=0)
+        best = 0.0
+        center = (low + high) / 2.0
         for _ in range(6):
             axes = [np.linspace(low[i], high[i], _GRID + 1) for i in (0, 1)]
             points = np.stack(np.meshgrid(*axes), axis=2).reshape(-1, 2)
             away = _kernel.clearances(self._edges, points, 0.0)
             index = int(away.argmax())
             if away[index] > best:
-                best, center = float(away[index]), points[index]
+                best = float(away[index])
+                center = points[index]
             half = 2.0 * (high - low) / _GRID
-            low, high = center - half, center + half
+            low = center - half
+            high = center + half
         return best
 
     # Decisions
@@ -129,7 +134,8 @@ class Fence:
 
         # 2. The share of the request that is permitted and nearest to the request, in the plane of
         # linear and angular speed, each over its limit.
-        limits, shares = self._limits, self._even if is_even else self._shares
+        limits = self._limits
+        shares = self._even if is_even else self._shares
         linear_size = math.hypot(requested.linear, requested.lateral) / limits.linear
         turn_size = abs(requested.angular) / limits.angular
         index = _kernel.nearest_permitted(
@@ -170,13 +176,15 @@ class Fence:
         for start, end in zip(self._edges[:, :2] - here, self._edges[:, 2:4] - here, strict=True):
             length = math.dist(start, end)
             middle = -start.dot(end - start) / length  # of the nearest place along the edge
-            first, last = max(middle - within, 0.0), min(middle + within, length)
+            first = max(middle - within, 0.0)
+            last = min(middle + within, length)
             if first < last:
                 along = np.arange(first, last, _SPACING) / length
                 parts.append(start + along[:, None] * (end - start))
         points = np.concatenate(parts)
         points = points[np.hypot(points[:, 0], points[:, 1]) <= within]
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        cos = math.cos(pose.yaw)
+        sin = math.sin(pose.yaw)
         x, y = points.T
         return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
 
@@ -201,13 +209,17 @@ class Fence:
         The pose is in the frame of the fence. The speeds are in m/s ahead, m/s to the left, and
         rad/s. The error is a bound for each place of the outline.
         """
-        odometry, age = context.odometry, context.odometry_age or 0.0
+        odometry = context.odometry
+        age = context.odometry_age or 0.0
         assert odometry is not None
         # 1. The pose by the newest odometry, in the shared frame.
         frame_turn = anchor.pose.yaw - anchor.odometry.yaw
-        cos, sin = math.cos(frame_turn), math.sin(frame_turn)
-        dx, dy = odometry.pose.x - anchor.odometry.x, odometry.pose.y - anchor.odometry.y
-        x, y = anchor.pose.x + cos * dx - sin * dy, anchor.pose.y + sin * dx + cos * dy
+        cos = math.cos(frame_turn)
+        sin = math.sin(frame_turn)
+        dx = odometry.pose.x - anchor.odometry.x
+        dy = odometry.pose.y - anchor.odometry.y
+        x = anchor.pose.x + cos * dx - sin * dy
+        y = anchor.pose.y + sin * dx + cos * dy
         yaw = odometry.pose.yaw + frame_turn
 
         # 2. The motion until the command takes effect: each speed goes to the command in force.
@@ -217,7 +229,8 @@ class Fence:
         ahead, ahead_speed = _ramp(twist.linear, command.linear, braking, seconds)
         left, left_speed = _ramp(twist.lateral, command.lateral, braking, seconds)
         turn, turn_speed = _ramp(twist.angular, command.angular, turning, seconds)
-        cos, sin = math.cos(yaw + 0.5 * turn), math.sin(yaw + 0.5 * turn)
+        cos = math.cos(yaw + 0.5 * turn)
+        sin = math.sin(yaw + 0.5 * turn)
         pose = Pose(x + cos * ahead - sin * left, y + sin * ahead + cos * left, yaw + turn)
 
         # 3. The bound of the error. The error of the anchor's yaw counts over the distance from the
@@ -238,7 +251,8 @@ def fence_fault(settings: FenceSettings, platform: Platform) -> str:
     """Why the platform cannot drive within the fence; empty if it can."""
     if "odometry" not in platform.provides:
         return f"needs odometry, which platform {platform.name} does not provide"
-    widest, needed = Fence(settings, platform).widest(), radius_of(platform) + settings.margin
+    widest = Fence(settings, platform).widest()
+    needed = radius_of(platform) + settings.margin
     if widest < needed:
         return (
             f"is too small for platform {platform.name}: its widest place has a radius of"

@@ -38,7 +38,9 @@ CONFIRM_TIME = 0.2
 """Seconds that the last of these poses is newer than the first pose, at least."""
 FORGET_TIME = 5.0
 """Seconds after which poses in use are no longer compared with new poses, and a drift is over."""
-COMPARED_TIME, COMPARED_WAY, LONGEST_TIME = 5.0, 0.5, 10.0
+COMPARED_TIME = 5.0
+COMPARED_WAY = 0.5
+LONGEST_TIME = 10.0
 """s, m and s: a pose is compared with the poses in use of the last COMPARED_TIME, and with those of
 the last COMPARED_WAY within LONGEST_TIME: a robot that creeps finds a drift late."""
 _SPACING = 0.5
@@ -65,7 +67,8 @@ class _Trail:
     """Poses in a row that agree, each with the pose before and with those kept."""
 
     def __init__(self, first: _Fix) -> None:
-        self.newest = self._first = first
+        self.newest = first
+        self._first = first
         self.followers = 0  # poses after the first
         self._kept: deque[_Fix] = deque()  # older than the newest pose, _SPACING apart
 
@@ -91,7 +94,8 @@ class _Trail:
 
     def _is_over(self, old: _Fix) -> bool:
         """True for a kept pose that is too old for a comparison, and from too far away."""
-        seconds, way = self.newest.at - old.at, self.newest.way - old.way
+        seconds = self.newest.at - old.at
+        way = self.newest.way - old.way
         return seconds > LONGEST_TIME or (seconds > COMPARED_TIME and way > COMPARED_WAY)
 
     def is_confirmed(self, seconds: float) -> bool:
@@ -109,11 +113,13 @@ class FencePose:
 
     def __init__(self, settings: FenceSettings, timeout: float) -> None:
         """`timeout`: the age in s beyond which a pose is not used."""
-        self._frame, self._timeout = settings.frame, timeout
+        self._frame = settings.frame
+        self._timeout = timeout
         self._holds = settings.without_pose == "hold"
         self._odometry = load_kernel("swarmd.core.odometry_trail").OdometryTrail()
         self._last: Odometry | None = None  # the newest reading of it
-        self._way = self._turned = 0.0
+        self._way = 0.0
+        self._turned = 0.0
         self._used: _Trail | None = None  # the poses in use; after a jump kept for comparison
         self._new: _Trail | None = None  # poses in a row that agree, of a place not in use
         self._is_used = False  # True if the last pose agreed with `_used`
@@ -127,7 +133,8 @@ class FencePose:
         if taken == ANEW:
             self._forget("odometry jumped")
         elif taken == NEXT and self._last is not None:
-            here, there = odometry.pose, self._last.pose
+            here = odometry.pose
+            there = self._last.pose
             self._way += math.hypot(here.x - there.x, here.y - there.y)
             self._turned += abs(math.remainder(here.yaw - there.yaw, 2.0 * math.pi))
         if taken >= NEXT:
@@ -154,7 +161,8 @@ class FencePose:
             # The way at the time `at` is not kept: the present way is greater by the motion during
             # the delay of the pose. Later errors of odometry are too small by ODOMETRY_SHARE of
             # that motion.
-            way, turned = self._way, self._turned
+            way = self._way
+            turned = self._turned
             self._take(_Fix(pose, odometry, error, yaw_error, at, way, turned))
 
     def _odometry_at(self, at: float, newest_at: float) -> Pose | None:
@@ -202,12 +210,17 @@ class FencePose:
         self._is_used = False
 
     def _use(self, trail: _Trail) -> None:
-        self._used, self._new, self._needed_time = trail, None, CONFIRM_TIME
-        self._is_used, self._fault = True, ""
+        self._used = trail
+        self._new = None
+        self._needed_time = CONFIRM_TIME
+        self._is_used = True
+        self._fault = ""
 
     def _forget(self, fault: str) -> None:
-        self._used = self._new = None
-        self._is_used, self._fault = False, fault
+        self._used = None
+        self._new = None
+        self._is_used = False
+        self._fault = fault
 
     @property
     def until(self) -> float:
@@ -224,7 +237,8 @@ class FencePose:
         if self._used is None or now > self.known_until:
             return None
         fix = self._used.newest
-        way, turned = self._way - fix.way, self._turned - fix.turned
+        way = self._way - fix.way
+        turned = self._turned - fix.turned
         return Anchor(fix.shared.pose, fix.odometry, fix.error, fix.yaw_error, way, turned)
 
     def text(self, now: float) -> str:
@@ -239,7 +253,8 @@ class FencePose:
 def _difference(earlier: _Fix, later: _Fix) -> tuple[float, float]:
     """m and rad by which a pose differs from that of an earlier pose and odometry."""
     turned = earlier.shared.pose.yaw - earlier.odometry.yaw
-    cos, sin = math.cos(turned), math.sin(turned)
+    cos = math.cos(turned)
+    sin = math.sin(turned)
     dx = later.odometry.x - earlier.odometry.x
     dy = later.odometry.y - earlier.odometry.y
     x = earlier.shared.pose.x + cos * dx - sin * dy
@@ -251,8 +266,10 @@ def _difference(earlier: _Fix, later: _Fix) -> tuple[float, float]:
 
 def _explained(earlier: _Fix, later: _Fix) -> tuple[float, float]:
     """m and rad by which two poses may differ: errors of both poses and of odometry, and slack."""
-    way, turned = later.way - earlier.way, later.turned - earlier.turned
-    here, there = later.odometry, earlier.odometry
+    way = later.way - earlier.way
+    turned = later.turned - earlier.turned
+    here = later.odometry
+    there = earlier.odometry
     most = earlier.error + later.error + _SLACK[0]
     most += earlier.yaw_error * math.hypot(here.x - there.x, here.y - there.y)
     most += (ODOMETRY_SHARE * (1.0 + turned) + 0.5 * _BEND * way) * way
@@ -263,13 +280,15 @@ def _explained(earlier: _Fix, later: _Fix) -> tuple[float, float]:
 
 def _agree(earlier: _Fix, later: _Fix) -> bool:
     """True if errors explain the difference of two poses; False for NaN."""
-    (far, turn), (most, most_turn) = _difference(earlier, later), _explained(earlier, later)
+    (far, turn) = _difference(earlier, later)
+    (most, most_turn) = _explained(earlier, later)
     return far <= most and turn <= most_turn
 
 
 def _contradiction(earlier: _Fix, later: _Fix) -> str:
     """The difference of two poses, and what errors explain, in words."""
-    (far, turn), (most, most_turn) = _difference(earlier, later), _explained(earlier, later)
+    (far, turn) = _difference(earlier, later)
+    (most, most_turn) = _explained(earlier, later)
     return (
         f"in {later.at - earlier.at:.1f} s the pose moved otherwise than odometry by {far:.2f} m"
         f" and {math.degrees(turn):.0f} deg, errors explain {most:.2f} m and"

@@ -58,7 +58,8 @@ def _permits(edges: cython.double[:, ::1], x: cython.double, y: cython.double) -
         if edges[i, 4] != polygon:
             if is_within != (polygon == 0.0):
                 return False
-            polygon, is_within = edges[i, 4], False
+            polygon = edges[i, 4]
+            is_within = False
         if (edges[i, 1] > y) != (edges[i, 3] > y):
             at = edges[i, 0] + (y - edges[i, 1]) * (edges[i, 2] - edges[i, 0]) / (
                 edges[i, 3] - edges[i, 1]
@@ -315,5 +316,6 @@ def nearest_permitted(
         turn_share: cython.double = given[i, 1]
         off: cython.double = hypot((1.0 - share) * linear_size, (1.0 - turn_share) * turn_size)
         if off < least and stops.permits(ahead * share, left * share, turn * turn_share):
-            best, least = i, off
+            best = i
+            least = off
     return best

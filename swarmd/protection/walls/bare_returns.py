@@ -291,7 +291,8 @@ class BareReturns:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         for i in range(self._rays):
-            self._is_member[i] = self._is_candidate[i] = 0
+            self._is_member[i] = 0
+            self._is_candidate[i] = 0
         for k in range(run.length + 1):
             along: cython.double = runs.along(run, k)
             ray: cython.Py_ssize_t = runs.ray[runs.return_of(run, k)]

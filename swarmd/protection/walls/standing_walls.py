@@ -93,7 +93,8 @@ class Wall:
     next_bins: cython.double[::1]
 
     def __init__(self) -> None:
-        self.bins, self.next_bins = doubles(_BINS), doubles(_BINS)
+        self.bins = doubles(_BINS)
+        self.next_bins = doubles(_BINS)
 
 
 @cython.cfunc
@@ -137,7 +138,8 @@ class StandingWalls(ReturnLayer):
     def __init__(self, platform: Platform, walls_stand: WallsStand, extent: float) -> None:
         """`extent`: m, the `unseen_extent` of the platform."""
         ReturnLayer.__init__(self, len(platform.scan.bearings))
-        self._length, self._seconds = walls_stand.length, walls_stand.seconds
+        self._length = walls_stand.length
+        self._seconds = walls_stand.seconds
         self._period = 1.0 / platform.scan.rate
         self.is_trusted = True
         has_foot = walls_stand.foot is not None
@@ -253,9 +255,12 @@ class StandingWalls(ReturnLayer):
             self._centre_bins(wall)
             dx: cython.double = wall.x - motion.pose.x
             dy: cython.double = wall.y - motion.pose.y
-            wall.here_x, wall.here_y = c * dx + s * dy, c * dy - s * dx
-            dx, dy = wall.ux, wall.uy
-            wall.here_ux, wall.here_uy = c * dx + s * dy, c * dy - s * dx
+            wall.here_x = c * dx + s * dy
+            wall.here_y = c * dy - s * dx
+            dx = wall.ux
+            dy = wall.uy
+            wall.here_ux = c * dx + s * dy
+            wall.here_uy = c * dy - s * dx
             wall.is_seen = False
             for k in range(_BINS):
                 wall.next_bins[k] = INFINITY
@@ -312,8 +317,10 @@ class StandingWalls(ReturnLayer):
         # 2. How far the line is from the point of the run at 0 m. The distance changes along the
         # run by the sine of the angle between run and line.
         off: cython.double = uy * dx - ux * dy
-        self._overlap_first, self._overlap_last = first, last
-        self._off_first, self._off_last = off + sine * first, off + sine * last
+        self._overlap_first = first
+        self._overlap_last = last
+        self._off_first = off + sine * first
+        self._off_last = off + sine * last
         return 1
 
     @cython.cfunc
@@ -368,7 +375,8 @@ class StandingWalls(ReturnLayer):
         # 1. Confirms the wall: the mean distance of the line from the run, and the time.
         has_overlap: cython.bint = self._overlap(wall, run) != 0
         wall.off = 0.5 * (self._off_first + self._off_last) if has_overlap else 0.0
-        wall.is_seen, wall.confirmed = True, now
+        wall.is_seen = True
+        wall.confirmed = now
         # 2. Measures the line anew each `_seconds`.
         if now - wall.measured_at >= self._seconds:
             self._move_line(wall, run, motion)
@@ -484,7 +492,8 @@ class StandingWalls(ReturnLayer):
         wall.ux = direction * (c * ux - s * uy)
         wall.uy = direction * (s * ux + c * uy)
         wall.measured_at = motion.measured_at
-        wall.way, wall.turn = self._way, self._turn
+        wall.way = self._way
+        wall.turn = self._turn
         return 0
 
     @cython.cfunc
@@ -515,7 +524,8 @@ class StandingWalls(ReturnLayer):
         """Keep the bins of a wall that this scan covers, and find the first and the last one."""
         k: cython.Py_ssize_t
         wall.bins, wall.next_bins = wall.next_bins, wall.bins
-        wall.low, wall.high = _BINS, -1
+        wall.low = _BINS
+        wall.high = -1
         for k in range(_BINS):
             if wall.bins[k] < INFINITY:
                 wall.high = k
@@ -534,10 +544,14 @@ class StandingWalls(ReturnLayer):
         if bins <= covered:
             covered = cython.cast(cython.Py_ssize_t, bins)
         self._set_line(wall, run, run.begin + half, 1.0, motion)
-        wall.since = wall.confirmed = motion.measured_at
-        wall.is_seen, wall.off = True, 0.0
-        wall.moves, wall.missed = 0, 0
-        wall.low, wall.high = _BINS // 2 - covered, _BINS // 2 + covered - 1
+        wall.since = motion.measured_at
+        wall.confirmed = motion.measured_at
+        wall.is_seen = True
+        wall.off = 0.0
+        wall.moves = 0
+        wall.missed = 0
+        wall.low = _BINS // 2 - covered
+        wall.high = _BINS // 2 + covered - 1
         for k in range(_BINS):
             wall.bins[k] = motion.measured_at if wall.low <= k <= wall.high else INFINITY
         self._wall_count += 1

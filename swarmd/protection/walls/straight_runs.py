@@ -111,14 +111,18 @@ class StraightRuns:
         self.oldest = _LATE_RAY * (1.0 / platform.scan.rate)
         self._bridges = bridges
         self.lidar_x, self.lidar_y = platform.scan.offset
-        self.runs, self._stack = [Run() for _ in range(_RUNS)], indices(_STACK)
+        self.runs = [Run() for _ in range(_RUNS)]
+        self._stack = indices(_STACK)
         self._allocate(len(platform.scan.bearings))
 
     def _allocate(self, rays: cython.Py_ssize_t) -> None:
         """Make the arrays of a scan anew, for so many rays."""
-        self.ray, self._is_cut = indices(rays), indices(rays)
+        self.ray = indices(rays)
+        self._is_cut = indices(rays)
         self._is_single = indices(rays)
-        self.x, self.y, self._sums = doubles(rays), doubles(rays), doubles(_SUMS * (rays + 1))
+        self.x = doubles(rays)
+        self.y = doubles(rays)
+        self._sums = doubles(_SUMS * (rays + 1))
         self._places = doubles(2 * rays)
 
     @cython.cfunc
@@ -226,8 +230,10 @@ class StraightRuns:
                 continue
             x: cython.double = self.lidar_x + distance * directions[2 * i]
             y: cython.double = self.lidar_y + distance * directions[2 * i + 1]
-            self.x[k], self.y[k] = x, y
-            self.ray[k], self._is_cut[k] = i, is_cut
+            self.x[k] = x
+            self.y[k] = y
+            self.ray[k] = i
+            self._is_cut[k] = is_cut
             self._is_single[k] = passing == 1 and i > 0 and ranges[i - 1] == INFINITY
             self._add_to_sums(k, x, y)
             is_cut = False
@@ -310,7 +316,8 @@ class StraightRuns:
         k: cython.Py_ssize_t
         stack: cython.longlong[::1] = self._stack
         top: cython.Py_ssize_t = 2
-        stack[0], stack[1] = begin, end
+        stack[0] = begin
+        stack[1] = end
         while top > 0:
             top -= 2
             first: cython.Py_ssize_t = stack[top]
@@ -328,13 +335,16 @@ class StraightRuns:
             for k in range(first + 1, last):
                 off: cython.double = fabs(dx * (self.y[k] - y) - dy * (self.x[k] - x))
                 if off > most:
-                    most, farthest = off, k
+                    most = off
+                    farthest = k
             # 2. Splits there, the later part first on the stack; or adds a run.
             if most > _STRAIGHT * length and farthest > first:
                 if top + 4 > _STACK:
                     return 0  # a chain of noise: the rest of it has no runs
-                stack[top], stack[top + 1] = farthest, last
-                stack[top + 2], stack[top + 3] = first, farthest
+                stack[top] = farthest
+                stack[top + 1] = last
+                stack[top + 2] = first
+                stack[top + 3] = farthest
                 top += 4
             elif self.count < _RUNS:
                 self._add_run(first, last)
@@ -345,7 +355,8 @@ class StraightRuns:
         """Add the run from return `first` to return `last`, if it is smooth."""
         j: cython.Py_ssize_t
         run: Run = self.runs[self.count]
-        run.first, run.length = first, last - first
+        run.first = first
+        run.length = last - first
         for j in range(_SUMS):
             run.sums[j] = self._sums[_SUMS * (last + 1) + j] - self._sums[_SUMS * first + j]
         if self._fit(run):
@@ -385,9 +396,12 @@ class StraightRuns:
         along: cython.double = ux * (self.x[last] - self.x[first])
         along += uy * (self.y[last] - self.y[first])
         length = -length if along < 0.0 else length  # a negative length reverses the vector
-        ux, uy = ux / length, uy / length
-        run.x, run.y = x, y
-        run.ux, run.uy = ux, uy
+        ux = ux / length
+        uy = uy / length
+        run.x = x
+        run.y = y
+        run.ux = ux
+        run.uy = uy
         run.begin = ux * (self.x[first] - x) + uy * (self.y[first] - y)
         run.end = ux * (self.x[last] - x) + uy * (self.y[last] - y)
         return 1
