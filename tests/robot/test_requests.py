@@ -1077,7 +1077,7 @@ def test_a_start_counts_up_to_the_bounds_of_its_times(
 ) -> None:
     """5 s of age, 0.5 s after its start time, and 60 s before it."""
     harness = idle()
-    more = {"age": fields["age"]} if "age" in fields else {}
+    more: dict[str, Any] = {"age": fields["age"]} if "age" in fields else {}
     at = {harness.robot.id: harness.now + fields["ahead"]} if "ahead" in fields else {}
     reply = harness.send(harness.request("run", pattern="forward", at=at, **more))
     assert (reply.refusal if reply is not None else None) is refusal

@@ -65,7 +65,7 @@ def test_a_layout_takes_no_more_bearings_than_it_has_room_for() -> None:
 def test_features_do_not_depend_on_the_scans_before() -> None:
     """Robots share what is kept of the last bearings: another robot's scan must change nothing."""
     random = np.random.default_rng(5)
-    scans = []
+    scans: list[Scan] = []
     for n in (24, 360, 24, 90, 360, 91, 7, 180, 181, 182, 183, 184):
         bearings = np.sort(random.uniform(-math.pi, math.pi, n))
         scans.append(Scan(len(scans), 0.0, random.uniform(0.2, 4.0, n), bearings, 0.1, 3.5))
