@@ -20,6 +20,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
+from swarmd import make_robot as maker
 from swarmd.core.events import TICK_INPUT, Input, MessageInput, OdometryInput
 from swarmd.core.values import Array, Odometry
 from swarmd.robot.actions import Actions
@@ -103,7 +104,7 @@ def clocked_crowd(
     core = SimpleNamespace(
         tick_many=_tick_many, odometry_many=_odometry_many, message_many=_message_many
     )
-    with mock.patch.object(lockstep, "Robot", made), mock.patch.object(lockstep, "_core", core):
+    with mock.patch.object(maker, "Robot", made), mock.patch.object(lockstep, "_core", core):
         yield Lockstep(scenario, seed)
 
 
