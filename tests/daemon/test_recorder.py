@@ -294,8 +294,11 @@ async def run():
     events = []
     recorder = Recorder(asyncio.get_running_loop(), events.append)
     recorder.start(Path(sys.argv[1]), "a", {}, FileLimits(file_bytes=100_000))
+    recorder.add(frames.EventEntry(0.0, "a line"))
+    recorder.process.flush()
+    await until(lambda: recorder.process.report.path)  # else this loop takes its CPU as it starts
     rng = np.random.default_rng(1)
-    ends = time.monotonic() + 1.5 * WAIT  # a busy machine writes slowly
+    ends = time.monotonic() + WAIT
     seq = 0
     while time.monotonic() < ends:
         seq += 1
@@ -312,6 +315,7 @@ asyncio.run(run())
 """
 
 
+@pytest.mark.timeout(5.0 * WAIT)
 @pytest.mark.skipif(os.getuid() != 0 or not shutil.which("unshare"), reason="needs root, unshare")
 def test_a_full_disk_ends_the_recording_and_keeps_what_was_written(tmp_path: Path) -> None:
     script = tmp_path / "full.py"
@@ -325,7 +329,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_was_written(tmp_path: Pat
         ["unshare", "-m", "sh", "-c", mount],
         capture_output=True,
         text=True,
-        timeout=2.0 * WAIT,
+        timeout=4.0 * WAIT,  # to start, for the first report, to fill the disk, and to end
         cwd=Path(__file__).parents[2],
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
     )
