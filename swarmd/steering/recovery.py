@@ -111,6 +111,8 @@ _STALL_DISTANCE = cython.declare(cython.double, 0.04)
 _STALL_TURN = cython.declare(cython.double, 1.0)
 _STALL_TIME = cython.declare(cython.double, 5.0)
 _CREEP_TIME = cython.declare(cython.double, 8.0)  # s, the longest back-off at a creep: 12 cm
+# s, the longest back-off that protection slows to less than half, but not to a creep
+_SLOWED_TIME = cython.declare(cython.double, 4.0)
 # s for which a robot counts as one that creeps after its last command at a creep
 _CREPT_TIME = cython.declare(cython.double, 10.0)
 # s for which a robot that creeps straight keeps to ahead or back, unless it is blocked
@@ -370,7 +372,7 @@ class Recovery:
 
     @cython.cfunc
     def _creeps(self, safe: Twist) -> cython.bint:
-        """True if protection lets a robot that backs off only creep, as in contact."""
+        """True if protection lets a robot that backs off only creep or slows it, as in contact."""
         if self._state != "back":
             return False
         asked: cython.double = self._request.linear
@@ -526,8 +528,10 @@ class Recovery:
         # 1. Changes the state. A blocked turn leads to a back-off or an escape; the end of a
         # back-off, or a blocked drive, to a new corridor.
         now: cython.double = context.now
-        # At a creep, as in contact, the robot needs longer to get clear.
-        back_time: cython.double = _CREEP_TIME if self._creeps(safe) else self._back_time
+        # A robot that protection slows, as in contact, needs longer to get clear.
+        back_time: cython.double = self._back_time
+        if self._creeps(safe):
+            back_time = _CREEP_TIME if self._is_creep(safe) else _SLOWED_TIME
         if self._state != "turn" and is_blocked:
             self._way_until = -INFINITY
         if self._state == "turn" and is_blocked:

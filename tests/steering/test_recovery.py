@@ -123,6 +123,19 @@ def test_a_robot_that_creeps_out_of_contact_goes_on() -> None:
     assert all(twist.linear < 0.0 for is_active, twist in found[10:] if is_active)
 
 
+@pytest.mark.parametrize(("speed", "longest"), [(0.015, 8.0), (0.05, 4.0)])
+def test_only_a_back_off_at_a_creep_takes_as_long_as_a_creep_needs(
+    speed: float, longest: float
+) -> None:
+    """Protection lets it back off at this speed in m/s, less than half of what it asks for."""
+    found = asked(
+        12.0, points=WALL_AHEAD, safe=lambda one: Twist(max(-speed, min(one.linear, 0.0)))
+    )
+    backs = [twist.linear < 0.0 for _, twist in found]
+    begin = backs.index(True)
+    assert backs.index(False, begin) - begin == pytest.approx(longest / TICK, abs=2.0)
+
+
 def test_a_robot_that_cannot_turn_moves_as_protection_allows() -> None:
     def safe(twist: Twist) -> Twist:
         return twist if twist.linear < 0.0 and twist.angular > 0.0 else ZERO
