@@ -115,6 +115,11 @@ _CREEP_TIME = cython.declare(cython.double, 8.0)  # s, the longest back-off at a
 _SLOWED_TIME = cython.declare(cython.double, 4.0)
 # s for which a robot counts as one that creeps after its last command at a creep
 _CREPT_TIME = cython.declare(cython.double, 10.0)
+# s of commands at a creep, with none that is faster between them, by which a robot counts as one
+# that creeps: an ordinary stop has some of them, too
+_CREEPS_SINCE = cython.declare(cython.double, 0.5)
+# s, the longest time between two decisions
+_DECISION_PERIOD = cython.declare(cython.double, 0.1)
 # s for which a robot that creeps straight keeps to ahead or back, unless it is blocked
 _WAY_HOLD_TIME = cython.declare(cython.double, 20.0)
 # m/s: a straight escape at least as fast is taken before one with a turn
@@ -188,6 +193,8 @@ class Recovery:
     _is_backing: cython.bint
     _has_crept: cython.bint  # protection has let the robot creep within _CREPT_TIME
     _crept_at: cython.double  # s, of the last safe command at a creep; -inf without one
+    _creep_time: cython.double  # s of safe commands at a creep since the last one that was faster
+    _decided_at: cython.double  # s, of the last decision
     _is_way_back: cython.bint  # the robot has crept back, not ahead
     _way_until: cython.double  # s, until which it keeps to this way; -inf: it may choose
     _gained_at: cython.double  # s, when the robot last gained ground at a creep
@@ -221,6 +228,8 @@ class Recovery:
         self._back_time = _BACK_OFF_TIME
         self._last_block_at = -INFINITY
         self._crept_at = -INFINITY
+        self._creep_time = 0.0
+        self._decided_at = -INFINITY
         self._gained_at = -INFINITY
         self._way_until = -INFINITY
         self.reset()
@@ -263,8 +272,13 @@ class Recovery:
         lateral: cython.double = pattern_request.lateral
         now: cython.double = context.now
 
-        if not safe.is_zero and self._is_creep(safe):
-            self._crept_at = now
+        if not self._is_creep(safe):
+            self._creep_time = 0.0
+        elif not safe.is_zero:
+            self._creep_time += min(now - self._decided_at, _DECISION_PERIOD)
+            if self._creep_time >= _CREEPS_SINCE:
+                self._crept_at = now
+        self._decided_at = now
         self._has_crept = now - self._crept_at <= _CREPT_TIME
         if self._gains_ground(safe):
             self._gained_at = now
