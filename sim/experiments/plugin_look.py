@@ -60,6 +60,9 @@ _IN_PACKAGES = frozenset(
         *("io", "lib", "load", "load_trace", "loadtxt", "memmap", "metric_of", "metric_of_file"),
         *("open", "os", "pathlib", "random", "save", "savetxt", "savez", "savez_compressed"),
         *("shgo", "shutil", "socket", "subprocess", "sys", "testing", "threading"),
+        *("check_grad", "clarkson_woodruff_transform", "datetime64", "eigs", "eigsh"),
+        *("expm_multiply", "interpolative", "lobpcg", "onenormest", "qmc_quad"),
+        *("quadratic_assignment", "rand", "random_array", "svds", "NormalDist"),
     )
 )
 """Names in packages that lead to files, to other modules, or to random numbers of their own."""
@@ -101,6 +104,7 @@ def look_at(file: Path) -> Look:
             return Look(f"{name} cannot be read: {error.strerror}", frozenset())
         except (PluginError, RecursionError):
             return Look(f"{name} cannot be parsed", frozenset())
+        source.check_seeds()
         if source.faults:
             line, fault = min(source.faults)
             return Look(f"{name}:{line} {fault}", frozenset())
@@ -125,6 +129,10 @@ class _Source(ast.NodeVisitor):
     """What an imported name stands for, with dots."""
     _whole: set[str] = field(default_factory=set)
     """The names of imported modules."""
+    _none: set[str] = field(default_factory=set)
+    """Names that may stand for None, such as of a word whose default it is."""
+    _seeds: list[tuple[ast.AST, set[str]]] = field(default_factory=list)
+    """Calls of `default_rng`, with the names that are their seeds."""
 
     def visit_Import(self, node: ast.Import) -> None:
         for alias in node.names:
@@ -169,6 +177,8 @@ class _Source(ast.NodeVisitor):
         whole = self._imported.get(parts[0], "") if parts else ""
         called = ".".join((whole, *parts[1:]))
         if called == _WITH_SEED and self._has_seed(node):
+            given = (*node.args, *(keyword.value for keyword in node.keywords))
+            self._seeds.append((node, {name for one in given for name in _last_names(one)}))
             for inner in (*node.args, *node.keywords):
                 self.visit(inner)
             return
@@ -180,6 +190,30 @@ class _Source(ast.NodeVisitor):
                 self._fault(node, f"uses {name.value}")
         self.generic_visit(node)
 
+    def visit_arguments(self, node: ast.arguments) -> None:
+        named = [*node.posonlyargs, *node.args]
+        with_default = zip(named[len(named) - len(node.defaults) :], node.defaults, strict=True)
+        for word, value in (*with_default, *zip(node.kwonlyargs, node.kw_defaults, strict=True)):
+            if _is_none(value):
+                self._none.add(word.arg)
+        self.generic_visit(node)
+
+    def visit_Assign(self, node: ast.Assign) -> None:
+        if _is_none(node.value):
+            self._none.update(name for target in node.targets for name in _last_names(target))
+        self.generic_visit(node)
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
+        if _is_none(node.value):
+            self._none.update(_last_names(node.target))
+        self.generic_visit(node)
+
+    def check_seeds(self) -> None:
+        """A fault for each generator whose seed may be None; called after the visit."""
+        for node, names in self._seeds:
+            if names & self._none:
+                self._fault(node, f"uses {_WITH_SEED} with a seed that may be None")
+
     def visit_Constant(self, node: ast.Constant) -> None:
         if isinstance(node.value, str):
             self.texts.add(node.value)
@@ -187,8 +221,7 @@ class _Source(ast.NodeVisitor):
     def _has_seed(self, node: ast.Call) -> bool:
         """Whether a call of `default_rng` has a seed that may be a value: without one it draws."""
         given = [*node.args, *(keyword.value for keyword in node.keywords)]
-        is_none = [isinstance(one, ast.Constant) and one.value is None for one in given]
-        return bool(given) and not any(is_none)
+        return bool(given) and not any(_is_none(one) for one in given)
 
     def _check_import(self, node: ast.AST, *names: str) -> None:
         """A fault unless one of these dotted names lies in a package that computes."""
@@ -236,6 +269,18 @@ class _Source(ast.NodeVisitor):
 
     def _fault(self, node: ast.AST, text: str) -> None:
         self.faults.append((getattr(node, "lineno", 1), text))
+
+
+def _is_none(node: ast.AST | None) -> bool:
+    return isinstance(node, ast.Constant) and node.value is None
+
+
+def _last_names(node: ast.AST) -> Iterator[str]:
+    """The name of a value: `seed` of `seed` and of `self.seed`; nothing of another form."""
+    if isinstance(node, ast.Name):
+        yield node.id
+    elif isinstance(node, ast.Attribute):
+        yield node.attr
 
 
 def _chain(node: ast.AST) -> tuple[str, ...]:

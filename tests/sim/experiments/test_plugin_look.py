@@ -59,6 +59,17 @@ OPEN = {
     "random numbers of numpy": "import numpy as np\nx = np.random.rand()",
     "a generator without a seed": "import numpy as np\nrng = np.random.default_rng()",
     "a generator with None": "import numpy as np\nrng = np.random.default_rng(None)",
+    "a generator with a word of no default": (
+        "import numpy as np\ndef make(seed=None): return np.random.default_rng(seed)"
+    ),
+    "a generator with a field that is None": (
+        "import numpy as np\nclass A:\n    seed: int | None = None\n"
+        "    def make(self): return np.random.default_rng(self.seed)"
+    ),
+    "eigenvectors from a start by chance": "from scipy.sparse.linalg import eigsh",
+    "a matrix by chance": "from scipy import sparse\nx = sparse.random_array((2, 2))",
+    "samples": "import statistics\nx = statistics.NormalDist(0, 1).samples(3)",
+    "the time of day": "import numpy as np\nx = np.datetime64('now')",
     "a generator that is handed on": "from numpy.random import default_rng\nx = [default_rng]",
     "a hash of a text": "x = hash('a')",
     "an address": "x = id([])",
