@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Set
+from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES, all_suffixes
 from importlib.metadata import version
 from pathlib import Path
@@ -55,6 +56,7 @@ def made_with(functions: Mapping[str, str] | None = None) -> dict[str, str]:
     import mujoco
     import numpy as np
 
+    code_at_first(os.getpid(), Path(swarmd.__file__).parent)
     return {
         "swarmd": version("swarmd"),
         "python": platform.python_version(),
@@ -67,6 +69,15 @@ def made_with(functions: Mapping[str, str] | None = None) -> dict[str, str]:
         **(functions_here() if functions is None else functions),
         "code": digest_of_code(Path(swarmd.__file__).parent),
     }
+
+
+@cache
+def code_at_first(pid: int, package: Path) -> str:
+    """The digest of swarmd's code when this process first asked for it, or for `made_with`.
+
+    A kept worker may compute with that code although the files have changed since.
+    """
+    return digest_of_code(package)
 
 
 def deciding(made: Mapping[str, str]) -> dict[str, str]:

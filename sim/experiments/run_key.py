@@ -17,8 +17,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib.machinery import BYTECODE_SUFFIXES, EXTENSION_SUFFIXES
+from importlib.machinery import BYTECODE_SUFFIXES, EXTENSION_SUFFIXES, all_suffixes
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,11 @@ from swarmd.plugins import MISSION, Origin, pattern_names
 from swarmd.sim.experiments.manifest import NAME as MANIFEST
 from swarmd.sim.experiments.plugin_look import Look, look_at
 from swarmd.sim.experiments.pool import Job, variables_at_start
-from swarmd.sim.experiments.provenance import digest_of_code, digest_of_kernels
+from swarmd.sim.experiments.provenance import (
+    code_at_first,
+    digest_of_code,
+    digest_of_kernels,
+)
 from swarmd.sim.experiments.run_store import SIZE_VARIABLE, VARIABLE
 from swarmd.sim.metrics.catalog import names_file
 
@@ -66,8 +69,8 @@ class RunKeys:
         self._kernels = digest_of_kernels(self._package)
         left_out = (VARIABLE, SIZE_VARIABLE)
         at_start = {k: v for k, v in variables_at_start().items() if k not in left_out}
+        code_at_first(os.getpid(), self._package)
         self._software = _digest([FORMAT, self._made_with, self._kernels, at_start])
-        _code_at_first(os.getpid(), self._package)
         self._folders: dict[str, _Folder] = {}
         self._looks: dict[Path, Look] = {}
         self._scenarios: dict[str, tuple[str, str]] = {}  # the digest and the fault of each
@@ -96,7 +99,7 @@ class RunKeys:
         since computes with that.
         """
         code = digest_of_code(self._package)
-        if not code == self._made_with.get("code") == _code_at_first(os.getpid(), self._package):
+        if not code == self._made_with.get("code") == code_at_first(os.getpid(), self._package):
             return False
         if digest_of_kernels(self._package) != self._kernels:
             return False
@@ -176,9 +179,10 @@ class _Folder:
 
 
 def _folder(text: str) -> _Folder:
-    """All files below a folder, but caches of compiled code, hidden folders, and experiments.
+    """All files below a folder, but caches of compiled code, hidden folders, and results.
 
-    Those may lie below the folder in which a user works. Links are followed.
+    Results of experiments may lie in or below the folder in which a user works: of a folder with
+    results, only what Python imports counts, and missions. Links are followed.
     """
     root = user_path(text)
     digests: dict[str, str] = {}
@@ -201,13 +205,18 @@ def _folder(text: str) -> _Folder:
 
 def _files(root: Path) -> Iterator[Path]:
     visited: set[tuple[int, int]] = set()
+    results: set[str] = set()
     for place, folders, files in os.walk(root, followlinks=True):
         about = os.stat(place)
         identity = (about.st_dev, about.st_ino)
-        if identity in visited or (MANIFEST in files or _OF_TUNING in files):
+        if identity in visited:
             folders.clear()
             continue
         visited.add(identity)
+        if MANIFEST in files or _OF_TUNING in files or os.path.dirname(place) in results:
+            results.add(place)
+            read = (*all_suffixes(), MISSION) if place == str(root) else tuple(all_suffixes())
+            files = [name for name in files if name.endswith(read)]
         folders[:] = sorted(one for one in folders if one[0] != "." and one != "__pycache__")
         yield from (Path(place, name) for name in sorted(files))
 
@@ -245,9 +254,3 @@ def _digest_of_file(path: str) -> str:
 
 def _digest(values: list[Any]) -> str:
     return hashlib.sha256(json.dumps(values).encode()).hexdigest()
-
-
-@cache
-def _code_at_first(pid: int, package: Path) -> str:
-    """The digest of swarmd's code when this process asked first."""
-    return digest_of_code(package)

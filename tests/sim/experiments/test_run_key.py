@@ -13,7 +13,7 @@ import pytest
 
 import swarmd
 from swarmd.plugins import Origin, pattern_folders
-from swarmd.sim.experiments import run_key
+from swarmd.sim.experiments import provenance, run_key
 from swarmd.sim.experiments.pool import Job
 from swarmd.sim.experiments.provenance import NOT_IN_RUNS, OF_EXPERIMENTS, digest_of_code
 from swarmd.sim.experiments.run_key import RunKeys
@@ -152,6 +152,28 @@ def test_what_is_no_part_of_the_plugins_keeps_the_key(job: Job, mine: Path, tmp_
     (mine / "runs" / "gather" / "manifest.json").write_text("{}")
     (mine / "runs" / "tuned" / "tune.json").write_text("{}")
     (tmp_path / "notes.txt").write_text("beside the folder")
+    assert key(job) == first
+
+
+@pytest.mark.parametrize("result", ["manifest.json", "tune.json"])
+@pytest.mark.parametrize(
+    "name", ["swirl.py", "twirl/pattern.py", "twirl/runs/part.py", "trip.yaml"]
+)
+def test_code_beside_results_is_part_of_the_key(
+    job: Job, mine: Path, result: str, name: str
+) -> None:
+    """Such as of `exp run --out .`, or of a pupil who hands in a folder with both."""
+    file = mine / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    for folder in {mine, file.parent}:
+        (folder / result).write_text("{}")
+    (mine / "traces").mkdir()
+    file.write_text(SWIRL)
+    first = key(job)
+    file.write_text(SWIRL.replace("1.0", "2.0"))
+    assert key(job) != first
+    file.write_text(SWIRL)
+    (mine / "traces" / "s0000.npz").write_bytes(b"1")
     assert key(job) == first
 
 
@@ -299,6 +321,21 @@ def test_keys_of_code_that_has_changed_do_not_hold(monkeypatch: pytest.MonkeyPat
     later = RunKeys({**MADE, "code": "new"})
     monkeypatch.setattr(run_key, "digest_of_code", lambda folder: "new")
     assert not later.still_hold()
+
+
+def test_keys_made_after_a_change_of_the_code_do_not_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """`made_with`, which is asked before runs that are not stored, counts as the begin."""
+    provenance.code_at_first.cache_clear()
+    monkeypatch.setattr(provenance, "digest_of_code", lambda folder: "old")
+    provenance.made_with({})
+    monkeypatch.setattr(provenance, "digest_of_code", lambda folder: "new")
+    monkeypatch.setattr(run_key, "digest_of_code", lambda folder: "new")
+    keys = RunKeys({**MADE, "code": "new"})
+    holds = keys.still_hold()
+    provenance.code_at_first.cache_clear()
+    assert not holds
 
 
 def test_no_run_imports_what_the_key_leaves_out() -> None:
