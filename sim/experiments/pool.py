@@ -72,6 +72,9 @@ _ONE_THREAD = {
     f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR", "VECLIB")
 }
 
+_ONE_ORDER = {"PYTHONHASHSEED": "0"}
+"""A pattern may add in the order of a set of names, which else differs between processes."""
+
 
 @dataclass(frozen=True, slots=True)
 class Job:
@@ -437,7 +440,7 @@ class _Worker:
                     stdin=subprocess.DEVNULL,
                     stdout=self._log,
                     stderr=self._log,
-                    env={**pinned_environment(), **_ONE_THREAD},
+                    env={**pinned_environment(), **_ONE_THREAD, **_ONE_ORDER},
                     process_group=0,  # Ctrl-C goes to the parent, which ends the workers
                 )
             )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,9 @@ def seed(trace):
 
 def odd(trace):
     return 1 / trace.meta["seed"]
+
+def order(trace):
+    return hash("swarm") % 1000
 """
 
 
@@ -61,6 +66,15 @@ def test_they_are_columns_in_worker_processes_with_the_digest_in_the_manifest(
     file.write_text(FILE.replace("10 *", "20 *"))
     with pytest.raises(ConfigError, match=r"mine\.py:odd has changed"):
         small(duo, out, f"{file}:seed", f"{file}:odd", "report:none")
+
+
+@pytest.mark.integration
+def test_sets_of_names_have_one_order_in_all_workers(duo: Path, file: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "print(hash('swarm') % 1000)"]
+    environment = {"PYTHONHASHSEED": "0"}
+    told = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    results = small(duo, tmp_path / "x", f"{file}:order")
+    assert results.metric("mine.py:order").tolist() == [float(told.stdout)] * 2
 
 
 @pytest.mark.long
