@@ -24,6 +24,7 @@ def moving_gate() -> CommandGate:
 
 def test_commands_are_dropped_before_the_base_is_connected() -> None:
     gate = CommandGate()
+    assert not gate.is_stopped  # it answers no other node before it has sent a command
     assert gate.filter(AHEAD) is None
     assert not gate.is_open
     assert not gate.has_sent
