@@ -39,6 +39,10 @@ class Drive(msgspec.Struct, frozen=True):
         """The hash of each second."""
         return [self.seconds[at : at + _DIGITS] for at in range(0, len(self.seconds), _DIGITS)]
 
+    def before(self, second: int) -> Drive:
+        """The first seconds alone, with the same last pose."""
+        return Drive(self.seconds[: second * _DIGITS], self.pose)
+
 
 Scenes = Mapping[str, Mapping[str, Drive]]
 """By scene and robot."""

@@ -61,7 +61,7 @@ def test_scenes_drawn_by_the_date_drive_as_kept_with_interpreted_kernels(
     """Compiled kernels are equal to the bit, so any scene does; the first seconds alone."""
     monkeypatch.setenv("SWARMD_COMPILED", "0")
     for name in Random(date.today().toordinal()).sample([*SCENES], DRAWN):
-        assert_drives_as_kept(name, tmp_path, seconds=2.0)
+        assert_drives_as_kept(name, tmp_path, seconds=2.5)
 
 
 @pytest.mark.evidence
