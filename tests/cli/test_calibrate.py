@@ -77,6 +77,15 @@ def answered_status(swarm: str) -> Status:
     return found[0]
 
 
+def is_ready(swarm: str) -> bool:
+    """A busy machine may fault the robot, which then refuses each further try until a reset."""
+    found = status(swarm)
+    if found is not None and found.state is State.FAULTED:
+        swarmctl("reset", ROBOT, "--yes", environ={"SWARM": swarm})
+        return False
+    return found is not None and found.state in (State.IDLE, State.STOPPED)
+
+
 def scans(swarm: str) -> bool:
     found = status(swarm)
     return found is not None and found.health.scan_rate > 0.0
@@ -122,6 +131,7 @@ def test_a_floor_that_is_not_free_is_refused(swarm: str) -> None:
 @pytest.mark.timeout(600)
 def test_an_interrupt_stops_the_robot(swarm: str) -> None:
     for _ in range(TRIES):
+        wait_until(lambda: is_ready(swarm), "the robot stands ready", 60.0)
         process = subprocess.Popen(
             [*SWARMCTL, "calibrate", ROBOT, "--floor", "2", "--yes"],
             stderr=subprocess.PIPE,
