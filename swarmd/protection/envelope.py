@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.buffers import checked, doubles, view
+from swarmd.core.buffers import checked, checked_indices, doubles, view
 from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
 from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
@@ -197,7 +197,6 @@ class Creeping:
     is_touching: cython.bint  # an obstacle may touch the robot: it keeps the slow envelope
     cap: cython.double  # m/s, set by `allow`
     is_active: cython.bint
-    _part_speed: cython.double  # m/s, 0 or PART_SPEED: see `_cap_out`
     _kept_cap: cython.double[::1]  # the caps of all constraints before they were raised
     # The envelope while the robot creeps or touches, and the usual envelope near obstacles.
     slow: Envelope
@@ -282,11 +281,9 @@ class Creeping:
         """
         near.find_surfaces()
         self._keep(constraints.rows)
-        self._part_speed = 0.0
         self._raise(constraints, near, least)
         if self.is_locked(constraints):
-            self._part_speed = PART_SPEED
-            self._raise(constraints, near, least)
+            self._raise_narrow(constraints, near)
         self.is_active = True
         self.slow.put(constraints.rows, constraints.axes)
         return 0
@@ -296,54 +293,67 @@ class Creeping:
     def _raise(
         self, constraints: Constraints, near: NearObstacles, least: cython.double
     ) -> cython.int:
-        """Raise the caps of points that are no contacts to those of a locked robot."""
+        """Raise the caps of points that are no contacts to those of a locked robot.
+
+        A cap is the m/s at which a place of the robot may close on a point.
+        """
         i: cython.Py_ssize_t
+        point: cython.Py_ssize_t
+        cap: cython.double
+        rows: ConstraintRows = constraints.rows
+        placed: PlacedPoints = constraints.placed
+        source: cython.p_longlong = checked_indices(rows.source, rows.count)
+        place_gap: cython.p_double = checked(rows.gap, rows.count)
+        row_cap: cython.p_double = checked(rows.cap, rows.count)
+        near_index: cython.p_longlong = checked_indices(placed.near_index, placed.seen)
+        first_row: cython.p_longlong = checked_indices(placed.first_row, placed.seen)
+        gap: cython.p_double = checked(placed.gap, placed.seen)
+        scan_gap: cython.p_double = checked(placed.scan_gap, placed.seen)
+        contact: cython.p_double = checked(placed.contact, placed.seen)
+        age: cython.p_double = checked(placed.age, placed.seen)
+        for i in range(rows.count):
+            point = source[i]
+            if not placed.contacts <= point < placed.seen:
+                continue
+            surface: cython.double = near.surface_gap[near_index[point]]
+            if surface == surface:
+                kept: cython.double = place_gap[i] + surface - scan_gap[point]  # less noise
+                cap = (kept - SURFACE_GAP) / SURFACE_TIME
+            elif not gap[point] <= contact[point]:
+                cap = 0.5 * (place_gap[i] - contact[point]) / (age[point] + DECISION_PERIOD)
+            elif i != first_row[point]:
+                cap = CREEP_SPEED
+            else:  # the nearest place: `_raise_narrow`
+                cap = min((place_gap[i] - SURFACE_GAP) / SURFACE_TIME, 0.0)
+            cap = maximum(min(cap, CREEP_SPEED), least)
+            row_cap[i] = maximum(row_cap[i], cap)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _raise_narrow(self, constraints: Constraints, near: NearObstacles) -> cython.int:
+        """Raise the caps of the nearest places towards narrow obstacles that may touch unseen."""
         point: cython.Py_ssize_t
         rows: ConstraintRows = constraints.rows
         placed: PlacedPoints = constraints.placed
-        for i in range(rows.count):
-            point = rows.source[i]
-            if point >= placed.contacts:
-                cap: cython.double = maximum(self._cap_out(i, point, rows, placed, near), least)
-                rows.cap[i] = maximum(rows.cap[i], cap)
-
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(-1.0, check=True)
-    def _cap_out(
-        self,
-        row: cython.Py_ssize_t,
-        point: cython.Py_ssize_t,
-        rows: ConstraintRows,
-        placed: PlacedPoints,
-        near: NearObstacles,
-    ) -> cython.double:
-        """The m/s at which a place of a locked robot may close on a point that is no contact.
-
-        `row`: the constraint of the place. Its gap is the distance of the place from the point.
-        """
-        gap: cython.double = rows.gap[row]
-        surface_gap: cython.double = near.surface_gap[placed.near_index[point]]
-        if surface_gap == surface_gap:
-            gap += surface_gap - placed.scan_gap[point]  # less noise
-            return min((gap - SURFACE_GAP) / SURFACE_TIME, CREEP_SPEED)
-        contact: cython.double = placed.contact[point]
-        if placed.gap[point] <= contact:
-            if row != placed.first_row[point]:
-                return CREEP_SPEED
-            return min((gap - SURFACE_GAP) / SURFACE_TIME, self._part_speed)
-        room: cython.double = 0.5 * (gap - contact)
-        return min(room / (placed.age[point] + DECISION_PERIOD), CREEP_SPEED)
+        for point in range(placed.contacts, placed.seen):
+            surface: cython.double = near.surface_gap[placed.near_index[point]]
+            if surface == surface or not placed.gap[point] <= placed.contact[point]:
+                continue
+            row: cython.Py_ssize_t = placed.first_row[point]
+            cap: cython.double = min((rows.gap[row] - SURFACE_GAP) / SURFACE_TIME, PART_SPEED)
+            rows.cap[row] = maximum(rows.cap[row], cap)
 
     @cython.cfunc
     @cython.exceptval(-1)
     def _keep(self, rows: ConstraintRows) -> cython.int:
         """Store the caps, which `end` gives back."""
         i: cython.Py_ssize_t
-        if len(self._kept_cap) < rows.all:
+        if len(self._kept_cap) < rows.count:
             self._kept_cap = doubles(len(rows.cap))
-        for i in range(rows.all):
-            self._kept_cap[i] = rows.cap[i]
+        kept: cython.p_double = checked(self._kept_cap, rows.count)
+        cap: cython.p_double = checked(rows.cap, rows.count)
+        for i in range(rows.count):
+            kept[i] = cap[i]
 
     @cython.cfunc
     @cython.exceptval(-1)
