@@ -17,15 +17,13 @@ import numpy as np
 from benchmarks.table import markdown
 from studies import kept
 from swarmd.core.values import Array
-from swarmd.settings.settings import load_platform
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.metrics.lidar_ranges import lidar_ranges
 from swarmd.sim.plots.bands import Series, series_figure
 from swarmd.sim.plots.theme import save
 from swarmd.sim.plots.trajectories import trajectories_figure
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.arena import parse_arena
-from swarmd.sim.world.geometry import apart, transform
 
 DISCUSS = 20.0
 SPREAD_BY = 40.0
@@ -96,7 +94,7 @@ def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
     late = (time >= SPREAD_BY - 1e-6) & until
     agreed = int(opinion[since][0, 0]) if len(np.unique(opinion[since])) == 1 else -1
     places = trace.pose[..., :2]
-    least = ranges(trace).min(axis=1)
+    least = lidar_ranges(trace).min(axis=1)
     wanted = base + step * float(agreed if agreed >= 0 else np.max(opinion[-1]))
     times = np.append(time[until], np.inf)
     too_near = np.flatnonzero(least[until] < wanted - TOLERANCE)
@@ -120,24 +118,6 @@ def away(places: Array) -> Array:
     return distance
 
 
-def ranges(trace: Trace) -> Array:
-    """(T, n) the true distance in m from each lidar to the nearest outline or wall."""
-    arena = parse_arena(str(trace.meta["arena"]))
-    half = np.array([arena.length, arena.width]) / 2.0
-    offsets = {name: np.array([load_platform(name).scan.offset]) for name in trace.platforms}
-    robots = range(len(trace.ids))
-    lidars = [transform(offsets[trace.platforms[i]], trace.pose[:, i])[:, 0] for i in robots]
-    outlines = [transform(trace.footprint(i), trace.pose[:, i]) for i in robots]
-    nearest = np.stack([(half - np.abs(lidar)).min(axis=1) for lidar in lidars], axis=1)
-    for i in robots:
-        for j in robots:
-            if i != j:
-                start, end = outlines[j], np.roll(outlines[j], -1, axis=1)
-                away = apart(lidars[i][:, None], start, end).min(axis=1)
-                nearest[:, i] = np.minimum(nearest[:, i], away)
-    return nearest
-
-
 @dataclass(frozen=True, slots=True)
 class Joining:
     """The result of a run in which an eighth robot joins late with another opinion."""
@@ -159,7 +139,7 @@ def joined(trace: Trace, at: float = JOINED) -> Joining:
         adopted=float(time[there][held[0]] - at) if len(held) else float("inf"),
         is_swayed=len(np.unique(others)) > 1,
         stirred=float(away(trace.pose[there][:, :-1, :2]).max()),
-        least=float(ranges(trace)[time >= time[-1] - 20.0].min()),
+        least=float(lidar_ranges(trace)[time >= time[-1] - 20.0].min()),
         contacts=len(trace.contact_t),
     )
 
@@ -239,7 +219,7 @@ def draw(results: Mapping[str, Results]) -> None:
         for trace in results[name].traces:
             course = judged(trace)
             label = f"opinion {course.opinion}: {course.wanted:.1f} m wanted"
-            series = (trace.t - trace.t[0], ranges(trace).min(axis=1))
+            series = (trace.t - trace.t[0], lidar_ranges(trace).min(axis=1))
             groups.setdefault(label, []).append(series)
             if course.opinion == 1 and not is_run_drawn:
                 figure = trajectories_figure(trace, "experiment 2, opinion 1: 1.0 m")
