@@ -337,7 +337,8 @@ def _check_other(
     if requirement.statistic not in (*_DECIDING, "mean"):
         raise ConfigError(f"{other.kind} goes with mean, min and max; not with {requirement.text}")
     if requirement.statistic in _DECIDING and other.runs != name:
-        own, others = runs[name], runs[other.runs]
+        own = runs[name]
+        others = runs[other.runs]
         if own.seeds != others.seeds or own.sweep != others.sweep:
             raise ConfigError(
                 f"{other.kind}: {requirement.statistic} compares run by run, and {name} and"
