@@ -84,8 +84,8 @@ class PatternFolder:
     """A folder with the `pattern.py` of one pattern. `package`: its import name.
 
     `source`: the distribution and its version, or the file, for display. Beside `pattern.py` may
-    lie `scenario.yaml` (a scenario that shows the pattern), `outcomes.yaml` (what it has to reach, with
-    `metrics.py`) and `page.md` (its page of the docs).
+    lie `scenario.yaml` (a scenario that shows the pattern), `outcomes.yaml` (what it has to reach,
+    with `metrics.py`) and `page.md` (its page of the docs).
     """
 
     path: Path
