@@ -221,12 +221,13 @@ def patterns_with_rows() -> list[str]:
 def roots_of(pattern: str) -> tuple[str, ...]:
     """The modules with whose imports the sources of a pattern's outcomes begin.
 
-    Beside them the file of rows, by the name that a module in its place would have.
+    Beside them the pattern, its scenario and its rows, by the names that modules in the place of
+    the files would have.
     """
-    roots = (f"{ROWS}.{pattern}.{Path(NAME).stem}",) if pattern in patterns_with_rows() else ()
+    beside = tuple(f"{ROWS}.{pattern}.{name}" for name in ("pattern", "scenario", Path(NAME).stem))
     if Path(__file__).with_name("patterns").joinpath(f"{pattern}.py").is_file():
-        return f"{STUDIES}.{pattern}", *roots
-    return OF_ROWS, *roots
+        return f"{STUDIES}.{pattern}", *beside
+    return OF_ROWS, *beside
 
 
 def other_machine(there: Mapping[str, str], here: Mapping[str, str]) -> str | None:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from studies.outcomes.outcome import (
@@ -26,6 +28,7 @@ from studies.outcomes.outcome import (
     ratio_of,
     share_of,
 )
+from swarmd.settings.yamlfile import read
 from swarmd.sim.experiments.outcomes import (
     NAME,
     Outcomes,
@@ -38,37 +41,28 @@ from swarmd.sim.experiments.outcomes import (
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
 
-Sets = Mapping[str, Mapping[str, Any]]
-"""Overrides of a scenario by dotted key, by the name of runs."""
-NO_SETS: Sets = MappingProxyType({})
+Sets = Mapping[str, Mapping[str, Any] | None]
+"""Overrides of a scenario by dotted key, by the name of runs; None: the runs are left out."""
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+_FORMS = Path(__file__).with_name("forms.yaml")
 
-SHORT_FORMS: Mapping[str, Sets] = {
-    "attraction": {"runs": {"duration": 40.0}},
-    "cooperative_transport": {"six": {"duration": 80.0, "arena.boxes.0.size": [0.5, 0.5]}},
-    "flocking": {name: {"duration": 30.0} for name in ("flock", "walkers")},
-    "one_bit_aggregation": {name: {"duration": 120.0} for name in ("swarm", "blocked", "blind")},
-}
-"""What a test of a few seconds changes, by pattern; a key that is swept is set in its place."""
-LONG = frozenset(
-    (
-        *("attraction", "cooperative_transport", "cue_aggregation", "one_bit_aggregation"),
-        *("phototaxis", "policy", "source_seeking"),
-    )
-)
-"""Patterns whose short form takes two seconds of processor time and more."""
-FILMS: Mapping[str, Mapping[str, Any]] = {
-    "attraction": {"stop": 90.0},
-    "cooperative_transport": {"title": "to a lamp on the right", "stop": 75.0},
-    "cue_aggregation": {"title": "the right is warmer", "stop": 240.0},
-    "dispersion": {"stop": 40.0, "sets": {"arena.size": [6, 6]}},
-    "drive": {"title": "towards a wall", "stop": 25.0},
-    "flocking": {"stop": 40.0, "seed": 1},
-    "one_bit_aggregation": {"stop": 240.0},
-    "phototaxis": {"title": "to a lamp on the right", "stop": 60.0},
-    "policy": {"title": "a learned network"},
-    "source_seeking": {"title": "up to the right", "stop": 120.0},
-}
-"""How the films of patterns differ from their whole scenarios: the fields of `films.Shot`."""
+
+class Form(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The short form and the film of a pattern; the file `forms.yaml` says what each key means.
+
+    In a file of its own: a word in this module would make a pattern a source of all tables.
+    """
+
+    short: dict[str, dict[str, Any] | None] = {}
+    bounds: dict[str, float] = {}
+    is_long: bool = False
+    film: dict[str, Any] = {}
+
+
+@cache
+def forms() -> Mapping[str, Form]:
+    """The forms that are kept, by pattern."""
+    return msgspec.convert(read(_FORMS), dict[str, Form])
 
 
 @dataclass(frozen=True)
@@ -83,6 +77,11 @@ class RowsOf:
         return read_outcomes(PATTERNS / self.pattern / NAME)
 
     @property
+    def form(self) -> Form:
+        """What differs in the short form and in the film."""
+        return forms().get(self.pattern, Form())
+
+    @property
     def SEEDS(self) -> int:
         """The number of runs of each setting."""
         return max(len(runs.seeds) for runs in self.file.runs.values())
@@ -90,21 +89,27 @@ class RowsOf:
     @property
     def IS_LONG(self) -> bool:
         """Whether the short form is long."""
-        return self.pattern in LONG
+        return self.form.is_long
 
     @property
     def FILM(self) -> Mapping[str, Any]:
         """How the film differs from the whole scenario."""
-        return FILMS.get(self.pattern, {})
+        return self.form.film
 
     @property
     def SHORT_FORM(self) -> Mapping[str, Any]:
         """The arguments of `outcomes` for the short form."""
-        return {"sets": SHORT_FORMS.get(self.pattern, {})}
+        return {"sets": self.form.short, "bounds": self.form.bounds}
 
-    def outcomes(self, seeds: Sequence[int], jobs: int = 1, sets: Sets = NO_SETS) -> list[Outcome]:
-        """All outcomes, in the order of the rows."""
-        made, _ = outcomes_with_runs(self.file, self.pattern, seeds, jobs, sets)
+    def outcomes(
+        self,
+        seeds: Sequence[int],
+        jobs: int = 1,
+        sets: Sets = NOTHING,
+        bounds: Mapping[str, float] = NOTHING,
+    ) -> list[Outcome]:
+        """All outcomes, in the order of the rows; `bounds` in place of those of rows."""
+        made, _ = outcomes_with_runs(self.file, self.pattern, seeds, jobs, sets, bounds)
         return made
 
 
@@ -113,19 +118,27 @@ def outcomes_with_runs(
     pattern: str,
     seeds: Sequence[int],
     jobs: int = 1,
-    sets: Sets = NO_SETS,
+    sets: Sets = NOTHING,
+    bounds: Mapping[str, float] = NOTHING,
     *,
     traces: bool = False,
 ) -> tuple[list[Outcome], dict[str, Results]]:
     """The outcomes of the rows of a file, and the runs by name.
 
-    `sets`: changes of the runs. `traces`: keep the traces of the runs.
+    `sets`: changes of the runs; rows of runs that are left out have no outcome. `bounds`: in place
+    of those of rows, by what is measured. `traces`: keep the traces of the runs.
     """
-    results = {
-        name: _runs(file, name, runs, seeds, jobs, sets.get(name, {}), traces=traces)
-        for name, runs in file.runs.items()
-    }
-    return [_outcome(pattern, row, results) for row in file.rows], results
+    results = {}
+    for name, runs in file.runs.items():
+        own = sets.get(name, NOTHING)
+        if own is not None:
+            results[name] = _runs(file, name, runs, seeds, jobs, own, traces=traces)
+    made = [
+        _outcome(pattern, row, results, bounds.get(row.what, row.requirement.value))
+        for row in file.rows
+        if all(name in results for name, _ in row.metrics)
+    ]
+    return made, results
 
 
 def _runs(
@@ -149,8 +162,7 @@ def _runs(
     )
 
 
-def _outcome(pattern: str, row: Row, results: Mapping[str, Results]) -> Outcome:
-    bound = row.requirement.value
+def _outcome(pattern: str, row: Row, results: Mapping[str, Results], bound: float) -> Outcome:
     make = {"<=": at_most, ">=": at_least}[row.requirement.comparison]
     return make(pattern, row.what, bound, _values(row, results), row.source)
 
