@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from studies.paper_exp2 import TOLERANCE, Joining, joined, judged, late_rows
+from studies.paper_exp2 import late_rows
 from swarmd.core.values import Array
+from swarmd.patterns.discussed_dispersion.metrics import TOLERANCE, Joining, joined, judged
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.lidar_ranges import lidar_ranges
 from swarmd.sim.trace import Trace
