@@ -6,7 +6,7 @@ import itertools
 import shlex
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ from swarmd.sim.cli.progress import time_span
 from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
-    from swarmd.sim.experiments.outcomes import OutcomeFinding, Outcomes
+    from swarmd.sim.experiments.outcomes import OutcomeFinding
     from swarmd.sim.experiments.results import Results
 
 _REFUSED = {
@@ -64,7 +64,7 @@ def run_outcomes(ctx: click.Context, name: str, seeds: str, options: RunOptions)
     need("mujoco")
     from swarmd.core.files import read_regular
     from swarmd.sim.experiments.manifest import write_whole
-    from swarmd.sim.experiments.outcomes import NAME, outcomes_file, read_outcomes
+    from swarmd.sim.experiments.outcomes import NAME, judge_all, outcomes_file, read_outcomes
     from swarmd.sim.experiments.plan import parse_seeds
 
     given = {
@@ -135,7 +135,7 @@ def run_outcomes(ctx: click.Context, name: str, seeds: str, options: RunOptions)
             )
 
     # 4. What they reach, and the exit code.
-    findings = _findings(outcomes, results)
+    findings = judge_all(outcomes, {name: of for name, of in results.items() if of.runs})
     lacking = [f"{runs}: {of.lacking}" for runs, of in results.items() if of.lacking]
     show(findings, ", ".join(lacking), is_json=options.is_json)
     planned = sum(len(plan.runs) for plan in plans.values())
@@ -150,18 +150,6 @@ def _stem(file: Path) -> str:
     """The name of a folder of results: `dispersion-outcomes` for dispersion/outcomes.yaml."""
     above = file.absolute().parent.name
     return f"{above}-{file.stem}" if file.stem == "outcomes" and above else file.stem
-
-
-def _findings(outcomes: Outcomes, results: Mapping[str, Results]) -> list[OutcomeFinding]:
-    """The findings of the rows all of whose runs have results."""
-    from swarmd.sim.experiments.outcomes import judge
-
-    with_runs = {name for name, of in results.items() if of.runs}
-    return [
-        judge(row, results)
-        for row in outcomes.rows
-        if {runs for runs, _ in row.metrics} <= with_runs
-    ]
 
 
 def check_outcomes(folder: Path, *, must_be_sure: bool, is_json: bool) -> bool:

@@ -20,8 +20,9 @@ The rows of a file are read here, the values of runs are compared with them, and
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -93,7 +94,7 @@ class _Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     what: str
     requirement: str
     source: str
-    runs: str | None = None
+    runs: str | list[str] | None = None
     over: str | _Other | None = None
     less: str | _Other | None = None
     if_known: bool = False
@@ -115,6 +116,8 @@ class RunsOf:
     seeds: tuple[int, ...]
     sets: Mapping[str, Any]
     sweep: Mapping[str, Sequence[Any]]
+    has_own_seeds: bool = False
+    """These runs have other seeds than the rest of the file: with them the runs of one kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +125,7 @@ class Other:
     """By what a row divides (`over`), or what it takes away (`less`)."""
 
     kind: Literal["over", "less"]
-    runs: str
+    runs: tuple[str, ...]
     metric: str
 
 
@@ -135,18 +138,23 @@ class Row:
     requirement: Requirement
     source: str
     """The origin of the bound."""
-    runs: str
-    """The name of the runs."""
+    runs: tuple[str, ...]
+    """The names of the runs; several are taken together."""
     other: Other | None = None
     if_known: bool = False
     """Only runs with a value count; else one run without a value misses the bound."""
 
     @property
+    def sides(self) -> tuple[tuple[str, ...], ...]:
+        """The names of the runs, and of the others with which they are compared."""
+        return (self.runs,) if self.other is None else (self.runs, self.other.runs)
+
+    @property
     def metrics(self) -> Iterator[tuple[str, str]]:
         """The names of runs and of a metric that the row needs of them."""
-        yield from ((self.runs, name) for name in self.requirement.metrics)
+        yield from product(self.runs, self.requirement.metrics)
         if self.other is not None:
-            yield from ((self.other.runs, name) for name in metrics_in(self.other.metric))
+            yield from product(self.other.runs, metrics_in(self.other.metric))
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +209,7 @@ class Outcomes:
 
 @dataclass(frozen=True, slots=True)
 class OutcomeFinding:
-    """The check of a row; the variant of `finding` is the name of the runs."""
+    """The check of a row; the variant of `finding` has the names of the runs."""
 
     row: Row
     finding: RequirementFinding
@@ -256,7 +264,7 @@ def read_outcomes(path: Path, text_of: Path | None = None) -> Outcomes:
         runs[name] = _runs_of(layers, keys, file, own, path.parent)
     rows = tuple(_row(layers, number, row, runs) for number, row in enumerate(file.outcomes))
     for name in runs:
-        if not any(name in (row.runs, row.other and row.other.runs) for row in rows):
+        if not any(name == needed for row in rows for needed, _ in row.metrics):
             raise layers.error(("runs", name), f"runs: {name}: no row needs these runs; leave them")
     return Outcomes(path, runs, rows)
 
@@ -287,6 +295,7 @@ def _runs_of(layers: Layered, keys: Keys, file: _File, own: _Runs, folder: Path)
             key: [absolute({key: value}, folder)[key] for value in values]
             for key, values in sweep.items()
         },
+        own.seeds is not None,
     )
 
 
@@ -300,25 +309,29 @@ def _row(layers: Layered, number: int, row: _Row, runs: Mapping[str, RunsOf]) ->
                 wanted = wanted if key == "source" else "the number in words"
                 raise ConfigError(f"{key} is {text!r}; expected {wanted}")
         requirement = parse_requirement(row.requirement)
-        name = row.runs
-        if name is None:
-            if len(runs) > 1:
-                raise ConfigError(f"runs is missing; expected one of {', '.join(runs)}")
-            (name,) = runs
+        if row.runs is None and len(runs) > 1:
+            raise ConfigError(f"runs is missing; expected one of {', '.join(runs)}")
+        names = _names(runs if row.runs is None else row.runs)
         if row.over is not None and row.less is not None:
             raise ConfigError("over and less stand for two things; keep one of them")
-        other = _other(row, name, requirement)
-        for one in (name, other.runs if other is not None else name):
+        other = _other(row, names, requirement)
+        for one in (*names, *(other.runs if other is not None else ())):
             if one not in runs:
                 raise ConfigError(unknown("runs", one, runs))
+        if not names or len({*names}) < len(names):
+            raise ConfigError(f"runs is {list(names)}; expected names, each of them once")
         if other is not None:
-            _check_other(other, name, requirement, runs)
+            _check_other(other, names, requirement, runs)
     except ConfigError as error:
         raise layers.error(keys, f"{dotted(keys)}: {error}") from error
-    return Row(row.what, requirement, row.source, name, other, row.if_known)
+    return Row(row.what, requirement, row.source, names, other, row.if_known)
 
 
-def _other(row: _Row, name: str, requirement: Requirement) -> Other | None:
+def _names(runs: str | Iterable[str]) -> tuple[str, ...]:
+    return (runs,) if isinstance(runs, str) else tuple(runs)
+
+
+def _other(row: _Row, names: tuple[str, ...], requirement: Requirement) -> Other | None:
     given = row.over if row.over is not None else row.less
     if given is None:
         return None
@@ -326,23 +339,25 @@ def _other(row: _Row, name: str, requirement: Requirement) -> Other | None:
     kind: Literal["over", "less"] = "over" if row.over is not None else "less"
     if one.runs is None and one.metric is None:
         raise ConfigError(f"{kind} has nothing; expected runs, a metric, or both")
-    return Other(kind, one.runs or name, one.metric or requirement.metric)
+    others = names if one.runs is None else (one.runs,)
+    return Other(kind, others, one.metric or requirement.metric)
 
 
 def _check_other(
-    other: Other, name: str, requirement: Requirement, runs: Mapping[str, RunsOf]
+    other: Other, names: tuple[str, ...], requirement: Requirement, runs: Mapping[str, RunsOf]
 ) -> None:
-    if (other.runs, other.metric) == (name, requirement.metric):
-        raise ConfigError(f"{other.kind}: {name} is compared with itself; name other runs")
+    if (other.runs, other.metric) == (names, requirement.metric):
+        raise ConfigError(f"{other.kind}: {names[0]} is compared with itself; name other runs")
     if requirement.statistic not in (*_DECIDING, "mean"):
         raise ConfigError(f"{other.kind} goes with mean, min and max; not with {requirement.text}")
-    if requirement.statistic in _DECIDING and other.runs != name:
-        own = runs[name]
-        others = runs[other.runs]
-        if own.seeds != others.seeds or own.sweep != others.sweep:
+    if requirement.statistic in _DECIDING and other.runs != names:
+        own = runs[names[0]]
+        others = runs[other.runs[0]]
+        if len(names) > 1 or own.seeds != others.seeds or own.sweep != others.sweep:
             raise ConfigError(
-                f"{other.kind}: {requirement.statistic} compares run by run, and {name} and"
-                f" {other.runs} have not the same seeds and sweep; take the mean"
+                f"{other.kind}: {requirement.statistic} compares run by run, and"
+                f" {', '.join(names)} and {other.runs[0]} have not the same seeds and sweep; take"
+                " the mean"
             )
 
 
@@ -364,21 +379,24 @@ def samples_of(row: Row, results: Mapping[str, Results]) -> Samples:
     In the order of the runs' plan. NaN: a run without a value; inf: an event that never happened.
     With `min` or `max` the values are quotients or differences, run by run.
     """
-    own = _values(results[row.runs], row.requirement.metric)
+    own = _values(results, row.runs, row.requirement.metric)
     if row.other is None:
         return (_known(own, row),)
-    other = _values(results[row.other.runs], row.other.metric)
+    other = _values(results, row.other.runs, row.other.metric)
     if row.requirement.statistic not in _DECIDING:
         return _known(own, row), _known(other, row)
     if len(own) != len(other):
-        text = f"{row.what}: {row.runs} and {row.other.runs} are compared run by run, and have"
+        names = " and ".join((*row.runs, *row.other.runs))
+        text = f"{row.what}: {names} are compared run by run, and have"
         raise SwarmError(f"{text} {len(own)} and {counted(len(other), 'run')}; do the others")
     with np.errstate(divide="ignore", invalid="ignore"):
         return (_known(own - other if row.other.kind == "less" else own / other, row),)
 
 
-def _values(results: Results, metric: str) -> Array:
-    return measured(results, known_name(metric))[0]
+def _values(results: Mapping[str, Results], names: Sequence[str], metric: str) -> Array:
+    """The values of a metric in runs of these names, together; those without results left out."""
+    known = [measured(results[name], known_name(metric))[0] for name in names if name in results]
+    return np.concatenate(known)
 
 
 def _known(values: Array, row: Row) -> tuple[float, ...]:
@@ -394,11 +412,12 @@ def judge(row: Row, results: Mapping[str, Results]) -> OutcomeFinding:
     """
     samples = [np.array(sample) for sample in samples_of(row, results)]
     requirement = row.requirement
+    runs = ", ".join(row.runs)
     missing = sum(int(np.isnan(sample).sum()) for sample in samples)
     remark = f"{counted(missing, 'run')} without a value" if missing else ""
     if missing or not all(sample.size for sample in samples):
         about = remark or "no run has a value"
-        finding = RequirementFinding(requirement, row.runs, None, None, about, Verdict.NOT_MET)
+        finding = RequirementFinding(requirement, runs, None, None, about, Verdict.NOT_MET)
         return OutcomeFinding(row, finding)
     value, interval = _statistic(row, samples)
     if requirement.statistic in _DECIDING:
@@ -411,7 +430,7 @@ def judge(row: Row, results: Mapping[str, Results]) -> OutcomeFinding:
     is_bootstrap = interval is not None and requirement.statistic != "share"
     finding = RequirementFinding(
         requirement,
-        row.runs,
+        runs,
         value if math.isfinite(value) else None,
         interval,
         remark,
@@ -471,9 +490,14 @@ def judged_folder(folder: Path) -> tuple[list[OutcomeFinding], str]:
             results[name] = of_runs
         if of_runs.lacking or not of_runs.rows:
             lacking.append(f"{name}: {of_runs.lacking or 'no run'}")
-    findings = [
-        judge(row, results)
-        for row in outcomes.rows
-        if all(runs in results for runs, _ in row.metrics)
-    ]
-    return findings, ", ".join(lacking)
+    return judge_all(outcomes, results), ", ".join(lacking)
+
+
+def judge_all(outcomes: Outcomes, results: Mapping[str, Results]) -> list[OutcomeFinding]:
+    """The findings of the rows all of whose runs have results."""
+    return [judge(row, results) for row in outcomes.rows if has_runs(row, results)]
+
+
+def has_runs(row: Row, results: Mapping[str, Results]) -> bool:
+    """Whether there are results of all runs that a row needs."""
+    return all(runs in results for runs, _ in row.metrics)

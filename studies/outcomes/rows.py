@@ -83,8 +83,8 @@ class RowsOf:
 
     @property
     def SEEDS(self) -> int:
-        """The number of runs of each setting."""
-        return max(len(runs.seeds) for runs in self.file.runs.values())
+        """The number of seeds, from 0 on."""
+        return 1 + max(seed for runs in self.file.runs.values() for seed in runs.seeds)
 
     @property
     def IS_LONG(self) -> bool:
@@ -131,12 +131,13 @@ def outcomes_with_runs(
     results = {}
     for name, runs in file.runs.items():
         own = sets.get(name, NOTHING)
-        if own is not None:
-            results[name] = _runs(file, name, runs, seeds, jobs, own, traces=traces)
+        some = [seed for seed in seeds if seed in runs.seeds] if runs.has_own_seeds else seeds
+        if own is not None and some:
+            results[name] = _runs(file, name, runs, some, jobs, own, traces=traces)
     made = [
         _outcome(pattern, row, results, bounds.get(row.what, row.requirement.value))
         for row in file.rows
-        if all(name in results for name, _ in row.metrics)
+        if all(not results.keys().isdisjoint(names) for names in row.sides)
     ]
     return made, results
 

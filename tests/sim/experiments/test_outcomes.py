@@ -69,18 +69,18 @@ def test_a_row_names_runs_a_bound_and_its_origin(tmp_path: Path) -> None:
     }
     assert (len(walkers.seeds), walkers.sweep) == (20, {"a.b": [1]})
     way, ratio = outcomes.rows
-    assert (way.what, way.source, way.runs) == ("way", "a paper", "own")
+    assert (way.what, way.source, way.runs) == ("way", "a paper", ("own",))
     assert (way.requirement.statistic, way.requirement.value) == ("min", 3.0)
     assert way.other is None
     assert ratio.other is not None
-    assert (ratio.other.kind, ratio.other.runs) == ("over", "walkers")
+    assert (ratio.other.kind, ratio.other.runs) == ("over", ("walkers",))
     assert ratio.other.metric == "path_length"
 
 
 def test_a_file_without_names_of_runs_has_one_kind(tmp_path: Path) -> None:
     outcomes = read(tmp_path, f"{HEAD}outcomes:\n{ROW}")
     assert list(outcomes.runs) == ["runs"]
-    assert outcomes.rows[0].runs == "runs"
+    assert outcomes.rows[0].runs == ("runs",)
 
 
 def test_paths_begin_at_the_folder_of_the_file(tmp_path: Path) -> None:
@@ -125,6 +125,10 @@ def test_paths_begin_at_the_folder_of_the_file(tmp_path: Path) -> None:
         (row_of(runs="own", over="other", less="other"), "keep one of them"),
         (row_of(runs="own", over="other", requirement="median(a) <= 2"), "mean, min and max"),
         (row_of(runs="own", if_known=2), "true or false"),
+        (row_of(runs="[]"), "expected names"),
+        (row_of(runs="[own, own]"), "each of them once"),
+        (row_of(runs="[own, oter]"), "did you mean 'other'"),
+        (row_of(runs="[own, other]", over="other"), "take the mean"),
     ],
 )
 def test_a_wrong_file_is_an_error_that_names_it(text: str, wanted: str, tmp_path: Path) -> None:
@@ -153,7 +157,7 @@ def test_runs_that_are_compared_one_by_one_have_the_same_seeds(tmp_path: Path) -
 def test_an_unknown_metric_names_the_row(text: str, wanted: str, tmp_path: Path) -> None:
     outcomes = read(tmp_path, text)
     with pytest.raises(ConfigError, match=r"outcomes\[0\]") as caught:
-        outcomes.metrics(outcomes.rows[0].runs)
+        outcomes.metrics(outcomes.rows[0].runs[0])
     assert wanted in str(caught.value)
 
 
@@ -202,7 +206,7 @@ def test_the_file_of_a_shipped_pattern_has_a_short_name(
 @pytest.mark.parametrize("pattern", WITH_SHIPPED)
 def test_the_rows_of_a_shipped_pattern_can_be_run(pattern: str) -> None:
     outcomes = read_outcomes(pattern_folders()[pattern].path / NAME)
-    assert len(outcomes.rows) >= 3
+    assert len(outcomes.rows) >= 2
     for name in outcomes.runs:
         assert outcomes.metrics(name)
         assert len(outcomes.plan(name, (0,)).runs) >= 1
@@ -303,6 +307,14 @@ def test_two_kinds_of_runs_are_compared_by_means_or_run_by_run(tmp_path: Path) -
     assert (means.finding.value, means.finding.verdict) == (2.0, Verdict.MET)  # 5 / 2.5
     difference = judged(tmp_path, "mean(minimum_gap) >= 1", own, other)
     assert difference.finding.value == 2.5
+
+
+def test_runs_of_several_names_are_taken_together(tmp_path: Path) -> None:
+    (row,) = read(tmp_path, row_of(runs="[own, other]", requirement="max(minimum_gap) <= 3")).rows
+    results = {"own": results_of("minimum_gap", 6.0), "other": results_of("minimum_gap", 2.0, 3.0)}
+    found = judge(row, results).finding
+    assert samples_of(row, results) == ((6.0, 2.0, 3.0),)
+    assert (found.variant, found.value, found.verdict) == ("own, other", 6.0, Verdict.NOT_MET)
 
 
 def test_rows_over_another_metric_of_the_same_runs(tmp_path: Path) -> None:
