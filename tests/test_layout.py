@@ -105,7 +105,10 @@ _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)
 PATTERN_FILES = sorted((ROOT / "patterns").glob("*/pattern.py"))
 # Metrics beside patterns, which experiments import, and no robot.
 METRICS_FILES = sorted((ROOT / "patterns").glob("*/metrics.py"))
-OF_METRICS = ("swarmd.core.values", "swarmd.sim.metrics", "swarmd.sim.trace", "numpy", "math")
+OF_METRICS = (
+    *("swarmd.core.values", "swarmd.sim.metrics", "swarmd.sim.trace"),
+    *("numpy", "math", "dataclasses"),
+)
 # What others import from a kernel's file beside constants, alike in both forms: records of plain
 # values, and functions of numbers or of a text.
 ALIKE = {"Track", "axis_of", "difference", "wrap"}
@@ -288,7 +291,7 @@ def test_metrics_beside_a_pattern_import_what_computes() -> None:
         if not f"{module}.".startswith(tuple(f"{one}." for one in ("__future__", *OF_METRICS)))
     }
     assert METRICS_FILES
-    assert {one for one in used if not one.endswith(".typing.NDArray")} == set()
+    assert used == set()
 
 
 @pytest.mark.parametrize("package", PURE)
