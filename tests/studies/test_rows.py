@@ -119,3 +119,26 @@ def test_a_pattern_its_scenario_and_its_rows_are_roots_of_its_table() -> None:
             f"swarmd.patterns.{pattern}.{name}" for name in ("pattern", "scenario", "outcomes")
         }
         assert places <= {*job.roots}
+
+
+def test_runs_with_seeds_of_their_own_take_those_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As formations, in which each number of robots has its own seeds."""
+    path = tmp_path / NAME
+    path.write_text(
+        'scenario: drive\nruns: {even: {seeds: "0,2"}, odd: {seeds: "1,3"}, rare: {seeds: "9"}}\n'
+        "outcomes:\n"
+        "  - {what: w, runs: [even, odd], requirement: max(minimum_gap) <= 9, source: a}\n"
+        "  - {what: r, runs: rare, requirement: max(minimum_gap) <= 9, source: a}\n"
+    )
+    asked: list[tuple[int, ...]] = []
+
+    def simulate(scenario: str, seeds: list[int], **others: object) -> Results:
+        asked.append(tuple(seeds))
+        return results_of(minimum_gap=tuple(map(float, seeds)))
+
+    monkeypatch.setattr(rows, "simulate", simulate)
+    made, _ = outcomes_with_runs(read_outcomes(path), "drive", range(4))
+    assert asked == [(0, 2), (1, 3)]
+    assert [(one.what, one.values) for one in made] == [("w", (0.0, 2.0, 1.0, 3.0))]
