@@ -127,7 +127,7 @@ def test_runs_with_seeds_of_their_own_take_those_alone(
     """As formations, in which each number of robots has its own seeds."""
     path = tmp_path / NAME
     path.write_text(
-        'scenario: drive\nruns: {even: {seeds: "0,2"}, odd: {seeds: "1,3"}, rare: {seeds: "9"}}\n'
+        'scenario: drive\nruns: {even: {seeds: "0,2"}, odd: {seeds: "1,3"}, rare: {seeds: "9-9"}}\n'
         "outcomes:\n"
         "  - {what: w, runs: [even, odd], requirement: max(minimum_gap) <= 9, source: a}\n"
         "  - {what: r, runs: rare, requirement: max(minimum_gap) <= 9, source: a}\n"
