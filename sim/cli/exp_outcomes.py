@@ -63,6 +63,7 @@ def run_outcomes(ctx: click.Context, name: str, seeds: str, options: RunOptions)
     # 1. The rows, and the plan of all runs.
     need("mujoco")
     from swarmd.core.files import read_regular
+    from swarmd.sim.experiments.manifest import NAME as MANIFEST
     from swarmd.sim.experiments.manifest import write_whole
     from swarmd.sim.experiments.outcomes import NAME, judge_all, outcomes_file, read_outcomes
     from swarmd.sim.experiments.plan import parse_seeds
@@ -105,6 +106,8 @@ def run_outcomes(ctx: click.Context, name: str, seeds: str, options: RunOptions)
             "--timeout": None if options.timeout is None else f"{options.timeout:g}",
         },
     )
+    if (folder / MANIFEST).exists():
+        raise ConfigError(f"{folder}: holds another experiment; name a new folder with --out")
     text = read_regular(outcomes.file).decode()
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -117,10 +117,11 @@ def check(
     """
     from swarmd.sim.experiments import requirements as checking
     from swarmd.sim.experiments.compare import sides_of
+    from swarmd.sim.experiments.manifest import NAME as MANIFEST
     from swarmd.sim.experiments.outcomes import NAME
 
     place = Path(experiment)
-    if (place / NAME).is_file():
+    if (place / NAME).is_file() and not (place / MANIFEST).exists():
         if requirements:
             raise ConfigError(
                 f"{place}: {NAME} in it has the requirements; leave out {requirements[0]!r}, or"

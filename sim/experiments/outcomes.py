@@ -394,8 +394,23 @@ def samples_of(row: Row, results: Mapping[str, Results]) -> Samples:
 
 
 def _values(results: Mapping[str, Results], names: Sequence[str], metric: str) -> Array:
-    """The values of a metric in runs of these names, together; those without results left out."""
-    known = [measured(results[name], known_name(metric))[0] for name in names if name in results]
+    """The values of a metric in runs of these names, together; those without results left out.
+
+    ConfigError if the runs did not measure it: the file of a folder may be of others, and no code
+    that it names is imported.
+    """
+    wanted = known_name(metric)
+    known = []
+    for name in names:
+        if name not in results:
+            continue
+        lacking = [one for one in metrics_in(wanted) if one not in results[name].metrics]
+        if lacking:
+            raise ConfigError(
+                f"{results[name].folder}: {unknown('metric', lacking[0], results[name].metrics)};"
+                " these runs did not measure it: do them again"
+            )
+        known.append(measured(results[name], wanted)[0])
     return np.concatenate(known)
 
 

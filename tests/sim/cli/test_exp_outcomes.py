@@ -88,6 +88,12 @@ def test_outcomes_of_ones_own_are_run_and_judged(tmp_path: Path) -> None:
     missed = swarmctl("exp", "check", "made")
     assert missed.returncode == 1
     assert "not met" in missed.stdout
+    copy.write_text(OUTCOMES.replace("metrics.py:way", "metrics.py:other"))
+    (tmp_path / "metrics.py").write_text("raise SystemExit(3)")  # no code of the file is imported
+    unknown = swarmctl("exp", "check", "made")
+    assert unknown.returncode == 2
+    assert "metrics.py:other" in unknown.stderr
+    copy.write_text(OUTCOMES)
     shutil.rmtree(tmp_path / "made" / "slow")
     partial = swarmctl("exp", "check", "made")
     assert partial.returncode == 1
@@ -140,3 +146,13 @@ def test_check_says_what_it_wants(words: tuple[str, ...], wanted: str, tmp_path:
     assert done.returncode == 2
     assert wanted in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_folder_of_another_experiment_stays_as_it_is(tmp_path: Path) -> None:
+    file = mine(tmp_path)
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "manifest.json").write_text("{}")
+    done = swarmctl_in(tmp_path)("exp", "run", file, "--out", "made")
+    assert done.returncode == 2
+    assert "holds another experiment" in done.stderr
+    assert sorted(path.name for path in (tmp_path / "made").iterdir()) == ["manifest.json"]
