@@ -20,11 +20,11 @@ from msgspec import Struct
 
 from benchmarks.table import markdown
 from studies import kept
-from studies.outcomes.patterns.flocking import parts
 from studies.outcomes.patterns.lloyd_coverage import cost
 from studies.safety.judge import collisions
 from studies.safety.runs import Kept, carry_out_missing
 from swarmd.core.messages import Reason
+from swarmd.patterns.flocking.metrics import parts
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import Scenario

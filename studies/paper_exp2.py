@@ -9,36 +9,26 @@ same command resumes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from benchmarks.table import markdown
 from studies import kept
-from swarmd.core.values import Array
-from swarmd.settings.settings import load_platform
+from swarmd.patterns.discussed_dispersion.metrics import (
+    TOLERANCE,
+    Course,
+    Joining,
+    joined,
+    judged,
+)
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.metrics.lidar_ranges import lidar_ranges
 from swarmd.sim.plots.bands import Series, series_figure
 from swarmd.sim.plots.theme import save
 from swarmd.sim.plots.trajectories import trajectories_figure
-from swarmd.sim.trace import Trace
-from swarmd.sim.world.arena import parse_arena
-from swarmd.sim.world.geometry import apart, transform
 
-DISCUSS = 20.0
-SPREAD_BY = 40.0
-KEPT_FOR = 30.0
-TOLERANCE = 0.03
-"""Three standard deviations of the lidar's noise, in m."""
-STRAYED = 0.1
-"""Standing robots stay within this distance in m of a position."""
-MOVING = 0.05
-"""Standing robots move for at most this mean share of the time."""
-STILL = 0.01
-"""Slower than this speed in m/s is no motion."""
-JOINED = 50.0
 LARGER = (9.24, 6.72)
 """1.4 times the paper's arena along both sides."""
 
@@ -48,120 +38,6 @@ PLAN: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
     ("late", "paper_exp2_late", {}),
 )
 TITLES = {"paper": "6.6 x 4.8 m", "larger": "9.24 x 6.72 m", "late": "one joins at 50 s"}
-
-
-@dataclass(frozen=True, slots=True)
-class Course:
-    """The result of one run. Times in s from the start, lengths in m.
-
-    A range is the true distance of a robot's lidar to the nearest robot or wall.
-    """
-
-    opinion: int
-    """The opinion of all robots from 20 s on; -1 if they differ."""
-    moved: float
-    """The largest distance of a robot from its start before 20 s."""
-    wanted: float
-    """The wanted distance f(opinion)."""
-    kept_since: float
-    """The time from which until 70 s all ranges are at least `wanted` - TOLERANCE; inf: never."""
-    least: float
-    """The least range from 40 to 70 s."""
-    strayed: float
-    """The largest distance of a robot from its position at 40 s, from 40 to 70 s."""
-    moving: float
-    """The mean share of the time from 40 to 70 s in which a robot moves."""
-    contacts: int
-    """The number of contact steps of the run."""
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether all ranges were large enough from 40 s to 70 s."""
-        return self.kept_since <= SPREAD_BY
-
-    @property
-    def is_standing(self) -> bool:
-        """Whether the robots stood from 40 s to 70 s, except for small corrections."""
-        return self.strayed <= STRAYED and self.moving <= MOVING
-
-
-def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
-    """The result of a trace of experiment 2; f(opinion) = `base` + `step` * opinion, in m.
-
-    This f is the paper's function, not the distance that robots report.
-    """
-    time = trace.t - trace.t[0]
-    opinion = trace.report["opinion"]
-    since, until = time >= DISCUSS - 1e-6, time <= SPREAD_BY + KEPT_FOR + 1e-6
-    late = (time >= SPREAD_BY - 1e-6) & until
-    agreed = int(opinion[since][0, 0]) if len(np.unique(opinion[since])) == 1 else -1
-    places = trace.pose[..., :2]
-    least = ranges(trace).min(axis=1)
-    wanted = base + step * float(agreed if agreed >= 0 else np.max(opinion[-1]))
-    times = np.append(time[until], np.inf)
-    too_near = np.flatnonzero(least[until] < wanted - TOLERANCE)
-    kept_since = times[too_near[-1] + 1] if len(too_near) else 0.0
-    speeds = np.hypot(*np.moveaxis(np.diff(places, axis=0), -1, 0)) / np.diff(trace.t)[:, None]
-    return Course(
-        opinion=agreed,
-        moved=float(away(places[~since]).max()),
-        wanted=wanted,
-        kept_since=float(kept_since),
-        least=float(least[late].min()),
-        strayed=float(away(places[late]).max()),
-        moving=float((speeds[late[1:]] > STILL).mean()),
-        contacts=len(trace.contact_t),
-    )
-
-
-def away(places: Array) -> Array:
-    """(T, n) the distance in m of positions (T, n, 2) from those at the first instant."""
-    distance: Array = np.hypot(*np.moveaxis(places - places[0], -1, 0))
-    return distance
-
-
-def ranges(trace: Trace) -> Array:
-    """(T, n) the true distance in m from each lidar to the nearest outline or wall."""
-    arena = parse_arena(str(trace.meta["arena"]))
-    half = np.array([arena.length, arena.width]) / 2.0
-    offsets = {name: np.array([load_platform(name).scan.offset]) for name in trace.platforms}
-    robots = range(len(trace.ids))
-    lidars = [transform(offsets[trace.platforms[i]], trace.pose[:, i])[:, 0] for i in robots]
-    outlines = [transform(trace.footprint(i), trace.pose[:, i]) for i in robots]
-    nearest = np.stack([(half - np.abs(lidar)).min(axis=1) for lidar in lidars], axis=1)
-    for i in robots:
-        for j in robots:
-            if i != j:
-                start, end = outlines[j], np.roll(outlines[j], -1, axis=1)
-                away = apart(lidars[i][:, None], start, end).min(axis=1)
-                nearest[:, i] = np.minimum(nearest[:, i], away)
-    return nearest
-
-
-@dataclass(frozen=True, slots=True)
-class Joining:
-    """The result of a run in which an eighth robot joins late with another opinion."""
-
-    adopted: float  # s until the eighth robot holds the opinion of the seven; inf: never
-    is_swayed: bool  # one of the seven changes its opinion after the eighth has joined
-    stirred: float  # m, the largest distance that one of the seven moves after that
-    least: float  # m, the least range in the last 20 s
-    contacts: int  # contact steps of the run
-
-
-def joined(trace: Trace, at: float = JOINED) -> Joining:
-    """The result of a trace of `paper_exp2_late`, in which the last robot joins at `at` s."""
-    time, opinion = trace.t - trace.t[0], trace.report["opinion"]
-    there = time >= at + 0.5
-    others = opinion[there][:, :-1]
-    held = np.flatnonzero(opinion[there][:, -1] == others[0, 0])
-    return Joining(
-        adopted=float(time[there][held[0]] - at) if len(held) else float("inf"),
-        is_swayed=len(np.unique(others)) > 1,
-        stirred=float(away(trace.pose[there][:, :-1, :2]).max()),
-        least=float(ranges(trace)[time >= time[-1] - 20.0].min()),
-        contacts=len(trace.contact_t),
-    )
 
 
 HEAD = ("", "runs", "all agree from 20 s on", "moved before 20 s [m]",
@@ -239,7 +115,7 @@ def draw(results: Mapping[str, Results]) -> None:
         for trace in results[name].traces:
             course = judged(trace)
             label = f"opinion {course.opinion}: {course.wanted:.1f} m wanted"
-            series = (trace.t - trace.t[0], ranges(trace).min(axis=1))
+            series = (trace.t - trace.t[0], lidar_ranges(trace).min(axis=1))
             groups.setdefault(label, []).append(series)
             if course.opinion == 1 and not is_run_drawn:
                 figure = trajectories_figure(trace, "experiment 2, opinion 1: 1.0 m")

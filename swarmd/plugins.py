@@ -53,6 +53,8 @@ EMULATORS = "swarmd.emulators"
 MISSION = ".yaml"
 PATTERN_FILE = "pattern.py"
 """The file of a pattern that has a folder; the folder has the pattern's name."""
+METRICS_FILE = "metrics.py"
+"""Beside a `pattern.py`: metrics of the pattern's runs, which experiments import, and no robot."""
 IN_WHEEL = "//"
 """Between the path of a wheel and the `module:Class` that is imported from it."""
 MAX_MISSION_SIZE = 1 << 20
@@ -82,7 +84,8 @@ class PatternFolder:
     """A folder with the `pattern.py` of one pattern. `package`: its import name.
 
     `source`: the distribution and its version, or the file, for display. Beside `pattern.py` may
-    lie `scenario.yaml` (a scenario that shows the pattern) and `page.md` (its page of the docs).
+    lie `scenario.yaml` (a scenario that shows the pattern), `outcomes.yaml` (what it has to reach,
+    with `metrics.py`) and `page.md` (its page of the docs).
     """
 
     path: Path

@@ -103,6 +103,12 @@ LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
 }
 _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)
 PATTERN_FILES = sorted((ROOT / "patterns").glob("*/pattern.py"))
+# Metrics beside patterns, which experiments import, and no robot.
+METRICS_FILES = sorted((ROOT / "patterns").glob("*/metrics.py"))
+OF_METRICS = (
+    *("swarmd.core.values", "swarmd.sim.metrics", "swarmd.sim.trace"),
+    *("numpy", "math", "dataclasses"),
+)
 # What others import from a kernel's file beside constants, alike in both forms: records of plain
 # values, and functions of numbers or of a text.
 ALIKE = {"Track", "axis_of", "difference", "wrap"}
@@ -273,8 +279,19 @@ def test_one_module_reads_and_writes_yaml() -> None:
 
 @pytest.mark.parametrize("folder", FORBIDDEN)
 def test_imports_point_one_way(folder: str) -> None:
-    found = [line for path in sources(folder) for line in offences(path, FORBIDDEN[folder])]
-    assert found == []
+    paths = [path for path in sources(folder) if path not in METRICS_FILES]
+    assert [line for path in paths for line in offences(path, FORBIDDEN[folder])] == []
+
+
+def test_metrics_beside_a_pattern_import_what_computes() -> None:
+    used = {
+        f"{name_of(path)}:{line} {module}"
+        for path in METRICS_FILES
+        for line, module in imports(path)
+        if not f"{module}.".startswith(tuple(f"{one}." for one in ("__future__", *OF_METRICS)))
+    }
+    assert METRICS_FILES
+    assert used == set()
 
 
 @pytest.mark.parametrize("package", PURE)
@@ -399,7 +416,7 @@ def test_folder_is_linked(folder: str) -> None:
 def test_every_folder_with_code_is_packaged() -> None:
     expected = {}
     for path in sources(*CODE):
-        if path in PATTERN_FILES:
+        if path in (*PATTERN_FILES, *METRICS_FILES):
             continue  # data of swarmd.patterns: to add a pattern changes no list
         if ROS_PACKAGE in path.parents:
             continue  # it has a setup.py of its own

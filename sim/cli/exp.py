@@ -18,6 +18,7 @@ from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.cli.patterns import report_mission
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_bench import bench
+from swarmd.sim.cli.exp_outcomes import RunOptions, run_outcomes
 from swarmd.sim.cli.exp_results import (
     MISSED,
     check,
@@ -162,6 +163,9 @@ def run(
 ) -> None:
     """Run SCENARIO, a name of `exp list` or a YAML file, once for each seed.
 
+    With PATTERN/outcomes.yaml, or an outcomes.yaml of your own, all runs that its rows of outcomes
+    need are done, and `exp check` judges the folder.
+
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed. A run in which a pattern
     raised an error counts as failed here, and its results are kept. Before several runs with a
     pattern of a file, the first second of the first run is tried.
@@ -171,6 +175,21 @@ def run(
     """
     # 1. Libraries.
     need("mujoco")
+    from swarmd.sim.experiments.outcomes import is_outcomes
+
+    if is_outcomes(scenario):
+        options = RunOptions(
+            out=out,
+            jobs=jobs,
+            cores=cores,
+            timeout=timeout,
+            on=on,
+            scheduler_file=scheduler_file,
+            is_fresh=is_fresh,
+            no_traces=no_traces,
+            is_json=is_json,
+        )
+        ctx.exit(run_outcomes(ctx, scenario, seeds, options))
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
     from swarmd.sim.experiments.requirements import Verdict
     from swarmd.sim.experiments.sequential import SequentialTest

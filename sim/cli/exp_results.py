@@ -16,6 +16,7 @@ from swarmd.cli.record_merge import parts_of
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.numbers import finite_number
+from swarmd.sim.cli.exp_outcomes import check_outcomes
 from swarmd.sim.cli.options import (
     chosen_metrics,
     folder_argument,
@@ -81,7 +82,7 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
 
 @click.command(epilog="Example: swarmctl exp check runs/first 'median(gather_time) <= 40'")
 @click.argument("experiment", metavar="DIR")
-@click.argument("requirements", metavar="REQUIREMENT..", nargs=-1, required=True)
+@click.argument("requirements", metavar="[REQUIREMENT..]", nargs=-1)
 @click.option(
     "--sure",
     "must_be_sure",
@@ -101,8 +102,11 @@ def check(
 
     A requirement is 'METRIC >= VALUE' in quotes. It concerns the mean of the metric over all runs.
     'median(METRIC)', 'min(METRIC)' and 'max(METRIC)' stand for other statistics, and 'runs' for the
-    number of runs. Comparisons are >= <= > < ==. Every variant of a sweep must meet each
-    requirement.
+    number of runs, 'share(METRIC)' for the share of runs for which a metric is 1. Comparisons are
+    >= <= > < ==. Every variant of a sweep must meet each requirement.
+
+    If DIR holds the runs of a file of outcomes (`exp run PATTERN/outcomes.yaml`), its rows are the
+    requirements, and none is given here.
 
     The 95 % interval of a mean or median decides: 'met' if all of it meets the requirement, 'not
     met' if nothing of it does, else 'undecided'. More runs decide; `exp run --until` makes as many
@@ -113,7 +117,27 @@ def check(
     """
     from swarmd.sim.experiments import requirements as checking
     from swarmd.sim.experiments.compare import sides_of
+    from swarmd.sim.experiments.manifest import NAME as MANIFEST
+    from swarmd.sim.experiments.outcomes import NAME
 
+    place = Path(experiment)
+    if (place / NAME).is_file() and not (place / MANIFEST).exists():
+        if requirements:
+            raise ConfigError(
+                f"{place}: {NAME} in it has the requirements; leave out {requirements[0]!r}, or"
+                " name the folder of runs in it"
+            )
+        is_reached = check_outcomes(place, must_be_sure=must_be_sure, is_json=is_json)
+        ctx.exit(0 if is_reached else MISSED)
+    if place.is_file():
+        raise ConfigError(
+            f"{place} is a file; expected the folder that `swarmctl exp run` has made"
+        )
+    if not requirements:
+        raise ConfigError(
+            f"{experiment}: there is no requirement, and no {NAME} in the folder; expected one such"
+            " as 'median(gather_time) <= 60'"
+        )
     parsed = [checking.parse_requirement(text) for text in requirements]
     sides = sides_of(experiment)  # one for each variant
     findings = [checking.check(requirement, side) for side in sides for requirement in parsed]

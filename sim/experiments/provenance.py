@@ -19,7 +19,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.files import read_regular, user_path
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.pin import functions_here
-from swarmd.plugins import mission_files, pattern_files
+from swarmd.plugins import METRICS_FILE, PATTERN_FILE, mission_files, pattern_files
 
 NOT_IN_RUNS = frozenset(
     (
@@ -80,6 +80,14 @@ def code_at_first(pid: int, package: Path) -> str:
     return digest_of_code(package)
 
 
+def _is_of_metrics(path: Path) -> bool:
+    """Whether a file has the metrics beside a pattern: no robot runs it.
+
+    The manifest has its digest under the metrics that were asked for.
+    """
+    return path.name == METRICS_FILE and path.with_name(PATTERN_FILE).is_file()
+
+
 def deciding(made: Mapping[str, str]) -> dict[str, str]:
     """The entries of `made_with` that decide the bits of results.
 
@@ -93,7 +101,7 @@ def digest_of_code(folder: Path) -> str:
     """The SHA-256 of the names and contents of swarmd's Python files and missions.
 
     What no run imports is left out: the folders NOT_IN_RUNS, and the files of `sim/experiments`
-    that are not OF_EXPERIMENTS. Symbolic links are followed.
+    that are not OF_EXPERIMENTS, and METRICS_FILE beside a pattern. Symbolic links are followed.
     """
     digest = hashlib.sha256()
     experiments = folder / "sim" / "experiments"
@@ -101,7 +109,9 @@ def digest_of_code(folder: Path) -> str:
     sources = [
         path
         for path in _python_files(folder, NOT_IN_RUNS)
-        if path.suffix == ".py" and (path.parent != experiments or path.name in OF_EXPERIMENTS)
+        if path.suffix == ".py"
+        and (path.parent != experiments or path.name in OF_EXPERIMENTS)
+        and not _is_of_metrics(path)
     ]
     for path in (*sources, *mission_files(folder / "config" / "missions")):
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())

@@ -15,15 +15,27 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
+
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.numbers import finite_number
+from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Side
-from swarmd.sim.experiments.statistics import FEW, Interval, Summary, censored_median_interval
+from swarmd.sim.experiments.results import YES_OR_NO, Results
+from swarmd.sim.experiments.statistics import (
+    FEW,
+    Interval,
+    Summary,
+    censored_median_interval,
+    summarize,
+)
+from swarmd.sim.metrics.metric import Metric
+from swarmd.sim.metrics.reported import PREFIXES
 
 RUNS = "runs"
 """The number of finished runs, in place of a metric."""
 
-_STATISTICS = ("mean", "median", "min", "max")
+_STATISTICS = ("mean", "median", "min", "max", "share")
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,
     "<=": operator.le,
@@ -52,8 +64,14 @@ class Requirement:
     text: str
     statistic: str
     metric: str
+    """A name, or the names of several metrics with `+` between them: the sum of their values."""
     comparison: str
     value: float
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The names of the metrics."""
+        return metrics_in(self.metric)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +114,8 @@ class RequirementFinding:
 def parse_requirement(text: str) -> Requirement:
     """The requirement of a text `METRIC >= VALUE` or `STATISTIC(METRIC) >= VALUE`.
 
-    Without a statistic the mean is compared. ConfigError names the text and its fault.
+    METRIC may be a sum, `robot_contacts+arena_contacts`. Without a statistic the mean is compared.
+    ConfigError names the text and its fault.
     """
     match = _GRAMMAR.fullmatch(text)
     wanted = "expected one such as 'median(gather_time) <= 60', with >= <= > < or =="
@@ -111,6 +130,27 @@ def parse_requirement(text: str) -> Requirement:
     return Requirement(text, statistic or "mean", inner or bare, comparison, value)
 
 
+def metrics_in(name: str) -> tuple[str, ...]:
+    """The metrics of a name with `+` between them; a key of a report or reading may hold a `+`."""
+    return (name,) if name.startswith(PREFIXES) else tuple(name.split("+"))
+
+
+def measured(results: Results, name: str, variant: str | None = None) -> tuple[Array, Metric]:
+    """The values (runs,) of a metric or of a sum of metrics, and the first of the metrics.
+
+    NaN: a run without a value of one of them. For a time to an event that is inf: the event never
+    happened. `variant`: None for the runs of all variants. ConfigError with the nearest name for an
+    unknown metric, and for a sum with a time to an event.
+    """
+    metrics = [results.about(one) for one in metrics_in(name)]
+    if len(metrics) > 1 and (event := next((m for m in metrics if m.is_time_to_event), None)):
+        raise ConfigError(f"{name}: {event.name} is the time to an event, which has no sum")
+    values = np.sum([results.metric(metric, variant) for metric in metrics], axis=0)
+    if metrics[0].is_time_to_event:
+        values = np.where(np.isnan(values), np.inf, values)
+    return values, metrics[0]
+
+
 def check(requirement: Requirement, side: Side) -> RequirementFinding:
     """Check a requirement on one variant; ConfigError with the nearest name for unknown metrics."""
     results = side.results
@@ -118,16 +158,24 @@ def check(requirement: Requirement, side: Side) -> RequirementFinding:
     if name == RUNS:
         runs = float(len(results.seeds(side.variant)))
         return RequirementFinding(
-            requirement, side.variant, runs, None, "", _verdict(requirement, Interval(runs, runs))
+            requirement, side.variant, runs, None, "", verdict_of(requirement, Interval(runs, runs))
         )
-    metric = results.about(name)
-    summary = results.summary(side.variant, [metric])[metric.name]
+    values, metric = measured(results, name, side.variant)
+    values = np.where(np.isinf(values), np.nan, values)
+    is_single = len(requirement.metrics) == 1
+    summary = summarize(
+        values,
+        is_share=is_single and metric.unit == YES_OR_NO,
+        is_time_to_event=metric.is_time_to_event,
+    )
     value: float | None = getattr(summary, requirement.statistic)
     interval = None
     if requirement.statistic == "mean":
         interval = summary.share_interval or summary.mean_interval
+    elif requirement.statistic == "share":
+        interval = summary.share_interval
     elif requirement.statistic == "median" and summary.never:
-        interval = censored_median_interval(results.metric(metric, side.variant))
+        interval = censored_median_interval(values)
     elif requirement.statistic == "median":
         interval = summary.median_interval
     is_bootstrap = interval is not None and not summary.share_interval and not summary.never
@@ -135,14 +183,14 @@ def check(requirement: Requirement, side: Side) -> RequirementFinding:
     if value is None and interval is None:
         verdict = Verdict.NOT_MET
     elif value is not None and requirement.statistic in ("min", "max"):
-        verdict = _verdict(requirement, Interval(value, value))
+        verdict = verdict_of(requirement, Interval(value, value))
     else:
-        verdict = _verdict(requirement, interval or Interval(-math.inf, math.inf))
+        verdict = verdict_of(requirement, interval or Interval(-math.inf, math.inf))
     remark = _remark(summary, requirement.statistic, value)
     return RequirementFinding(requirement, side.variant, value, interval, remark, verdict, few)
 
 
-def _verdict(requirement: Requirement, interval: Interval) -> Verdict:
+def verdict_of(requirement: Requirement, interval: Interval) -> Verdict:
     """What an interval says of a requirement."""
     compare = _COMPARISONS[requirement.comparison]
     is_met_at = {compare(end, requirement.value) for end in interval}

@@ -181,21 +181,23 @@ def plan_of(
     sweep: Mapping[str, Sequence[Any]] | None = None,
     *,
     on_note: Callable[[str], object] = str,
+    source: str = "",
 ) -> Plan:
     """The plan of an experiment: all variants of the scenario with all seeds.
 
     `set`: overrides by dotted key. `sweep`: lists of values by dotted key; each combination of
     values is a variant. Each variant and its start poses are checked; ConfigError for an invalid
-    variant. `on_note` is called once with each note of the variants.
+    variant. `on_note` is called once with each note of the variants. `source`: how the error of a
+    wrong override begins; empty: with --set or --sweep.
     """
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
     checked_seeds = check_seeds(seeds)
     reported_notes: dict[str, None] = {}
-    sources = [source for source, keys in ((SOURCE, set), (SWEEP_SOURCE, sweep)) if keys]
+    sources = [option for option, keys in ((SOURCE, set), (SWEEP_SOURCE, sweep)) if keys]
 
     def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
         """The complete scenario of a variant; ConfigError if the variant is invalid."""
-        variant = _overridden(scenario, overrides, " or ".join(sources))
+        variant = _overridden(scenario, overrides, source or " or ".join(sources))
         variant.starts(checked_seeds[0])  # ConfigError if there is no room for the robots
         for note in variant.notes:
             if note not in reported_notes:

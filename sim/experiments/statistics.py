@@ -163,6 +163,20 @@ def _difference(a: Array, b: Array, axis: int) -> Array:
     return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
 
 
+def ratio_interval(above: Array, below: Array) -> Interval | None:
+    """The interval of mean(above) / mean(below) of independent samples, as `difference_interval`.
+
+    None also if a resampled mean of `below` is 0.
+    """
+    with np.errstate(divide="ignore"):
+        bounds = bootstrap_interval((above, below), _ratio, "percentile")
+    return bounds if bounds is not None and np.isfinite(bounds).all() else None
+
+
+def _ratio(above: Array, below: Array, axis: int) -> Array:
+    return np.asarray(above.mean(axis=axis) / below.mean(axis=axis))
+
+
 def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
     """The p-value of a two-sided permutation test: do a (n,) and b (m,) have equal means?
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric, late_mean
-from swarmd.sim.metrics.window import presence
+from swarmd.sim.metrics.window import between, presence
 from swarmd.sim.trace import Trace
 
 
@@ -87,6 +87,26 @@ def circle_errors(trace: Trace, spacing: float) -> Array:
         offsets = circle_offsets(trace, radius) / spacing
         errors = np.where(counts == count, np.maximum(errors, offsets), errors)
     return errors
+
+
+def largest_error(
+    trace: Trace, errors: Callable[[Trace, float], Array], span: tuple[float, float], spacing: float
+) -> float:
+    """The largest of `errors` (`line_errors`, `circle_errors`) from one time to another, in s.
+
+    0 without an instant between them.
+    """
+    return float(errors(between(trace, *span), spacing).max(initial=0.0))
+
+
+def share_moving(trace: Trace, span: tuple[float, float], path: float) -> float:
+    """The share of robots whose path from one time to another, in s, is longer than `path` m.
+
+    Of the robots that are present all the time.
+    """
+    part = between(trace, *span)
+    step = np.diff(part.pose[:, presence(part).all(axis=0), :2], axis=0)
+    return float(np.mean(np.hypot(step[..., 0], step[..., 1]).sum(axis=0) > path))
 
 
 def _each(trace: Trace, of: Callable[[Array], float], *, least: int) -> Array:

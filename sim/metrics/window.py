@@ -18,6 +18,7 @@ from swarmd.sim.world.geometry import radius
 LATE = 60.0
 """The last seconds of a run, in which a swarm is assumed to have settled."""
 _ROUNDING = 1e-9
+_SAMPLE = 1e-6  # s, less than between two instants
 _OVER_TIME = (
     *("t", "pose", "safe", "requested", "state", "reason", "active", "decided", "evaded", "gap"),
     *("scan_age", "bound", "recovering", "present", "box_pose"),
@@ -72,6 +73,12 @@ def cut(trace: Trace, start: int, stop: int) -> Trace:
         readings={name: values[span] for name, values in trace.readings.items()},
         **sliced,
     )
+
+
+def between(trace: Trace, since: float, until: float) -> Trace:
+    """The instants from `since` to `until`, in s of the trace's time, both included."""
+    start, stop = np.searchsorted(trace.t, (since - _SAMPLE, until + _SAMPLE)).tolist()
+    return cut(trace, start, stop)
 
 
 def arena_of(trace: Trace) -> Arena | None:

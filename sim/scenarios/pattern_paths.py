@@ -29,10 +29,13 @@ def anchored(data: Data, folder: Path) -> Data:
     return _replaced(data, lambda text: str(folder / user_path(text)))
 
 
-def absolute(overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Overrides by dotted key, with absolute paths of patterns and of `plugin_dir`."""
+def absolute(overrides: Mapping[str, Any], folder: Path = Path()) -> dict[str, Any]:
+    """Overrides by dotted key, with absolute paths of patterns and of `plugin_dir`.
+
+    `folder`: where relative paths begin.
+    """
     return {
-        key: str(user_path(value).absolute())
+        key: str((folder / user_path(value)).absolute())
         if isinstance(value, str) and (key == PLUGIN_DIR or _is_path_at(key, value))
         else value
         for key, value in overrides.items()

@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from studies.night.pages import parts_of, write_parts
 from studies.night.sources import ROOT, digest_of, sources_of
-from studies.outcomes.outcome import STUDIES
+from studies.outcomes.outcome import STUDIES, patterns_with_rows, roots_of
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import write_whole
 from swarmd.sim.experiments.run_store import run_store
@@ -149,11 +149,10 @@ _LONG = {
 """The CPU-minutes of the patterns that take the longest."""
 
 
-def _outcomes(path: Path) -> Job:
-    name = path.stem
+def _outcomes(name: str) -> Job:
     arguments = ("-m", "studies.outcomes", name, "--keep")
     minutes = _LONG.get(name, 3.0)
-    return PatternJob(name, f"patterns/{name}", arguments, minutes, (f"{STUDIES}.{name}",))
+    return PatternJob(name, f"patterns/{name}", arguments, minutes, roots_of(name))
 
 
 def _study(
@@ -179,9 +178,11 @@ def _study(
 JOBS: Sequence[Job] = (
     _study("robot_hours", "docs/evidence", 150.0),
     *(
-        _outcomes(path)
-        for path in sorted(ROOT.joinpath(*STUDIES.split(".")).glob("*.py"))
-        if path.stem != "__init__"
+        _outcomes(name)
+        for name in sorted(
+            {path.stem for path in ROOT.joinpath(*STUDIES.split(".")).glob("[!_]*.py")}
+            | {*patterns_with_rows()}
+        )
     ),
     _study("paper", "docs", 43.0, takes_executor=True),
     _study("paper_exp2", "docs", 2.0, takes_executor=True),

@@ -155,7 +155,10 @@ def _files_of(module: str) -> Iterator[Path]:
         folder = ROOT.joinpath(
             *some[1:] if some[0] == "swarmd" and some[1:2] and some[1] in _LINKED else some
         )
-        files = folder / "__init__.py", folder.with_suffix(".py"), folder.with_suffix(".cpp")
+        files = (
+            folder / "__init__.py",
+            *(folder.with_suffix(suffix) for suffix in (".py", ".cpp", ".yaml")),
+        )
         yield from (path for path in files if path.is_file())
 
 

@@ -1,16 +1,26 @@
-"""The outcomes of each pattern: its module in `patterns`, with `outcomes(seeds, jobs)`."""
+"""The outcomes of each pattern: its rows, or its module in `patterns`.
+
+A pattern has rows in `patterns/<name>/outcomes.yaml` (`rows.RowsOf`), or a module with
+`outcomes(seeds, jobs)` for what rows cannot say. A module may add to rows.
+"""
 
 from __future__ import annotations
 
 from importlib import import_module
 from pkgutil import iter_modules
+from typing import Any
 
 from studies.outcomes import patterns
-from studies.outcomes.outcome import SHORT_SEED, Outcome
+from studies.outcomes.outcome import SHORT_SEED, Outcome, patterns_with_rows
+from studies.outcomes.rows import RowsOf
 
-MODULES = {
+_PYTHON = {
     name: import_module(f"{patterns.__name__}.{name}")
     for _, name, _ in iter_modules(patterns.__path__)
+}
+MODULES: dict[str, Any] = {
+    name: _PYTHON[name] if name in _PYTHON else RowsOf(name)
+    for name in sorted({*_PYTHON, *patterns_with_rows()})
 }
 
 

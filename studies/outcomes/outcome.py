@@ -19,22 +19,26 @@ import numpy as np
 from studies.night.pages import with_part
 from studies.night.sources import commit_of, digest_of, sources_of
 from swarmd.core.pin import functions_here, is_pinned
-from swarmd.core.values import Array
 from swarmd.sim.experiments.manifest import PROCESSOR
+from swarmd.sim.experiments.outcomes import NAME
 from swarmd.sim.experiments.pool import worker_functions
 from swarmd.sim.experiments.provenance import made_with
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import (
     Interval,
-    bootstrap_interval,
     difference_interval,
     mean_interval,
     median_interval,
+    ratio_interval,
     wilson,
 )
 
 STUDIES = "studies.outcomes.patterns"
-"""The package with a module for each pattern."""
+"""The package with the modules of patterns, whose rows do not say all."""
+OF_ROWS = "studies.outcomes.rows"
+"""The module that makes the outcomes of rows."""
+ROWS = "swarmd.patterns"
+"""The package with the rows of each pattern."""
 PATTERNS = Path(__file__).resolve().parents[2] / "patterns"
 KEPT = "outcome.json"
 """The outcomes that were kept, beside the pattern."""
@@ -84,20 +88,6 @@ def share_of(is_so: Iterable[bool]) -> Joined:
     """The share of runs with a true value."""
     (some,) = samples = (tuple(map(float, is_so)),)
     return Joined("share", float(np.mean(some)), wilson(int(sum(some)), len(some)), samples)
-
-
-def ratio_interval(above: Array, below: Array) -> Interval | None:
-    """The interval of mean(above) / mean(below) of independent samples, as `difference_interval`.
-
-    None also if a resampled mean of `below` is 0.
-    """
-
-    def ratio(above: Array, below: Array, axis: int) -> Array:
-        return np.asarray(above.mean(axis=axis) / below.mean(axis=axis))
-
-    with np.errstate(divide="ignore"):
-        bounds = bootstrap_interval((above, below), ratio, "percentile")
-    return bounds if bounds is not None and np.isfinite(bounds).all() else None
 
 
 def ratio_of(above: Iterable[float], below: Iterable[float]) -> Joined:
@@ -223,6 +213,23 @@ class Kept(msgspec.Struct, frozen=True):
         return other_machine(self.short_made_with or self.made_with, here)
 
 
+def patterns_with_rows() -> list[str]:
+    """The patterns that have a file of outcomes."""
+    return sorted(path.parent.name for path in PATTERNS.glob(f"*/{NAME}"))
+
+
+def roots_of(pattern: str) -> tuple[str, ...]:
+    """The modules with whose imports the sources of a pattern's outcomes begin.
+
+    Beside them the pattern, its scenario and its rows, by the names that modules in the place of
+    the files would have.
+    """
+    beside = tuple(f"{ROWS}.{pattern}.{name}" for name in ("pattern", "scenario", Path(NAME).stem))
+    if Path(__file__).with_name("patterns").joinpath(f"{pattern}.py").is_file():
+        return f"{STUDIES}.{pattern}", *beside
+    return OF_ROWS, *beside
+
+
 def other_machine(there: Mapping[str, str], here: Mapping[str, str]) -> str | None:
     """What differs between two machines, each as `software` gives it, as text; else None."""
     series = [made.get("python", "").rpartition(".")[0] for made in (here, there)]
@@ -290,7 +297,7 @@ def keep(
     the store of runs. The file is written last, so that it never names values that the page
     lacks.
     """
-    sources = [f"{STUDIES}.{pattern}"]
+    sources = roots_of(pattern)
     commit, digest = commit_of(sources_of(sources)), digest_of(sources)
     origin = {"day": date.today().isoformat(), "commit": commit, "digest": digest}
     origin |= {"cpu_minutes": f"{cpu_minutes:.2f}", **(stored_runs or {})}

@@ -89,4 +89,5 @@ def test_each_folder_is_a_pattern_with_scenario_and_page() -> None:
     wanted = {"pattern.py", "scenario.yaml", "page.md"}
     for path in folders:
         names = {file.name for file in path.iterdir() if file.is_file()}
-        assert wanted <= names <= wanted | {"outcome.json", "film.gif", "figure.png"}, path.name
+        further = {"outcomes.yaml", "metrics.py", "outcome.json", "film.gif", "figure.png"}
+        assert wanted <= names <= wanted | further, path.name

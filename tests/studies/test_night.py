@@ -232,7 +232,7 @@ def test_bad_words_start_nothing(words: list[str], wanted: str) -> None:
 def test_sources_hold_every_file_that_a_run_imports() -> None:
     program = """
 import sys
-import studies.outcomes.patterns.drive
+import studies.outcomes.rows
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenariofile import load_scenario
 simulate_run(load_scenario("aggregation", {"duration": 1.0}), 0)
@@ -247,6 +247,10 @@ print(*sys.modules, sep="\\n")
     ours = {path.relative_to(ROOT).as_posix() for path in files if path.is_file()}
     known = {path.relative_to(ROOT).as_posix() for path in job.sources}
     assert {"swarmd/protection/barrier.py", "patterns/attraction/pattern.py"} <= ours
+    assert {
+        f"patterns/drive/{name}" for name in ("pattern.py", "scenario.yaml", "metrics.py")
+    } <= known
+    assert "patterns/drive/outcomes.yaml" in known
     # What finds the sources decides no value.
     assert sorted(name for name in ours - known if "studies/night/" not in name) == []
 

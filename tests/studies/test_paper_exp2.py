@@ -7,9 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from studies.paper_exp2 import TOLERANCE, Joining, joined, judged, late_rows, ranges
+from studies.paper_exp2 import late_rows
 from swarmd.core.values import Array
+from swarmd.patterns.discussed_dispersion.metrics import TOLERANCE, Joining, joined, judged
 from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.metrics.lidar_ranges import lidar_ranges
 from swarmd.sim.trace import Trace
 from tests.support.traces import trace_of
 
@@ -71,9 +73,9 @@ OPINION = np.ones((len(TIMES), 2))
 def test_a_range_is_from_the_lidar_to_the_nearest_body_or_wall() -> None:
     trace = made(spread(2.0, 0.0), OPINION)
     # The lidar is 0.064 m behind the axle; the body reaches from -0.197 m to 0.086 m.
-    np.testing.assert_allclose(ranges(trace)[0], [2.0 - 0.197 + 0.064, 2.0 - 0.064 - 0.086])
+    np.testing.assert_allclose(lidar_ranges(trace)[0], [2.0 - 0.197 + 0.064, 2.0 - 0.064 - 0.086])
     at_wall = spread(2.0, 0.0) + np.array([-4.5, 0.0])
-    np.testing.assert_allclose(ranges(made(at_wall, OPINION))[0, 0], 5.0 - 4.564)
+    np.testing.assert_allclose(lidar_ranges(made(at_wall, OPINION))[0, 0], 5.0 - 4.564)
 
 
 def test_a_kept_distance_has_a_start() -> None:

@@ -7,6 +7,7 @@ frame (`radio.places: shared`), and with boards on robots that never move. `make
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -15,8 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from studies.outcomes.patterns import hexagonal_lattice, leader_following, lloyd_coverage
+from studies.outcomes.patterns import hexagonal_lattice, lloyd_coverage
 from studies.outcomes.still import still_robots
+from swarmd.patterns.hexagonal_lattice.metrics import bonds_near_distance
+from swarmd.patterns.leader_following.metrics import gap_error
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
 
@@ -48,6 +51,11 @@ def _joined(trace: Trace) -> float:
     return float((trace.report["leads"][:, trace.ids.index("nest-01")] > 0.0).any())
 
 
+def _gap_error(trace: Trace) -> float:
+    error = gap_error(trace)
+    return math.inf if error is None else error
+
+
 def _arrived(trace: Trace) -> float:
     return float((trace.words["state"][:, trace.ids.index("shepherd-01")] == "arrived").any())
 
@@ -56,12 +64,12 @@ FIGURES = {
     "chain_formation": Figure("runs in which a chain joins both", _joined),
     "hexagonal_lattice": Figure(
         "share of bonds within 10 % of the distance",
-        lambda trace: hexagonal_lattice.lattice(trace.pose[-1, :, :2]).near,
+        bonds_near_distance,
         changes={"duration": hexagonal_lattice.SECONDS},
     ),
     "leader_following": Figure(
         "largest difference of a gap from the policy's [m]",
-        lambda trace: leader_following.settled(trace.pose[:, :, :2]),
+        _gap_error,
         is_more_better=False,
     ),
     "lloyd_coverage": Figure(

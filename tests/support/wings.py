@@ -46,7 +46,12 @@ ROOMS: tuple[tuple[str, ...], ...] = (
 
 
 def wing_of(place: str) -> str | None:
-    """The wing of a file or folder: that of its longest prefix in WINGS; None for no wing."""
+    """The wing of a file or folder: that of its longest prefix in WINGS; None for no wing.
+
+    The metrics beside a pattern are imported by experiments alone: they are of the laboratory.
+    """
+    if place.startswith("patterns/") and place.removesuffix(".py").endswith("/metrics"):
+        return "laboratory"
     wings = {name: wing for wing, names in WINGS.items() for name in names}
     parts = place.removesuffix(".py").split("/")
     prefixes = ("/".join(parts[:n]) for n in range(len(parts), 0, -1))

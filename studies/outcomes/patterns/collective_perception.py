@@ -9,22 +9,18 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from msgspec import to_builtins
 
 from studies.outcomes.outcome import (
     Joined,
     Outcome,
     at_least,
-    metric,
-    no_contacts,
     ratio_of,
     share_of,
 )
+from studies.outcomes.rows import RowsOf
 from studies.point_swarm import PointSwarm, each
 from swarmd.core.values import Array, Pose, Scalar, Scan, Value
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.experiments.results import Results
-from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.world.floor import FloorField, Patch
 from swarmd.testing.scans import scan_of
 from tests.support.voting_sim import Air
@@ -42,8 +38,8 @@ ROBOTS, SIDE, REACH = 20, 4.0, 1.4
 """Robots, side of the room in m and range of the radio in m: those of the scenario."""
 SPEED = 0.12
 """m/s; with the turns at walls a point drives 0.1 m/s on average, as a Burger among twenty does."""
-DURATION, SECONDS = 300.0, 600.0
-"""Of a run of Burgers and of a run of points, in s."""
+SECONDS = 600.0
+"""Of a run of points, in s."""
 AGREED = 5
 """All robots hold one opinion for so many samples, one a second: longer than they listen."""
 RIGHT = 0.9
@@ -97,14 +93,7 @@ def outcomes(
             point_outcomes.append(at_least(NAME, label, 1.0, ratio, "ours: the nearer, the later"))
     if not has_bodies:
         return point_outcomes
-    floor = {"kind": "floor", "name": "ground", "patches": [to_builtins(tiles(SHARES[-1], 1))]}
-    burgers = simulate(NAME, seeds, jobs=jobs, set={"duration": DURATION, "fields": [floor]})
-    label = f"Burgers, majority, {100.0 * SHARES[-1]:.0f} % black: share that agree on black"
-    return [
-        *point_outcomes,
-        at_least(NAME, label, RIGHT, right(burgers), "ours"),
-        no_contacts(NAME, burgers),
-    ]
+    return [*point_outcomes, *RowsOf(NAME).outcomes(seeds, jobs)]
 
 
 def agreements(
@@ -125,11 +114,6 @@ def won(found: Sequence[Agreement]) -> Joined:
 def taken(found: Sequence[Agreement]) -> list[float]:
     """The time of each run in s; `SECONDS` where it has no agreement."""
     return [min(one.at, SECONDS) for one in found]
-
-
-def right(results: Results) -> Joined:
-    """The share of Burgers' runs that end in agreement on black."""
-    return share_of(opinion == BLACK for opinion in metric(results, "consensus_opinion"))
 
 
 def run(setting: _Setting) -> Agreement:

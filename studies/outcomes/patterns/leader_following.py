@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most
+from studies.outcomes.rows import RowsOf
 from studies.point_swarm import PointSwarm, Track, each
-from swarmd.core.values import Array
-from swarmd.sim.experiments.simulate import simulate
+from swarmd.patterns.leader_following.metrics import HEADWAY, SPEED, STANDSTILL
 
 NAME = "leader_following"
 SHORT_FORM = {"has_bodies": False}
 FILM = {"title": "the leader is removed after 60 s", "stop": 90.0}
 ROBOTS, SECONDS, LOST_AT = 8, 60.0, 35.0
-STANDSTILL, HEADWAY, LAG, SPEED = 0.5, 1.5, 0.3, 0.11
-"""The defaults on a Burger, in m, s and m/s."""
+LAG = 0.3
+"""The default in s."""
 SHORT = 1.0
 """A headway and a lag in s: half of the headway that string stability needs."""
 _PLOEG = "Ploeg et al. 2014: not above 1 where headway >= 2 lag"
@@ -64,13 +64,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) ->
     ]  # fmt: skip
     if not has_bodies:
         return point_outcomes
-    burgers = simulate(NAME, seeds, jobs=jobs)
-    gaps = [settled(trace.pose[:, :, :2]) for trace in burgers.traces]
-    return [
-        *point_outcomes,
-        at_most(NAME, "Burgers on a circle: gaps, off from the policy [m]", 0.1, gaps, _POLICY),
-        no_contacts(NAME, burgers),
-    ]
+    return [*point_outcomes, *RowsOf(NAME).outcomes(seeds, jobs)]
 
 
 def run(given: tuple[int, float, float]) -> Chain:
@@ -111,17 +105,3 @@ def _named(track: Track) -> float:
         ):
             return float(t - LOST_AT)
     return float("nan")
-
-
-def settled(places: Array) -> float:
-    """The largest difference in m between a gap and the policy's gap, just before the leader's end.
-
-    `places`: (T, n, 2) in m, the robots in the order of the chain. inf if the last robot stands,
-    since the gaps at the start are near the policy's.
-    """
-    apart = np.diff(places[int(len(places) * 55 / 90)], axis=0)
-    return (
-        float(np.abs(np.hypot(*apart.T) - STANDSTILL - HEADWAY * SPEED).max())
-        if np.ptp(places[:, -1, 0]) >= STANDSTILL
-        else np.inf
-    )

@@ -37,6 +37,8 @@ OPEN = {
     "a part of it": "from os import environ",
     "a module below": "import os.path as path",
     "another package": "import torch",
+    "metrics beside a pattern": "from swarmd.patterns.flocking.metrics import parts",
+    "the same as a module": "from swarmd.patterns.flocking import metrics",
     "a sibling by its name": "import helper",
     "a relative import of a single file": "from .gains import TURN",
     "a file": "x = open('weights.txt').read()",

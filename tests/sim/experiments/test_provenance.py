@@ -43,6 +43,12 @@ def test_the_digest_follows_names_contents_and_links_of_what_runs_read(tmp_path:
     (tmp_path / "sim" / "experiments" / "pool.py").write_text("1")
     with_pool = digest_of_code(package)
     assert with_pool != first
+    for name in ("pattern.py", "metrics.py"):
+        (package / "patterns" / "gather").mkdir(parents=True, exist_ok=True)
+        (package / "patterns" / "gather" / name).write_text("1")
+    with_pattern = digest_of_code(package)
+    (package / "patterns" / "gather" / "metrics.py").write_text("2")  # a manifest names it
+    assert digest_of_code(package) == with_pattern != with_pool
     linked.write_text("2")
     second = digest_of_code(package)
     linked.rename(linked.with_name("b.py"))

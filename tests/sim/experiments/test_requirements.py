@@ -68,6 +68,9 @@ def verdict(
         ("runs >= 4", "met"),
         ("runs > 4", "not met"),
         ("minimum_gap < inf", "met"),
+        ("max(minimum_gap+minimum_gap) <= 20", "met"),
+        ("max(minimum_gap+minimum_gap) < 20", "not met"),
+        ("share(minimum_gap) >= 0", "not met"),  # it is no share
     ],
 )
 def test_the_interval_of_a_statistic_is_compared(text: str, expected: str) -> None:

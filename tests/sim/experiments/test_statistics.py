@@ -9,7 +9,6 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from studies.outcomes.outcome import ratio_interval
 from swarmd.core.values import Array
 from swarmd.sim.experiments import statistics
 from swarmd.sim.experiments.statistics import (
@@ -22,6 +21,7 @@ from swarmd.sim.experiments.statistics import (
     logrank_p,
     mean_interval,
     median_interval,
+    ratio_interval,
     restricted,
     summarize,
     summary_rows,
