@@ -338,7 +338,15 @@ def _gather(
                 store.fail(run_by_id[result.run], result.reason)
             else:
                 wall = None if result.stored else result.wall
-                store.add(run_by_id[result.run], result.metrics, wall, result.errors)
+                run = run_by_id[result.run]
+                store.add(
+                    run,
+                    result.metrics,
+                    wall,
+                    result.errors,
+                    bits=result.bits,
+                    rules=result.rules,
+                )
             if result.stored:
                 work.leave_out(result.run)
             else:
