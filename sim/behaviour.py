@@ -91,11 +91,11 @@ def rules_of(trace: Trace) -> tuple[str, ...]:
     """
     found: set[str] = set(trace.meta.get(RULES, ()))
     if trace.active is not None:
-        acting = trace.active.any(axis=0)
+        acting: list[bool] = np.asarray(trace.active.any(axis=0)).tolist()
         modes = trace.meta.get("modes", {})
         found |= {
             str(modes[platform])
-            for platform, is_acting in zip(trace.platforms, acting.tolist(), strict=True)
+            for platform, is_acting in zip(trace.platforms, acting, strict=True)
             if is_acting and platform in modes
         }
     if trace.reason is not None and trace.state is not None:

@@ -51,7 +51,8 @@ def rerun(
     """Repeat the experiment in `folder`; returns, by run id, how each finished run now differs.
 
     The text of a run is empty if the traces are equal bit by bit, or, without traces, if the
-    metrics and the hashes of what robots did are equal. Runs are repeated from the manifest alone, and nothing in `folder` changes.
+    metrics and the hashes of what robots did are equal. Runs are repeated from the manifest alone,
+    and nothing in `folder` changes.
 
     - `out`: the folder in which all runs are repeated. None: the finished runs are repeated in a
       temporary folder.

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from swarmd.sim.behaviour import RULES
 from swarmd.sim.trace import Trace
 
-
 _NOTES = ("made", RULES)
 
 

@@ -66,13 +66,32 @@ def commit_of(paths: Sequence[Path]) -> str:
     return head + ", with changes" * bool(_git("status", "--porcelain", "--", *map(str, paths)))
 
 
+def head() -> str:
+    """The whole hash of the commit of this checkout."""
+    return _git("rev-parse", "HEAD").strip()
+
+
 def changed_since(commit: str, paths: Sequence[Path]) -> list[str] | None:
-    """The names of these files that differ from a commit; None if git does not know it."""
+    """The names of these files that differ from a commit; None if git does not know it.
+
+    A change of comments and docstrings alone is none.
+    """
     known = commit.partition(",")[0]
     try:
-        return _git("diff", "--name-only", known, "--", *map(str, paths)).splitlines()
+        names = _git("diff", "--name-only", known, "--", *map(str, paths)).splitlines()
     except SwarmError:
         return None
+    return [name for name in names if _means_other(known, name)]
+
+
+def _means_other(commit: str, name: str) -> bool:
+    """Whether a file counts otherwise than in a commit."""
+    path = ROOT / name
+    try:
+        before = _git("show", f"{commit}:{name}").encode()
+        return not path.is_file() or _meaning_of(path.suffix, before) != _meaning(path)
+    except (SwarmError, SyntaxError, UnicodeDecodeError):  # it is new, or no text
+        return True
 
 
 def _git(*words: str) -> str:
@@ -88,9 +107,13 @@ def _git(*words: str) -> str:
 @cache
 def _meaning(path: Path) -> bytes:
     """The bytes by which a file counts."""
-    if path.suffix != ".py":
-        return path.read_bytes()
-    tree = ast.parse(path.read_bytes())
+    return _meaning_of(path.suffix, path.read_bytes())
+
+
+def _meaning_of(suffix: str, content: bytes) -> bytes:
+    if suffix != ".py":
+        return content
+    tree = ast.parse(content)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):
