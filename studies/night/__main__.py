@@ -84,6 +84,8 @@ def overview() -> list[str]:
 def _found_at(made: Made) -> str:
     if made.changed is not None:
         return f"changed at {made.changed.commit}"
+    if not made.is_same and made.runs_with:
+        return f"changed at {made.runs_with['commit']}"
     return _current_at(made)
 
 

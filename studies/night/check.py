@@ -49,6 +49,10 @@ _NO_FORMULAS = ("studies/keeper.py", "studies/kept.py", "studies/safety/plugins/
 _NAMED = 3  # files that a line names
 
 
+NOT_CHECKED = "Not checked since."
+"""The part of the page of a pattern whose table no check has looked at."""
+
+
 class State(Enum):
     """What is known of a table."""
 
@@ -88,7 +92,7 @@ def look_at(job: Job) -> Look:
         if found is not None and found.digest == digest:
             return Look(state, found.text)
     if not made.is_same:
-        return Look(State.CHANGED, "its kept runs give another table")
+        return Look(State.CHANGED, made.checked or "its kept runs are of another table")
     names = changed_since(made.of_runs["commit"], job.sources)
     if names is None:
         return Look(State.OPEN, "of a commit that git does not know", None)
@@ -181,8 +185,12 @@ def _differing(made: Made, draw: Sequence[KeptRun]) -> list[str]:
     return texts
 
 
-def done_again(checkout: Path, runs: Sequence[KeptRun]) -> list[dict[str, str]]:
+def done_again(
+    checkout: Path, runs: Sequence[KeptRun], processes: int | None = None
+) -> list[dict[str, str]]:
     """The bits of runs by the code of a checkout, or their errors, in their order.
+
+    `processes`: that simulate at a time; None: as many as there are cores.
 
     SwarmError if the program that does them fails.
     """
@@ -190,7 +198,7 @@ def done_again(checkout: Path, runs: Sequence[KeptRun]) -> list[dict[str, str]]:
     environment |= {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1", STORE: OFF}
     environment.pop(LIST, None)
     done = subprocess.run(
-        [sys.executable, "-P", str(PROGRAM), str(usable_cores())],
+        [sys.executable, "-P", str(PROGRAM), str(processes or usable_cores())],
         input="".join(f"{json.dumps(run.how)}\n" for run in runs),
         cwd=checkout,
         env={**environment, "PYTHONHASHSEED": os.environ.get("PYTHONHASHSEED", "0")},
@@ -206,8 +214,7 @@ def done_again(checkout: Path, runs: Sequence[KeptRun]) -> list[dict[str, str]]:
 def tell_pages(job: Job, made: Made) -> None:
     """Write below each table of a job where it was made, and where it is current or changed."""
     if isinstance(job, PatternJob):
-        found = made.current or made.changed
-        write_parts({f"check_{job.name}": "Not checked since." if found is None else found.text})
+        write_parts({f"check_{job.name}": made.checked or NOT_CHECKED})
         return
     for part in made.parts:
         write_origin(part, made.origin)

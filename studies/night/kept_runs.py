@@ -82,8 +82,16 @@ class Made(Struct, frozen=True, kw_only=True):
         made = "Made on {day} with commit {commit} by `{0}`.".format(
             self.command, **{"day": "?", "commit": "?", **self.made_with}
         )
+        return " ".join(filter(None, (made, self.checked)))
+
+    @property
+    def checked(self) -> str:
+        """What is known since the table was made, as a sentence; empty if nothing is."""
+        if not self.is_same and self.runs_with:
+            at = "{commit} ({day})".format_map(self.runs_with)
+            return f"Changed at {at}: its runs give another table."
         found = self.current or self.changed
-        return f"{made} {found.text}" if found is not None else made
+        return "" if found is None else found.text
 
     @property
     def of_runs(self) -> Mapping[str, str]:

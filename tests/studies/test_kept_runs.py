@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 
 from studies.night import check, kept_runs
 from studies.night.check import State, look_at
-from studies.night.jobs import JOBS, Job
+from studies.night.jobs import JOBS, PatternJob
 from studies.night.kept_runs import (
     RULE_FILES,
     Found,
@@ -30,6 +31,8 @@ from studies.night.sources import ROOT
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Reason
 from swarmd.sim import behaviour
+from swarmd.sim.experiments.pool import Job, JobResult, run_jobs
+from swarmd.sim.scenarios.scenariofile import load_scenario
 
 BITS = "0123456789ab"
 COMMIT = "5f" * 20
@@ -227,20 +230,26 @@ def test_a_gain_changes_the_runs_of_its_pattern_and_a_refactor_none(checkout: Pa
         for name in ("flocking", "dispersion")
         for seed in range(2)
     ]
-    before = check.done_again(ROOT, runs)
+    jobs = [
+        Job(str(number), load_scenario(str(run.scenario), run.set).effective, run.seed, None)
+        for number, run in enumerate(runs)
+    ]
+    with closing(run_jobs(jobs, 1)) as reports:
+        results = {one.run: one for one in reports if isinstance(one, JobResult)}
+    before = [{"bits": results[job.run].bits} for job in jobs]
     assert len({answer["bits"] for answer in before}) == 4
     gain = "_COMPRESSED_STIFFNESS = 2.0"
     replaced(checkout / "patterns/flocking/pattern.py", gain, "_COMPRESSED_STIFFNESS = 2.1")
     dispersion = checkout / "patterns/dispersion/pattern.py"
     replaced(dispersion, "_STOP_PUSH", "_PUSH_OF_REST")
     replaced(dispersion, "_PUSH_OF_REST = 0.12", "_PUSH_OF_REST = 0.12  # of a robot that moves")
-    after = check.done_again(checkout, runs)
+    after = check.done_again(checkout, runs, processes=1)
     is_same = [was == now for was, now in zip(before, after, strict=True)]
     assert is_same == [False, False, True, True]
 
 
 def test_each_pattern_page_has_the_part_of_its_check() -> None:
     for job in JOBS:
-        page = ROOT / "patterns" / job.name / "page.md"
-        if page.is_file() and isinstance(job, Job) and job.arguments[1] == "studies.outcomes":
+        if isinstance(job, PatternJob):
+            page = ROOT / "patterns" / job.name / "page.md"
             assert f"<!-- results: check_{job.name} -->" in page.read_text()
