@@ -42,10 +42,18 @@ from swarmd.sim.experiments.run_store import OFF
 from swarmd.sim.experiments.run_store import VARIABLE as STORE
 
 PROGRAM = Path(__file__).with_name("again.py")
-_FORMULAS = ("studies/", "benchmarks/", "tests/", "sim/metrics/", "sim/experiments/statistics.py")
+_FORMULAS = (
+    *("studies/", "benchmarks/", "tests/", "sim/metrics/", "sim/experiments/statistics.py"),
+    *("sim/experiments/outcomes.py", "sim/experiments/requirements.py"),
+)
+_FORMULAS_OF_PATTERNS = ("/metrics.py", "/outcomes.yaml")
 """The files that compute tables of runs, and that no run imports."""
-_NO_FORMULAS = ("studies/keeper.py", "studies/kept.py", "studies/safety/plugins/")
-"""Those of them that compute none."""
+_IN_BITS = (
+    *("studies/keeper.py", "studies/kept.py"),
+    *("studies/point_swarm.py", "tests/support/voting_sim.py"),
+    *("studies/safety/plugins/", "studies/stand.py"),
+)
+"""Those of them that a run executes, or that compute nothing: bits tell whether they matter."""
 _NAMED = 3  # files that a line names
 
 
@@ -107,7 +115,8 @@ def look_at(job: Job) -> Look:
 
 
 def _is_formula(name: str) -> bool:
-    return name.startswith(_FORMULAS) and not name.startswith(_NO_FORMULAS)
+    is_one = name.startswith(_FORMULAS) or name.endswith(_FORMULAS_OF_PATTERNS)
+    return is_one and not name.startswith(_IN_BITS)
 
 
 def _some(names: Sequence[str]) -> str:

@@ -188,7 +188,9 @@ def test_what_is_known_without_a_run(
         (["swarmd/robot/robot.py"], 0, State.NO_RUNS),
         (["studies/faults.py"], 1, State.OTHER_FORMULAS),
         (["sim/metrics/gap.py", "swarmd/robot/robot.py"], 1, State.OTHER_FORMULAS),
-        (["studies/keeper.py"], 1, State.OPEN),
+        (["patterns/drive/outcomes.yaml"], 1, State.OTHER_FORMULAS),
+        (["patterns/drive/pattern.py"], 1, State.OPEN),
+        (["studies/keeper.py", "studies/point_swarm.py"], 1, State.OPEN),
         (None, 1, State.OPEN),
     ],
 )
