@@ -202,6 +202,85 @@ def test_bits_say_nothing_of_formulas(
     assert look_at(Table(made())).state is state  # type: ignore[arg-type]  # has what is asked
 
 
+# A check
+
+
+class Checks:
+    """The runs of a check by hand.
+
+    - `asked`: the folder and the seeds of each call.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **other: str) -> None:
+        """`other`: the bits that a folder gives, by its name; the kept ones without."""
+        self.asked: list[tuple[str, list[int]]] = []
+        self.there = ""
+        self._other = other
+        monkeypatch.setattr(check, "changed_since", lambda commit, paths: ["swarmd/robot/x.py"])
+        monkeypatch.setattr(check, "head", lambda: COMMIT)
+        monkeypatch.setattr(check, "commit_of", lambda paths: COMMIT[:10])
+        monkeypatch.setattr(check, "software", dict)
+        monkeypatch.setattr(check, "other_machine", lambda there, here: self.there or None)
+        monkeypatch.setattr(check, "built", lambda commit: Path("/builds") / commit)
+        monkeypatch.setattr(check, "done_again", self._done)
+        monkeypatch.setattr(check, "tell_pages", lambda job, made: None)
+
+    def _done(self, folder: Path, runs: list[KeptRun]) -> list[dict[str, str]]:
+        name = "here" if folder == ROOT else folder.name
+        self.asked.append((name, [run.seed for run in runs]))
+        return [{"bits": self._other.get(name, run.bits)} for run in runs]
+
+
+def checked() -> State:
+    return check.check(Table(read_made("drive"))).state  # type: ignore[arg-type]  # has what is asked
+
+
+def test_a_draw_with_equal_bits_makes_a_table_current(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = [a_run(seed) for seed in range(20)]
+    write(made(), runs)
+    does = Checks(monkeypatch)
+    assert checked() is State.CHECKED
+    seeds = [run.seed for run in drawn("drive", runs, COMMIT, frozenset())]
+    assert does.asked == [("here", seeds)]
+    kept = read_made("drive")
+    assert kept is not None
+    assert kept.current is not None
+    assert (kept.current.commit, kept.current.digest) == (COMMIT[:10], "now")
+    assert (kept.current.drawn, kept.current.runs) == (3, 20)
+    assert kept.changed is None
+    assert checked() is State.CHECKED
+    assert len(does.asked) == 1  # these sources are known
+
+
+def test_other_bits_make_a_table_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    write(made(current=msgspec.structs.replace(AT, digest="then")), [a_run(0), a_run(1)])
+    Checks(monkeypatch, here="another")
+    assert checked() is State.CHANGED
+    kept = read_made("drive")
+    assert kept is not None
+    assert kept.current is None
+    assert kept.changed is not None
+    assert (kept.changed.differing, kept.changed.drawn, kept.changed.runs) == (2, 2, 2)
+    assert kept.origin.endswith("2 of 2 of 2 runs done again differ.")
+
+
+def test_on_other_libraries_both_sides_are_done_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    write(made(), [a_run(0)])
+    does = Checks(monkeypatch, here="of these", c0="of these")
+    does.there = "numpy: 2.4.6, here 2.5.0"
+    assert checked() is State.CHECKED
+    assert [name for name, _ in does.asked] == ["c0", "here"]
+    assert does.asked[0][1] == does.asked[1][1]
+
+
+def test_a_commit_with_changes_cannot_be_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = made(made_with={"digest": "then", "commit": "c0, with changes", "day": "2026-11-29"})
+    write(known, [a_run(0)])
+    Checks(monkeypatch).there = "numpy: 2.4.6, here 2.5.0"
+    with pytest.raises(SwarmError, match="ARGS=drive"):
+        checked()
+
+
 # A change of one gain
 
 
