@@ -96,11 +96,11 @@ def look_at(job: Job) -> Look:
     digest = job.digest
     if made.made_with.get("digest") == digest:
         return Look(State.SAME_SOURCES, "current")
+    if not made.is_same:
+        return Look(State.CHANGED, made.checked or "its kept runs are of another table")
     for found, state in ((made.current, State.CHECKED), (made.changed, State.CHANGED)):
         if found is not None and found.digest == digest:
             return Look(state, found.text)
-    if not made.is_same:
-        return Look(State.CHANGED, made.checked or "its kept runs are of another table")
     names = changed_since(made.of_runs["commit"], job.sources)
     if names is None:
         return Look(State.OPEN, "of a commit that git does not know", None)
@@ -140,7 +140,7 @@ def check(job: Job, *, is_again: bool = False) -> Look:
         tell_pages(job, made)
     if look.state is not State.OPEN and not (is_again and look.state in told):
         return look
-    if made is None or not runs:
+    if made is None or not made.is_same or not runs:
         return look
     digest = job.digest
     rules = rules_in(look.changed or ())

@@ -170,6 +170,7 @@ def made(digest: str = "then", **more: object) -> Made:
         (made(changed=AT), State.CHANGED),
         (made(changed=msgspec.structs.replace(AT, digest="then")), State.OPEN),
         (made(is_same=False), State.CHANGED),
+        (made(is_same=False, current=AT), State.CHANGED),
     ],
 )
 def test_what_is_known_without_a_run(
@@ -231,8 +232,8 @@ class Checks:
         return [{"bits": self._other.get(name, run.bits)} for run in runs]
 
 
-def checked() -> State:
-    return check.check(Table(read_made("drive"))).state  # type: ignore[arg-type]  # has what is asked
+def checked(*, is_again: bool = False) -> State:
+    return check.check(Table(read_made("drive")), is_again=is_again).state  # type: ignore[arg-type]  # has what is asked
 
 
 def test_a_draw_with_equal_bits_makes_a_table_current(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,6 +263,23 @@ def test_other_bits_make_a_table_changed(monkeypatch: pytest.MonkeyPatch) -> Non
     assert kept.changed is not None
     assert (kept.changed.differing, kept.changed.drawn, kept.changed.runs) == (2, 2, 2)
     assert kept.origin.endswith("2 of 2 of 2 runs done again differ.")
+
+
+def test_runs_of_another_table_make_none_current(monkeypatch: pytest.MonkeyPatch) -> None:
+    write(made(is_same=False), [a_run(0)])
+    does = Checks(monkeypatch)
+    assert checked() is State.CHANGED
+    assert checked(is_again=True) is State.CHANGED
+    assert does.asked == []
+
+
+def test_known_sources_are_checked_again_on_demand(monkeypatch: pytest.MonkeyPatch) -> None:
+    write(made("now"), [a_run(0)])
+    does = Checks(monkeypatch)
+    assert checked() is State.SAME_SOURCES
+    assert does.asked == []
+    assert checked(is_again=True) is State.CHECKED
+    assert does.asked == [("here", [0])]
 
 
 def test_on_other_libraries_both_sides_are_done_here(monkeypatch: pytest.MonkeyPatch) -> None:
