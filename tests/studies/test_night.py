@@ -474,7 +474,6 @@ def test_a_table_is_current_while_its_robots_drive_as_they_drove(with_runs: Path
 
 
 def test_runs_alone_are_kept_and_compared_with_the_table(with_runs: Path) -> None:
-    page = (with_runs / "docs/page.md").read_text()
     changed(with_runs, SHORT.replace("[4, 4]", "[4.0, 4.0]"))
     done = night(with_runs, "--runs")
     assert (done.returncode, done.stderr) == (0, "")
@@ -483,7 +482,7 @@ def test_runs_alone_are_kept_and_compared_with_the_table(with_runs: Path) -> Non
     assert "0 jobs to do" in night(with_runs, "--plan").stdout
     changed(with_runs, SHORT.replace("0.5", "0.6"))
     assert "ANOTHER table" in night(with_runs, "--runs").stdout
-    assert (with_runs / "docs/page.md").read_text() == page
+    assert "its runs give another table." in (with_runs / "docs/page.md").read_text()
     assert "1 jobs to do" in night(with_runs, "--plan").stdout
     assert night(with_runs, "--check").returncode == 1
 
