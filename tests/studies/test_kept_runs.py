@@ -347,8 +347,15 @@ def test_a_gain_changes_the_runs_of_its_pattern_and_a_refactor_none(checkout: Pa
     assert is_same == [False, False, True, True]
 
 
-def test_each_pattern_page_has_the_part_of_its_check() -> None:
-    for job in JOBS:
-        if isinstance(job, PatternJob):
-            page = ROOT / "patterns" / job.name / "page.md"
-            assert f"<!-- results: check_{job.name} -->" in page.read_text()
+@pytest.mark.parametrize(
+    "job", [job for job in JOBS if isinstance(job, PatternJob)], ids=lambda job: job.name
+)
+def test_the_page_of_a_pattern_says_what_checks_have_found(
+    job: PatternJob, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept_runs, "ROOT", ROOT)
+    about = job.made
+    assert about is not None
+    found = about.checked or check.NOT_CHECKED
+    part = f"<!-- results: check_{job.name} -->\n\n{found}\n\n<!-- end of results -->"
+    assert part in (ROOT / "patterns" / job.name / "page.md").read_text()
