@@ -50,7 +50,8 @@ class _New:
 
     job: Job
     key: str
-    metrics: Mapping[str, float | None]
+    result: JobResult
+    """With metrics."""
 
 
 class KnownRuns:
@@ -164,7 +165,13 @@ class KnownRuns:
         for known in found:
             if self._store.hand_out(known.entry, known.job.trace):
                 self.taken[known.entry.made] += 1
-                yield JobResult(known.job.run, known.entry.metrics, stored=known.entry.made)
+                yield JobResult(
+                    known.job.run,
+                    known.entry.metrics,
+                    stored=known.entry.made,
+                    bits=known.entry.bits,
+                    rules=known.entry.rules,
+                )
             else:
                 lost.append(known.job)
 
@@ -211,6 +218,8 @@ class KnownRuns:
         for name in dict.fromkeys((*then, *now)):
             if name not in now or name not in then or not _is_same(then[name], now[name]):
                 return f"{name} was {_shown(then, name)}, is {_shown(now, name)}"
+        if known.entry.bits and result.bits and known.entry.bits != result.bits:
+            return f"bits were {known.entry.bits}, are {result.bits}"
         if result.errors:
             name, why = next(iter(result.errors.items()))
             return f"{name}: {why}"
@@ -236,7 +245,14 @@ class KnownRuns:
             return
         made = self._today().isoformat()
         for one in results:
-            self._store.keep(one.key, one.metrics, one.job.trace, made)
+            self._store.keep(
+                one.key,
+                one.result.metrics or {},
+                one.job.trace,
+                made,
+                bits=one.result.bits,
+                rules=one.result.rules,
+            )
 
 
 class _Fresh:
@@ -260,7 +276,7 @@ class _Fresh:
         if result.metrics is None or result.errors or result.run not in self._jobs:
             return
         job, key = self._jobs[result.run]
-        self._results.append(_New(job, key, result.metrics))
+        self._results.append(_New(job, key, result))
         if self._clock() - self._kept_at >= _KEPT_EVERY:
             self.keep()
 

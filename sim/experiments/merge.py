@@ -61,7 +61,14 @@ def merge(
                 row, folder = finished_runs[run.id]
                 if (trace := store.trace_of(run)) is not None:  # the experiment keeps traces
                     _copy(trace_path(folder, run), trace)
-                store.add(run, row.metrics, row.wall, errors.get(run.id))
+                store.add(
+                    run,
+                    row.metrics,
+                    row.wall,
+                    errors.get(run.id),
+                    bits=row.bits,
+                    rules=row.rules,
+                )
             elif run.id in failures:
                 store.fail(run, failures[run.id])
         results = load_results(out, is_trusted=is_trusted)

@@ -45,6 +45,7 @@ from swarmd.core.processes import (
 )
 from swarmd.core.python_path import replaced_text
 from swarmd.pattern_host.sandbox import confine
+from swarmd.sim.behaviour import hash_of, rules_of
 from swarmd.sim.experiments.cores import core_share
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure, metric_of
@@ -125,6 +126,10 @@ class JobResult:
     stored: str = ""
     """The day on which the run was made, if it was taken from the store of runs; empty: it was done
     now."""
+    bits: str = ""
+    """The hash of what the robots did (`behaviour.hash_of`); empty if the run failed."""
+    rules: tuple[str, ...] = ()
+    """The rules of protection and steering that acted (`behaviour.rules_of`)."""
 
 
 _Functions: TypeAlias = Mapping[str, str]
@@ -160,6 +165,8 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         if job.metrics and on_progress is not None:
             on_progress(OWN_METRICS)  # from here on the time-out also limits custom metrics
         custom_metrics, errors = _custom_metrics(trace, job.metrics)
+        bits = hash_of(trace)
+        rules = rules_of(trace)
     except SwarmError as error:
         return JobResult(job.run, reason=one_line(str(error)))
     except Exception as error:
@@ -173,7 +180,14 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
             return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")
     errors.update((FAILED_PATTERNS, one_line(failure)) for failure in failures)
     wall = time.perf_counter() - start_time
-    return JobResult(job.run, {**metrics, **custom_metrics}, wall, errors=errors)
+    return JobResult(
+        job.run,
+        {**metrics, **custom_metrics},
+        wall,
+        errors=errors,
+        bits=bits,
+        rules=rules,
+    )
 
 
 def _custom_metrics(

@@ -51,7 +51,8 @@ def rerun(
     """Repeat the experiment in `folder`; returns, by run id, how each finished run now differs.
 
     The text of a run is empty if the traces are equal bit by bit, or, without traces, if the
-    metrics are equal. Runs are repeated from the manifest alone, and nothing in `folder` changes.
+    metrics and the hashes of what robots did are equal. Runs are repeated from the manifest alone,
+    and nothing in `folder` changes.
 
     - `out`: the folder in which all runs are repeated. None: the finished runs are repeated in a
       temporary folder.
@@ -113,8 +114,12 @@ def _difference(
     differing_metrics = ", ".join(name for name in both if old[name] != new[name])
     try:
         traces = before.traces[run], after.traces[run]
-    except SwarmError:  # not kept, removed or damaged: the metrics alone are compared
-        return f"metrics: {differing_metrics}" if differing_metrics else ""
+    except SwarmError:  # not kept, removed or damaged: metrics and the hash are compared
+        if differing_metrics:
+            return f"metrics: {differing_metrics}"
+        hashes = [str(row["bits"]) for row in (old, new)]
+        is_other = all(hashes) and hashes[0] != hashes[1]
+        return f"the bits of what robots did: {hashes[1]}, were {hashes[0]}" if is_other else ""
     if differing_fields := ", ".join(trace_differences(*traces)):
         return "; ".join(filter(None, (f"trace: {differing_fields}", first_difference(*traces))))
     return f"metrics of the same trace: {differing_metrics}" if differing_metrics else ""

@@ -33,6 +33,7 @@ from swarmd.sim.experiments.provenance import (
     digest_of_code,
     digest_of_kernels,
 )
+from swarmd.sim.experiments.run_list import VARIABLE as LIST_VARIABLE
 from swarmd.sim.experiments.run_store import SIZE_VARIABLE, VARIABLE
 from swarmd.sim.metrics.catalog import names_file
 
@@ -67,7 +68,7 @@ class RunKeys:
         self._made_with = dict(made_with)
         self._package = Path(swarmd.__file__).parent
         self._kernels = digest_of_kernels(self._package)
-        left_out = (VARIABLE, SIZE_VARIABLE)
+        left_out = (VARIABLE, SIZE_VARIABLE, LIST_VARIABLE)
         at_start = {k: v for k, v in variables_at_start().items() if k not in left_out}
         code_at_first(os.getpid(), self._package)
         self._software = _digest([FORMAT, self._made_with, self._kernels, at_start])

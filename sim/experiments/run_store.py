@@ -70,6 +70,8 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     metrics: dict[str, float | None]  # in the order of the columns
     trace: str = ""  # the SHA-256 of the trace; empty: none was kept
     size: int = 0  # bytes of the trace
+    bits: str = ""  # the hash of what the robots did
+    rules: tuple[str, ...] = ()  # of protection and steering that acted
 
 
 class _DamagedError(Exception):
@@ -129,11 +131,19 @@ class RunStore:
         return True
 
     def keep(
-        self, key: str, metrics: Mapping[str, float | None], trace: Path | None, made: str
+        self,
+        key: str,
+        metrics: Mapping[str, float | None],
+        trace: Path | None,
+        made: str,
+        *,
+        bits: str = "",
+        rules: tuple[str, ...] = (),
     ) -> None:
         """Keep a run; nothing is kept, without an error, where that is not possible.
 
-        `trace`: of the run; None: none was kept. `made`: the day of the run.
+        `trace`: of the run; None: none was kept. `made`: the day of the run. `bits`, `rules`: as of
+        JobResult.
         """
         partial: Path | None = None
         try:
@@ -148,7 +158,15 @@ class RunStore:
                 _copy(trace, copy)
                 digest = _digest_of(copy)
                 size = copy.stat().st_size
-            entry = Entry(key=key, made=made, metrics=dict(metrics), trace=digest, size=size)
+            entry = Entry(
+                key=key,
+                made=made,
+                metrics=dict(metrics),
+                trace=digest,
+                size=size,
+                bits=bits,
+                rules=rules,
+            )
             text = msgspec.json.encode(entry)
             if msgspec.json.decode(text, type=Entry) != entry:  # a value that JSON cannot hold
                 return

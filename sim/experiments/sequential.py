@@ -147,7 +147,10 @@ def run_until(
     def in_order(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
         job_by_run = {job.run: job for job in jobs}
         rows = read_table(folder, manifest.plan)[1]
-        arrived = {run: JobResult(run, row.metrics) for run, row in rows.items()}
+        arrived = {
+            run: JobResult(run, row.metrics, bits=row.bits, rules=row.rules)
+            for run, row in rows.items()
+        }
         waiting = deque(run.id for run in manifest.plan.runs)
         with closing(runner(jobs)) as reports:
             for report in chain([dict[str, float]()], reports):  # at first the rows alone

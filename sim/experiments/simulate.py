@@ -42,6 +42,7 @@ from swarmd.sim.experiments.pool import (
     run_jobs,
 )
 from swarmd.sim.experiments.results import CustomMetrics, Results, known_metrics
+from swarmd.sim.experiments.run_list import list_runs
 from swarmd.sim.experiments.store import Store, open_store
 from swarmd.sim.experiments.trust import remember_code
 from swarmd.sim.metrics.catalog import METRICS, Metric, beyond_catalog, metric_of
@@ -145,6 +146,8 @@ def simulate(
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
         results = run_experiment(manifest, folder, runner, on_progress=on_progress)
+        if not is_here:
+            list_runs(results, is_named=not isinstance(scenario, Scenario))
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -340,7 +343,15 @@ def _gather(
                 store.fail(run_by_id[result.run], result.reason)
             else:
                 wall = None if result.stored else result.wall
-                store.add(run_by_id[result.run], result.metrics, wall, result.errors)
+                run = run_by_id[result.run]
+                store.add(
+                    run,
+                    result.metrics,
+                    wall,
+                    result.errors,
+                    bits=result.bits,
+                    rules=result.rules,
+                )
             if result.stored:
                 work.leave_out(result.run)
             else:

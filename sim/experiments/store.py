@@ -40,6 +40,8 @@ TABLE = "runs.csv"
 _FORMULA_STARTS = tuple("=+-@\t\r\n")
 TRACES = "traces"
 FAILURES = "failures.json"
+_DID = ("bits", "rules")
+"""The columns of what the robots did, before the last; a table of an earlier version lacks them."""
 STORED = "stored"
 """In place of the duration of a run that was taken from the store of runs."""
 SUMMARY = "summary.json"
@@ -51,16 +53,20 @@ class Row:
     """A finished run: metrics by name, None without a value.
 
     `wall`: its duration in s; None if it was taken from the store of runs, and took no time here.
+    `bits`, `rules`: as of JobResult; empty in a folder of an earlier version.
     """
 
     run: Run
     metrics: Mapping[str, float | None]
     wall: float | None
+    bits: str = ""
+    rules: tuple[str, ...] = ()
 
     def plain(self) -> dict[str, Any]:
-        """As a dict: run, variant, swept values, seed, metrics and wall."""
+        """As a dict: run, variant, swept values, seed, metrics, bits, rules as text, and wall."""
         about = {"run": self.run.id, "variant": self.run.variant.name, **self.run.variant.values}
-        return {**about, "seed": self.run.seed, **self.metrics, "wall": self.wall}
+        did = {"bits": self.bits, "rules": " ".join(self.rules)}
+        return {**about, "seed": self.run.seed, **self.metrics, **did, "wall": self.wall}
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -70,12 +76,13 @@ class Row:
         swept = map(shown, variant.values.values())
         texts = map(cell, (self.run.id, variant.name, *swept))
         wall = STORED if self.wall is None else f"{self.wall:.3f}"
-        return (*texts, str(self.run.seed), *values, wall)
+        rules = " ".join(self.rules)
+        return (*texts, str(self.run.seed), *values, cell(self.bits), cell(rules), wall)
 
 
 def header(plan: Plan, metrics: Iterable[str]) -> tuple[str, ...]:
     """The columns of an experiment's table."""
-    return tuple(map(cell, ("run", "variant", *plan.sweep, "seed", *metrics, "wall")))
+    return tuple(map(cell, ("run", "variant", *plan.sweep, "seed", *metrics, *_DID, "wall")))
 
 
 def cell(text: str) -> str:
@@ -122,13 +129,18 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
     rows: dict[str, Row] = {}
     try:
         columns = tuple(next(reader, ()))
-        # The metrics stand between `seed` and `wall`, the last column.
-        first_metric = len(header(plan, ())) - 1
-        metrics = tuple(map(_text_of, columns[first_metric:-1]))
+        has_bits = columns[-3:-1] == _DID
+        if not has_bits:
+            columns = (*columns[:-1], *_DID, *columns[-1:])
+        # The metrics stand between `seed` and the last columns.
+        last = len(_DID) + 1
+        first_metric = len(header(plan, ())) - last
+        metrics = tuple(map(_text_of, columns[first_metric:-last]))
         if columns != header(plan, metrics) or len(set(columns)) < len(columns):
             raise ValueError(f"the columns are not those of its manifest: {','.join(columns)}")
         for cells in reader:
-            row = _row(cells, metrics, runs)
+            whole = cells if has_bits else [*cells[:-1], *[""] * len(_DID), *cells[-1:]]
+            row = _row(whole, metrics, runs)
             if row.run.id in rows:
                 raise ValueError(f"run {row.run.id} appears twice")
             rows[row.run.id] = row
@@ -143,12 +155,13 @@ def _row(cells: Sequence[str], metrics: Sequence[str], runs: Mapping[str, Run]) 
     name = cells[0] if cells else ""
     if name not in runs:
         raise ValueError(f"no run of its manifest: {name!r}")
-    texts = cells[len(cells) - len(metrics) - 1 :]
-    values = [float(text) if text else None for text in texts[:-1]]
-    wall = None if texts[-1] == STORED else float(texts[-1] or "nan")
+    *texts, bits, rules, duration = cells
+    values = [float(text) if text else None for text in texts[len(texts) - len(metrics) :]]
+    wall = None if duration == STORED else float(duration or "nan")
     if not all(v is None or math.isfinite(v) for v in (*values, wall)):
         raise ValueError("a number is missing or not finite")
-    row = Row(runs[name], dict(zip(metrics, values, strict=True)), wall)
+    measured = dict(zip(metrics, values, strict=True))
+    row = Row(runs[name], measured, wall, _text_of(bits), tuple(_text_of(rules).split()))
     if row.cells != tuple(cells):
         raise ValueError(f"it does not match run {name} of the manifest")
     return row
@@ -187,13 +200,19 @@ class Store:
         metrics: Mapping[str, float | None],
         wall: float | None,
         errors: Mapping[str, str] | None = None,
+        *,
+        bits: str = "",
+        rules: tuple[str, ...] = (),
     ) -> None:
-        """Append a finished run; SwarmError if it cannot be written. `wall`: as of Row."""
+        """Append a finished run; SwarmError if it cannot be written.
+
+        `wall`, `bits`, `rules`: as of Row.
+        """
         if errors:
             self.errors[run.id] = dict(errors)
             with translated_errors(self.folder):
                 self._write_failures()
-        row = Row(run, metrics, None if wall is None else round(wall, 3))
+        row = Row(run, metrics, None if wall is None else round(wall, 3), bits, rules)
         # "r+" raises an error if the table has been removed. A line that a full disk has torn is
         # cut off when the folder is opened again.
         with translated_errors(self.folder), (self.folder / TABLE).open("r+b") as file:
@@ -342,6 +361,9 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
     for partial in traces.glob(".*.partial"):
         partial.unlink()
     os.truncate(table, read_regular(table).rfind(b"\n") + 1)
+    head = lines([header(manifest.plan, metrics)])
+    if not read_regular(table).startswith(head.encode()):  # of an earlier version
+        write_whole(table, head + lines(row.cells for row in rows.values()))
     return Store(folder, manifest, rows)
 
 

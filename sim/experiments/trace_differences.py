@@ -9,17 +9,21 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.sim.behaviour import RULES
 from swarmd.sim.trace import Trace
+
+_NOTES = ("made", RULES)
 
 
 def trace_differences(a: Trace, b: Trace) -> list[str]:
     """The names of the fields that differ between two traces in at least one bit.
 
-    Where a trace was made (`made` of its meta) is no part of what it holds.
+    Where a trace was made, and which rules are noted beside it, is no part of what it holds: an
+    older trace has no such note.
     """
     names = [field.name for field in fields(Trace)]
     one, other = (
-        replace(trace, meta={k: v for k, v in trace.meta.items() if k != "made"})
+        replace(trace, meta={k: v for k, v in trace.meta.items() if k not in _NOTES})
         for trace in (a, b)
     )
     return [name for name in names if _bits(getattr(one, name)) != _bits(getattr(other, name))]

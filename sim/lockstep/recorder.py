@@ -12,6 +12,7 @@ from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
+from swarmd.sim.behaviour import RULES, rules_of_decision
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.trace import (
     NO_DECISION,
@@ -24,8 +25,9 @@ from swarmd.sim.trace import (
 from swarmd.sim.world.world import World
 
 _Reports = dict[tuple[str, str], list[tuple[int, int, float | str]]]
-Kept = tuple[NDArray[np.intp], dict[str, NDArray[Any]], _Reports]
-"""Records of the robots of one process: their rows, then arrays by column of _COLUMNS, and reports.
+Kept = tuple[NDArray[np.intp], dict[str, NDArray[Any]], _Reports, frozenset[str]]
+"""Records of the robots of one process: their rows, then arrays by column of _COLUMNS, reports, and
+the rules that no array tells (`rules_of_decision`).
 
 Reports by kind and name are entries (sample, row, value)."""
 
@@ -46,6 +48,7 @@ class LockstepRecorder:
         self._latest: list[tuple[Any, ...]] = []  # of `_values`, instant by instant
         self._blocks: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
         self._reports: _Reports = {}
+        self._rules: set[str] = set()
 
     def record_contacts(self, now: float) -> None:
         """Record the contacts of the step that ended at `now`."""
@@ -61,6 +64,8 @@ class LockstepRecorder:
                 self._note("report", report, row)
             if shell is not None and (readings := shell.robot.readings):
                 self._note("readings", readings, row)
+            if shell is not None:
+                self._rules.update(rules_of_decision(shell.robot.decision))
         self._samples += 1
         self._latest.extend(map(_values, shells))
         if len(self._latest) >= _BLOCK:
@@ -78,14 +83,16 @@ class LockstepRecorder:
         """The records of the robots `rows`, for `trace`."""
         self._end_block()
         columns = {name: np.concatenate(blocks)[:, rows] for name, blocks in self._blocks.items()}
-        return rows, columns, self._reports
+        return rows, columns, self._reports, frozenset(self._rules)
 
     def trace(self, meta: Mapping[str, Any], kept: Sequence[Kept]) -> Trace:
         """The trace of all samples; `kept`: the records of all processes, which cover all rows."""
         shape = (self._samples, len(self._world.ids))
         known: dict[str, Any] = {"report": {}, "words": {}, "readings": {}}
         reports: _Reports = {}
-        for own, columns, some in kept:
+        rules: set[str] = set()
+        for own, columns, some, acting in kept:
+            rules |= acting
             for name, values in columns.items():
                 if name not in known:
                     known[name] = np.empty(shape + values.shape[2:], values.dtype)
@@ -97,7 +104,8 @@ class LockstepRecorder:
             blank = np.full(shape, "", dtype=WORD) if kind == "words" else np.full(shape, np.nan)
             blank[list(samples), list(rows)] = items
             known[kind][name] = blank
-        return replace(self._builder.trace(**meta), **known)
+        about = {**meta, RULES: sorted(rules)}
+        return replace(self._builder.trace(**about), **known)
 
     def _note(self, kind: str, values: Mapping[str, Any], row: int) -> None:
         for name, value in values.items():

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
+from swarmd.sim.behaviour import hash_of
 from swarmd.sim.experiments.pool import worker_functions
 from swarmd.sim.experiments.provenance import made_with
 from swarmd.sim.trace import Trace
@@ -81,16 +80,9 @@ def drives_of(trace: Trace) -> dict[str, Drive]:
 
 
 def _drive(trace: Trace, row: int) -> Drive:
-    columns = [
-        values[:, row]
-        for values in (
-            *(trace.pose, trace.requested, trace.safe, trace.state, trace.reason),
-            *(trace.report[name] for name in sorted(trace.report)),
-            *(trace.words[name] for name in sorted(trace.words)),
-        )
-        if values is not None
-    ]
-    hashes = "".join(_hash(columns, instants) for instants in seconds_of(trace.t))
+    hashes = "".join(
+        hash_of(trace, _DIGITS, robot=row, instants=instants) for instants in seconds_of(trace.t)
+    )
     last = [round(value, _PLACES) + 0.0 for value in trace.pose[-1, row].tolist()]
     x, y, yaw = (None if np.isnan(value) else value for value in last)
     return Drive(hashes, (x, y, yaw))
@@ -100,13 +92,6 @@ def seconds_of(t: Array) -> list[NDArray[np.intp]]:
     """The instants of each second: those in (k, k + 1] s are second k; instant 0 is in second 0."""
     number = np.maximum(np.ceil(t - 1e-6).astype(int) - 1, 0)
     return [np.flatnonzero(number == second) for second in range(int(number[-1]) + 1)]
-
-
-def _hash(columns: Sequence[NDArray[Any]], instants: NDArray[np.intp]) -> str:
-    digest = hashlib.sha256()
-    for column in columns:
-        digest.update(np.ascontiguousarray(column[instants]).tobytes())
-    return digest.hexdigest()[:_DIGITS]
 
 
 def differences(kept: Scenes, now: Scenes) -> Iterator[tuple[str, str, str]]:

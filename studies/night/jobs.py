@@ -7,39 +7,21 @@ import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from msgspec import Struct
 
-from studies.night.pages import parts_of, write_parts
+from studies.night.kept_runs import KeptRun, Made, file_of, read_made, write
+from studies.night.pages import parts_of, table_on_page, write_parts
 from studies.night.sources import ROOT, digest_of, sources_of
 from studies.outcomes.outcome import STUDIES, patterns_with_rows, roots_of
+from studies.outcomes.outcome import Kept as KeptOutcomes
 from swarmd.core.errors import SwarmError
-from swarmd.core.files import write_whole
 from swarmd.sim.experiments.run_store import run_store
 
 STORED_RUNS = "stored_runs"
 """The key of `Made.made_with` with the number of runs that were taken from the store of runs, and
 took none of its CPU-minutes; absent without one."""
-
-
-class Made(Struct, frozen=True, kw_only=True):
-    """The results of a job in a JSON file.
-
-    `made_with`: the software and the machine, and the keys `day`, `commit`, `digest` of the sources
-    and `cpu_minutes`. `parts`: the lines of each part of a page, by its name; a pattern's file has
-    the values of its runs in their place.
-    """
-
-    command: str = ""
-    made_with: dict[str, str]
-    parts: dict[str, list[str]] = {}
-
-    def text(self, part: str) -> str:
-        """A part of a page: its lines, and how it was made."""
-        origin = f"Made on {{day}} with commit {{commit}} by `{self.command}`."
-        return "\n".join([*self.parts[part], "", origin.format_map(self.made_with)])
 
 
 def stored_runs(begin: float, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
@@ -55,7 +37,7 @@ def stored_runs(begin: float, environ: Mapping[str, str] = os.environ) -> dict[s
 class Job(Struct, frozen=True):
     """A program that prints tables in Markdown.
 
-    name: of the file of results, `folder/name.json`, and of the part of a page that the program
+    name: of the file of its kept runs (`kept_runs.py`), and of the part of a page that the program
     prints, unless it prints several. arguments: of Python. minutes: the CPU-minutes that it may
     take, before it has been measured. modules: what decides the results beside the program itself.
     has_verdict: the program ends with 1 if its tables are whole and bad. takes_executor: its runs
@@ -63,7 +45,6 @@ class Job(Struct, frozen=True):
     """
 
     name: str
-    folder: str
     arguments: tuple[str, ...]
     minutes: float
     modules: tuple[str, ...] = ()
@@ -83,12 +64,22 @@ class Job(Struct, frozen=True):
     @property
     def file(self) -> Path:
         """The file of results."""
-        return ROOT / self.folder / f"{self.name}.json"
+        return file_of(self.name)
 
     @property
     def written(self) -> tuple[Path, ...]:
         """The files of results that the program itself writes."""
         return ()
+
+    @property
+    def without_table(self) -> tuple[str, ...]:
+        """The arguments with which the program prints its table, and writes none itself."""
+        return self.arguments
+
+    def gives_table(self, output: str) -> bool:
+        """Whether what the program printed is the table that stands on the pages."""
+        parts = parts_of(output, self.name)
+        return bool(parts) and all(table_on_page(part) == parts[part] for part in parts)
 
     @property
     def sources(self) -> list[Path]:
@@ -102,20 +93,18 @@ class Job(Struct, frozen=True):
 
     @property
     def made(self) -> Made | None:
-        """The kept results; None without a file. SwarmError if it is no such file."""
-        if not self.file.exists():
-            return None
-        # The module json reads numbers that are not finite, too.
-        try:
-            return msgspec.convert(json.loads(self.file.read_bytes()), Made)
-        except ValueError as error:
-            text = f"{self.file}: {error}; take it from git, or remove it"
-            raise SwarmError(text) from error
+        """What the table was made with; None if no night has made it. SwarmError for a bad file."""
+        return read_made(self.name)
 
     @property
     def is_kept(self) -> bool:
-        """Whether the kept results are of these sources."""
-        return self.made is not None and self.made.made_with.get("digest") == self.digest
+        """Whether the table is current: of these sources, or found so by a check of these."""
+        made = self.made
+        if made is None:
+            return False
+        digest = self.digest
+        checked = made.current.digest if made.current is not None else ""
+        return digest in (made.made_with.get("digest"), checked)
 
     @property
     def estimate(self) -> float:
@@ -132,11 +121,44 @@ class PatternJob(Job, frozen=True):
 
     @property
     def file(self) -> Path:
-        return ROOT / self.folder / "outcome.json"
+        return ROOT / "patterns" / self.name / "outcome.json"
 
     @property
     def written(self) -> tuple[Path, ...]:
         return self.file, self.file.with_name("page.md")
+
+    @property
+    def without_table(self) -> tuple[str, ...]:
+        return tuple(word for word in self.arguments if word != "--keep")
+
+    def gives_table(self, output: str) -> bool:
+        kept = msgspec.convert(json.loads(self.file.read_bytes()), KeptOutcomes)
+        rows = [f"| {' | '.join((self.name, *one.cells))} |" for one in kept.outcomes]
+        return output.strip().splitlines()[2:] == rows
+
+    def keep_runs_of_table(self, runs: Sequence[KeptRun]) -> None:
+        """Write the runs of the table that the program has just written."""
+        table = msgspec.convert(json.loads(self.file.read_bytes()), Made)
+        made = Made(table=self.name, command=self.command, made_with=table.made_with)
+        write(made, runs)
+
+    @property
+    def made(self) -> Made | None:
+        """Of the pattern's file, with what checks have found since the runs of this table."""
+        if not self.file.exists():
+            return None
+        try:
+            table = msgspec.convert(json.loads(self.file.read_bytes()), Made)
+        except ValueError as error:
+            text = f"{self.file}: {error}; take it from git, or remove it"
+            raise SwarmError(text) from error
+        kept = read_made(self.name) or Made()
+        if kept.table and any(
+            kept.made_with.get(key) != table.made_with.get(key) for key in ("commit", "digest")
+        ):
+            kept = Made(is_same=False)  # the table was made by hand since
+        made = {"table": self.name, "command": self.command, "made_with": table.made_with}
+        return msgspec.structs.replace(kept, **made)
 
 
 _LONG = {
@@ -152,12 +174,11 @@ _LONG = {
 def _outcomes(name: str) -> Job:
     arguments = ("-m", "studies.outcomes", name, "--keep")
     minutes = _LONG.get(name, 3.0)
-    return PatternJob(name, f"patterns/{name}", arguments, minutes, roots_of(name))
+    return PatternJob(name, arguments, minutes, roots_of(name))
 
 
 def _study(
     name: str,
-    folder: str,
     minutes: float,
     *words: str,
     module: str = "",
@@ -167,7 +188,6 @@ def _study(
     arguments = ("-m", f"studies.{module or name}", *words)
     return Job(
         name,
-        folder,
         arguments,
         minutes,
         has_verdict=has_verdict,
@@ -176,7 +196,7 @@ def _study(
 
 
 JOBS: Sequence[Job] = (
-    _study("robot_hours", "docs/evidence", 150.0),
+    _study("robot_hours", 150.0),
     *(
         _outcomes(name)
         for name in sorted(
@@ -184,18 +204,17 @@ JOBS: Sequence[Job] = (
             | {*patterns_with_rows()}
         )
     ),
-    _study("paper", "docs", 43.0, takes_executor=True),
-    _study("paper_exp2", "docs", 2.0, takes_executor=True),
-    _study("robot_hours_walls_stand", "docs/evidence", 20.0, "--walls-stand", module="robot_hours"),
-    _study("learning", "docs", 6.0),
-    _study("missions", "docs", 14.0, takes_executor=True),
-    _study("tuning", "docs", 10.0, takes_executor=True),
-    _study("benchmark_suite", "docs", 85.0, takes_executor=True),
-    _study("voting", "docs", 60.0),
-    _study("faults", "docs/evidence", 60.0),
+    _study("paper", 43.0, takes_executor=True),
+    _study("paper_exp2", 2.0, takes_executor=True),
+    _study("robot_hours_walls_stand", 20.0, "--walls-stand", module="robot_hours"),
+    _study("learning", 6.0),
+    _study("missions", 14.0, takes_executor=True),
+    _study("tuning", 10.0, takes_executor=True),
+    _study("benchmark_suite", 85.0, takes_executor=True),
+    _study("voting", 60.0),
+    _study("faults", 60.0),
     _study(
         "progress",
-        "docs/evidence",
         10.0,
         "progress",
         "--seeds",
@@ -204,10 +223,9 @@ JOBS: Sequence[Job] = (
         "120",
         module="safety",
     ),
-    _study("fence", "docs/evidence", 10.0, module="safety.fence", has_verdict=True),
+    _study("fence", 10.0, module="safety.fence", has_verdict=True),
     _study(
         "encounters",
-        "docs/evidence",
         30.0,
         "encounters",
         "--modes",
@@ -220,7 +238,6 @@ JOBS: Sequence[Job] = (
     ),
     _study(
         "beside",
-        "docs/evidence",
         12.0,
         "beside",
         "--keep",
@@ -229,12 +246,11 @@ JOBS: Sequence[Job] = (
         "docs/evidence/beside_before.jsonl",
         module="safety",
     ),
-    _study("held", "docs/evidence", 3.0, "held", module="safety"),
-    _study("tracks", "docs/evidence", 5.0, "tracks", "--seeds", "20", module="safety"),
-    _study("processors", "docs/evidence", 10.0, "variants", has_verdict=True),
+    _study("held", 3.0, "held", module="safety"),
+    _study("tracks", 5.0, "tracks", "--seeds", "20", module="safety"),
+    _study("processors", 10.0, "variants", has_verdict=True),
     Job(
         "mutants",
-        "docs/evidence",
         ("-m", "studies.mutants"),
         60.0,
         (
@@ -247,11 +263,10 @@ JOBS: Sequence[Job] = (
         ),
         has_verdict=True,
     ),
-    _study("ros_faults", "docs", 6.0, module="ros"),
-    Job("executors", "docs", ("-m", "benchmarks.executors"), 20.0),
+    _study("ros_faults", 6.0, module="ros"),
+    Job("executors", ("-m", "benchmarks.executors"), 20.0),
     Job(
         "rivals",
-        "benchmarks",
         ("-m", "benchmarks.rivals"),
         20.0,
         (
@@ -283,13 +298,14 @@ def share(jobs: Iterable[Job], number: int, count: int) -> list[Job]:
     return [job for job in some if job in chosen]
 
 
-def keep(job: Job, output: str, made_with: dict[str, Any]) -> list[str]:
-    """Write the parts that a job printed into pages, then into its file.
+def keep(job: Job, output: str, made_with: Mapping[str, str], runs: Sequence[KeptRun]) -> list[str]:
+    """Write the parts that a job printed into pages, then its runs into their file.
 
-    The file is the last, so that after a kill it never has parts that the pages lack. Returns the
-    names of the parts that no page has.
+    The file is the last, so that after a kill it never names a table that the pages lack. Returns
+    the names of the parts that no page has.
     """
-    made = Made(command=job.command, made_with=made_with, parts=parts_of(output, job.name))
-    missing = write_parts({part: made.text(part) for part in made.parts})
-    write_whole(job.file, msgspec.json.format(msgspec.json.encode(made), indent=1) + b"\n")
+    parts = parts_of(output, job.name)
+    made = Made(table=job.name, command=job.command, made_with=dict(made_with), parts=tuple(parts))
+    missing = write_parts({part: "\n".join([*parts[part], "", made.origin]) for part in parts})
+    write(made, runs)
     return missing

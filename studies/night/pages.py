@@ -38,6 +38,32 @@ def parts_of(output: str, name: str) -> dict[str, list[str]]:
     return {part: text.strip().splitlines() for part, text in found.items() if text.strip()}
 
 
+def table_on_page(name: str) -> list[str]:
+    """The lines of a part without its last one, which says where it was made; none without it."""
+    for path in pages():
+        for found in PART.finditer(path.read_text()):
+            if found[2] == name:
+                return _table_of(found).splitlines()
+    return []
+
+
+def _table_of(found: re.Match[str]) -> str:
+    text = found[0].removeprefix(found[1]).removesuffix(found[3]).strip()
+    return text.rpartition("\n")[0].strip()
+
+
+def write_origin(name: str, origin: str) -> None:
+    """Write the last line of a part of all pages: where its table was made, and is current."""
+    for path in pages():
+        before = path.read_text()
+        after = before
+        for found in PART.finditer(before):
+            if found[2] == name:
+                after = with_part(after, name, f"{_table_of(found)}\n\n{origin}")
+        if after != before:
+            write_whole(path, after.encode())
+
+
 def write_parts(texts: dict[str, str]) -> list[str]:
     """Write these parts into all pages that have them; the names that no page has."""
     missing = set(texts)

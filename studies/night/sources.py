@@ -32,7 +32,7 @@ _SHORT = 10
 
 def forget() -> None:
     """Read the files again, which may have changed since."""
-    for known in (_meaning, _next, _named):
+    for known in (_meaning, _meaning_of, _next, _named, _modules_before):
         known.cache_clear()
 
 
@@ -66,13 +66,53 @@ def commit_of(paths: Sequence[Path]) -> str:
     return head + ", with changes" * bool(_git("status", "--porcelain", "--", *map(str, paths)))
 
 
+def head() -> str:
+    """The whole hash of the commit of this checkout."""
+    return _git("rev-parse", "HEAD").strip()
+
+
 def changed_since(commit: str, paths: Sequence[Path]) -> list[str] | None:
-    """The names of these files that differ from a commit; None if git does not know it."""
+    """The names of these files that differ from a commit; None if git does not know it.
+
+    A change of comments and docstrings alone is none.
+    """
     known = commit.partition(",")[0]
     try:
-        return _git("diff", "--name-only", known, "--", *map(str, paths)).splitlines()
+        names = _git("diff", "--name-only", known, "--", *map(str, paths)).splitlines()
     except SwarmError:
         return None
+    before = _modules_before(known)
+    return [name for name in names if name not in before or _means_other(name, before[name])]
+
+
+def _means_other(name: str, before: bytes) -> bool:
+    """Whether a module counts otherwise than it did."""
+    path = ROOT / name
+    try:
+        return not path.is_file() or _meaning_of(path.suffix, before) != _meaning(path)
+    except SyntaxError:
+        return True
+
+
+@cache
+def _modules_before(commit: str) -> dict[str, bytes]:
+    """The contents in a commit of the Python files that have changed since, by name."""
+    names = _git("diff", "--name-only", "--diff-filter=MD", commit, "--", "*.py").splitlines()
+    done = subprocess.run(
+        ["git", "cat-file", "--batch"],
+        cwd=ROOT,
+        input="".join(f"{commit}:{name}\n" for name in names).encode(),
+        capture_output=True,
+        check=True,
+    )
+    found = {}
+    rest = done.stdout
+    for name in names:
+        about, _, rest = rest.partition(b"\n")  # the hash, the kind and the size
+        size = int(about.split()[-1])
+        found[name] = rest[:size]
+        rest = rest[size + 1 :]
+    return found
 
 
 def _git(*words: str) -> str:
@@ -88,9 +128,14 @@ def _git(*words: str) -> str:
 @cache
 def _meaning(path: Path) -> bytes:
     """The bytes by which a file counts."""
-    if path.suffix != ".py":
-        return path.read_bytes()
-    tree = ast.parse(path.read_bytes())
+    return _meaning_of(path.suffix, path.read_bytes())
+
+
+@cache
+def _meaning_of(suffix: str, content: bytes) -> bytes:
+    if suffix != ".py":
+        return content
+    tree = ast.parse(content)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):

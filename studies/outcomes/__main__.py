@@ -35,6 +35,7 @@ from studies.outcomes.outcome import (
 from studies.outcomes.still import control_of
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.core.pin import restart_pinned
+from swarmd.sim.experiments.run_list import unlisted
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for outcome in outcomes:
             print(f"| {' | '.join((name, *outcome.cells))} |", flush=True)
         if options.keep:
-            more = short_outcomes(name), control_of(name)
+            with unlisted():  # the table has neither of them
+                more = short_outcomes(name), control_of(name)
             minutes = (sum(os.times()[:4]) - begin) / 60.0
             stored = stored_runs(begun)
             keep(name, seeds, outcomes, *more, cpu_minutes=minutes, stored_runs=stored)

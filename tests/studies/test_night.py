@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
 from studies.night import pages, sources
-from studies.night.jobs import JOBS, STORED_RUNS, Job, Made, PatternJob, share, stored_runs
+from studies.night.jobs import JOBS, STORED_RUNS, Job, PatternJob, share, stored_runs
+from studies.night.kept_runs import FOLDER, Made
 from studies.night.sources import ROOT, digest_of, sources_of
 from swarmd.sim.experiments.run_store import OFF, VARIABLE, RunStore
 from tests.support.processes import wait_until
@@ -50,7 +52,7 @@ def git(folder: Path, *words: str) -> None:
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
     """A checkout with the night, and with the job `beta` alone."""
-    for folder in ("studies/night", "studies/outcomes"):
+    for folder in ("studies/night", "studies/outcomes", "studies/behaviour"):
         shutil.copytree(ROOT / folder, tmp_path / folder)
     (tmp_path / "benchmarks").mkdir()
     for name in ("studies/__init__.py", "benchmarks/table.py", "benchmarks/__init__.py"):
@@ -59,7 +61,7 @@ def checkout(tmp_path: Path) -> Path:
     (tmp_path / "studies/beta.py").write_text(BETA)
     (tmp_path / "studies/gamma.py").write_text("VALUE = 1\n")
     with (tmp_path / "studies/night/jobs.py").open("a") as file:
-        file.write('\nJOBS = (Job("beta", "docs", ("-m", "studies.beta"), 1.0),)\n')
+        file.write('\nJOBS = (Job("beta", ("-m", "studies.beta"), 1.0),)\n')
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs/page.md").write_text(PAGE)
     git(tmp_path, "init", "-q")
@@ -78,6 +80,16 @@ def executor_on(address):
 """
 
 
+def made_in(folder: Path, table: str = "beta") -> dict[str, Any]:
+    """What the file of a table says of it."""
+    made: dict[str, Any] = msgspec.json.decode(file_in(folder, table).read_bytes().splitlines()[0])
+    return made
+
+
+def file_in(folder: Path, table: str = "beta") -> Path:
+    return folder / FOLDER / f"{table}.jsonl"
+
+
 def night(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "studies.night", *words]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -86,8 +98,8 @@ def night(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 def test_a_night_runs_what_has_changed_and_writes_files_and_pages(checkout: Path) -> None:
     assert night(checkout).returncode == 0
     head = subprocess.check_output(["git", "rev-parse", "HEAD"], cwd=checkout, text=True)[:10]
-    made = msgspec.json.decode((checkout / "docs/beta.json").read_bytes())
-    assert made["parts"] == {"beta_left": ["| a |", "|---|", "| 1 |"], "beta_right": ["right"]}
+    made = made_in(checkout)
+    assert made["parts"] == ["beta_left", "beta_right"]
     assert made["made_with"]["commit"] == head
     page = (checkout / "docs/page.md").read_text()
     assert page.startswith(
@@ -110,16 +122,16 @@ def test_a_night_runs_what_has_changed_and_writes_files_and_pages(checkout: Path
     assert "studies/gamma.py, changed" in shown
     assert "studies/beta.py\n" in shown
     assert night(checkout).returncode == 0
-    made = msgspec.json.decode((checkout / "docs/beta.json").read_bytes())
-    assert made["parts"]["beta_left"][-1] == "| 2 |"
+    made = made_in(checkout)
+    assert "| 2 |" in (checkout / "docs/page.md").read_text()
     assert made["made_with"]["commit"] == f"{head}, with changes"
     assert "1 jobs to do" in night(checkout, "--plan", "--all").stdout
 
 
 def test_a_plan_needs_no_git_and_no_history_and_results_do(checkout: Path) -> None:
     assert night(checkout).returncode == 0
-    file = checkout / "docs/beta.json"
-    made = msgspec.json.decode(file.read_bytes())
+    file = file_in(checkout)
+    made = made_in(checkout)
     made["made_with"] |= {"commit": "0123456789", "digest": "of others"}
     file.write_bytes(msgspec.json.encode(made))
     assert "git does not know" in night(checkout, "--plan", "beta").stdout
@@ -132,31 +144,30 @@ def test_a_plan_needs_no_git_and_no_history_and_results_do(checkout: Path) -> No
     file.write_bytes(file.read_bytes()[:40])
     refused = night(checkout, "--plan")
     assert refused.returncode == 1
-    assert "docs/beta.json" in refused.stderr
+    assert "beta.jsonl:1:" in refused.stderr
     assert len(refused.stderr.splitlines()) == 1
 
 
 def test_a_bad_verdict_is_kept_and_what_is_not_whole_is_not(checkout: Path) -> None:
     (checkout / "fail").touch()
     with (checkout / "studies/night/jobs.py").open("a") as file:
-        file.write('JOBS = (Job("beta", "docs", ("-m", "studies.beta"), 1.0, (), True),)\n')
+        file.write('JOBS = (Job("beta", ("-m", "studies.beta"), 1.0, (), True),)\n')
     done = night(checkout)
     assert done.returncode == 1
     assert "beta: its table has a fault" in done.stderr
     assert (checkout / "docs/page.md").read_text().count("\nright\n") == 1
-    (checkout / "docs/beta.json").unlink()
+    file_in(checkout).unlink()
     (checkout / "studies/beta.py").write_text("")
     assert "beta failed" in night(checkout).stderr
-    assert not (checkout / "docs/beta.json").exists()
+    assert not file_in(checkout).exists()
     (checkout / "studies/beta.py").write_text('print("no page has it")')
     assert night(checkout).returncode == 1
 
 
 def test_pages_have_the_parts_before_the_file_exists(checkout: Path) -> None:
-    # Without its folder the file cannot be written.
-    with (checkout / "studies/night/jobs.py").open("a") as file:
-        file.write('JOBS = (Job("beta", "none", ("-m", "studies.beta"), 1.0),)\n')
-    assert f"{checkout}/none" in night(checkout).stderr
+    (checkout / FOLDER).parent.mkdir()
+    (checkout / FOLDER).write_text("no folder")
+    assert f"{checkout}/{FOLDER}" in night(checkout).stderr
     assert "\nright\n" in (checkout / "docs/page.md").read_text()
 
 
@@ -188,11 +199,11 @@ def test_a_job_that_fails_or_is_killed_keeps_nothing_and_runs_again(checkout: Pa
         assert second.returncode == 1
         assert "another night" in second.stderr
         os.killpg(running.pid, signal.SIGKILL)
-    assert not (checkout / "docs/beta.json").exists()
+    assert not file_in(checkout).exists()
     assert (checkout / "docs/page.md").read_text() == PAGE
     (checkout / "wait").unlink()
     assert night(checkout).returncode == 0
-    assert (checkout / "docs/beta.json").exists()
+    assert file_in(checkout).exists()
 
 
 def test_a_job_whose_sources_change_meanwhile_keeps_nothing(checkout: Path) -> None:
@@ -210,7 +221,7 @@ def test_a_job_whose_sources_change_meanwhile_keeps_nothing(checkout: Path) -> N
         _, told = running.communicate()
     assert running.returncode == 1
     assert "changed while it ran" in told
-    assert not (checkout / "docs/beta.json").exists()
+    assert not file_in(checkout).exists()
 
 
 @pytest.mark.parametrize(
@@ -315,10 +326,7 @@ def test_a_digest_follows_code_and_not_its_comments(
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
 def test_shards_have_each_job_once_and_like_loads(count: int) -> None:
-    jobs = [
-        Job(f"j{n}", "nowhere", ("-m", "x"), minutes)
-        for n, minutes in enumerate([9, 1, 4, 4, 2, 2, 8])
-    ]
+    jobs = [Job(f"j{n}", ("-m", "x"), minutes) for n, minutes in enumerate([9, 1, 4, 4, 2, 2, 8])]
     shards = [share(jobs, number, count) for number in range(1, count + 1)]
     assert sorted(job.name for shard in shards for job in shard) == [job.name for job in jobs]
     loads = [sum(job.minutes for job in shard) for shard in shards]
@@ -335,7 +343,7 @@ class Measured(Job, frozen=True):
 
 def test_shards_stay_the_same_once_jobs_are_measured() -> None:
     shards = [
-        [job.name for job in share([kind(f"j{n}", "", (), float(n)) for n in range(7)], 1, 2)]
+        [job.name for job in share([kind(f"j{n}", (), float(n)) for n in range(7)], 1, 2)]
         for kind in (Job, Measured)
     ]
     assert shards[0] == shards[1]
@@ -352,8 +360,8 @@ class Cheap(Job, frozen=True):
 
 
 def test_minutes_without_runs_that_were_stored_are_no_estimate() -> None:
-    assert Cheap("a", "", (), 3.0).estimate == 0.5
-    assert Cheap("a", "", (), 3.0, has_verdict=True).estimate == 3.0
+    assert Cheap("a", (), 3.0).estimate == 0.5
+    assert Cheap("a", (), 3.0, has_verdict=True).estimate == 3.0
 
 
 def test_stored_runs_are_counted(tmp_path: Path) -> None:
@@ -378,7 +386,7 @@ def test_each_kept_part_stands_on_a_page_as_its_file_says() -> None:
     for job in JOBS:
         if job.made is not None and not isinstance(job, PatternJob):
             for name in job.made.parts:
-                assert job.made.text(name) in written[name], "`python -m studies.night` writes it"
+                assert job.made.origin in written[name], "`python -m studies.night` writes it"
 
 
 def test_a_cluster_does_the_runs_of_jobs_that_take_an_executor(checkout: Path) -> None:
@@ -389,7 +397,7 @@ def test_a_cluster_does_the_runs_of_jobs_that_take_an_executor(checkout: Path) -
         .read_text()
         .replace(
             "1.0),)\n",
-            '1.0), Job("delta", "docs", ("-m", "studies.beta"), 1.0, takes_executor=True))\n',
+            '1.0), Job("delta", ("-m", "studies.beta"), 1.0, takes_executor=True))\n',
         )
     )
     (checkout / "studies/night/jobs.py").write_text(jobs)
@@ -403,9 +411,93 @@ def test_a_cluster_does_the_runs_of_jobs_that_take_an_executor(checkout: Path) -
     told = done.stdout.splitlines()
     assert "asked for tcp://127.0.0.1:8786" in told
     assert [line.partition(":")[0] for line in told if "runs here" in line] == ["beta"]
-    made = {
-        name: msgspec.json.decode((checkout / f"docs/{name}.json").read_bytes())["parts"]
-        for name in ("beta", "delta")
-    }
-    assert made["beta"] == {"beta": ["[]"]}
-    assert made["delta"] == {"delta": ["['--on', 'tcp://127.0.0.1:8786']"]}
+    shown = page.read_text().partition("<!-- results: delta -->")
+    assert "\n[]\n" in shown[0]
+    assert "\n['--on', 'tcp://127.0.0.1:8786']\n" in shown[2]
+
+
+SHORT = """
+duration: 0.5
+arena: {size: [4, 4]}
+groups: {tb3: {platform: burger, count: 2, pattern: drive}}
+"""
+LISTS = """
+import swarmd
+found = swarmd.simulate("config/scenarios/short.yaml", 5, set={"start.spacing": 1.0})
+print("<!-- results: beta_left -->", found.metric("path_length").mean(), sep="\\n")
+"""
+
+
+@pytest.fixture
+def with_runs(checkout: Path) -> Path:
+    """A checkout whose job has made its table by five runs of a scenario of its own."""
+    (checkout / "config/scenarios").mkdir(parents=True)
+    (checkout / "config/scenarios/short.yaml").write_text(SHORT)
+    (checkout / "studies/beta.py").write_text(LISTS)
+    git(checkout, "add", ".")
+    git(checkout, "commit", "-q", "-m", "two")
+    done = night(checkout)
+    assert done.returncode == 0, done.stderr
+    return checkout
+
+
+def changed(folder: Path, text: str) -> None:
+    (folder / "config/scenarios/short.yaml").write_text(text)
+    git(folder, "commit", "-q", "-a", "-m", "three")
+
+
+def test_a_table_is_current_while_its_robots_drive_as_they_drove(with_runs: Path) -> None:
+    file = file_in(with_runs)
+    kept = [msgspec.json.decode(line) for line in file.read_bytes().splitlines()[1:]]
+    assert [run["seed"] for run in kept] == [0, 1, 2, 3, 4]
+    assert {run["scenario"] for run in kept} == {"config/scenarios/short.yaml"}
+    assert all(len(run["bits"]) == 12 for run in kept)
+    assert night(with_runs, "--check").stdout.startswith("beta: current, of the same sources")
+
+    # Another file that gives the same runs.
+    changed(with_runs, SHORT.replace("[4, 4]", "[4.0, 4.0]"))
+    assert "1 jobs to do" in night(with_runs, "--plan").stdout
+    done = night(with_runs, "--check")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "3 of 5 runs done again, with equal bits" in done.stdout
+    assert "with equal bits" in (with_runs / "docs/page.md").read_text()
+    assert "0 jobs to do" in night(with_runs, "--plan").stdout
+    assert night(with_runs).stdout == ""
+
+    changed(with_runs, SHORT.replace("0.5", "0.6"))
+    done = night(with_runs, "--check")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "3 of 3 of 5 runs done again differ" in done.stdout
+    assert "differ." in (with_runs / "docs/page.md").read_text()
+    assert "1 jobs to do" in night(with_runs, "--plan").stdout
+
+    changed(with_runs, SHORT)
+    done = night(with_runs, "--check")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "differ." not in (with_runs / "docs/page.md").read_text()
+
+
+def test_runs_alone_are_kept_and_compared_with_the_table(with_runs: Path) -> None:
+    changed(with_runs, SHORT.replace("[4, 4]", "[4.0, 4.0]"))
+    done = night(with_runs, "--runs")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "5 runs are kept, which give the table of the page" in done.stdout
+    assert "5 of 5 runs done again, with equal bits" in (with_runs / "docs/page.md").read_text()
+    assert "0 jobs to do" in night(with_runs, "--plan").stdout
+    changed(with_runs, SHORT.replace("0.5", "0.6"))
+    assert "ANOTHER table" in night(with_runs, "--runs").stdout
+    assert "its runs give another table." in (with_runs / "docs/page.md").read_text()
+    assert "1 jobs to do" in night(with_runs, "--plan").stdout
+    assert night(with_runs, "--check").returncode == 1
+
+
+def test_a_table_whose_formulas_have_changed_is_to_be_made_again(with_runs: Path) -> None:
+    program = with_runs / "studies/beta.py"
+    program.write_text("# A comment.\n" + program.read_text())
+    assert "0 jobs to do" in night(with_runs, "--plan").stdout
+    program.write_text(program.read_text().replace(".mean()", ".min()"))
+    done = night(with_runs, "--check")
+    assert done.returncode == 0
+    assert "beta: its formulas have changed" in done.stdout
+    assert "studies/beta.py" in done.stdout
+    assert "1 jobs to do" in night(with_runs, "--plan").stdout

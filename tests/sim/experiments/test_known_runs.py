@@ -359,6 +359,25 @@ def test_a_row_says_stored_where_its_time_stands(store: RunStore, tmp_path: Path
     assert "2 runs" in str(results)
 
 
+def test_a_stored_run_keeps_its_bits_and_rules(store: RunStore, tmp_path: Path) -> None:
+    did = replace(USUAL, run="s0000", bits="0123456789ab", rules=("barrier", "opening"))
+    run_experiment(experiment(1), tmp_path / "a", known_in(store).runner(Does(s0000=did)))
+    run_experiment(experiment(1), tmp_path / "b", known_in(store).runner(Does()))
+    rows = [load_results(tmp_path / name).rows[0] for name in "ab"]
+    assert [row["bits"] for row in rows] == ["0123456789ab"] * 2
+    assert [row["rules"] for row in rows] == ["barrier opening"] * 2
+    assert [row["wall"] for row in rows] == [1.5, None]
+
+
+def test_a_run_done_again_with_other_bits_is_an_error(store: RunStore, tmp_path: Path) -> None:
+    did = replace(USUAL, run="s0000", bits="0123456789ab")
+    run_experiment(experiment(1), tmp_path / "a", known_in(store).runner(Does(s0000=did)))
+    other = Does(s0000=replace(did, bits="ba9876543210"))
+    known = KnownRuns(store, MADE, chance=lambda: 0.0)
+    with pytest.raises(SwarmError, match="0123456789ab"):
+        run_experiment(experiment(1), tmp_path / "b", known.runner(other))
+
+
 def test_an_experiment_of_stored_runs_claims_no_time(store: RunStore, tmp_path: Path) -> None:
     run_experiment(experiment(2), tmp_path / "a", known_in(store).runner(Does()))
     run_experiment(experiment(2), tmp_path / "b", known_in(store).runner(Does()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,22 @@ def test_goes_on_after_a_torn_line_and_a_partial_trace(folder: Path, manifest: M
         assert names(folder / "traces") == []
         store.add(store.missing[0], VALUES, 0.25)
         assert list(read_table(folder, store.plan)[1]) == ["s0000", "s0001"]
+
+
+def test_a_table_of_an_earlier_version_goes_on_with_the_columns_of_today(
+    folder: Path, manifest: Manifest
+) -> None:
+    with open_store(folder, manifest, METRICS) as store:
+        store.add(store.missing[0], VALUES, 0.25)
+    table = folder / "runs.csv"
+    table.write_text("run,variant,seed,gap,time,wall\ns0000,,0,0.5,,0.250\n")
+    with open_store(folder, manifest, METRICS) as store:
+        store.add(store.missing[0], VALUES, 0.25, bits="0123456789ab", rules=("contact",))
+    assert table.read_text().splitlines() == [
+        "run,variant,seed,gap,time,bits,rules,wall",
+        "s0000,,0,0.5,,,,0.250",
+        "s0001,,1,0.5,,0123456789ab,contact,0.250",
+    ]
 
 
 def test_begins_where_a_manifest_or_a_table_was_never_finished(
@@ -212,6 +229,22 @@ def test_rows_are_read_bit_by_bit_in_the_order_of_the_plan(tmp_path: Path) -> No
     assert str(found[third.run.id].metrics["time"]) == "-0.0"
 
 
+def test_a_row_has_the_bits_of_its_run_and_the_rules_that_acted(tmp_path: Path) -> None:
+    one = replace(row(1, 1.0, 2.0), bits="0123456789ab", rules=("barrier", "recovery"))
+    path = written(tmp_path, one)
+    assert path.read_text().endswith(",1.0,2.0,0123456789ab,barrier recovery,0.125\n")
+    assert list(read_table(tmp_path, PLAN)[1].values()) == [one]
+
+
+def test_a_table_of_an_earlier_version_is_read(tmp_path: Path) -> None:
+    first = row(0, 1.0, 2.0)
+    path = written(tmp_path, first)
+    old = path.read_text().replace(",bits,rules,", ",").replace(",2.0,,,", ",2.0,")
+    assert old.splitlines()[0] == "run,variant,x.law,seed,gap,time,wall"
+    path.write_text(old)
+    assert read_table(tmp_path, PLAN) == (METRICS, {first.run.id: first})
+
+
 @pytest.mark.parametrize(
     ("text", "safe"),
     [
@@ -248,10 +281,11 @@ def test_a_table_with_formulas_has_them_as_text_and_is_read_again(tmp_path: Path
 
 
 def test_a_row_names_run_variant_values_and_seed(tmp_path: Path) -> None:
-    assert header(PLAN, METRICS) == ("run", "variant", "x.law", "seed", "gap", "time", "wall")
+    columns = ("run", "variant", "x.law", "seed", "gap", "time", "bits", "rules", "wall")
+    assert header(PLAN, METRICS) == columns
     assert row(3, 1.0, 2.0).plain() == {
         "run": "law=1.5_s0002", "variant": "law=1.5", "x.law": 1.5, "seed": 2,
-        "gap": 1.0, "time": 2.0, "wall": 0.125,
+        "gap": 1.0, "time": 2.0, "bits": "", "rules": "", "wall": 0.125,
     }  # fmt: skip
 
 
