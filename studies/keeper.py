@@ -25,7 +25,7 @@ runs of `simulate` use. Without a trace the bits are a digest of the found value
 has no bits, since it never repeats.
 
 A process with the variable VARIABLE does a job whose runs are listed: for each record that a call
-gives, known or new, the file of that name gets a line
+gives, known or new, the file of that name gets a line (two calls may give one record)
 
     {"run": "studies.faults:perform", "task": ..., "bits": "0123456789ab", "rules": [...]}
 
@@ -35,6 +35,7 @@ listed.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import importlib
 import json
@@ -56,7 +57,7 @@ import numpy as np
 
 from studies.night.sources import digest_of
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.files import lock_file
+from swarmd.core.files import lock_file, read_regular
 from swarmd.core.pin import functions_here
 from swarmd.core.processes import die_with_parent
 from swarmd.sim.experiments.provenance import deciding, git_state, made_with
@@ -92,18 +93,18 @@ class Record(Generic[T, R]):
 
     task: T
     found: R
-    bits: str
-    """BITS hexadecimal digits of how it went; empty: it never repeats."""
-    rules: tuple[str, ...]
-    """The rules of protection and steering that fired, sorted."""
-    cpu: float
+    cpu: float = 0.0
     """The processor time in s."""
-    code: str
-    """The digest of the sources and of the software."""
-    day: str
+    day: str = ""
     """When it was made, such as 2026-11-30."""
-    commit: str
+    commit: str = ""
     """The checkout's, with `(changed)` if tracked files differed from it."""
+    code: str = ""
+    """The digest of the sources and of the software."""
+    bits: str = ""
+    """BITS hexadecimal digits of how it went; empty: it never repeats."""
+    rules: tuple[str, ...] = ()
+    """The rules of protection and steering that fired, sorted."""
 
     def __str__(self) -> str:
         return f"{_text(self.task)}: {self.cpu:.1f} s"
@@ -202,6 +203,20 @@ def each(perform: Callable[[Any], Any], tasks: Iterable[Any], jobs: int = 1) -> 
     return [results[number].traced.found for number in range(len(results))]
 
 
+@contextmanager
+def nothing_kept() -> Iterator[None]:
+    """While it is open, `each` keeps, reads and lists nothing.
+
+    For a process whose code is not that of its sources, and for runs that are not those of its job.
+    """
+    file = os.environ.pop(VARIABLE, None)
+    try:
+        yield
+    finally:
+        if file is not None:
+            os.environ[VARIABLE] = file
+
+
 def traced(found: R, trace: Trace) -> Traced[R]:
     """What was found in a trace, with the bits and the rules of the trace."""
     return Traced(found, bits_of(trace), rules_of(trace))
@@ -291,16 +306,9 @@ class _File:
 
         A last line without its end is left out: it is being written, or power was cut meanwhile.
         """
-        try:
-            content = self._path.read_bytes()
-        except FileNotFoundError:
-            return {}
-        except OSError as error:
-            text = f"{self._path}: {error.strerror}; expected a file with the records of runs"
-            raise ConfigError(text) from error
         found = {}
         odd = 0
-        for written in content.split(b"\n")[:-1]:
+        for written in self._content().split(b"\n")[:-1]:
             try:
                 line = msgspec.convert(json.loads(written), _Line)
                 if line.code == self._code:
@@ -321,7 +329,7 @@ class _File:
         """
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            out = self._path.open("ab")
+            out = self._path.open("ab", buffering=0)
         except OSError as error:
             raise SwarmError(f"{self._path}: {error.strerror}") from error
         with out:
@@ -331,13 +339,14 @@ class _File:
                 raise ConfigError(
                     f"{self._path}: another process does runs of this file; wait for its end"
                 ) from error
-            out.truncate(self._path.read_bytes().rfind(b"\n") + 1)
+            out.truncate(self._content().rfind(b"\n") + 1)
 
             def append(task: Any, result: _Result) -> Record[Any, Any]:
                 line = self._line(task, result)
+                text = json.dumps(msgspec.to_builtins(line)).encode() + b"\n"
                 try:
-                    out.write(json.dumps(msgspec.to_builtins(line)).encode() + b"\n")
-                    out.flush()
+                    if out.write(text) < len(text):
+                        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 except OSError as error:
                     raise SwarmError(
                         f"{self._path}: {error.strerror}; finished runs are kept: give the same"
@@ -346,6 +355,15 @@ class _File:
                 return self._record(line)
 
             yield append
+
+    def _content(self) -> bytes:
+        try:
+            return read_regular(self._path, sys.maxsize)
+        except FileNotFoundError:
+            return b""
+        except OSError as error:
+            text = f"{self._path}: {error.strerror}; expected a file with the records of runs"
+            raise ConfigError(text) from error
 
     def _line(self, task: Any, result: _Result) -> _Line:
         found = _plain(result.traced.found)
@@ -376,7 +394,7 @@ class _File:
 def _kinds_of(perform: Callable[[Any], Any]) -> _Kinds:
     hints = get_type_hints(perform)
     found = hints.pop("return")
-    (task,) = hints.values()
+    task = next(iter(hints.values()))
     is_traced = get_origin(found) is Traced
     return _Kinds(task, get_args(found)[0] if is_traced else found)
 

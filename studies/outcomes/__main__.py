@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
+from studies.keeper import nothing_kept
 from studies.night.jobs import stored_runs
 from studies.outcomes.catalog import MODULES, short_outcomes
 from studies.outcomes.outcome import (
@@ -68,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for outcome in outcomes:
             print(f"| {' | '.join((name, *outcome.cells))} |", flush=True)
         if options.keep:
-            more = short_outcomes(name), control_of(name)
+            with nothing_kept():  # these are no runs of the table
+                more = short_outcomes(name), control_of(name)
             minutes = (sum(os.times()[:4]) - begin) / 60.0
             stored = stored_runs(begun)
             keep(name, seeds, outcomes, *more, cpu_minutes=minutes, stored_runs=stored)

@@ -13,6 +13,7 @@ from unittest.mock import patch
 from warnings import catch_warnings, simplefilter
 
 from studies import point_swarm
+from studies.keeper import nothing_kept
 from studies.outcomes.catalog import MODULES
 from studies.outcomes.outcome import Outcome
 from swarmd.core.values import Array, Twist
@@ -75,6 +76,7 @@ def still_robots(pattern: str) -> Iterator[Motion]:
         return 0.0, 0.0
 
     with (
+        nothing_kept(),
         patch.object(lockstep, "world_of", still_world),
         # A worker has the world of other robots: this process does the runs.
         patch("swarmd.sim.experiments.simulate.has_workers", lambda: False),

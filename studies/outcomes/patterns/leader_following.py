@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most, no_contacts
-from studies.point_swarm import PointSwarm, Track, each
+from studies.point_swarm import PointSwarm, Track
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
 

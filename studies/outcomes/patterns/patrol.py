@@ -9,8 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of, no_contacts
-from studies.point_swarm import CLEAR, PointSwarm, each
+from studies.point_swarm import CLEAR, PointSwarm
 from swarmd.core.values import Array, Value
 from swarmd.sim.experiments.simulate import simulate
 from tests.support.voting_sim import Air
