@@ -60,6 +60,7 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import lock_file, read_regular
 from swarmd.core.pin import functions_here
 from swarmd.core.processes import die_with_parent
+from swarmd.sim.behaviour import RUN_DIGITS, hash_of, rules_of
 from swarmd.sim.experiments.provenance import deciding, git_state, made_with
 from swarmd.sim.trace import Trace
 
@@ -68,8 +69,6 @@ R = TypeVar("R")
 
 VARIABLE = "SWARMD_STUDY_RUNS"
 """The variable with the file that lists the runs of this process."""
-BITS = 12
-"""Hexadecimal digits of the bits of a run."""
 _DIGITS_OF_CODE = 12
 _NOT_DECIDING = frozenset({"swarmd", "code"})
 """What `made_with` names beside libraries and functions: the sources have a digest of their own."""
@@ -102,7 +101,7 @@ class Record(Generic[T, R]):
     code: str = ""
     """The digest of the sources and of the software."""
     bits: str = ""
-    """BITS hexadecimal digits of how it went; empty: it never repeats."""
+    """RUN_DIGITS hexadecimal digits of how it went; empty: it never repeats."""
     rules: tuple[str, ...] = ()
     """The rules of protection and steering that fired, sorted."""
 
@@ -219,7 +218,7 @@ def nothing_kept() -> Iterator[None]:
 
 def traced(found: R, trace: Trace) -> Traced[R]:
     """What was found in a trace, with the bits and the rules of the trace."""
-    return Traced(found, bits_of(trace), rules_of(trace))
+    return Traced(found, hash_of(trace), rules_of(trace))
 
 
 def again(run: str, task: Any) -> Traced[Any]:
@@ -454,27 +453,13 @@ def _list_runs(perform: Callable[[Any], Any], found: Sequence[Record[Any, Any]])
         out.write("".join(f"{json.dumps(line)}\n" for line in lines))
 
 
-def bits_of(trace: Trace) -> str:
-    """The bits of a run, from its poses, commands, states and reasons."""
-    digest = hashlib.sha256()
-    for column in (trace.pose, trace.requested, trace.safe, trace.state, trace.reason):
-        if column is not None:
-            digest.update(np.ascontiguousarray(column).tobytes())
-    return digest.hexdigest()[:BITS]
-
-
-def rules_of(trace: Trace) -> tuple[str, ...]:
-    """The reasons of decisions in a trace, sorted."""
-    return () if trace.reason is None else tuple(sorted({*trace.reason.ravel().tolist()} - {""}))
-
-
 def _text(value: Any) -> str:
     """A value as text, by which the records of a task are found."""
     return json.dumps(_plain(value))
 
 
 def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:BITS]
+    return hashlib.sha256(text.encode()).hexdigest()[:RUN_DIGITS]
 
 
 def _plain(value: Any) -> Any:

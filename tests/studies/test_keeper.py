@@ -226,13 +226,16 @@ def test_experiments_of_other_sources_have_another_folder(monkeypatch: pytest.Mo
 def test_runs_of_a_job_are_listed_by_which_they_are_done_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def local(task: Task) -> float:
+        return 1.0
+
     listed = tmp_path / "listed.jsonl"
     monkeypatch.setenv(VARIABLE, str(listed))
     records(double, tasks(4), tmp_path / "a", code="a")
     records(double, tasks(4), tmp_path / "a", code="a")  # known, and so listed too
     records(driven, tasks(5), tmp_path / "b", code="a")
     records(of_real_time, tasks(6), tmp_path / "c", code="a")
-    records(lambda_like(), tasks(7), tmp_path / "d", code="a")
+    records(local, tasks(7), tmp_path / "d", code="a")
     found = lines(listed)
     assert [line["run"] for line in found] == [
         f"{HERE}:{n}" for n in ("double", "double", "driven")
@@ -247,13 +250,6 @@ def test_runs_of_a_job_are_listed_by_which_they_are_done_again(
     assert (once_more.found, once_more.bits) == (8.0, found[0]["bits"])
     assert len(once_more.bits) == 12
     assert again(str(found[0]["run"]), {"number": 3}).bits != once_more.bits
-
-
-def lambda_like() -> object:
-    def local(task: Task) -> float:
-        return 1.0
-
-    return local
 
 
 @pytest.mark.parametrize(

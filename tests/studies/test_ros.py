@@ -104,6 +104,6 @@ def test_the_answer_of_the_robot_is_one_phrase(printed: str, answer: str) -> Non
 
 def test_the_summary_counts_what_was_noticed_and_who_was_held() -> None:
     first, second = chosen()
-    text = summary([row(first), row(second, noticed=math.inf, others="r2: held")], "[1, 2]", 3)
+    text = summary([row(first), row(second, noticed=math.inf, others="r2: held")], (1, 2), 3)
     assert text.startswith("2 faults, 1 noticed, 0 with")
     assert "r2: held" in text.replace("\n", " ")
