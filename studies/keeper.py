@@ -55,7 +55,7 @@ from typing import Any, Generic, TypeVar, get_args, get_origin, get_type_hints, 
 import msgspec
 import numpy as np
 
-from studies.night.sources import digest_of
+from studies.night.sources import digest_of, sources_of
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import lock_file, read_regular
 from swarmd.core.pin import functions_here
@@ -70,6 +70,7 @@ R = TypeVar("R")
 VARIABLE = "SWARMD_STUDY_RUNS"
 """The variable with the file that lists the runs of this process."""
 _DIGITS_OF_CODE = 12
+_EVERY = 1.0  # s between two lines of progress
 _NOT_DECIDING = frozenset({"swarmd", "code"})
 """What `made_with` names beside libraries and functions: the sources have a digest of their own."""
 
@@ -127,7 +128,7 @@ def records(
     file: Path | None = ...,
     *,
     jobs: int = ...,
-    told: Callable[[Record[T, R]], str] = ...,
+    told: Callable[[Record[T, R]], str] | None = ...,
     code: str | None = ...,
 ) -> list[Record[T, R]]: ...
 
@@ -139,7 +140,7 @@ def records(
     file: Path | None = ...,
     *,
     jobs: int = ...,
-    told: Callable[[Record[T, R]], str] = ...,
+    told: Callable[[Record[T, R]], str] | None = ...,
     code: str | None = ...,
 ) -> list[Record[T, R]]: ...
 
@@ -150,14 +151,15 @@ def records(
     file: Path | None = None,
     *,
     jobs: int = 1,
-    told: Callable[[Record[Any, Any]], str] = str,
+    told: Callable[[Record[Any, Any]], str] | None = None,
     code: str | None = None,
 ) -> list[Record[Any, Any]]:
     """The records of all tasks, in their order; what `file` has is not done again.
 
     `perform`: a function of a module, with annotations, which runs in one of `jobs` processes. With
     one job it runs in this process, and may be a local function. `file`: None for `records_file`.
-    `told`: the line of progress of a record. `code`: None for `code_of(perform)`.
+    `told`: the line of progress of each record on the standard error; None: a line every second.
+    `code`: None for `code_of(perform)`.
 
     An error of a run ends the call; finished runs are kept. ConfigError if the file cannot be read
     or another process writes it, SwarmError if it cannot be written or a worker is killed.
@@ -171,12 +173,11 @@ def records(
             known = kept.read()  # another process may have written until now
             missing = {key: task for key, task in wanted.items() if key not in known}
             keys = [*missing]
+            progress = _Progress(len(wanted), len(wanted) - len(missing), told)
             for number, result in _done(perform, [*missing.values()], jobs):
                 key = keys[number]
                 known[key] = append(missing[key], result)
-                count = len(wanted.keys() & known.keys())
-                line = told(replace(known[key], task=missing[key]))
-                print(f"{count}/{len(wanted)} {line}", file=sys.stderr, flush=True)
+                progress.add(replace(known[key], task=missing[key]))
     found = [replace(known[_text(task)], task=task) for task in all_tasks]
     _list_runs(perform, found)
     return found
@@ -230,18 +231,22 @@ def again(run: str, task: Any) -> Traced[Any]:
     module, _, name = run.partition(":")
     try:
         perform = getattr(importlib.import_module(module), name)
-        kinds = _kinds_of(perform)
-        result = _perform(perform, msgspec.convert(task, kinds.task, dec_hook=_decoded))
+        typed = msgspec.convert(task, _kinds_of(perform).task, dec_hook=_decoded)
     except (ImportError, AttributeError, msgspec.ValidationError) as error:
         raise SwarmError(
             f"run {run} of task {json.dumps(task)} is of other code: {error}"
         ) from error
-    return result.traced
+    return _perform(perform, typed).traced
 
 
 def code_of(perform: Callable[..., Any]) -> str:
-    """The digest of all that decides what a function finds, beside its task."""
+    """The digest of all that decides what a function finds, beside its task.
+
+    SwarmError if the function is of no module of this project, such as of a script.
+    """
     module = name_of(perform).partition(":")[0]
+    if not sources_of([module]):
+        raise SwarmError(f"{module} has no known sources; start it as `python -m MODULE`")
     made = deciding(made_with(functions_here()))
     software = {name: text for name, text in made.items() if name not in _NOT_DECIDING}
     text = json.dumps([digest_of([module]), software], sort_keys=True)
@@ -275,6 +280,29 @@ class _Result:
 
     traced: Traced[Any]
     cpu: float
+
+
+class _Progress:
+    """Tells how many of all records there are, in lines on the standard error."""
+
+    def __init__(
+        self, total: int, known: int, told: Callable[[Record[Any, Any]], str] | None
+    ) -> None:
+        self._total = total
+        self._count = known
+        self._told = told
+        self._last = time.monotonic()
+
+    def add(self, record: Record[Any, Any]) -> None:
+        """Count a record."""
+        self._count += 1
+        now = time.monotonic()
+        is_due = now >= self._last + _EVERY or self._count == self._total
+        if self._told is None and not is_due:
+            return
+        self._last = now
+        text = str(record) if self._told is None else self._told(record)
+        print(f"{self._count}/{self._total} {text}", file=sys.stderr, flush=True)
 
 
 class _Line(msgspec.Struct, frozen=True, kw_only=True):

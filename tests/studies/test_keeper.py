@@ -213,6 +213,8 @@ def test_the_code_of_a_function_is_that_of_its_module_and_its_software(
     monkeypatch.setattr(keeper, "functions_here", lambda: {"libm": "other"})
     other = keeper.code_of(double)
     assert other != code
+    with pytest.raises(SwarmError, match="json has no known sources"):
+        keeper.code_of(json.dumps)
     monkeypatch.setattr(keeper, "digest_of", lambda modules: "2")
     assert keeper.code_of(double) not in (code, other)
 
@@ -282,7 +284,7 @@ def test_each_keeps_runs_in_a_job_alone(tmp_path: Path, monkeypatch: pytest.Monk
     assert os.environ[VARIABLE] == str(tmp_path / "listed")
 
 
-def test_progress_is_a_line_for_each_run(
+def test_progress_that_a_study_words_is_a_line_for_each_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def told(record: Record[Task, float]) -> str:
@@ -291,6 +293,15 @@ def test_progress_is_a_line_for_each_run(
     records(double, tasks(1), tmp_path / "runs", code="a")
     records(double, tasks(1, 2, 3), tmp_path / "runs", code="a", told=told)
     assert capsys.readouterr().err.splitlines()[1:] == ["2/3 2 gave 4.0", "3/3 3 gave 6.0"]
+
+
+def test_the_last_of_many_runs_has_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    records(double, tasks(*range(50)), tmp_path / "runs", code="a")
+    lines_told = capsys.readouterr().err.splitlines()
+    assert len(lines_told) < 50
+    assert lines_told[-1].startswith('50/50 {"number": 49')
 
 
 SLOW = """
@@ -314,7 +325,7 @@ def perform(number: int) -> int:
 
 if __name__ == "__main__":
     jobs = int(sys.argv[1])
-    found = records(perform, range(8), FOLDER / "runs.jsonl", jobs=jobs, code="a")
+    found = records(perform, range(8), FOLDER / "runs.jsonl", jobs=jobs, code="a", told=str)
     print([one.found for one in found])
 """
 
