@@ -177,11 +177,14 @@ def test_two_writers_of_one_file_do_no_run_twice(tmp_path: Path) -> None:
     assert not done
 
 
-def test_a_file_that_cannot_grow_is_told_in_one_line_and_keeps_its_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("beyond", [0, 10])
+def test_a_file_that_cannot_grow_is_told_in_one_line_and_keeps_its_runs(
+    tmp_path: Path, beyond: int
+) -> None:
     file = tmp_path / "runs.jsonl"
     records(double, tasks(1), file, code="a")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size + beyond, before[1]))
     try:
         with pytest.raises(SwarmError, match=r"runs\.jsonl: .*finished runs are kept"):
             records(double, tasks(1, 2), file, code="a")
@@ -345,8 +348,10 @@ def test_a_killed_study_goes_on_without_a_run_twice(tmp_path: Path, jobs: str) -
         for _ in range(3):  # runs 0 to 2 are written; a run from 3 on does not end
             first.stderr.readline()
         first.send_signal(signal.SIGKILL)
-        first.stderr.read()  # its workers have ended, too: nobody holds the pipe
-    (tmp_path / "goes_on").touch()
+        try:
+            first.communicate(timeout=60.0)  # its workers have ended, too: nobody holds the pipe
+        finally:
+            (tmp_path / "goes_on").touch()
     second = subprocess.run(
         command, env=environment, capture_output=True, text=True, check=True, timeout=120.0
     )
