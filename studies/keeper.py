@@ -24,8 +24,9 @@ of protection and steering that fired in it. `traced` takes both from a trace, b
 runs of `simulate` use. Without a trace the bits are a digest of the found value. A run of real time
 has no bits, since it never repeats.
 
-A process with the variable VARIABLE does a job whose runs are listed: for each record that a call
-gives, known or new, the file of that name gets a line (two calls may give one record)
+A process with the variable VARIABLE does a job whose runs are listed (`run_list.py`): for each
+record that a call gives, known or new, the file of that name gets a line (two calls may give one
+record)
 
     {"run": "studies.faults:perform", "task": ..., "bits": "0123456789ab", "rules": [...]}
 
@@ -62,13 +63,12 @@ from swarmd.core.pin import functions_here
 from swarmd.core.processes import die_with_parent
 from swarmd.sim.behaviour import RUN_DIGITS, hash_of, rules_of
 from swarmd.sim.experiments.provenance import deciding, git_state, made_with
+from swarmd.sim.experiments.run_list import VARIABLE
 from swarmd.sim.trace import Trace
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-VARIABLE = "SWARMD_STUDY_RUNS"
-"""The variable with the file that lists the runs of this process."""
 _DIGITS_OF_CODE = 12
 _EVERY = 1.0  # s between two lines of progress
 _NOT_DECIDING = frozenset({"swarmd", "code"})
@@ -195,26 +195,12 @@ def each(perform: Callable[[Any], Any], tasks: Iterable[Any], jobs: int = 1) -> 
     """What `perform` finds for each task, in the order of the tasks, in `jobs` processes.
 
     Records are kept, read and listed in a process with the variable VARIABLE alone: a test, and a
-    study that changes the code of its process, compute what they ask for.
+    study that changes the code of its process (`unlisted`), compute what they ask for.
     """
-    if VARIABLE in os.environ:
+    if os.environ.get(VARIABLE):
         return [record.found for record in records(perform, tasks, jobs=jobs)]
     results = dict(_done(perform, [*tasks], jobs))
     return [results[number].traced.found for number in range(len(results))]
-
-
-@contextmanager
-def nothing_kept() -> Iterator[None]:
-    """While it is open, `each` keeps, reads and lists nothing.
-
-    For a process whose code is not that of its sources, and for runs that are not those of its job.
-    """
-    file = os.environ.pop(VARIABLE, None)
-    try:
-        yield
-    finally:
-        if file is not None:
-            os.environ[VARIABLE] = file
 
 
 def traced(found: R, trace: Trace) -> Traced[R]:
@@ -225,8 +211,8 @@ def traced(found: R, trace: Trace) -> Traced[R]:
 def again(run: str, task: Any) -> Traced[Any]:
     """Do a run that was listed once more, in this process; nothing is kept.
 
-    `run` and `task`: of the line of the run. SwarmError if there is no such function, or if the
-    task is not one of its tasks.
+    `run` and `task`: of the line of the run. SwarmError if there is no such function, if the task
+    is not one of its tasks, and for any error of the run: code that has changed may raise anything.
     """
     module, _, name = run.partition(":")
     try:
@@ -236,7 +222,11 @@ def again(run: str, task: Any) -> Traced[Any]:
         raise SwarmError(
             f"run {run} of task {json.dumps(task)} is of other code: {error}"
         ) from error
-    return _perform(perform, typed).traced
+    try:
+        return _perform(perform, typed).traced
+    except Exception as error:
+        text = f"run {run} of task {json.dumps(task)}: {type(error).__name__}: {error}"
+        raise SwarmError(text) from error
 
 
 def code_of(perform: Callable[..., Any]) -> str:
@@ -469,16 +459,20 @@ def _done(
 def _list_runs(perform: Callable[[Any], Any], found: Sequence[Record[Any, Any]]) -> None:
     """Append the runs to the file of VARIABLE, if there is one."""
     name = name_of(perform)
-    file = os.environ.get(VARIABLE)
-    if file is None or "<locals>" in name:
+    file = os.environ.get(VARIABLE, "")
+    if not file or "<locals>" in name:
         return
     lines = [
         {"run": name, "task": _plain(one.task), "bits": one.bits, "rules": one.rules}
         for one in found
         if one.bits
     ]
-    with Path(file).open("a") as out:
-        out.write("".join(f"{json.dumps(line)}\n" for line in lines))
+    try:
+        with Path(file).open("a") as out:
+            out.write("".join(f"{json.dumps(line)}\n" for line in lines))
+    except OSError as error:
+        text = f"{file}: {error.strerror}; the runs are kept, and not listed"
+        raise SwarmError(f"{text}: mend it, or unset {VARIABLE}") from error
 
 
 def _text(value: Any) -> str:

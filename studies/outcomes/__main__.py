@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-from studies.keeper import nothing_kept
 from studies.night.jobs import stored_runs
 from studies.outcomes.catalog import MODULES, short_outcomes
 from studies.outcomes.outcome import (
@@ -36,6 +35,7 @@ from studies.outcomes.outcome import (
 from studies.outcomes.still import control_of
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.core.pin import restart_pinned
+from swarmd.sim.experiments.run_list import unlisted
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for outcome in outcomes:
             print(f"| {' | '.join((name, *outcome.cells))} |", flush=True)
         if options.keep:
-            with nothing_kept():  # these are no runs of the table
+            with unlisted():  # the table has neither of them
                 more = short_outcomes(name), control_of(name)
             minutes = (sum(os.times()[:4]) - begin) / 60.0
             stored = stored_runs(begun)

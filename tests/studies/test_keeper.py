@@ -18,9 +18,10 @@ import numpy as np
 import pytest
 
 from studies import keeper
-from studies.keeper import VARIABLE, Record, Traced, again, each, nothing_kept, records
+from studies.keeper import Record, Traced, again, each, records
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.values import Array
+from swarmd.sim.experiments.run_list import VARIABLE, unlisted
 
 HERE = "tests.studies.test_keeper"
 
@@ -264,6 +265,7 @@ def test_runs_of_a_job_are_listed_by_which_they_are_done_again(
         ("tests.studies.gone:double", {"number": 1}),
         (f"{HERE}:double", {"name": 1}),
         (f"{HERE}:double", "one"),
+        (f"{HERE}:no_run", {"number": 1}),
     ],
 )
 def test_a_run_of_other_code_is_refused_by_name(run: str, task: object) -> None:
@@ -281,7 +283,7 @@ def test_each_keeps_runs_in_a_job_alone(tmp_path: Path, monkeypatch: pytest.Monk
         assert each(double, tasks(2, 1)) == [4.0, 2.0]
     assert done == [2, 1, 2, 1]
     assert len(lines(tmp_path / f"build/{HERE}/double.jsonl")) == 2
-    with nothing_kept():
+    with unlisted():
         assert each(double, tasks(3)) == [6.0]
     assert len(lines(tmp_path / "listed")) == 4
     assert os.environ[VARIABLE] == str(tmp_path / "listed")
