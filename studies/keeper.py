@@ -75,7 +75,8 @@ _NOT_DECIDING = frozenset({"swarmd", "code"})
 """What `made_with` names beside libraries and functions: the sources have a digest of their own."""
 
 
-@dataclass(frozen=True, slots=True)
+# Without slots, since typing sets an attribute of what is made as Traced[R](...).
+@dataclass(frozen=True)
 class Traced(Generic[R]):
     """What `perform` found in a trace, with the behaviour of its robots.
 
@@ -87,7 +88,7 @@ class Traced(Generic[R]):
     rules: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Record(Generic[T, R]):
     """A finished run."""
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from msgspec import structs
 
 from studies import keeper
 from studies.safety import hours, progress
@@ -39,6 +38,12 @@ NOTHING = Judgement(
 SHORT = Scene("goals", "burger", mode="ghost", duration=2.0)
 
 
+@pytest.fixture(autouse=True)
+def _same_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The digest of the sources takes longer than these runs."""
+    monkeypatch.setattr(keeper, "code_of", lambda perform: "a")
+
+
 def record(scene: Scene, seed: int = 0, found: Judgement = NOTHING) -> Record:
     return Record(Task(scene, seed), found, cpu=36.0, day="2026-11-22", commit="1a2b3c4")
 
@@ -63,11 +68,8 @@ def test_a_run_that_is_done_again_has_the_same_bits(tmp_path: Path) -> None:
     (record,) = carry_out([task], tmp_path / "some.jsonl", 1)
     again = keeper.again("studies.safety.runs:perform", msgspec.to_builtins(task))
     assert (again.bits, again.rules, again.found) == (record.bits, record.rules, record.found)
-    assert keeper.again("studies.safety.runs:perform", msgspec.to_builtins(Task(SHORT, 1))).bits
-    other = Task(structs.replace(SHORT, mode="off"), 0)
-    assert (
-        keeper.again("studies.safety.runs:perform", msgspec.to_builtins(other)).bits != again.bits
-    )
+    other = msgspec.to_builtins(Task(SHORT, 1))
+    assert keeper.again("studies.safety.runs:perform", other).bits != again.bits
 
 
 def test_an_impossible_scene_is_refused_before_anything_runs(tmp_path: Path) -> None:
