@@ -37,6 +37,9 @@ ROOM: Mapping[str, Any] = {
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/learning/train_aggregation.py"
 GENERATIONS = 23
 """Of each training."""
+DECISIONS = 4 * 98
+"""Of a run: four robots decide five times a second for 20 s, without the first 0.4 s, in which
+sensors are read for the first time."""
 MODES = ("barrier", "off")
 """The modes of protection."""
 SHIPPED = "pattern `policy`"
@@ -95,8 +98,7 @@ def random_actions(seed: int = 0, run: int = 0) -> Act:
     """Actions that are drawn evenly; those of run 1 follow those of run 0, and so on."""
     spec = shipped().spec
     bits = np.random.PCG64(seed)
-    decisions = round(ROOM["duration"] / spec.period) * ROOM["groups.tb3.count"]
-    bits.advance(run * decisions * spec.actions)
+    bits.advance(run * DECISIONS * spec.actions)
     rng = np.random.Generator(bits)
     return lambda observation: rng.uniform(-1.0, 1.0, spec.actions)
 

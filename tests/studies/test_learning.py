@@ -17,8 +17,8 @@ from studies.learning import (
     table,
 )
 
-DECISIONS = 400
-"""Of a run: four robots, 20 s, five decisions a second."""
+DECISIONS = 392
+"""Of a run: four robots, 19.6 s, five decisions a second."""
 
 
 def test_random_actions_of_a_run_follow_those_of_the_run_before() -> None:
