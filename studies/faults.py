@@ -24,6 +24,7 @@ from studies.outcomes.patterns.flocking import parts
 from studies.outcomes.patterns.lloyd_coverage import cost
 from studies.safety.judge import collisions
 from swarmd.core.messages import Reason
+from swarmd.core.pin import restart_pinned
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import Scenario
@@ -223,4 +224,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     main()

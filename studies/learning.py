@@ -24,6 +24,7 @@ from msgspec import Struct, structs
 import swarmd
 from benchmarks.table import markdown
 from studies import keeper, kept
+from swarmd.core.pin import restart_pinned
 from swarmd.core.values import Array
 from swarmd.kit.observation import Observation
 from swarmd.kit.policy_network import PolicyNetwork, from_text, network_from_bytes
@@ -204,4 +205,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     main()

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.table import markdown
 from studies import ideal_search, keeper, kept
+from swarmd.core.pin import restart_pinned
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.results import Results
@@ -298,4 +299,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     main()

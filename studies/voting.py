@@ -21,6 +21,7 @@ from studies.outcomes.outcome import PATTERNS
 from studies.outcomes.patterns import collective_perception as perception
 from studies.outcomes.patterns import voter_model
 from studies.outcomes.patterns.majority_rule import LOSSY
+from swarmd.core.pin import restart_pinned
 from swarmd.core.values import Value
 from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
@@ -220,4 +221,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     main()

@@ -35,6 +35,7 @@ from studies.safety.scenes import (
     scenario,
 )
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.pin import restart_pinned
 from swarmd.settings.platforms import platform_names
 
 Options = argparse.Namespace
@@ -236,6 +237,7 @@ _RUNS: Mapping[str, Callable[[Options], None]] = {
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     try:
         main()
     except SwarmError as error:

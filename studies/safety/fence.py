@@ -26,6 +26,7 @@ from msgspec import Struct
 from studies import keeper
 from studies.keeper import Traced, traced
 from studies.safety.scenes import PLUGINS
+from swarmd.core.pin import restart_pinned
 from swarmd.core.values import Array, Pose, SharedPose
 from swarmd.protection.fence.fence import Fence
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -290,4 +291,5 @@ def main(arguments: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     sys.exit(main(sys.argv[1:]))
