@@ -5,8 +5,9 @@ While the variable is set, `simulate` appends a line of JSON for each finished r
     {"scenario": "dispersion", "set": {"duration": 40}, "seed": 3, "bits": "0123456789ab",
      "rules": ["barrier"]}
 
-by which the run can be done again and compared. `scenario` is a name, a path, or the contents of a
-scenario that has no file. Runs within the process itself are not listed.
+by which the run can be done again and compared. `scenario` is a name, a path, relative if it is
+below the present folder, or the contents of a scenario that has no file. Runs within the process
+itself are not listed.
 """
 
 from __future__ import annotations
@@ -60,7 +61,11 @@ def lines_of(results: Results, *, is_named: bool) -> Iterator[Mapping[str, Any]]
 
 
 def _named(plan: Plan, values: Mapping[str, Any]) -> Mapping[str, Any]:
-    return {"scenario": plan.scenario, "set": {**plan.sets, **values}}
+    path = Path(plan.scenario)
+    here = Path.cwd()
+    is_below = path.is_absolute() and path.is_relative_to(here)
+    name = path.relative_to(here).as_posix() if is_below else plan.scenario
+    return {"scenario": name, "set": {**plan.sets, **values}}
 
 
 @contextmanager
