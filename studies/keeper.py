@@ -4,7 +4,8 @@ A study has runs of two kinds.
 
 1. **Runs of a scenario** go through `simulate(..., out=experiment_folder(STUDY) / NAME)`. The
    folder of the experiment keeps each run when it has ended, and the same call goes on. The store
-   of runs of the user is a second, bounded source of the same runs; a table never depends on it.
+   of runs of the user is a second, bounded source of the same runs. Outcomes of patterns have no
+   such folder: after a kill they go on by the store alone.
 2. **Runs of a Python function** (lockstep with a judge, swarms of points, debates, searches,
    theory) go through `records(perform, tasks, file)`. `perform` takes a task and gives what was
    found, both structs, dataclasses or plain values. A line of JSON with the record is written when
