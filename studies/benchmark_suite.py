@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.table import markdown
-from studies import kept, stand
+from studies import keeper, kept, stand
 from swarmd.sim.experiments.benchmark import HEADER, row, standings
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.lockstep.lockstep import simulate_run
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def _measure(seeds: int, jobs: int, executor: Executor | None) -> None:
-    folder = kept.kept_folder("benchmark_suite")
+    folder = keeper.experiment_folder("benchmark_suite")
     save(figure_of(task_names()), kept.FIGURES / "benchmark_suite.png")
     kept.print_parts(
         {

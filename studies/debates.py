@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from studies.point_swarm import each
+from studies.keeper import each
 from swarmd.core.values import Value
 from tests.support.voting_sim import Air, Debate, VotingSim
 

@@ -8,22 +8,22 @@ same command resumes.
 from __future__ import annotations
 
 import re
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from msgspec import Struct
 
 from benchmarks.table import markdown
-from studies import kept
+from studies import keeper, kept
+from studies.keeper import Traced, traced
 from studies.outcomes.patterns.lloyd_coverage import cost
 from studies.safety.judge import collisions
-from studies.safety.runs import Kept, carry_out_missing
 from swarmd.core.messages import Reason
+from swarmd.core.pin import restart_pinned
 from swarmd.patterns.flocking.metrics import parts
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure
@@ -103,21 +103,21 @@ class Task(Struct, frozen=True, order=True):
     seed: int
 
 
-class Record(Kept, frozen=True, kw_only=True):
-    """A run: what the robot said first when, touches since the fault, and the outcome.
+class Found(Struct, frozen=True, kw_only=True):
+    """What a run gave: what the robot said first when, touches since the fault, and the outcome.
 
     `said`: by text without numbers, s since AT; of a run without a fault by all robots.
     """
 
-    task: Task
     said: dict[str, float]
     touches: int
     own: int
     others: int
     outcome: float | None
 
-    def __str__(self) -> str:
-        return f"{self.task}: {self.cpu:.1f} s"
+
+Record: TypeAlias = keeper.Record[Task, Found]
+"""A finished run."""
 
 
 def scenario(pattern: str, fault: str) -> Scenario:
@@ -131,23 +131,20 @@ def scenario(pattern: str, fault: str) -> Scenario:
     return load_scenario(behaviour.scenario, changes)
 
 
-def perform(task: Task, code: str) -> Record:
-    """Simulate and measure a run in this process; `code`: for the record."""
-    begin = time.process_time()
+def perform(task: Task) -> Traced[Found]:
+    """Simulate and measure a run in this process."""
     trace = simulate_run(scenario(task.pattern, task.fault), task.seed)
     since = [one for one in collisions(trace) if one.time >= AT]
     at_fault = [one.robot for one in since if one.is_fault]
     outcome = BEHAVIOURS[task.pattern].outcome(trace)
-    return Record(
-        task=task,
-        code=code,
-        cpu=time.process_time() - begin,
+    found = Found(
         said=dict(sorted(_said(trace, is_control=task.fault == SOUND))),
         touches=len(since),
         own=at_fault.count(FAULTY),
         others=len(at_fault) - at_fault.count(FAULTY),
         outcome=None if np.isnan(outcome) else outcome,
     )
+    return traced(found, trace)
 
 
 def _said(trace: Trace, *, is_control: bool) -> Iterator[tuple[str, float]]:
@@ -176,21 +173,23 @@ def table(records: Sequence[Record]) -> str:
     named = dict.fromkeys(FAULTS, 0)
     for pattern in BEHAVIOURS:
         sound = by_cell[pattern, SOUND]
-        usual = {text for record in sound for text in record.said}
-        ends = [_mean([one.outcome for one in by_cell[pattern, key]]) for key in (SOUND, REMOVED)]
+        usual = {text for record in sound for text in record.found.said}
+        ends = [
+            _mean([one.found.outcome for one in by_cell[pattern, key]]) for key in (SOUND, REMOVED)
+        ]
         for fault in FAULTS:
             runs = by_cell[pattern, fault]
             times = [min(news) for one in runs if (news := _news(one, usual))]
             named[fault] += len(times)
-            sums = [sum(getattr(one, key) for one in runs) for key in ("own", "others")]
+            sums = [sum(getattr(one.found, key) for one in runs) for key in ("own", "others")]
             rows.append(
                 (
                     *(pattern, BEHAVIOURS[pattern].what, fault),
                     f"{np.median(times):.1f} s" if times else "never",
                     f"{len(times)} of {len(runs)}",
-                    f"{np.mean([one.touches for one in runs]):.1f}",
+                    f"{np.mean([one.found.touches for one in runs]):.1f}",
                     *map(str, sums),
-                    _mean([one.outcome for one in runs]),
+                    _mean([one.found.outcome for one in runs]),
                     *ends,
                 )
             )
@@ -203,7 +202,7 @@ def table(records: Sequence[Record]) -> str:
 
 
 def _news(record: Record, usual: set[str]) -> list[float]:
-    return [at for text, at in record.said.items() if text not in usual]
+    return [at for text, at in record.found.said.items() if text not in usual]
 
 
 def _mean(values: Sequence[float | None]) -> str:
@@ -220,11 +219,10 @@ def main() -> None:
         for pattern in BEHAVIOURS
         for fault in (SOUND, REMOVED, *FAULTS)
     ]
-    records = carry_out_missing(
-        tasks, perform, Record, kept.kept_folder("faults") / "runs.jsonl", options.jobs
-    )
+    records = keeper.records(perform, tasks, jobs=options.jobs)
     kept.print_parts({"faults": table(records)})
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     main()

@@ -11,10 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
+from msgspec import Struct
 
+from studies.keeper import each
 from swarmd.core.values import Array
+from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario
 
 SCENARIO = "paper_exp1_hardware_free"
@@ -36,21 +40,36 @@ PLACES = SPACING * np.array(
 """The places (7, 2) of the points of a group, taken in this order, from its centre."""
 
 
-def search_times(seeds: Sequence[int], most_moving: int) -> Array:
-    """(seeds,) s until six points are in one group; inf: not within the scenario's duration.
+class Search(Struct, frozen=True):
+    """A search to do; groups of more than `most_moving` points wait."""
 
-    Groups of more than `most_moving` points wait.
-    """
-    scenario = load_scenario(SCENARIO)
+    seed: int
+    most_moving: int
+
+
+def search_times(seeds: Sequence[int], most_moving: int) -> Array:
+    """(seeds,) s until six points are in one group, as `search_time`."""
+    return np.array(each(search_time, [Search(seed, most_moving) for seed in seeds]))
+
+
+def search_time(search: Search) -> float:
+    """s until six points are in one group; inf: not within the scenario's duration."""
+    scenario = _scenario()
     speed = min(platform.limits.linear for platform in scenario.robots.values())
     half = np.array((scenario.arena.length, scenario.arena.width)) / 2.0 - MARGIN
-    times = []
-    for seed in seeds:
-        groups = Groups(scenario.starts(seed)[:, :2], half, np.random.default_rng(seed))
-        steps = round(scenario.duration / STEP)
-        ended = (step for step in range(1, steps + 1) if groups.move(speed * STEP, most_moving))
-        times.append(STEP * next(ended, math.inf))
-    return np.array(times)
+    rng = np.random.default_rng(search.seed)
+    groups = Groups(scenario.starts(search.seed)[:, :2], half, rng)
+    way = speed * STEP
+    for step in range(1, round(scenario.duration / STEP) + 1):
+        if groups.move(way, search.most_moving):
+            return STEP * step
+    return math.inf
+
+
+@cache
+def _scenario() -> Scenario:
+    """The scenario, cached: reading it takes longer than a search."""
+    return load_scenario(SCENARIO)
 
 
 class Groups:

@@ -1,4 +1,4 @@
-"""Where the commands of studies keep runs and pictures, and how they print the parts of pages.
+"""What the commands of studies share: their options, and how they print the parts of pages.
 
 A command prints Markdown, its progress goes to the standard error, and the same command resumes.
 """
@@ -8,16 +8,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
 
-from studies.night.sources import digest_of
-from swarmd.core.files import write_whole
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import Progress
 from swarmd.sim.experiments.statistics import mean_interval
@@ -25,16 +22,9 @@ from swarmd.sim.experiments.statistics import mean_interval
 if TYPE_CHECKING:
     from swarmd.sim.experiments.executor import Executor
 
-T = TypeVar("T")
-
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 SEEDS = 20
 """The seeds of a page."""
-
-
-def kept_folder(study: str) -> Path:
-    """The folder of the runs of a study: another one for other sources."""
-    return Path("build") / study / digest_of([f"studies.{study}"])[:8]
 
 
 def chosen(
@@ -82,16 +72,6 @@ def on_progress(what: str) -> Callable[[Progress], None]:
             print(f"{what}: {now.total} runs", file=sys.stderr, flush=True)
 
     return show
-
-
-def once(file: Path, kind: type[T], make: Callable[[], Iterable[T]]) -> list[T]:
-    """The records in a file, dataclasses of one `kind`; made and kept if the file is missing."""
-    if not file.exists():
-        made = msgspec.msgpack.encode([*make()])
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, made)
-        print(f"{file}: done", file=sys.stderr, flush=True)
-    return msgspec.msgpack.decode(file.read_bytes(), type=list[kind])  # type: ignore[valid-type]
 
 
 def mean_of(values: Array) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.table import markdown
-from studies import kept
+from studies import keeper, kept
 from studies.benchmark_suite import results_of, table
 from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results
@@ -82,7 +82,7 @@ def main() -> None:
 
 
 def _measure(seeds: int, jobs: int, executor: Executor | None) -> None:
-    folder = kept.kept_folder("missions")
+    folder = keeper.experiment_folder("missions")
     rows = [("mission", "measured", "mean (95 %), or runs")]
     for mission in MISSIONS:
         results = simulate(

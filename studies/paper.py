@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.table import markdown
-from studies import ideal_search, kept
+from studies import ideal_search, keeper, kept
+from swarmd.core.pin import restart_pinned
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.results import Results
@@ -276,7 +277,7 @@ def draw(by_run: Runs) -> None:
 def main() -> None:
     """Do all runs, the most important first, print the tables and draw the figures."""
     options = kept.chosen("paper", __doc__, takes_executor=True)
-    folder = kept.kept_folder("paper")
+    folder = keeper.experiment_folder("paper")
     with kept.executor_on(options.on) as executor:
         by_run = {
             (name, law, seeds is FRESH): simulate(
@@ -298,4 +299,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     main()

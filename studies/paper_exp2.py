@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.table import markdown
-from studies import kept
+from studies import keeper, kept
 from swarmd.patterns.discussed_dispersion.metrics import (
     TOLERANCE,
     Course,
@@ -129,7 +129,7 @@ def draw(results: Mapping[str, Results]) -> None:
 def main() -> None:
     """Do all runs, print the tables and draw the figures."""
     options = kept.chosen("paper_exp2", __doc__, takes_executor=True)
-    folder = kept.kept_folder("paper_exp2")
+    folder = keeper.experiment_folder("paper_exp2")
     with kept.executor_on(options.on) as executor:
         results = {
             name: simulate(

@@ -11,11 +11,8 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from multiprocessing import get_context
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +39,6 @@ from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.settings.settings import load_platform
 from tests.support.voting_sim import Air
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 Sense = Callable[[float, int, Array], Mapping[str, float]]
 """Readings from the time in s, the robot's row and the poses (n, 3)."""
@@ -250,14 +244,6 @@ class PointSwarm:
             for _ in range(2 if air.twice > 0.0 and rng.random() < air.twice else 1):
                 due = now + air.delay + air.jitter * (2.0 * rng.random() - 1.0)
                 self._points[hearer].inbox.append((due, message))
-
-
-def each(work: Callable[[T], R], items: Sequence[T], jobs: int = 1) -> list[R]:
-    """`work` on each item, in the order of the items, in `jobs` processes."""
-    if jobs == 1:
-        return [work(item) for item in items]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(work, items, chunksize=16 if len(items) > 500 else 1))
 
 
 def at_places(places: Sequence[tuple[float, float]] | Array) -> Array:

@@ -21,6 +21,7 @@ from studies.safety.hours import again, cells, plan
 from studies.safety.judgement import Judgement
 from studies.safety.runs import Record, Task, carry_out, total
 from studies.safety.scenes import FAMILIES, PLATFORMS, VISIBILITIES
+from swarmd.core.pin import restart_pinned
 
 SEEDS = range(120_000, 130_000)
 MODES = {
@@ -121,4 +122,5 @@ def _place(record: Record) -> str:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     main()

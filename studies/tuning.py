@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.table import markdown
-from studies import kept, stand
+from studies import keeper, kept, stand
 from swarmd.sim.experiments.executor import Executor, on_executor
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def _measure(options: argparse.Namespace, executor: Executor | None) -> None:
-    folder = kept.kept_folder("tuning")
+    folder = keeper.experiment_folder("tuning")
     parts = {}
     for name, (group, shown, search) in SEARCHES.items():
         found = tune(

@@ -9,18 +9,19 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
 
 from benchmarks.table import markdown
-from studies import kept
-from studies.debates import IN_STEP, Motion, Result, hold_all
+from studies import keeper, kept
+from studies.debates import IN_STEP, Motion, Result
+from studies.debates import hold as hold_debate
 from studies.outcomes.outcome import PATTERNS
 from studies.outcomes.patterns import collective_perception as perception
 from studies.outcomes.patterns import voter_model
 from studies.outcomes.patterns.majority_rule import LOSSY
+from swarmd.core.pin import restart_pinned
 from swarmd.core.values import Value
 from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
@@ -43,19 +44,16 @@ The first opinions are dealt to the robots in a random order; None: the pattern'
 """
 
 
-def hold(name: str, groups: Mapping[K, Group], options: Namespace) -> dict[K, list[Result]]:
-    """The results of `options.runs` debates of each group, with different seeds.
-
-    They are kept in a file of this name.
-    """
+def hold(groups: Mapping[K, Group], options: Namespace) -> dict[K, list[Result]]:
+    """The results of `options.runs` debates of each group, with different seeds."""
     motions = []
     for pattern, count, params, held in groups.values():
         settled = 2.0 * float(str(params.get("window", 5.0)))
         for seed in range(FIRST, FIRST + options.runs):
             order = tuple(np.random.default_rng(seed).permutation(held).tolist()) if held else None
             motions.append(Motion(pattern, count, seed, 600.0, params, order, LOSSY, settled))
-    file = options.out / f"{name}.msgpack"
-    results = iter(kept.once(file, Result, lambda: hold_all(motions, options.jobs)))
+    records = keeper.records(hold_debate, motions, jobs=options.jobs)
+    results = (record.found for record in records)
     return {key: [next(results) for _ in range(options.runs)] for key in groups}
 
 
@@ -65,7 +63,7 @@ def majority_rule(options: Namespace, figures: dict[str, Any]) -> str:
     left, right = figure.subplots(1, 2)
     rows = [["windows", *(f"{n} robots" for n in SIZES)]]
     groups = {(k, n): ("majority_rule", n, {"windows": k}, None) for k in KINDS for n in SIZES}
-    every = hold("majority_rule", groups, options)
+    every = hold(groups, options)
     for kind, colour in zip(KINDS, VARIANT_COLOURS, strict=False):
         results = {n: every[kind, n] for n in SIZES}
         # Debates without agreement are the longest.
@@ -101,7 +99,7 @@ def voters(options: Namespace, figures: dict[str, Any]) -> str:
         first: ("voter_model", 10, voter_model.SHORT, [1] * first + [0] * (10 - first))
         for first in range(1, 10)
     }
-    for first, results in hold("voter_model", groups, options).items():
+    for first, results in hold(groups, options).items():
         wins = sum(result.winner == 1 for result in results)
         within = wilson(wins, len(results))
         share = wins / len(results)
@@ -130,7 +128,7 @@ def _voting_times(options: Namespace, axes: Any) -> str:
         for kind, params in settings.items()
         for n in VOTERS
     }
-    every = hold("voter_model-halves", groups, options)
+    every = hold(groups, options)
     theory = [voter_model.expected_rounds(n, n // 2)[0] for n in VOTERS]
     rows = [["windows or rounds until all agree", *(f"{n} robots" for n in VOTERS)]]
     for kind, colour in zip(settings, VARIANT_COLOURS, strict=False):
@@ -161,11 +159,9 @@ def floors(options: Namespace, figures: dict[str, Any]) -> str:
     figure = figures["collective_perception"] = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
     percent, n = 100.0 * np.array(perception.SHARES), options.seeds
-    every = kept.once(
-        options.out / "collective_perception.msgpack",
-        perception.Agreement,
-        lambda: chain.from_iterable(perception.agreements(range(n), options.jobs).values()),
-    )
+    settings = perception.settings_of(range(n))
+    records = keeper.records(perception.run, settings, jobs=options.jobs)
+    every = [record.found for record in records]
     rows = [
         [
             "rule",
@@ -211,7 +207,6 @@ def main() -> None:
     """Hold all debates, print the tables and draw the figures."""
     options, figures = kept.chosen("voting", __doc__), dict[str, Any]()
     options.runs = RUNS * options.seeds // kept.SEEDS
-    options.out = kept.kept_folder("voting") / str(options.seeds)
     parts = {
         "voting_majority_rule": majority_rule(options, figures),
         "voting_voter_model": voters(options, figures),
@@ -226,4 +221,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     main()

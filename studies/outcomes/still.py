@@ -16,6 +16,7 @@ from studies import point_swarm
 from studies.outcomes.catalog import MODULES
 from studies.outcomes.outcome import Outcome
 from swarmd.core.values import Array, Twist
+from swarmd.sim.experiments.run_list import unlisted
 from swarmd.sim.lockstep import lockstep
 from swarmd.sim.scenarios import simulation
 from swarmd.sim.scenarios.scenario import Scenario
@@ -75,6 +76,7 @@ def still_robots(pattern: str) -> Iterator[Motion]:
         return 0.0, 0.0
 
     with (
+        unlisted(),
         patch.object(lockstep, "world_of", still_world),
         # A worker has the world of other robots: this process does the runs.
         patch("swarmd.sim.experiments.simulate.has_workers", lambda: False),

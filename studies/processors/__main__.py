@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.table import markdown
-from studies import kept
+from studies import keeper, kept
 from studies.processors.runs import (
     SCENARIOS,
     Variant,
@@ -36,7 +36,9 @@ def main(words: Sequence[str] | None = None) -> int:
         return 0
     if args.command == "compare":
         return compare(args.a, args.b)
-    folder = args.folder or kept.kept_folder("processors") / f"{args.share}-{len(args.only)}"
+    folder = (
+        args.folder or keeper.experiment_folder("processors") / f"{args.share}-{len(args.only)}"
+    )
     return run_all(folder, args.only, args.share)
 
 

@@ -3,7 +3,8 @@
 The process simulates the bodies of all robots, and exchanges datagrams with the robots' nodes
 (`node.py`), which are processes of their own. Sockets in FOLDER: `arena` receives commands and
 heartbeats of bases, and requests to carry a robot; `<robot>.base` receives odometry,
-`<robot>.lidar` receives scans, and `truth` receives every true pose.
+`<robot>.lidar` receives scans, and `truth` receives every true pose and how often bodies have
+touched.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pathlib import Path
 from msgspec import structs
 from msgspec.structs import replace
 
-from studies.ros.robots import ARENA, BODIES, LAYOUT, PLATFORM, bound
+from studies.ros.robots import ARENA, BODIES, CONTACTS, LAYOUT, PLATFORM, bound
 from swarmd.core.events import OdometryInput, ScanInput, SensorInput
 from swarmd.core.processes import die_with_parent
 from swarmd.core.values import ZERO, Odometry, Platform, Twist, Value
@@ -56,6 +57,7 @@ class Nodes:
         self.dropped = 0
         self.driver_options: Mapping[str, Value] = {}
         self.world: World | None = None
+        self.recorder: LiveRecorder | None = None
         self._folder, self._on_command = folder, on_command
         self._begun = time.time()
         self._encoders = {
@@ -90,6 +92,9 @@ class Nodes:
                 _put_down(self.world, self._rows[carried], to)
             pose = self.world.poses()[self._rows[robot]].tolist()
             self._send("truth", json.dumps([robot, time.monotonic(), *pose]).encode())
+        if self.recorder is not None:
+            counts = self.recorder.contacts, self.recorder.arena_contacts
+            self._send("truth", json.dumps([CONTACTS, *counts]).encode())
 
     def close(self) -> None:
         """End the thread."""
@@ -149,6 +154,7 @@ def main(folder: Path, seed: int) -> None:
     transport = EmulatorTransport(make, robots, str(folder))
     nodes[0].world = world
     recorder = LiveRecorder(world, WorldOptions(swarm="arena"), {})
+    nodes[0].recorder = recorder
     live = RealTimeWorld(
         world,
         link,
@@ -160,7 +166,6 @@ def main(folder: Path, seed: int) -> None:
     print("ready", flush=True)
     try:
         live.run(over.is_set)
-        print(json.dumps([recorder.contacts, recorder.arena_contacts]), flush=True)
     finally:
         nodes[0].close()
         link.close()

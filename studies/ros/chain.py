@@ -20,7 +20,16 @@ from typing import Self
 import msgspec
 
 from studies.ros.node import Faults, Kind, Settings
-from studies.ros.robots import BASE, LIDAR, PLATFORM, RIVAL_SPEED, ROBOTS, bound, namespace
+from studies.ros.robots import (
+    BASE,
+    CONTACTS,
+    LIDAR,
+    PLATFORM,
+    RIVAL_SPEED,
+    ROBOTS,
+    bound,
+    namespace,
+)
 from swarmd.core.codec import Decoder
 from swarmd.core.messages import Status
 from swarmd.core.verbs import ResetRequest, RunRequest
@@ -110,6 +119,7 @@ class Chain:
     - `statuses`: by robot, (s of CLOCK_MONOTONIC at reception, status).
     - `poses`: by body, (s of CLOCK_MONOTONIC, x, y, yaw) of ground truth.
     - `commands`: by body, the commands that its base took.
+    - `contacts`: how often robots have touched each other, and walls.
     - `usual`: the driver's text in the status of a robot without a fault.
     """
 
@@ -124,7 +134,7 @@ class Chain:
         self.statuses: dict[str, list[tuple[float, Status]]] = {}
         self.poses: dict[str, list[tuple[float, float, float, float]]] = {}
         self.commands: dict[str, list[Command]] = {}
-        self.contacts = ""
+        self.contacts = (0, 0)
         self._load: list[subprocess.Popen[bytes]] = []
         self._left = contextlib.ExitStack()
 
@@ -307,7 +317,6 @@ class Chain:
                 yield
             finally:
                 process.send_signal(signal.SIGTERM)
-                self.contacts = process.stdout.read()
 
     @contextlib.contextmanager
     def _truth(self) -> Iterator[None]:
@@ -318,8 +327,12 @@ class Chain:
             def receive() -> None:
                 while not over.is_set():
                     with contextlib.suppress(TimeoutError):
-                        body, *pose = json.loads(inbox.recv(_MAX_DATAGRAM))
-                        self.poses.setdefault(body, []).append(tuple(pose))
+                        name, *values = json.loads(inbox.recv(_MAX_DATAGRAM))
+                        if name == CONTACTS:
+                            robots, walls = values
+                            self.contacts = (robots, walls)
+                        else:
+                            self.poses.setdefault(name, []).append(tuple(values))
 
             thread = threading.Thread(target=receive)
             thread.start()

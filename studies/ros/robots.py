@@ -12,6 +12,8 @@ STRANGER = "tb3-04"
 or wrong in another way."""
 BODIES = (*ROBOTS, STRANGER)
 ARENA = "9x9"
+CONTACTS = "contacts"
+"""The name of a datagram with how often robots have touched each other, and walls."""
 LAYOUT = "list:-2:-2:0,2:-2:90,2:2:180,-3:3:0"
 BASE, LIDAR = "turtlebot3_node", "hlds_laser_publisher"
 """The names of a robot's nodes."""

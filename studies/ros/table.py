@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import textwrap
 from collections.abc import Sequence
@@ -39,12 +38,15 @@ def line(row: Row, endpoint: str) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def summary(rows: Sequence[Row], contacts: str, seed: int) -> str:
-    """The paragraph with the totals of all rows."""
+def summary(rows: Sequence[Row], contacts: tuple[int, int], seed: int) -> str:
+    """The paragraph with the totals of all rows.
+
+    `contacts`: how often robots touched each other, and walls.
+    """
     faults = [row for row in rows if row.fault.is_fault]
     noticed = sum(row.noticed < math.inf for row in faults)
     held = [f"{row.fault.name} ({row.others})" for row in rows if row.others]
-    touched, walls = json.loads(contacts)
+    touched, walls = contacts
     late = sum(row.is_late for row in rows)
     text = (
         f"{len(faults)} faults, {noticed} noticed, {late} with a command to move that came too"

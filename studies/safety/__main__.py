@@ -35,6 +35,7 @@ from studies.safety.scenes import (
     scenario,
 )
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.pin import restart_pinned
 from swarmd.settings.platforms import platform_names
 
 Options = argparse.Namespace
@@ -122,6 +123,8 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--seeds", type=_count, default=3, help="how many")
     verb.add_argument("--duration", type=float, default=60.0, help="of a run in s")
     verb.add_argument("--dev", action="store_true", help="seeds to work with, not to accept by")
+    verb.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, help="processes")
+    verb.add_argument("--out", type=Path, default=Path("build/safety"))
     one = verbs.add_parser("one", help="A single run with every collision.")
     for name, choices in (
         ("family", FAMILIES),
@@ -190,7 +193,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(encounters.table(found))
         return
     if options.verb == "tracks":
-        print(tracking.table(seeds[: options.seeds], options.duration))
+        file = options.out / "tracks.jsonl"
+        chosen = seeds[: options.seeds]
+        compared = tracking.carry_out(chosen, options.duration, options.jobs, file)
+        print(tracking.table(compared))
         return
     tasks = options.plan(options, seeds)
     if not tasks:
@@ -231,6 +237,7 @@ _RUNS: Mapping[str, Callable[[Options], None]] = {
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     try:
         main()
     except SwarmError as error:

@@ -8,21 +8,20 @@ of the world: poses and contacts of MuJoCo, not the arithmetic of protection.
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
 from msgspec import Struct
 
 from benchmarks.table import markdown
+from studies import keeper
+from studies.keeper import Traced, traced
 from studies.safety.driven import faults
 from studies.safety.judge import collisions
-from studies.safety.runs import Kept, carry_out_missing, commit
 from studies.safety.scenes import protected
 from swarmd.core.values import Array
 from swarmd.protection.compatibility import body_of, sees
@@ -110,16 +109,8 @@ class Found(Struct, frozen=True, kw_only=True):
     reason: str
 
 
-class Record(Kept, frozen=True, kw_only=True):
-    """A finished run; `commit` is that of the checkout."""
-
-    task: Cell
-    commit: str
-    found: Found
-
-    def __str__(self) -> str:
-        found = self.found
-        return f"{self.task.name} seed {self.task.seed}: {found.near:.3f} m, {found.far:.3f} m"
+Record: TypeAlias = keeper.Record[Cell, Found]
+"""A finished run."""
 
 
 class Place(Struct, frozen=True):
@@ -248,7 +239,7 @@ def scenario_for(cell: Cell, place: Place) -> Scenario:
 
 def simulate(
     cell: Cell, *, away: float = AWAY, at_least: float = SHORT, at_most: float = LONG
-) -> Found:
+) -> Traced[Found]:
     """Simulate and measure one cell, in this process.
 
     The run ends after `at_most` s, or after `at_least` s once the robot is `away` m from its start.
@@ -262,7 +253,8 @@ def simulate(
         off = run.world.poses()[row, :2] - start
         if run.world.time >= at_least and math.hypot(*off) >= away:
             break
-    return measure(run.trace(), row, place.bodies, away)
+    trace = run.trace()
+    return traced(measure(trace, row, place.bodies, away), trace)
 
 
 def measure(trace: Trace, row: int, bodies: Sequence[Array], away: float = AWAY) -> Found:
@@ -350,12 +342,6 @@ def _few_gaps(platform: str, beside: str, mode: str) -> Sequence[float]:
     return some if named is None or named in some else (*some, named)
 
 
-def _recorded(cell: Cell, code: str, *, at: str) -> Record:
-    begin = time.process_time()
-    found = simulate(cell)
-    return Record(task=cell, code=code, cpu=time.process_time() - begin, commit=at, found=found)
-
-
 def carry_out(
     wanted: Sequence[Cell], seeds: tuple[int, int, int], jobs: int, file: Path
 ) -> list[Record]:
@@ -364,7 +350,6 @@ def carry_out(
     `seeds`: how many of each cell, of each cell in which the robot has not moved, and of each cell
     beside a plain wall.
     """
-    perform = partial(_recorded, at=commit())
 
     def runs(some: Iterable[tuple[Cell, int]]) -> list[Record]:
         tasks = [
@@ -372,7 +357,7 @@ def carry_out(
             for cell, count in some
             for number in range(count)
         ]
-        return carry_out_missing(tasks, perform, Record, file, jobs)
+        return keeper.records(simulate, tasks, file, jobs=jobs, told=_told)
 
     each, unmoved, at_wall = seeds
     first = runs((cell, each) for cell in wanted)
@@ -391,6 +376,11 @@ def carry_out(
     return runs(more)
 
 
+def _told(record: Record) -> str:
+    found = record.found
+    return f"{record.task.name} seed {record.task.seed}: {found.near:.3f} m, {found.far:.3f} m"
+
+
 def _cell(task: Cell) -> Cell:
     return msgspec.structs.replace(task, seed=FIRST_SEED)
 
@@ -399,10 +389,10 @@ def keep(records: Iterable[Record], file: Path) -> None:
     """Write the values of each run, a line of JSON: cell, then numbers with three decimals."""
     lines = []
     for one in sorted(records, key=lambda record: record.task):
-        found = msgspec.structs.asdict(one.found)
+        values = msgspec.structs.asdict(one.found)
         short = {
             key: round(value, 3) if isinstance(value, float) else value
-            for key, value in found.items()
+            for key, value in values.items()
         }
         lines.append(msgspec.json.encode([*msgspec.structs.astuple(one.task), *short.values()]))
     file.write_bytes(b"\n".join([*lines, b""]))

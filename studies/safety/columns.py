@@ -82,5 +82,5 @@ def rows(what: str, groups: Mapping[str, Sequence[Record]], columns: Columns) ->
         whole = total(record.found for record in records)
         commits = ", ".join(sorted({record.commit for record in records}))
         cells = (cell(whole) for cell in columns.values())
-        found.append([name, *cells, max(record.date for record in records), commits])
+        found.append([name, *cells, max(record.day for record in records), commits])
     return found

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,11 @@ import numpy as np
 from msgspec import Struct
 
 from benchmarks.table import markdown
+from studies import keeper
+from studies.keeper import Traced, traced
 from studies.safety.driven import faults
 from studies.safety.judge import collisions, stuck_windows
 from studies.safety.passages import Passage, passage_scenario
-from studies.safety.runs import Kept, carry_out_missing, commit
 from studies.safety.scenes import PLUGINS, Scene, protected, scenario
 from studies.safety.tracking import TrueTracker, replace_trackers
 from swarmd.core.values import Array
@@ -73,14 +73,6 @@ class Run(Struct, frozen=True, order=True):
     task: str
     mode: str
     seed: int
-
-
-class Record(Kept, frozen=True, kw_only=True):
-    """A finished run; `commit` is that of the checkout."""
-
-    task: Run
-    commit: str
-    found: Found
 
 
 def _scenario(
@@ -231,40 +223,36 @@ def measure(trace: Trace, cpu: float) -> Found:
     )
 
 
-def perform(task: str, mode: str, seed: int) -> Found:
+def perform(run: Run) -> Traced[Found]:
     """Simulate and measure one run, in this process."""
     begin = time.process_time()
-    made = scenario_for(task, mode)
-    run = Lockstep(made, seed)
-    if mode == TRUTH:
-        replace_trackers(run, TrueTracker)
-    run.advance(made.duration)
-    found = measure(run.trace(), time.process_time() - begin)
-    status = [shell.robot.status(run.world.time) for shell in run.shells if shell is not None]
+    made = scenario_for(run.task, run.mode)
+    lockstep = Lockstep(made, run.seed)
+    if run.mode == TRUTH:
+        replace_trackers(lockstep, TrueTracker)
+    lockstep.advance(made.duration)
+    trace = lockstep.trace()
+    found = measure(trace, time.process_time() - begin)
+    shells = [shell for shell in lockstep.shells if shell is not None]
+    status = [shell.robot.status(lockstep.world.time) for shell in shells]
     slowing = [any(MOVING_WALL not in text for text in one.findings) for one in status]
-    return msgspec.structs.replace(
-        found, slowed=sum(slowing), found=sum(bool(one.findings) for one in status)
-    )
+    with_findings = sum(bool(one.findings) for one in status)
+    return traced(msgspec.structs.replace(found, slowed=sum(slowing), found=with_findings), trace)
 
 
 def carry_out(
     tasks: Sequence[str], modes: Sequence[str], seeds: Sequence[int], jobs: int, file: Path
 ) -> dict[tuple[str, str], list[Found]]:
-    """The runs of each task and mode, one for each seed, as `carry_out_missing` does them.
+    """The runs of each task and mode, one for each seed; those in `file` are not done again.
 
     Seeds come first: after an interruption all cells have as many runs.
     """
     cells = [(task, mode) for task in tasks for mode in modes]
     runs = [Run(*cell, seed) for seed in seeds for cell in cells]
     found: dict[tuple[str, str], list[Found]] = {cell: [] for cell in cells}
-    for record in carry_out_missing(runs, partial(_recorded, at=commit()), Record, file, jobs):
+    for record in keeper.records(perform, runs, file, jobs=jobs):
         found[record.task.task, record.task.mode].append(record.found)
     return found
-
-
-def _recorded(run: Run, code: str, *, at: str) -> Record:
-    found = perform(run.task, run.mode, run.seed)
-    return Record(task=run, code=code, cpu=found.cpu, commit=at, found=found)
 
 
 def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:

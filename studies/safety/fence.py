@@ -15,17 +15,18 @@ import argparse
 import math
 import os
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from msgspec import Struct
 
-from studies.safety.runs import Kept, carry_out_missing
+from studies import keeper
+from studies.keeper import Traced, traced
 from studies.safety.scenes import PLUGINS
+from swarmd.core.pin import restart_pinned
 from swarmd.core.values import Array, Pose, SharedPose
 from swarmd.protection.fence.fence import Fence
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -58,21 +59,24 @@ class Run(Struct, frozen=True):
     is_exact: bool = False
 
 
-class Result(Kept, frozen=True, kw_only=True):
-    """A finished run: robot-seconds, those in motion, crossings, and distances in m.
+class Found(Struct, frozen=True, kw_only=True):
+    """What a run gave: robot-seconds, those in motion, crossings, and distances in m.
 
     `worst`: m that a place was outside at most; for a start outside: by how much the distance grew.
     `nearest`: the least distance of the outline from the fence, of robots inside; None without.
     `entered`: robots that started outside and came inside.
     """
 
-    task: Run
     seconds: float
     moving: float
     crossings: int
     worst: float
     nearest: float | None
     entered: int
+
+
+Record: TypeAlias = keeper.Record[Run, Found]
+"""A finished run."""
 
 
 class Judge:
@@ -176,9 +180,8 @@ def _starts(
     return None
 
 
-def measure(run: Run, code: str = "") -> Result:
-    """Simulate one run and judge it at each step of the world; `code`: for the record."""
-    begin = time.process_time()
+def perform(run: Run) -> Traced[Found]:
+    """Simulate one run and judge it at each step of the world."""
     made = scene(run.platform, run.mode, run.seed, run.duration, is_outside=run.is_outside)
     lockstep = Lockstep(made, run.seed)
     world = lockstep.world
@@ -213,17 +216,15 @@ def measure(run: Run, code: str = "") -> Result:
         nearest = min(nearest, float(clearance[is_inside].min(initial=math.inf)))
 
     lockstep.advance(run.duration, look)
-    return Result(
-        task=run,
+    found = Found(
         seconds=n * run.duration,
         moving=moving,
         crossings=crossings,
         worst=worst,
         nearest=None if nearest == math.inf else nearest,
         entered=int(is_inside.sum()) if run.is_outside else 0,
-        cpu=time.process_time() - begin,
-        code=code,
     )
+    return traced(found, lockstep.trace())
 
 
 def plan(
@@ -241,12 +242,12 @@ def plan(
         yield Run(platform, mode, first_seed + number, duration, is_outside, is_exact)
 
 
-def table(results: Sequence[Result]) -> str:
+def table(results: Sequence[Record]) -> str:
     """The sum of each platform, mode and start, as lines of a table."""
-    cells: dict[tuple[str, str, bool], list[Result]] = {}
+    cells: dict[tuple[str, str, bool], list[Found]] = {}
     for one in results:
         run = one.task
-        cells.setdefault((run.platform, run.mode, run.is_outside), []).append(one)
+        cells.setdefault((run.platform, run.mode, run.is_outside), []).append(one.found)
     heads = "platform", "mode", "start", "robot-hours", "in motion", "crossings", "worst", "nearest"
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for (platform, mode, is_outside), cell in sorted(cells.items()):
@@ -279,10 +280,10 @@ def main(arguments: Sequence[str]) -> int:
     limits = options.robot_hours, options.duration, options.seed
     runs = list(plan(*limits, is_exact=options.exact))
     file = options.out / "fence.jsonl"
-    results = carry_out_missing(runs, measure, Result, file, options.jobs)
-    hours = sum(one.seconds for one in results) / 3600.0
+    results = keeper.records(perform, runs, file, jobs=options.jobs)
+    hours = sum(one.found.seconds for one in results) / 3600.0
     cpu = sum(one.cpu for one in results)
-    crossings = sum(one.crossings for one in results)
+    crossings = sum(one.found.crossings for one in results)
     print(f"{table(results)}\n\n{hours:.2f} robot-hours, {crossings} crossings")
     if hours:
         print(f"{cpu / hours:.0f} CPU-s a robot-hour")
@@ -290,4 +291,5 @@ def main(arguments: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
+    restart_pinned()  # as in a night, so that runs have its bits
     sys.exit(main(sys.argv[1:]))

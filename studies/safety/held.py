@@ -8,19 +8,18 @@ back without touching anything, by the true poses.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from msgspec import Struct
 
 from benchmarks.table import markdown
+from studies import keeper
+from studies.keeper import Traced, traced
 from studies.safety.driven import faults
 from studies.safety.judge import collisions
-from studies.safety.runs import Kept, carry_out_missing, commit
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenario import Scenario
@@ -86,15 +85,8 @@ class Found(Struct, frozen=True, kw_only=True):
     faults: int
 
 
-class Record(Kept, frozen=True, kw_only=True):
-    """A finished run; `commit` is that of the checkout."""
-
-    task: Run
-    commit: str
-    found: Found
-
-    def __str__(self) -> str:
-        return f"{self.task.swarm} {self.task.mode} {self.task.seed}: {self.found.held} held"
+Record: TypeAlias = keeper.Record[Run, Found]
+"""A finished run."""
 
 
 def scenario_for(run: Run) -> Scenario:
@@ -184,10 +176,10 @@ def _is_free(outline: Array, others: Sequence[Array], side: float) -> bool:
     return is_inside and all(float(gaps(outline, other)) > 0.0 for other in others)
 
 
-def _recorded(run: Run, code: str, *, at: str) -> Record:
-    begin = time.process_time()
-    found = measure(simulate_run(scenario_for(run), run.seed), SWARMS[run.swarm].side)
-    return Record(task=run, code=code, cpu=time.process_time() - begin, commit=at, found=found)
+def perform(run: Run) -> Traced[Found]:
+    """Simulate and measure a run, in this process."""
+    trace = simulate_run(scenario_for(run), run.seed)
+    return traced(measure(trace, SWARMS[run.swarm].side), trace)
 
 
 def carry_out(modes: Sequence[str], seeds: int, jobs: int, file: Path) -> list[Record]:
@@ -198,7 +190,12 @@ def carry_out(modes: Sequence[str], seeds: int, jobs: int, file: Path) -> list[R
         for mode in modes
         for number in range(seeds if mode == "platform" else 1)
     ]
-    return carry_out_missing(runs, partial(_recorded, at=commit()), Record, file, jobs)
+    return keeper.records(perform, runs, file, jobs=jobs, told=_told)
+
+
+def _told(record: Record) -> str:
+    task = record.task
+    return f"{task.swarm} {task.mode} {task.seed}: {record.found.held} held"
 
 
 def table(records: Sequence[Record]) -> str:

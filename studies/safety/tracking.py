@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from msgspec import Struct, structs
 
 from benchmarks.table import markdown
+from studies import keeper
+from studies.keeper import Traced, traced
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Scan
@@ -164,22 +167,58 @@ def _with_rate(platform: Platform, rate: float) -> Platform:
     return replace(platform, scan=replace(scan, rate=rate, latency=0.5 / rate, sweep=sweep))
 
 
-def compare(lidar: Lidar, seed: int, duration: float) -> list[ComparedTracker]:
+class Run(Struct, frozen=True):
+    """A run to do, with one of LIDARS, of `duration` s."""
+
+    lidar: str
+    seed: int
+    duration: float
+
+
+class Found(Struct, frozen=True):
+    """The sums of the compared trackers of a run, as in `ComparedTracker`."""
+
+    errors: Array
+    tracks: int
+    false: int
+    robots: int
+    found: int
+
+
+Record: TypeAlias = keeper.Record[Run, Found]
+"""A finished run."""
+
+
+def perform(run: Run) -> Traced[Found]:
     """One run among dense goals."""
-    made = scenario(Scene("goals", "burger", "body", "orca", duration=duration))
-    run = Lockstep(with_lidar(made, lidar), seed)
-    trackers = replace_trackers(run, ComparedTracker)
-    run.advance(duration)
-    return trackers
+    made = scenario(Scene("goals", "burger", "body", "orca", duration=run.duration))
+    lockstep = Lockstep(with_lidar(made, LIDARS[run.lidar]), run.seed)
+    trackers = replace_trackers(lockstep, ComparedTracker)
+    lockstep.advance(run.duration)
+    errors = np.array([row for one in trackers for row in one.errors]).reshape(-1, 3)
+    found = Found(
+        errors,
+        tracks=sum(one.tracks for one in trackers),
+        false=sum(one.false for one in trackers),
+        robots=sum(one.robots for one in trackers),
+        found=sum(one.found for one in trackers),
+    )
+    return traced(found, lockstep.trace())
 
 
-def table(seeds: Sequence[int], duration: float) -> str:
+def carry_out(seeds: Sequence[int], duration: float, jobs: int, file: Path) -> list[Record]:
+    """The runs of all lidars; those in `file` are not done again."""
+    runs = [Run(lidar, seed, duration) for lidar in LIDARS for seed in seeds]
+    return keeper.records(perform, runs, file, jobs=jobs)
+
+
+def table(records: Sequence[Record]) -> str:
     """Markdown, a row for each lidar."""
     rows = [["lidar", "place, r.m.s., 95 % [cm]", "velocity, r.m.s., 95 % [m/s]"]]
     rows[0] += ["true speed, r.m.s. [m/s]", "false tracks", "robots with a track"]
-    for name, lidar in LIDARS.items():
-        done = [one for seed in seeds for one in compare(lidar, seed, duration)]
-        errors: Array = np.array([row for one in done for row in one.errors]).reshape(-1, 3)
+    for name in LIDARS:
+        done = [record.found for record in records if record.task.lidar == name]
+        errors: Array = np.concatenate([one.errors for one in done])
         place, velocity, speed = np.sqrt(np.mean(errors**2, axis=0))
         worst = np.percentile(errors, 95.0, axis=0)
         rows.append(

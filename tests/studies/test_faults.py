@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from studies import faults
-from studies.faults import AT, BEHAVIOURS, FAULTS, FAULTY, REMOVED, SOUND, Record, Task
+from studies.faults import AT, BEHAVIOURS, FAULTS, FAULTY, REMOVED, SOUND, Found, Record, Task
 from tests.support.traces import trace_of
 
 
@@ -24,7 +24,7 @@ def test_each_row_gives_one_of_seven_robots_one_fault(pattern: str) -> None:
 
 def test_a_frozen_lidar_is_named_within_3_s_and_not_without_the_fault() -> None:
     frozen, sound = (
-        faults.perform(Task("dispersion", fault, 1), "") for fault in ("scan frozen", SOUND)
+        faults.perform(Task("dispersion", fault, 1)).found for fault in ("scan frozen", SOUND)
     )
     (text,) = [text for text in frozen.said if "stopped" in text]
     assert 0.5 < frozen.said["frozen_scan"] < 3.0  # 1 s without a change: docs/evidence/sensing.md
@@ -33,10 +33,8 @@ def test_a_frozen_lidar_is_named_within_3_s_and_not_without_the_fault() -> None:
 
 
 def record(fault: str, said: dict[str, float], outcome: float, own: int = 0) -> Record:
-    return Record(
-        task=Task("flocking", fault, 0), code="", cpu=0.0,
-        said=said, touches=own, own=own, others=0, outcome=outcome,
-    )  # fmt: skip
+    found = Found(said=said, touches=own, own=own, others=0, outcome=outcome)
+    return Record(Task("flocking", fault, 0), found)
 
 
 def test_a_text_of_runs_without_a_fault_names_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from studies import keeper
+from studies.ros import __main__ as study
 from studies.ros.chain import Chain
 from studies.ros.faults import Fault, faults
 from studies.ros.study import Row, _answer, rows
@@ -104,6 +107,56 @@ def test_the_answer_of_the_robot_is_one_phrase(printed: str, answer: str) -> Non
 
 def test_the_summary_counts_what_was_noticed_and_who_was_held() -> None:
     first, second = chosen()
-    text = summary([row(first), row(second, noticed=math.inf, others="r2: held")], "[1, 2]", 3)
+    text = summary([row(first), row(second, noticed=math.inf, others="r2: held")], (1, 2), 3)
     assert text.startswith("2 faults, 1 noticed, 0 with")
     assert "r2: held" in text.replace("\n", " ")
+
+
+def test_a_row_that_is_kept_is_not_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    played: list[str] = []
+
+    class FakeChain:
+        """A chain without processes, whose robots touch a wall in each row."""
+
+        def __init__(self, folder: Path, seed: int) -> None:
+            self.bridge = SimpleNamespace(endpoint=f"tcp/127.0.0.1:{1000 + len(played)}")
+            self.contacts = (0, 7)
+
+        def __enter__(self) -> FakeChain:
+            return self
+
+        def __exit__(self, *error: object) -> None:
+            pass
+
+    def play(chain: FakeChain, fault: Fault) -> Row:
+        if len(played) == 2:
+            raise KeyboardInterrupt
+        played.append(fault.name)
+        chain.contacts = (chain.contacts[0], chain.contacts[1] + 1)
+        return row(fault, stood=math.inf, says=f"at {chain.bridge.endpoint}")
+
+    for name, value in (("Chain", FakeChain), ("play", play), ("why_no_bridge", lambda: "")):
+        monkeypatch.setattr(study, name, value)
+    monkeypatch.setattr(keeper, "code_of", lambda perform: "a")
+    monkeypatch.setattr(study, "FILE", tmp_path / "rows.jsonl")
+    with pytest.raises(KeyboardInterrupt):
+        study.main(["--only", "lidar"])
+    names = [fault.name for fault in faults() if "lidar" in fault.name]
+    assert played == names[:2]
+    measured: list[str] = []
+
+    def play_rest(chain: FakeChain, fault: Fault) -> Row:
+        measured.append(fault.name)
+        return row(fault)
+
+    monkeypatch.setattr(study, "play", play_rest)
+    assert study.main(["--only", "lidar"]) == 0
+    assert measured == names[2:]
+    out = capsys.readouterr().out
+    rows = [text for text in out.splitlines() if text.startswith("| ")][1:]
+    assert [text.split(" | ")[0] for text in rows] == [f"| {name}" for name in names]
+    assert rows[0].split(" | ")[2] == "at tcp/127.0.0.1:7447"
+    assert rows[0].split(" | ")[4] == "**not**"
+    assert "walls 2 times" in out.replace("\n", " ")

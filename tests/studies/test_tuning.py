@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import kept, tuning
+from studies import keeper, tuning
 
 pytestmark = pytest.mark.long
 
@@ -17,7 +17,7 @@ def test_present_tuned_and_standing_robots_are_rows(
     group, shown, search = tuning.SEARCHES["tuned_dispersion"]
     short = {**search, "set": {"groups.tb3.count": 2, "duration": 3}, "param": ("speed=0.05,0.06",)}
     monkeypatch.setattr(tuning, "SEARCHES", {"tuned_dispersion": (group, shown, short)})
-    monkeypatch.setattr(kept, "kept_folder", lambda study: tmp_path / study)
+    monkeypatch.setattr(keeper, "experiment_folder", lambda study: tmp_path / study)
     monkeypatch.setattr("sys.argv", ["tuning", "--seeds", "1", "--jobs", "1"])
     tuning.main()
     lines = [line for line in capsys.readouterr().out.splitlines() if line]

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Joined, Outcome, at_least, ratio_of, share_of
-from studies.point_swarm import PointSwarm, at_places, each
+from studies.point_swarm import PointSwarm, at_places
 from swarmd.core.values import Scalar
 from tests.support.voting_sim import Air
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import (
     Joined,
     Outcome,
@@ -17,7 +18,7 @@ from studies.outcomes.outcome import (
     reported,
     share_of,
 )
-from studies.point_swarm import PointSwarm, Track, each
+from studies.point_swarm import PointSwarm, Track
 from swarmd.core.values import Array, Scalar, Scan, Value
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_of

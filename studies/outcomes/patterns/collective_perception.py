@@ -10,6 +10,7 @@ from itertools import count
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import (
     Joined,
     Outcome,
@@ -18,7 +19,7 @@ from studies.outcomes.outcome import (
     share_of,
 )
 from studies.outcomes.rows import RowsOf
-from studies.point_swarm import PointSwarm, each
+from studies.point_swarm import PointSwarm
 from swarmd.core.values import Array, Pose, Scalar, Scan, Value
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.floor import FloorField, Patch
@@ -50,7 +51,7 @@ _AIR = Air(delay=0.02, jitter=0.01)
 
 
 @dataclass(frozen=True, slots=True)
-class _Setting:
+class Setting:
     seed: int
     rule: str
     share: float
@@ -100,10 +101,16 @@ def agreements(
     seeds: Sequence[int], jobs: int = 1, shares: Sequence[float] = SHARES
 ) -> dict[tuple[str, float], list[Agreement]]:
     """By rule and share of black, a run of points for each seed."""
-    keys = [(rule, share) for share in shares for rule in RULES]
-    settings = [_Setting(seed, rule, share) for rule, share in keys for seed in seeds]
-    found = iter(each(run, settings, jobs))
-    return {key: [next(found) for _ in seeds] for key in keys}
+    settings = settings_of(seeds, shares)
+    found: dict[tuple[str, float], list[Agreement]] = {}
+    for setting, agreement in zip(settings, each(run, settings, jobs), strict=True):
+        found.setdefault((setting.rule, setting.share), []).append(agreement)
+    return found
+
+
+def settings_of(seeds: Sequence[int], shares: Sequence[float] = SHARES) -> list[Setting]:
+    """The runs by share of black, rule and seed."""
+    return [Setting(seed, rule, share) for share in shares for rule in RULES for seed in seeds]
 
 
 def won(found: Sequence[Agreement]) -> Joined:
@@ -116,7 +123,7 @@ def taken(found: Sequence[Agreement]) -> list[float]:
     return [min(one.at, SECONDS) for one in found]
 
 
-def run(setting: _Setting) -> Agreement:
+def run(setting: Setting) -> Agreement:
     """Simulate point robots on a tiled floor until they agree, and return the opinion and the time.
 
     Half of the points begin with each opinion, at random places of the room. The seed also draws

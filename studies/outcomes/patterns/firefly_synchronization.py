@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most
-from studies.point_swarm import PointSwarm, Track, at_places, each
+from studies.point_swarm import PointSwarm, Track, at_places
 from swarmd.core.values import Array
 from tests.support.voting_sim import Air
 
@@ -34,25 +35,48 @@ class _Setting:
     is_chain: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Flashes:
+    """The numbers of a run, each as the function of its name gives it."""
+
+    settled: float
+    late: float
+    naming: float
+    false: float
+
+
 def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
     """All outcomes: four runs for each seed, in the first of which a robot is killed."""
     lossy = each(run, [_Setting(seed, LOSSY) for seed in seeds], jobs)
     slow = each(run, [_Setting(seed, SLOW) for seed in seeds], jobs)
     alone = each(run, [_Setting(seed, LOSSY, coupling=0.0) for seed in seeds], jobs)
     chain = each(run, [_Setting(seed, LOSSY, is_chain=True) for seed in seeds], jobs)
-    named = [naming(track) for track in lossy]
+    in_step = [one.settled for one in lossy]
+    named = [one.naming for one in lossy]
+    wrongly_named = [one.false for one in lossy]
     return [
-        at_most(NAME, "periods until the order is 0.99", 5.0, list(map(settled, lossy)), _MIROLLO),
-        at_least(NAME, "least late order", 0.998, list(map(late, lossy)), _MIROLLO),
-        at_least(NAME, "the same, 100 ms, 30 % lost", 0.98, list(map(late, slow)), _LATENCY),
-        at_least(NAME, "the same, a chain of ten", 0.9, list(map(late, chain)), "ours"),
-        at_most(NAME, "the same, without coupling", 0.98, list(map(late, alone)), _CHANCE),
+        at_most(NAME, "periods until the order is 0.99", 5.0, in_step, _MIROLLO),
+        at_least(NAME, "least late order", 0.998, late_orders(lossy), _MIROLLO),
+        at_least(NAME, "the same, 100 ms, 30 % lost", 0.98, late_orders(slow), _LATENCY),
+        at_least(NAME, "the same, a chain of ten", 0.9, late_orders(chain), "ours"),
+        at_most(NAME, "the same, without coupling", 0.98, late_orders(alone), _CHANCE),
         at_most(NAME, "periods until all name a dead robot", 2.0, named, _CHRISTENSEN),
-        at_most(NAME, "times a living robot is named", 0.0, list(map(false, lossy)), "ours"),
+        at_most(NAME, "times a living robot is named", 0.0, wrongly_named, "ours"),
     ]
 
 
-def run(setting: _Setting) -> Track:
+def late_orders(flashes: Sequence[Flashes]) -> list[float]:
+    """The least late order of each run."""
+    return [one.late for one in flashes]
+
+
+def run(setting: _Setting) -> Flashes:
+    """What a run of a minute gave."""
+    track = flash(setting)
+    return Flashes(settled(track), late(track), naming(track), false(track))
+
+
+def flash(setting: _Setting) -> Track:
     """Ten robots for a minute; the first one is dead from `KILLED_AT` on."""
     number = np.arange(ROBOTS)
     links = np.abs(np.subtract.outer(number, number)) == 1 if setting.is_chain else None

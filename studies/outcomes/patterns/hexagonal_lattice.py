@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of
 from studies.outcomes.rows import RowsOf
-from studies.point_swarm import PointSwarm, each
+from studies.point_swarm import PointSwarm
 from swarmd.patterns.hexagonal_lattice.metrics import DISTANCE, Lattice, lattice
 
 NAME = "hexagonal_lattice"

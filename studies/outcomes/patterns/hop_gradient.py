@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_most
-from studies.point_swarm import PointSwarm, Track, at_places, each
+from studies.point_swarm import PointSwarm, Track, at_places
 from tests.support.voting_sim import Air
 
 NAME = "hop_gradient"

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most
 from studies.outcomes.rows import RowsOf
-from studies.point_swarm import PointSwarm, Track, each
+from studies.point_swarm import PointSwarm, Track
 from swarmd.patterns.leader_following.metrics import HEADWAY, SPEED, STANDSTILL
 
 NAME = "leader_following"

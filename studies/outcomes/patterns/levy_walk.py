@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Joined, Outcome, at_least, at_most, ratio_of, within
-from studies.point_swarm import PointSwarm, Track, each
+from studies.point_swarm import PointSwarm, Track
 from swarmd.core.values import Array, Scan
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan

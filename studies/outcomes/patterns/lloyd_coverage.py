@@ -7,8 +7,9 @@ from itertools import count
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts
-from studies.point_swarm import PointSwarm, at_places, each
+from studies.point_swarm import PointSwarm, at_places
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.settings.settings import load_platform
 from swarmd.sim.experiments.simulate import simulate

@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of
 from studies.outcomes.rows import RowsOf
-from studies.point_swarm import CLEAR, PointSwarm, each
+from studies.point_swarm import CLEAR, PointSwarm
 from swarmd.core.values import Value
 from swarmd.patterns.patrol.metrics import EVERY, PLACES, Idleness, ideal, idleness
 from tests.support.voting_sim import Air

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Joined, Outcome, at_least, at_most, mean_of, ratio_of, share_of
-from studies.point_swarm import PointSwarm, each
+from studies.point_swarm import PointSwarm
 from swarmd.core.values import Scalar, Value
 
 NAME = "shepherding"

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most
-from studies.point_swarm import PointSwarm, Track, at_places, each
+from studies.point_swarm import PointSwarm, Track, at_places
 from swarmd.core.values import Array, Value
 from tests.support.voting_sim import Air
 

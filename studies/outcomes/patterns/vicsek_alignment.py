@@ -9,8 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from studies.keeper import each
 from studies.outcomes.outcome import Outcome, at_least, at_most, difference_of, mean_of
-from studies.point_swarm import PointSwarm, each
+from studies.point_swarm import PointSwarm
 
 NAME = "vicsek_alignment"
 SHORT_FORM = {"has_sizes": False}

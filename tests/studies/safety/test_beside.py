@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from studies.safety import beside, runs
+from studies import keeper
+from studies.safety import beside
 from studies.safety.beside import (
     HEADINGS,
     THINGS,
@@ -74,14 +75,14 @@ def test_a_robot_that_nothing_touches_leaves(
     platform: str, thing: str, gap: float, heading: float
 ) -> None:
     cell = Cell(platform, thing, gap, heading)
-    found = simulate(cell, away=WANTED, at_least=0.0, at_most=WITHIN)
+    found = simulate(cell, away=WANTED, at_least=0.0, at_most=WITHIN).found
     assert found.near >= WANTED
     assert (found.faults, found.hardest <= CREEP) == (0, True)
 
 
 def test_a_robot_that_may_not_creep_keeps_its_circle_free() -> None:
     """The Jackal, 0.3 m from a wall: its page says that 0.92 m around its lidar must be free."""
-    found = simulate(Cell("jackal", "wall", 0.3, 0.0), at_most=10.0, at_least=10.0)
+    found = simulate(Cell("jackal", "wall", 0.3, 0.0), at_most=10.0, at_least=10.0).found
     assert (found.touches, found.reason) == (0, "protection")
     assert found.far < WANTED
 
@@ -166,7 +167,7 @@ def test_controls_have_the_plain_wall_alone() -> None:
 
 def test_values_are_kept_by_run_and_stand_before_an_arrow(tmp_path: Path) -> None:
     cell = Cell("burger", "wall", 0.05, 0.0)
-    record = Record(task=cell, code="a", cpu=1.0, commit="b", found=FOUND)
+    record = Record(cell, FOUND)
     keep([record], tmp_path / "before.jsonl")
     before = load(tmp_path / "before.jsonl")
     assert before == {cell: FOUND}
@@ -182,9 +183,11 @@ def test_values_are_kept_by_run_and_stand_before_an_arrow(tmp_path: Path) -> Non
 def test_cells_without_motion_get_more_seeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(beside, "simulate", lambda cell: FOUND if cell.beside == "pole" else LEFT)
-    monkeypatch.setattr(beside, "commit", lambda: "0123456")
-    monkeypatch.setattr(runs, "fingerprint", lambda: "these sources")
+    def simulated(cell: Cell) -> Found:
+        return FOUND if cell.beside == "pole" else LEFT
+
+    monkeypatch.setattr(beside, "simulate", simulated)
+    monkeypatch.setattr(keeper, "code_of", lambda perform: "these sources")
     wanted = [Cell("burger", thing, 0.05, 0.0) for thing in ("wall", "pole", "box")]
     records = beside.carry_out(wanted, (1, 3, 4), 1, tmp_path / "runs.jsonl")
     counts = [sum(one.task.beside == thing for one in records) for thing in ("wall", "pole", "box")]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from studies.safety import encounters, runs
+from studies import keeper
+from studies.keeper import Traced
+from studies.safety import encounters
 from studies.safety.encounters import (
     MODES,
     TASKS,
     Found,
+    Run,
     carry_out,
     perform,
     scenario_for,
@@ -35,7 +37,7 @@ def test_each_task_is_a_scenario_in_each_mode(task: str) -> None:
 
 
 def test_a_ghost_passes_a_parked_robot_and_the_parked_one_does_not_count() -> None:
-    found = perform("past a parked robot", "ghost", 0)
+    found = perform(Run("past a parked robot", "ghost", 0)).found
     assert (found.arrived, found.robots, found.faults) == (1, 1, 0)
     assert found.goals >= 3
     assert found.last is not None
@@ -45,20 +47,21 @@ def test_a_ghost_passes_a_parked_robot_and_the_parked_one_does_not_count() -> No
 def test_an_interrupted_study_repeats_no_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    done: list[tuple[str, str, int]] = []
+    done: list[Run] = []
 
-    def simulated(*run: Any) -> Found:
+    def simulated(run: Run) -> Traced[Found]:
         done.append(run)
-        return LATE
+        return Traced(LATE)
 
     monkeypatch.setattr(encounters, "perform", simulated)
+    monkeypatch.setattr(keeper, "code_of", lambda perform: "these sources")
     file, cell = tmp_path / "some" / "runs.jsonl", ("swap of 8", "barrier")
     carry_out(cell[:1], cell[1:], [0], 1, file)
     assert carry_out(cell[:1], cell[1:], [0, 1], 1, file) == {cell: [LATE, LATE]}
-    assert done == [(*cell, 0), (*cell, 1)]
-    monkeypatch.setattr(runs, "fingerprint", lambda: "other sources")
+    assert done == [Run(*cell, 0), Run(*cell, 1)]
+    monkeypatch.setattr(keeper, "code_of", lambda perform: "other sources")
     carry_out(cell[:1], cell[1:], [0], 1, file)
-    assert done[2:] == [(*cell, 0)]
+    assert done[2:] == [Run(*cell, 0)]
 
 
 def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
@@ -74,14 +77,14 @@ def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
 
 @pytest.mark.evidence
 def test_with_true_places_robots_that_meet_pass_each_other() -> None:
-    found = perform("two that meet", "orca_true", 3)
+    found = perform(Run("two that meet", "orca_true", 3)).found
     assert (found.arrived, found.touches) == (2, 0)
-    assert found.goals > perform("two that meet", "barrier", 3).goals
+    assert found.goals > perform(Run("two that meet", "barrier", 3)).found.goals
 
 
 @pytest.mark.parametrize("task", part(["two that meet"], ["past a parked robot"]))
 def test_robots_pass_each_other_with_less_recovery_and_without_a_touch(task: str) -> None:
-    found = perform(task, "orca", 3)
+    found = perform(Run(task, "orca", 3)).found
     assert found.arrived == found.robots
     assert found.touches == 0
-    assert found.recovering < perform(task, "barrier", 3).recovering
+    assert found.recovering < perform(Run(task, "barrier", 3)).found.recovering

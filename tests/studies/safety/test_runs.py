@@ -1,4 +1,4 @@
-"""Runs are stored, resumed and added up; none runs twice, and none of other sources counts."""
+"""Judged runs of scenes: they are kept, repeat bit by bit, and are added up."""
 
 from __future__ import annotations
 
@@ -7,18 +7,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from studies import keeper
 from studies.safety import hours, progress
 from studies.safety.columns import goals_a_minute, rate, upper_bound
 from studies.safety.judgement import Judgement
-from studies.safety.runs import (
-    Record,
-    Task,
-    carry_out,
-    carry_out_missing,
-    fingerprint,
-    read,
-    total,
-)
+from studies.safety.runs import Record, Task, carry_out, total
 from studies.safety.scenes import FAMILIES, Scene
 from swarmd.core.errors import ConfigError
 
@@ -45,10 +38,14 @@ NOTHING = Judgement(
 SHORT = Scene("goals", "burger", mode="ghost", duration=2.0)
 
 
+@pytest.fixture(autouse=True)
+def _same_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The digest of the sources takes longer than these runs."""
+    monkeypatch.setattr(keeper, "code_of", lambda perform: "a")
+
+
 def record(scene: Scene, seed: int = 0, found: Judgement = NOTHING) -> Record:
-    return Record(
-        task=Task(scene, seed), code="c", cpu=36.0, date="2026-11-22", commit="1a2b3c4", found=found
-    )
+    return Record(Task(scene, seed), found, cpu=36.0, day="2026-11-22", commit="1a2b3c4")
 
 
 def changed(**values: float) -> Judgement:
@@ -56,43 +53,23 @@ def changed(**values: float) -> Judgement:
 
 
 @pytest.mark.integration
-def test_a_finished_run_is_not_repeated(tmp_path: Path) -> None:
+def test_runs_are_done_in_processes_and_none_twice(tmp_path: Path) -> None:
     file = tmp_path / "some.jsonl"
     first = carry_out([Task(SHORT, 0)], file, 1)
-    both = carry_out([Task(SHORT, 1), Task(SHORT, 0)], file, 2)
-    assert [one.task.seed for one in both] == [1, 0]
-    assert both[1] == first[0]  # with the same processor time: it is the same run
-    assert len(file.read_text().splitlines()) == 2
+    both = carry_out([Task(SHORT, 2), Task(SHORT, 1), Task(SHORT, 0)], file, 2)
+    assert [one.task.seed for one in both] == [2, 1, 0]
+    assert both[2] == first[0]  # with the same processor time: it is the same run
+    assert len(file.read_text().splitlines()) == 3
+    assert len({one.bits for one in both}) == 3
 
 
-def test_runs_of_other_sources_do_not_count(tmp_path: Path) -> None:
-    file = tmp_path / "some.jsonl"
-    file.write_bytes(msgspec.json.encode(record(SHORT)) + b"\n")
-    done = carry_out([Task(SHORT, 0)], file, 1)
-    assert done[0].code == fingerprint() != "c"
-    assert len(read(file, Record)) == 2
-
-
-def test_a_line_that_a_power_cut_has_halved_is_made_again(tmp_path: Path) -> None:
-    file = tmp_path / "some.jsonl"
-    tasks = [Task(SHORT, seed) for seed in (0, 1)]
-
-    def perform(task: Task, code: str) -> Record:
-        return msgspec.structs.replace(record(task.scene, task.seed), code=code)
-
-    whole = carry_out_missing(tasks, perform, Record, file, 1)
-    assert read(file, Record) == whole
-    file.write_bytes(file.read_bytes()[:-20])
-    assert read(file, Record) == whole[:1]
-    assert carry_out_missing(tasks, perform, Record, file, 1) == whole
-    assert read(file, Record) == whole
-
-
-def test_a_file_of_another_format_is_refused_by_name(tmp_path: Path) -> None:
-    file = tmp_path / "some.jsonl"
-    file.write_text("robots\n")
-    with pytest.raises(ConfigError, match=r"some\.jsonl: .*take the line out"):
-        carry_out([Task(SHORT, 0)], file, 1)
+def test_a_run_that_is_done_again_has_the_same_bits(tmp_path: Path) -> None:
+    task = Task(SHORT, 0)
+    (record,) = carry_out([task], tmp_path / "some.jsonl", 1)
+    again = keeper.again("studies.safety.runs:perform", msgspec.to_builtins(task))
+    assert (again.bits, again.rules, again.found) == (record.bits, record.rules, record.found)
+    other = msgspec.to_builtins(Task(SHORT, 1))
+    assert keeper.again("studies.safety.runs:perform", other).bits != again.bits
 
 
 def test_an_impossible_scene_is_refused_before_anything_runs(tmp_path: Path) -> None:
