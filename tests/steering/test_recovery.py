@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,11 +13,13 @@ import pytest
 from swarmd.core.clock import TICK
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Twist
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext, Permit
 from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
 from tests.support.kernel_forms import long_run
+from tests.support.protection import Commander
 
 if TYPE_CHECKING:
     from swarmd.steering.recovery import NO_OTHERS, Others, Recovery
@@ -292,3 +294,48 @@ def test_a_robot_that_creeps_back_does_not_drive_on_to_where_it_came_from() -> N
         assert robot.time < 60.0
     ahead = [twist.linear for twist in robot.twists if twist.linear > 0.0]
     assert ahead == []
+
+
+def nose_to_a_wall(platform: Platform, gap: float) -> Scan:
+    """The scan of a robot whose front is at a gap in m from an endless wall."""
+    ahead = np.cos(platform.scan.bearings)
+    distance = platform.footprint[:, 0].max() + gap - platform.scan.offset[0]
+    ranges = np.where(ahead > 1e-3, distance / np.maximum(ahead, 1e-3), math.inf)
+    ranges[ranges > platform.scan.range_max] = math.inf
+    return scan_from(platform, ranges, platform.scan.bearings)
+
+
+def test_a_robot_that_was_held_counts_as_set_down_again() -> None:
+    """Who stops a robot may carry it into a corner. It then backs off for 8 s, before for 4 s."""
+    commander = Commander(WAFFLE)
+    scan = nose_to_a_wall(WAFFLE, 0.1)
+    now = 10.0
+
+    def safe(x: float, hold: Reason | None = None) -> Twist:
+        nonlocal now
+        now += TICK
+        context = DecisionContext(now, 0.0, Odometry(now, Pose(x), ZERO), 0.0)
+        commander.observe(scan, context)
+        return commander.decide(Twist(0.26), context, True, hold, MAY).safe
+
+    def back_off() -> float:
+        """The s of the first way straight back, where the robot has driven to."""
+        ways = [safe(0.2).linear < -0.0149 for _ in range(240)]
+        begin = ways.index(True)
+        return (ways.index(False, begin) - begin) * TICK
+
+    safe(0.0)
+    after_driving = back_off()
+    safe(0.2, Reason.STALE_SCAN)
+    after_hold = back_off()
+    assert (after_driving, after_hold) == pytest.approx((4.0, 8.0), abs=2.0 * TICK)
+
+
+def test_a_robot_that_does_not_come_free_does_as_before_after_two_minutes() -> None:
+    found = asked(
+        150.0, points=WALL_AHEAD, safe=lambda one: Twist(max(-0.015, min(one.linear, 0.0)))
+    )
+    backs = [twist.linear < 0.0 for _, twist in found]
+    lengths = [len(list(group)) * TICK for is_back, group in groupby(backs) if is_back]
+    assert lengths[0] == pytest.approx(8.0, abs=2.0 * TICK)
+    assert max(lengths[-3:]) <= 4.0 + 2.0 * TICK
