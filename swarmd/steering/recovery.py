@@ -110,7 +110,32 @@ _STOPPED_TIME = cython.declare(cython.double, 1.0)
 _STALL_DISTANCE = cython.declare(cython.double, 0.04)
 _STALL_TURN = cython.declare(cython.double, 1.0)
 _STALL_TIME = cython.declare(cython.double, 5.0)
-_CREEP_TIME = cython.declare(cython.double, 4.0)  # s, the longest back-off at a creep
+# s, the longest back-off that protection slows to less than half, as in contact
+_CREEP_TIME = cython.declare(cython.double, 4.0)
+# m from where a robot was set down, and s of requests, within which it leaves the place: see
+# `_observe`. Of 31 cells beside walls, in corners and in corridors that came less than 0.1 m in
+# 40 s, 30 then come 0.1 m (docs/evidence/beside.md). Robots that meet have driven farther.
+_LEAVING_DISTANCE = cython.declare(cython.double, 0.15)
+_LEAVING_TIME = cython.declare(cython.double, 120.0)
+# s, the longest back-off of a robot that leaves: 12 cm
+_LEAVING_BACK_TIME = cython.declare(cython.double, 8.0)
+# s for which a robot counts as one that creeps after its last command at a creep
+_CREPT_TIME = cython.declare(cython.double, 10.0)
+# s, the longest time between two decisions
+_DECISION_PERIOD = cython.declare(cython.double, 0.1)
+# s for which a robot that leaves straight keeps to ahead or back, unless it is blocked
+_WAY_HOLD_TIME = cython.declare(cython.double, 20.0)
+# m/s: a straight escape at least as fast is taken before one with a turn
+_STRAIGHT_ESCAPE = cython.declare(cython.double, 0.0075)
+# m/s of the axle or of a flank: a robot no faster creeps (protection: 1.5 cm/s at each corner).
+_CREEPING = cython.declare(cython.double, 0.016)
+# m/s of the axle or of a flank, in the direction of the request: a robot that creeps gains ground.
+_GAINS_GROUND = cython.declare(cython.double, 0.003)
+# s for which a robot that gains ground at a creep keeps its direction at most: half a turn of a
+# TurtleBot 4 takes 40 s.
+_KEEPS_DIRECTION = cython.declare(cython.double, 60.0)
+# m beside the body, of a corridor along which a robot leaves
+_BESIDE_BODY = cython.declare(cython.double, 0.02)
 _ESCAPE_TURNS = (0.0, 1.0, -1.0)  # rad/s
 # s of blocked motion before recovery begins, if moving objects are near
 _CROWD_PATIENCE = cython.declare(cython.double, 2.0)
@@ -157,6 +182,7 @@ class Recovery:
     has_taken_over = cython.declare(cython.bint, visibility="readonly")
     _half_width: cython.double  # m, of a corridor
     _width: cython.double  # m, of the robot
+    _flank: cython.double  # m from the axle, of the place whose speed in a turn counts
     _linear_limit: cython.double  # m/s
     _angular_limit: cython.double  # rad/s
     _turn_rate: cython.double  # rad/s
@@ -168,6 +194,15 @@ class Recovery:
     _planned_at_yaw: cython.double  # rad
     _speed: cython.double  # m/s, the fastest that was requested during a recovery
     _is_backing: cython.bint
+    _set_down_at: Pose | None  # of odometry, where the robot was set down; None: not known yet
+    _is_set_down: cython.bint  # the robot has not left this place
+    _leaving_time: cython.double  # s of requests since the robot was set down
+    _decided_at: cython.double  # s, of the last decision
+    _crept_at: cython.double  # s, of the last safe command at a creep; -inf without one
+    _leaves: cython.bint  # the robot was set down here, and protection lets it creep
+    _is_way_back: cython.bint  # the robot has crept back, not ahead
+    _way_until: cython.double  # s, until which it keeps to this way; -inf: it may choose
+    _gained_at: cython.double  # s, when the robot last gained ground at a creep
     _escape: Twist | None  # the twist of state back; None without one
     _back_off_count: cython.longlong
     _back_time: cython.double
@@ -187,6 +222,7 @@ class Recovery:
         self.lookahead = clearance.ahead + _FOLLOW_TIME * limits.linear
         self._half_width = clearance.beside
         self._width = 2.0 * clearance.body
+        self._flank = clearance.body if clearance.body > 0.0 else clearance.beside
         self._linear_limit = limits.linear
         self._angular_limit = limits.angular
         self._turn_rate = min(limits.angular, 1.5)
@@ -196,7 +232,20 @@ class Recovery:
         self._side_until = -INFINITY
         self._back_time = _BACK_OFF_TIME
         self._last_block_at = -INFINITY
+        self.set_down()
         self.reset()
+
+    @cython.ccall
+    def set_down(self) -> None:
+        """The robot does not run, or is held: a person may have set it down where it is."""
+        self._set_down_at = None
+        self._is_set_down = True
+        self._leaving_time = 0.0
+        self._decided_at = INFINITY
+        self._crept_at = -INFINITY
+        self._leaves = False
+        self._way_until = -INFINITY
+        self._gained_at = -INFINITY
 
     @cython.ccall
     def reset(self) -> None:
@@ -236,13 +285,15 @@ class Recovery:
         lateral: cython.double = pattern_request.lateral
         now: cython.double = context.now
 
+        self._observe(pattern_request, safe, context)
+
         # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),
         # or takes too long.
         has_taken_over: cython.bint = self.has_taken_over
         if (
             others.is_settled
             or not (self._is_fast(linear, lateral) or self._is_turning(pattern_request.angular))
-            or (has_taken_over and now - self._began_at > _MAX_RECOVERY_TIME + self._back_time)
+            or (has_taken_over and self._is_over(now))
         ):
             self.reset()
             return requested
@@ -270,12 +321,72 @@ class Recovery:
         return self._request
 
     @cython.cfunc
+    def _observe(self, requested: Twist, safe: Twist, context: DecisionContext) -> None:
+        """Update `_leaves`, and what a robot that leaves keeps to.
+
+        A robot that was set down in a corner, or across a corridor, creeps out of it, and needs
+        tens of s in one direction. Two robots that meet creep, too, and must give way. They have
+        driven there: so a robot leaves only until it is _LEAVING_DISTANCE from where it was set
+        down, and for _LEAVING_TIME at most.
+        """
+        if not self._is_set_down:
+            return
+        now: cython.double = context.now
+        if not requested.is_zero:
+            self._leaving_time += max(min(now - self._decided_at, _DECISION_PERIOD), 0.0)
+        self._decided_at = now
+        if not self._is_near_start(context) or self._leaving_time >= _LEAVING_TIME:
+            self._is_set_down = False
+            self._leaves = False
+            self._way_until = -INFINITY
+            return
+        is_creep: cython.bint = self._is_creep(safe)
+        if is_creep and not safe.is_zero:
+            self._crept_at = now
+        self._leaves = now - self._crept_at <= _CREPT_TIME
+        if not self._leaves:
+            return
+        if self._gains_ground(safe):
+            self._gained_at = now
+        if self.has_taken_over and is_creep and fabs(safe.linear) >= _STRAIGHT_ESCAPE:
+            self._is_way_back = safe.linear < 0.0
+            self._way_until = now + _WAY_HOLD_TIME
+
+    @cython.cfunc
+    def _is_near_start(self, context: DecisionContext) -> cython.bint:
+        """True if odometry says that the robot is still where it was set down; sets this place."""
+        if context.odometry is None:
+            return False
+        pose = context.odometry.pose
+        if self._set_down_at is None:
+            self._set_down_at = pose
+        start = self._set_down_at
+        return hypot(pose.x - start.x, pose.y - start.y) < _LEAVING_DISTANCE
+
+    @cython.cfunc
+    def _is_over(self, now: cython.double) -> cython.bint:
+        """True if a recovery takes too long.
+
+        A robot that leaves and gains ground keeps its direction: the request, or a back-off before
+        the next recovery, would take the ground back.
+        """
+        if now - self._began_at <= _MAX_RECOVERY_TIME + self._back_time:
+            return False
+        if not self._leaves:
+            return True
+        is_gaining: cython.bint = now - self._gained_at <= _TURN_BLOCKED_TIME
+        return not (is_gaining and now - self._state_since <= _KEEPS_DIRECTION)
+
+    @cython.cfunc
     def _start(self, requested: Twist, context: DecisionContext, points: Array) -> None:
-        """Begin a recovery: back off if a motion was blocked; choose a corridor if a turn was."""
+        """Begin a recovery: back off if a motion was blocked; choose a corridor if a turn was.
+
+        A robot that leaves backs off in any case: straight on no corner swings towards a wall.
+        """
         self._began_at = context.now
         self._speed = 0.5 * self._linear_limit
         self._last_motion = None
-        if self._is_fast(requested.linear, requested.lateral):
+        if self._leaves or self._is_fast(requested.linear, requested.lateral):
             self._back_off(points, context.now)
         else:
             self._plan(0.0, context, points)
@@ -297,11 +408,12 @@ class Recovery:
         is_moving: cython.bint = self._is_fast(linear, lateral)
         share: cython.double = 1.0  # of the request that protection allows
         if is_passing or self._creeps(safe):
-            share = (
-                1.0
-                if fabs(safe.linear) >= _HARDLY_MOVES * (_MIN_SPEED_SHARE * self._linear_limit)
-                else 0.0
-            )
+            least: cython.double = _HARDLY_MOVES * (_MIN_SPEED_SHARE * self._linear_limit)
+            if self._leaves and not is_passing:
+                least = min(least, _GAINS_GROUND)
+            share = 1.0 if fabs(safe.linear) >= least else 0.0
+        elif self._gains_ground(safe):
+            share = 1.0
         elif is_moving or self._is_turning(angular):
             share = self._product(safe.linear, safe.angular, safe.lateral, linear, angular, lateral)
             share /= self._product(linear, angular, lateral, linear, angular, lateral)
@@ -312,7 +424,7 @@ class Recovery:
             self._blocked_since = now
         if is_passing:
             patience = max(_STOPPED_TIME, patience)
-        elif not is_moving:
+        elif not is_moving or (self._leaves and self._state != "follow"):
             patience = _TURN_BLOCKED_TIME
         elif self._state != "follow":
             patience = _MOVE_BLOCKED_TIME
@@ -328,6 +440,28 @@ class Recovery:
         if asked <= 0.0:
             allowed = -allowed
         return 0.0 < allowed < _BLOCKED_SHARE * fabs(asked)
+
+    @cython.cfunc
+    def _gains_ground(self, safe: Twist) -> cython.bint:
+        """True if protection lets a robot that leaves creep in the direction of its request."""
+        if not self._leaves or self._state not in ("turn", "go"):
+            return False
+        if not self._is_creep(safe):
+            return False
+        gained: cython.double = self._flank * safe.angular * self._request.angular
+        speed: cython.double = fabs(self._request.angular)
+        if self._request.linear != 0.0:
+            gained = safe.linear * self._request.linear
+            speed = fabs(self._request.linear)
+        return gained >= _GAINS_GROUND * speed
+
+    @cython.cfunc
+    def _is_creep(self, safe: Twist) -> cython.bint:
+        """True if neither the axle nor a flank is faster than a robot that creeps."""
+        return (
+            hypot(safe.linear, safe.lateral) <= _CREEPING
+            and fabs(self._flank * safe.angular) <= _CREEPING
+        )
 
     @cython.cfunc
     def _is_stalled(self, context: DecisionContext, points: Points) -> cython.bint:
@@ -399,7 +533,12 @@ class Recovery:
         """True between walls: no corridor ahead is free up to the lookahead."""
         places: cython.const_double[:, ::1] = view(points)
         ahead = [bearing for bearing in _BEARINGS if fabs(bearing) <= 0.5 * PI]
-        return all([self._free_length(places, bearing) < self.lookahead for bearing in ahead])
+        return all(
+            [
+                self._free_length(places, bearing, self._half_width) < self.lookahead
+                for bearing in ahead
+            ]
+        )
 
     @cython.cfunc
     def _through_passage(self, requested: Twist, safe: Twist, points: Points) -> Twist:
@@ -450,7 +589,12 @@ class Recovery:
         # back-off, or a blocked drive, to a new corridor.
         now: cython.double = context.now
         # At a creep, as in contact, the robot needs longer to get clear.
-        back_time: cython.double = _CREEP_TIME if self._creeps(safe) else self._back_time
+        back_time: cython.double = self._back_time
+        if self._creeps(safe):
+            is_leaving: cython.bint = self._leaves and self._is_creep(safe)
+            back_time = _LEAVING_BACK_TIME if is_leaving else _CREEP_TIME
+        if self._state != "turn" and is_blocked:
+            self._way_until = -INFINITY
         if self._state == "turn" and is_blocked:
             self._back_off(points(), now)
             self._escape = None if safe_for is None else self._fastest_escape(safe_for)
@@ -467,7 +611,7 @@ class Recovery:
             if fabs(yaw_error) > _HEADING_TOLERANCE:
                 return Twist(0.0, copysign(self._turn_rate, yaw_error))
             self._enter("go", now)
-        if now - self._state_since >= _FOLLOW_TIME:
+        if now - self._state_since >= _FOLLOW_TIME and not self._gains_ground(safe):
             self.reset()  # this command is the last one of the recovery
         turn: cython.double = max(min(_FOLLOW_GAIN * yaw_error, self._turn_rate), -self._turn_rate)
         return Twist(self._speed, turn)
@@ -520,14 +664,22 @@ class Recovery:
     def _back_off(self, points: Array, now: cython.double) -> None:
         """Move forward or backward, to the side with more room."""
         places: cython.const_double[:, ::1] = view(points)
-        ahead = self._free_length(places, 0.0)
-        self._is_backing = self._free_length(places, PI) > ahead
+        half_width: cython.double = self._half_width
+        if self._leaves:
+            half_width = self._body_half_width()
+        ahead = self._free_length(places, 0.0, half_width)
+        self._is_backing = self._free_length(places, PI, half_width) > ahead
+        if now < self._way_until:
+            self._is_backing = self._is_way_back
         self._escape = None
         self._enter("back", now)
 
     @cython.cfunc
     def _fastest_escape(self, safe_for: Allows) -> Twist | None:
-        """The fastest of six twists that protection allows; None if protection allows none."""
+        """The fastest of six twists that protection allows; None if protection allows none.
+
+        A robot that leaves takes the first straight one that is no slower than _STRAIGHT_ESCAPE.
+        """
         speed = 0.5 * self._speed
         fastest = 0.0
         escape = None
@@ -535,6 +687,8 @@ class Recovery:
             for turn in _ESCAPE_TURNS:
                 twist = Twist(sign * speed, turn)
                 allowed = sign * safe_for(twist).linear
+                if self._leaves and turn == 0.0 and allowed >= _STRAIGHT_ESCAPE:
+                    return twist
                 if allowed > fastest + 0.01 * speed:
                     fastest = allowed
                     escape = twist
@@ -546,12 +700,37 @@ class Recovery:
 
         A corridor costs its angle from the heading. A corridor on the side that was not chosen
         costs more, as does a corridor that is not free up to `lookahead`.
+
+        A robot that leaves chooses among corridors of its body's width if no wider one is free. In
+        a corner and in a narrow corridor each wider one ends at a wall beside it, and the longest
+        leads across, to the next wall.
         """
         now: cython.double = context.now
         if now >= self._side_until:
             self._side = 1.0 if self._rng.random() < _SIDE_FLIP_PROBABILITY else -1.0
         self._side_until = now + _SIDE_HOLD_TIME
         places: cython.const_double[:, ::1] = view(points)
+        self._choose(places, heading, self._half_width)
+        if self._leaves:
+            free = self._free_length(places, self._bearing, self._half_width)
+            if free < self.lookahead:
+                self._choose(places, heading, self._body_half_width())
+        self._planned_at_yaw = 0.0 if context.odometry is None else context.odometry.pose.yaw
+        self._enter("turn", now)
+
+    @cython.cfunc
+    def _body_half_width(self) -> cython.double:
+        """m, half of the width of a corridor along which a robot leaves."""
+        return 0.5 * self._width + _BESIDE_BODY
+
+    @cython.cfunc
+    def _choose(
+        self,
+        places: cython.const_double[:, ::1],
+        heading: cython.double,
+        half_width: cython.double,
+    ) -> None:
+        """Set `_bearing` to that of the corridor that costs least; see `_plan`."""
         least_cost: cython.double = INFINITY
         for bearing in _BEARINGS:
             angle_off = wrap(bearing - heading)
@@ -559,16 +738,18 @@ class Recovery:
             if angle_off * self._side < -1e-9:
                 cost += _OTHER_SIDE_COST
             # 20 rad for each m that is not free: 0.2 m outweigh any angle.
-            cost += 20.0 * max(self.lookahead - self._free_length(places, bearing), 0.0)
+            free = self._free_length(places, bearing, half_width)
+            cost += 20.0 * max(self.lookahead - free, 0.0)
             if cost < least_cost:
                 least_cost = cost
                 self._bearing = bearing
-        self._planned_at_yaw = 0.0 if context.odometry is None else context.odometry.pose.yaw
-        self._enter("turn", now)
 
     @cython.cfunc
     def _free_length(
-        self, places: cython.const_double[:, ::1], bearing: cython.double
+        self,
+        places: cython.const_double[:, ::1],
+        bearing: cython.double,
+        half_width: cython.double,
     ) -> cython.double:
         """m of free corridor from the axle along a bearing, up to `lookahead`."""
         c = cos(bearing)
@@ -577,7 +758,7 @@ class Recovery:
         for i in range(len(places)):
             ahead = c * places[i, 0] + s * places[i, 1]
             aside = c * places[i, 1] - s * places[i, 0]
-            if 0.0 < ahead < free and fabs(aside) < self._half_width:
+            if 0.0 < ahead < free and fabs(aside) < half_width:
                 free = ahead
         return free
 

@@ -433,6 +433,20 @@ def test_the_nearest_place_hardly_closes_on_a_narrow_obstacle_that_may_touch(
             assert closing_speed(safe, at, towards) <= allowed + 1e-9
 
 
+@pytest.mark.parametrize(
+    ("gap", "closing"), [(0.012, 0.0), (0.0126, 0.0002), (0.0129, 0.0008), (0.0135, 0.002)]
+)
+@pytest.mark.parametrize("platform", CREEPING[1:], ids=lambda one: one.name)
+def test_a_locked_robot_stops_before_a_narrow_obstacle_ahead(
+    platform: Platform, gap: float, closing: float
+) -> None:
+    """At 1.25 cm, which it nears in 0.5 s: (gap - 0.0125 m) / 0.5 s. A pole behind locks it."""
+    scan = beside_poles(platform, [(0.0126, 135.0, 0.05), (gap, 0.0, 0.02)])
+    safe = decided(platform, scan, request_of(platform, 1.0, 0.0)).safe
+    assert safe.linear == pytest.approx(closing, abs=1e-7)
+    assert safe.angular == pytest.approx(0.0, abs=1e-7)
+
+
 @pytest.mark.parametrize("direction", [90.0, 270.0])
 def test_a_robot_beside_a_pole_leaves_it(direction: float) -> None:
     """Along the flank of a Burger: its normals forbid both turns, those at the ends both ways."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,11 +13,13 @@ import pytest
 from swarmd.core.clock import TICK
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Twist
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext, Permit
 from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
 from tests.support.kernel_forms import long_run
+from tests.support.protection import Commander
 
 if TYPE_CHECKING:
     from swarmd.steering.recovery import NO_OTHERS, Others, Recovery
@@ -73,9 +75,16 @@ def asked(
     points: Array = SIDES,
     safe: Callable[[Twist], Twist] = lambda twist: ZERO,
     turning: float = 0.0,
+    driven: float = 0.0,
 ) -> list[tuple[bool, Twist]]:
-    """Whether recovery is active, and its command, at each tick of a robot that does not move."""
+    """Whether recovery is active, and its command, at each tick of a robot that does not move.
+
+    `driven`: m that it drove before, since it was set down.
+    """
     recovery = Recovery(Clearance(0.5, 0.2, 0.09), Limits(0.22, 2.84), "seed")
+    for x in (0.0, driven):
+        context = DecisionContext(-1.0, 0.0, Odometry(-1.0, Pose(x - driven), ZERO), 0.0)
+        recovery.replacement(ZERO, ZERO, context, lambda: points)
     twist, found = request, []
     for tick in range(round(seconds / TICK)):
         odometry = Odometry(tick * TICK, Pose(0.0, 0.0, turning * tick * TICK), ZERO)
@@ -121,6 +130,25 @@ def test_the_room_between_others_is_no_passage(are_avoided: bool) -> None:
 def test_a_robot_that_creeps_out_of_contact_goes_on() -> None:
     found = asked(4.0, points=WALL_AHEAD, safe=lambda one: Twist(max(-0.01, min(one.linear, 0.0))))
     assert all(twist.linear < 0.0 for is_active, twist in found[10:] if is_active)
+
+
+@pytest.mark.parametrize(
+    ("speed", "driven", "longest"),
+    [(0.015, 0.0, 8.0), (0.015, 0.1, 8.0), (0.015, 0.2, 4.0), (0.05, 0.0, 4.0)],
+)
+def test_only_a_robot_that_creeps_where_it_was_set_down_backs_off_as_long_as_that_takes(
+    speed: float, driven: float, longest: float
+) -> None:
+    """Protection lets it back off at this speed in m/s, less than half of what it asks for."""
+    found = asked(
+        12.0,
+        points=WALL_AHEAD,
+        safe=lambda one: Twist(max(-speed, min(one.linear, 0.0))),
+        driven=driven,
+    )
+    backs = [twist.linear < 0.0 for _, twist in found]
+    begin = backs.index(True)
+    assert backs.index(False, begin) - begin == pytest.approx(longest / TICK, abs=2.0)
 
 
 def test_a_robot_that_cannot_turn_moves_as_protection_allows() -> None:
@@ -192,3 +220,122 @@ def test_recovery_ends_under_a_hold() -> None:
     assert all(
         decision.safe == ZERO and not decision.is_recovering for _, decision in run.decisions
     )
+
+
+class Creeper:
+    """A recovery in closed loop with a robot that protection lets creep: no faster in any case.
+
+    `walls`: returns (k, 2) in m in the frame of the world, in which the robot starts at the origin.
+    `stops`: gives of a pose and a twist whether protection stops this twist.
+    """
+
+    def __init__(
+        self, walls: Array, stops: Callable[[Pose, Twist], bool] = lambda pose, twist: False
+    ) -> None:
+        self.recovery = Recovery(Clearance(0.5, 0.3, 0.15), Limits(0.26, 1.8), "seed")
+        self.walls, self.stops = walls, stops
+        self.pose, self.safe, self.time = Pose(), ZERO, 0.0
+        self.twists: list[Twist] = []
+
+    def step(self, requested: Twist) -> None:
+        cos, sin = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
+        points = (self.walls - (self.pose.x, self.pose.y)) @ np.array([[cos, -sin], [sin, cos]])
+        context = DecisionContext(self.time, 0.0, Odometry(self.time, self.pose, ZERO), 0.0)
+        twist = self.recovery.replacement(
+            requested, self.safe, context, lambda: points, NO_OTHERS, self.creeping
+        )
+        self.safe = self.creeping(twist)
+        yaw = self.pose.yaw + self.safe.angular * TICK
+        self.pose = Pose(
+            self.pose.x + self.safe.linear * TICK * cos,
+            self.pose.y + self.safe.linear * TICK * sin,
+            yaw,
+        )
+        self.time += TICK
+        self.twists.append(self.safe)
+
+    def creeping(self, twist: Twist) -> Twist:
+        """1.5 cm/s at 0.2 m from the axle."""
+        scale = 0.015 / max(abs(twist.linear) + 0.2 * abs(twist.angular), 0.015)
+        slow = Twist(twist.linear * scale, twist.angular * scale)
+        return ZERO if self.stops(self.pose, slow) else slow
+
+
+def lines(*ends: tuple[float, float, float, float]) -> Array:
+    """Returns every 5 cm along lines from (x, y) to (x, y)."""
+    parts = []
+    for x, y, to_x, to_y in ends:
+        share = np.linspace(0.0, 1.0, round(math.hypot(to_x - x, to_y - y) / 0.05) + 1)[:, None]
+        parts.append((1.0 - share) * (x, y) + share * (to_x, to_y))
+    return np.concatenate(parts)
+
+
+ACROSS = lines((0.25, -1.5, 0.25, 1.5), (-0.35, -1.5, -0.35, 1.5))
+NOSE_IN = lines((0.25, -1.5, 0.25, 0.25), (0.25, 0.25, -1.5, 0.25))
+
+
+@pytest.mark.parametrize("asked_for", [AHEAD, Twist(0.0, 1.0), Twist(0.0, -1.0)])
+def test_a_robot_that_creeps_across_a_corridor_turns_along_it(asked_for: Twist) -> None:
+    """Its turn is so slow that it counted as blocked, and wider corridors lead to the walls."""
+    robot = Creeper(ACROSS)
+    while abs(robot.pose.yaw) < math.radians(75.0):
+        robot.step(asked_for)
+        assert robot.time < 40.0
+
+
+def test_a_robot_that_creeps_back_does_not_drive_on_to_where_it_came_from() -> None:
+    """Nose in a corner of two walls: turns are stopped, and the back is free along one wall."""
+    robot = Creeper(
+        NOSE_IN,
+        stops=lambda pose, twist: pose.x > 0.05 or (pose.yaw < -0.1 and twist.angular < 0.0),
+    )
+    while robot.pose.x > -0.4:
+        robot.step(Twist(0.0, -1.0))
+        assert robot.time < 60.0
+    ahead = [twist.linear for twist in robot.twists if twist.linear > 0.0]
+    assert ahead == []
+
+
+def nose_to_a_wall(platform: Platform, gap: float) -> Scan:
+    """The scan of a robot whose front is at a gap in m from an endless wall."""
+    ahead = np.cos(platform.scan.bearings)
+    distance = platform.footprint[:, 0].max() + gap - platform.scan.offset[0]
+    ranges = np.where(ahead > 1e-3, distance / np.maximum(ahead, 1e-3), math.inf)
+    ranges[ranges > platform.scan.range_max] = math.inf
+    return scan_from(platform, ranges, platform.scan.bearings)
+
+
+def test_a_robot_that_was_held_counts_as_set_down_again() -> None:
+    """Who stops a robot may carry it into a corner. It then backs off for 8 s, before for 4 s."""
+    commander = Commander(WAFFLE)
+    scan = nose_to_a_wall(WAFFLE, 0.1)
+    now = 10.0
+
+    def safe(x: float, hold: Reason | None = None) -> Twist:
+        nonlocal now
+        now += TICK
+        context = DecisionContext(now, 0.0, Odometry(now, Pose(x), ZERO), 0.0)
+        commander.observe(scan, context)
+        return commander.decide(Twist(0.26), context, True, hold, MAY).safe
+
+    def back_off() -> float:
+        """The s of the first way straight back, where the robot has driven to."""
+        ways = [safe(0.2).linear < -0.0149 for _ in range(240)]
+        begin = ways.index(True)
+        return (ways.index(False, begin) - begin) * TICK
+
+    safe(0.0)
+    after_driving = back_off()
+    safe(0.2, Reason.STALE_SCAN)
+    after_hold = back_off()
+    assert (after_driving, after_hold) == pytest.approx((4.0, 8.0), abs=2.0 * TICK)
+
+
+def test_a_robot_that_does_not_come_free_does_as_before_after_two_minutes() -> None:
+    found = asked(
+        150.0, points=WALL_AHEAD, safe=lambda one: Twist(max(-0.015, min(one.linear, 0.0)))
+    )
+    backs = [twist.linear < 0.0 for _, twist in found]
+    lengths = [len(list(group)) * TICK for is_back, group in groupby(backs) if is_back]
+    assert lengths[0] == pytest.approx(8.0, abs=2.0 * TICK)
+    assert max(lengths[-3:]) <= 4.0 + 2.0 * TICK
