@@ -8,6 +8,7 @@ from random import Random
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pytest
 
 from swarmd.core.events import (
     TICK_INPUT,
@@ -17,9 +18,10 @@ from swarmd.core.events import (
     RequestInput,
     ScanInput,
 )
+from swarmd.core.goal import Goal
 from swarmd.core.host_messages import Loaded, Step, Stepped
 from swarmd.core.kernels import load_kernel
-from swarmd.core.messages import Reason
+from swarmd.core.messages import Reason, State
 from swarmd.core.values import Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import RunRequest
 from swarmd.robot.actions import Actions
@@ -28,9 +30,10 @@ from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import RobotSetup
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.scans import Disc, scan_of
+from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.robot_harness import acted
+from tests.support.stub_patterns import idle, started
 
 if TYPE_CHECKING:
     from swarmd.robot.pattern_run import PatternRun
@@ -193,3 +196,64 @@ def test_actions_are_made_of_locals_that_have_the_names_of_their_fields() -> Non
     for call in calls:
         assert tuple(map(ast.unparse, call.args)) == fields[: len(call.args)]
     assert sorted(len(call.args) for call in calls) == [6, len(fields)]
+
+
+def test_no_tick_in_running_is_a_share_of_zero() -> None:
+    assert [kernel.DutyCycle().share for kernel in FORMS] == [0.0, 0.0]
+
+
+def test_the_first_tick_of_a_robot_looks_at_all_and_gives_a_status() -> None:
+    robot = Robot(
+        "r",
+        PLATFORM,
+        RobotSetup(driver="story"),
+        make_steering=STEERING,
+        seed=1,
+        instance="b",
+        now=10.0,
+    )
+    actions = acted(robot, TICK_INPUT, 10.0)
+    assert (actions.is_quiet, actions.has_status) == (False, True)
+
+
+# Between two regular ticks a robot wakes at four kinds of deadlines (`Ticker.wake_at`). The tests
+# ask for a later time than that of the last input, when nearer deadlines are over.
+
+
+def test_a_robot_wakes_just_after_its_scan_has_become_stale() -> None:
+    """A scan of 5 Hz counts for 3.5 periods, which are 0.7 s (docs/safety.md)."""
+    harness = started()
+    harness.scan(empty_scan(PLATFORM, 100, harness.now))
+    wake_at = harness.robot.wake_at(harness.now + 0.65)
+    assert wake_at == pytest.approx(harness.now + 0.7001, abs=1e-6)
+
+
+def test_a_robot_in_a_hold_wakes_when_the_hold_has_lasted_for_two_seconds() -> None:
+    harness = started()
+    harness.scans = lambda seq, now: None
+    while harness.status.reason is not Reason.STALE_SCAN:
+        harness.advance(0.05)
+    began = harness.now - 0.05  # or since
+    wake_at = harness.robot.wake_at(harness.now + 1.9)
+    assert wake_at is not None
+    assert began + 2.0 <= wake_at <= began + 2.05
+    harness.advance(1.9)
+    assert harness.robot.state is State.RUNNING
+    harness.advance(0.1)
+    assert harness.robot.state is State.STOPPED
+
+
+def test_a_robot_wakes_when_its_run_lease_ends() -> None:
+    harness = idle()
+    goal = Goal(generation=1, issuer="bob", id="g1", pattern="forward", lease=3.0)
+    harness.applied("run", pattern="forward", goal=goal)
+    assert harness.robot.wake_at(harness.now + 2.9) == pytest.approx(harness.now + 3.0)
+
+
+def test_a_robot_that_stands_wakes_at_regular_ticks_alone() -> None:
+    harness = idle()
+    assert harness.robot.wake_at(harness.now) is None
+    harness.applied("run", pattern="forward")
+    assert harness.robot.wake_at(harness.now) is not None
+    harness.applied("stop")
+    assert harness.robot.wake_at(harness.now) is None
