@@ -216,6 +216,22 @@ def test_the_first_tick_of_a_robot_looks_at_all_and_gives_a_status() -> None:
     assert (actions.is_quiet, actions.has_status) == (False, True)
 
 
+@pytest.mark.parametrize(("early", "twist"), [(1e-6, Twist()), (2e-6, Twist(0.2))])
+def test_a_command_expires_a_microsecond_before_its_time_is_over(
+    early: float, twist: Twist
+) -> None:
+    """A timer may wake a rounding error early (timeouts.py), and a command counts for 0.3 s."""
+    harness = started()
+    harness.is_hung = True
+    running = harness.robot._run.running
+    assert running is not None
+    for after in (0.1, 0.21, 0.25):  # a step begins, the next one waits for its answer
+        harness.step(TICK_INPUT, running.requested_at + after)
+        assert harness.twist == Twist(0.2)
+    harness.step(TICK_INPUT, running.requested_at + 0.3 - early)
+    assert harness.twist == twist
+
+
 # Between two regular ticks a robot wakes at four kinds of deadlines (`Ticker.wake_at`). The tests
 # ask for a later time than that of the last input, when nearer deadlines are over.
 
