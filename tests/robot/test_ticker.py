@@ -14,6 +14,9 @@ from swarmd.core.events import (
     TICK_INPUT,
     DriverInput,
     HostInput,
+    KinInput,
+    MessageInput,
+    NeighborsInput,
     OdometryInput,
     RequestInput,
     ScanInput,
@@ -22,7 +25,8 @@ from swarmd.core.goal import Goal
 from swarmd.core.host_messages import Loaded, Step, Stepped
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason, State
-from swarmd.core.values import Odometry, Outputs, Pose, Twist
+from swarmd.core.told import Told
+from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import RunRequest
 from swarmd.robot.actions import Actions
 from swarmd.robot.issue_time import IssueTime
@@ -202,6 +206,18 @@ def test_no_tick_in_running_is_a_share_of_zero() -> None:
     assert [kernel.DutyCycle().share for kernel in FORMS] == [0.0, 0.0]
 
 
+def test_the_share_of_active_protection_counts_ticks_in_running_alone() -> None:
+    harness = idle()
+    assert harness.robot._duty.decisions == 0
+    harness.applied("run", pattern="forward")
+    harness.advance(1.0)  # 20 ticks, and a wake-up for each of 10 steps
+    assert 20 <= harness.robot._duty.decisions <= 30
+    harness.applied("stop")
+    counted = harness.robot._duty.decisions
+    harness.advance(1.0)
+    assert harness.robot._duty.decisions == counted
+
+
 def test_the_first_tick_of_a_robot_looks_at_all_and_gives_a_status() -> None:
     robot = Robot(
         "r",
@@ -273,3 +289,50 @@ def test_a_robot_that_stands_wakes_at_regular_ticks_alone() -> None:
     assert harness.robot.wake_at(harness.now) is not None
     harness.applied("stop")
     assert harness.robot.wake_at(harness.now) is None
+
+
+def test_actions_say_what_the_shell_may_do_with_a_command_in_each_state() -> None:
+    """actions.py: idle with its base; stopped, estopped or faulted; without a run no scan."""
+    harness = idle()
+
+    def told() -> tuple[bool, bool, int]:
+        actions = acted(
+            harness.robot, RequestInput(harness.request("label", labels=("red",))), harness.now
+        )
+        return actions.is_idle, actions.is_stopped, actions.requested_scan_seq
+
+    assert told() == (True, False, -1)
+    harness.applied("run", pattern="forward")
+    harness.advance(0.5)
+    is_idle, is_stopped, scan_seq = told()
+    assert (is_idle, is_stopped) == (False, False)
+    assert scan_seq >= 0
+    harness.applied("stop")
+    assert told() == (False, True, -1)
+    harness.applied("reset")
+    harness.step(DriverInput(False, "gone"))
+    assert told() == (False, False, -1)
+
+
+def test_each_receiver_of_a_message_gets_it_and_who_is_none_is_skipped() -> None:
+    harness = started("listener")
+    message = MessageInput("r02", "listener/count", 7)
+    harness.step(NeighborsInput((Neighbor("r02", 0.0),)))
+    FORMS[1].message_many([None, harness.robot, None], message, harness.now)
+    harness.advance(0.5)
+    assert harness.status.report["heard"] == "(('r02', 7),)"
+    idle_one = idle()
+    idle_one.step(NeighborsInput((Neighbor("r02", 0.0),)))
+    FORMS[1].message_many([idle_one.robot], message, idle_one.now)  # without a run none is kept
+    idle_one.applied("run", pattern="listener")
+    idle_one.advance(0.5)
+    assert idle_one.status.report["heard"] == "()"
+
+
+@pytest.mark.parametrize("asks", [True, False])
+def test_who_hears_a_peer_that_asks_for_places_names_peers(asks: bool) -> None:
+    harness = idle()
+    told = KinInput("r02", Told(1, 0, 0, 0, 0, b"", asks))
+    hearing = FORMS[1].kin_many([None, harness.robot], told, harness.now)
+    assert len(hearing) == asks
+    assert (harness.robot._sensors.kin is not None) is asks
