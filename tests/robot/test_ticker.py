@@ -232,6 +232,16 @@ def test_the_first_tick_of_a_robot_looks_at_all_and_gives_a_status() -> None:
     assert (actions.is_quiet, actions.has_status) == (False, True)
 
 
+def test_a_change_of_state_is_told_at_the_next_tick() -> None:
+    """robot.py: a status is due if a value that peers act on has changed, or after a second."""
+    harness = idle()
+    for verb, fields in (("run", {"pattern": "forward"}), ("stop", {}), ("reset", {})):
+        while acted(harness.robot, TICK_INPUT, harness.now).has_status:
+            harness.advance(0.05)
+        harness.applied(verb, **fields)
+        assert acted(harness.robot, TICK_INPUT, harness.now + 0.01).has_status
+
+
 @pytest.mark.parametrize(("early", "twist"), [(1e-6, Twist()), (2e-6, Twist(0.2))])
 def test_a_command_expires_a_microsecond_before_its_time_is_over(
     early: float, twist: Twist
