@@ -12,7 +12,7 @@ creator: callgrind-3.19.0
 part: 2
 desc: Trigger: Client Request: scan and decision / 20
 events: Ir
-summary: 5000
+summary: 18446744073698164101
 
 fl=(1) libpython
 totals: 5000
