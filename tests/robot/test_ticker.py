@@ -37,7 +37,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.robot_harness import acted
-from tests.support.stub_patterns import idle, started
+from tests.support.stub_patterns import idle, standing_state, started
 
 if TYPE_CHECKING:
     from swarmd.robot.pattern_run import PatternRun
@@ -290,6 +290,17 @@ def test_a_robot_wakes_when_its_run_lease_ends() -> None:
     goal = Goal(generation=1, issuer="bob", id="g1", pattern="forward", lease=3.0)
     harness.applied("run", pattern="forward", goal=goal)
     assert harness.robot.wake_at(harness.now + 2.9) == pytest.approx(harness.now + 3.0)
+
+
+def test_quiet_ticks_end_a_run_with_its_lease() -> None:
+    harness = idle()
+    goal = Goal(generation=1, issuer="bob", id="g1", pattern="forward", lease=3.0)
+    harness.applied("run", pattern="forward", goal=goal)
+    harness.advance(2.9)
+    assert harness.twist == Twist(0.2)
+    harness.advance(0.1)
+    assert harness.twist.is_zero
+    assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
 
 
 def test_a_robot_that_stands_wakes_at_regular_ticks_alone() -> None:
