@@ -176,6 +176,7 @@ def test_many_robots_tick_as_one_does() -> None:
         one.step(OdometryInput(odometry), now)
         FORMS[1].odometry_many([None, other], [None, odometry], now)
         single = acted(one, TICK_INPUT, now)
+        commands[2] = np.nan  # of the tick before
         several = FORMS[1].tick_many([other], [2], commands, now)
         twist = follow(one, single, now)
         if several:
