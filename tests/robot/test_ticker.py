@@ -358,3 +358,11 @@ def test_who_hears_a_peer_that_asks_for_places_names_peers(asks: bool) -> None:
     hearing = FORMS[1].kin_many([None, harness.robot], told, harness.now)
     assert len(hearing) == asks
     assert (harness.robot._sensors.kin is not None) is asks
+
+
+def test_a_robot_that_loads_a_pattern_is_not_at_rest() -> None:
+    harness = idle()
+    assert harness.robot.is_at_rest
+    harness.is_hung = True
+    assert harness.ask("run", pattern="forward") is None
+    assert not harness.robot.is_at_rest
