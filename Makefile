@@ -34,7 +34,7 @@ JOBS ?=
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo behaviour short-forms kernels wheels archive release earlier test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
+.PHONY: help demo behaviour instructions short-forms kernels wheels archive release earlier test test-all test-long test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale films ros2-router zenohd lock clean sequences arm64 night
 .DELETE_ON_ERROR:
 
 help:
@@ -54,6 +54,7 @@ help:
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their goals (ARGS=latency picks one)"
 	@echo "make budget    each budget: a ratio to a yardstick of the same run, in three minutes"
+	@echo "make instructions  costs in instructions beside those of the last tag, by callgrind; some minutes  (ARGS='--against REV')"
 	@echo "make arm64     tests, traces and a daemon on an emulated arm64; as root, half an hour at first"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
@@ -114,7 +115,7 @@ test test-long test-robot: export PYTHONUTF8 = 1
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
 test test-long test-robot: export OPENBLAS_NUM_THREADS = 1
 # What is tested or timed is done, not taken from the store of runs.
-test test-long test-robot check docs wheel bench budget arm64: export SWARMD_RUN_STORE = off
+test test-long test-robot check docs wheel bench budget instructions arm64: export SWARMD_RUN_STORE = off
 # $(call tested,JOBS,MORE,BEFORE): pytest with so many files at a time. ARGS of test-all (ALL) may pick no
 # test of a lane, with which pytest exits with 5.
 tested = $(COMPILE) tests && { $(3) $(BIN)/python -m pytest -n $(or $(JOBS),$(1)) --dist loadfile --no-loadscope-reorder $(2) \
@@ -205,6 +206,10 @@ arm64: $(VENV)/tools
 # Every row of the budgets in three minutes.
 budget: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.budget
+
+# Needs no quiet machine. The first comparison with a commit builds it: two CPU-minutes.
+instructions: kernels
+	@$(BIN)/python -m benchmarks.instructions $(ARGS)
 
 # Every verb at 28 pairs of delay and loss, then the long tests of splits, storms and flapping, in
 # network namespaces. ARGS="--rtt 200 500 --loss 0 --json answers.jsonl" picks cells of the matrix.

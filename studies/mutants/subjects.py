@@ -106,12 +106,12 @@ def subjects() -> Sequence[Subject]:
         Subject(
             name="ticker",
             paths=("swarmd/robot/ticker.py",),
-            tests=("tests/robot/test_ticker.py", "tests/robot/test_quiet_ticks.py"),
+            tests=("tests/robot/test_ticker.py", "tests/robot/test_robot.py"),
             more=(
-                "tests/robot/test_robot.py",
                 "tests/robot/test_lying_steering.py",
                 "tests/robot/test_kin.py",
                 "tests/robot/test_sensors.py",
+                "tests/robot/test_quiet_ticks.py",
                 "tests/robot/test_memory.py",
             ),
             one_of=3,

@@ -111,7 +111,7 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
       goal that is less (by the order of `core/goal.py`) than the goal that it holds.
     - `at`: by robot, the start time in s on the robot's own clock (CLOCK_BOOTTIME). The pattern is
       loaded before. A robot without an entry starts once the pattern is loaded. The robot refuses a
-      request that arrives more than MAX_LATE after its start time.
+      request that arrives MAX_LATE after its start time, or later.
     """
 
     pattern: Name

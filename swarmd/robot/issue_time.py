@@ -77,6 +77,7 @@ class KnownStops:
         newest, issuer = self._newest.get(stop.clock, (stop, by))
         if stop.clock and not stop._is_on_clock_of(newest, MAX_WAY):
             # Two machines have this clock id: the earlier stop counts by the own clock alone.
+            # Of two stops of one instant, the first that was noted does.
             if stop.at < newest.at:
                 stop, by, newest, issuer = newest, issuer, stop, by
             self._newest[stop.clock] = stop, by

@@ -26,7 +26,8 @@ stop issued after the wish of the run  the run ends and the load continues; the 
 and before the wish of the load        refusal (`overtaken`), since the load starts a new run
 no run and no load, new stop           a trial ends; an idle robot becomes stopped
 no run and no load, stop issued        nothing changes, and the reply is as for a new stop: a
-before an obeyed stop or a reset       trial or reset may have been requested after this stop
+before an obeyed stop or a reset, or   trial or reset may have been requested after this stop
+at the same instant
 =====================================  ==========================================================
 
 The age of a stop does not include its time on the network. A stop may therefore seem to be issued
@@ -67,7 +68,6 @@ _RESPONSE = 0.2  # s after the last command to move, in which the base may not h
 # m/s and rad/s, at most, that odometry shows of a base at rest
 _REST_SPEED = 0.02
 _REST_TURN = 0.05
-MIN_RUN_TIME = 1e-3  # s: a run for no time is no valid run
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
 
@@ -106,7 +106,7 @@ class RequestHandler:
         self._heard_by = now + STOP_TIME  # a base may move unheard until this time
         # By id of a stop, the time at which it was first carried out.
         self._executed: dict[str, float] = {}
-        # A robot without a run or load has obeyed all stops that were issued before this time.
+        # A robot without a run or load has obeyed all stops that were issued until this time.
         self._obeyed_until = -math.inf
         self.reset_at = -math.inf  # the time of the last reset
 
@@ -266,6 +266,7 @@ class RequestHandler:
     def _is_at_rest(self, now: float) -> bool:
         """True if odometry measured the base at rest, after the last command to move took effect.
 
+        A command takes effect within _RESPONSE: what was measured at that time or later counts.
         Without odometry: True once STOP_TIME has passed since the start of the daemon. The text of
         the reply then says that there is no odometry.
         """
@@ -340,7 +341,7 @@ class RequestHandler:
         if fault := fault_of(request.until):
             return Refusal.INVALID_CONDITION, fault
         ahead = request.at.get(self._robot, now) - now
-        if ahead < -verbs.MAX_LATE:
+        if ahead <= -verbs.MAX_LATE:  # the load would end later still
             return Refusal.TOO_LATE, f"the run was to start {-ahead:.1f} s ago"
         if ahead > verbs.MAX_AHEAD:
             text = f"the run is to start in {ahead:.0f} s; at most {verbs.MAX_AHEAD:.0f} s ahead"
@@ -539,7 +540,8 @@ class RequestHandler:
         goal = goals.own.goal if goals.own and goals.state is GoalState.RUNNING else None
         seconds_left: float | None = None
         if running.finish_at != math.inf:
-            seconds_left = max(running.finish_at - effects.now, MIN_RUN_TIME)
+            # Without time left the new run ends in the event in which it begins.
+            seconds_left = running.finish_at - effects.now
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)

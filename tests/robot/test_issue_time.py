@@ -38,6 +38,15 @@ def test_two_machines_with_one_clock_id_are_both_known() -> None:
     assert known.later_than(IssueTime(5.1, "a", 100.1)) == ""
 
 
+def test_of_two_machines_with_one_clock_id_the_last_that_was_heard_at_an_instant_keeps_it() -> None:
+    """Its user is the one who orders next; the other stop counts by the own clock alone."""
+    known = KnownStops()
+    known.note(IssueTime(5.0, "a", 100.0), "bob")
+    known.note(IssueTime(5.0, "a", 100.0 + MAX_WAY + 1.0), "anna")
+    assert known.later_than(IssueTime(5.1, "a", 102.9)) == "anna"  # 0.1 s before hers, by her clock
+    assert known.later_than(IssueTime(5.1, "a", 103.1)) == ""
+
+
 # The docstring of issue_time.py has these rules and bounds: 64 clocks, 2 s of ways, 60 s frozen.
 
 

@@ -75,9 +75,13 @@ WRONG: dict[str, object] = {
     "nan": Steered(Twist(math.nan, 0.0)),
     "infinite": Steered(Twist(0.1, math.inf)),
     "nan to the left": Steered(Twist(0.1, 0.0, math.nan)),
+    "infinite ahead": Steered(Twist(-math.inf)),
+    "infinite to the left": Steered(Twist(0.1, 0.0, math.inf)),
     "no bool": Steered(Twist(0.1), "yes"),  # type: ignore[arg-type]  # on purpose
     "avoids a text": Steered(Twist(0.1), False, "wall"),  # type: ignore[arg-type]  # on purpose
     "avoids nan": Steered(Twist(0.1), False, Avoided(math.nan, 1.0)),
+    "avoids what has no end": Steered(Twist(0.1), False, Avoided(0.0, math.inf)),
+    "avoids in no way": Steered(Twist(0.1), False, Avoided(0.0, 1.0, "left")),  # type: ignore[arg-type]  # on purpose
     "raises": ValueError("a line\nand a second one"),
     "raises a lookup": KeyError(3),
     "raises without a text": Mute(),
@@ -85,6 +89,7 @@ WRONG: dict[str, object] = {
 RIGHT: dict[str, object] = {
     "fast": Steered(FAST, True),
     "fast back": Steered(Twist(-9.9, -9.9, -9.9)),
+    "avoids an object": Steered(FAST, False, Avoided(0.1, 1.0)),
     "none": None,
 }
 

@@ -9,12 +9,20 @@ import msgspec
 import pytest
 
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
-from swarmd.core.events import DriverInput, DuplicateInput, LatchesInput, NetworkInput, RosterInput
+from swarmd.core.events import (
+    DriverInput,
+    DuplicateInput,
+    LatchesInput,
+    NetworkInput,
+    OdometryInput,
+    RosterInput,
+)
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Code, Epoch, Latch, Reason, Reply, State
 from swarmd.core.refusal import Refusal
+from swarmd.core.values import Odometry, Pose
 from swarmd.core.verbs import StopRequest
 from swarmd.patterns.drive.pattern import Drive
 from swarmd.robot.latches import MAX_HELD
@@ -464,6 +472,20 @@ def test_odometry_from_before_the_last_command_shows_no_rest() -> None:
     assert harness.answer(request).is_moving
     harness.advance(1.5)
     assert harness.answer(request).refusal is Refusal.NOT_STOPPED
+
+
+@pytest.mark.parametrize(("after", "is_moving"), [(0.199, True), (0.2, False)])
+def test_rest_counts_that_is_measured_a_fifth_of_a_second_after_the_last_command(
+    after: float, is_moving: bool
+) -> None:
+    """`_is_at_rest` has the bound, which counts itself: a base responds within 0.2 s."""
+    harness = started()
+    assert not harness.twist.is_zero  # commanded at this tick, for the last time
+    request = harness.request("stop")
+    harness.send(request)
+    harness.now += after
+    harness.step(OdometryInput(Odometry(harness.now, Pose(), Twist())))
+    assert harness.answer(request).is_moving is is_moving
 
 
 @pytest.mark.parametrize(("seconds", "is_moving"), [(1.9, True), (2.0, False)])
@@ -1031,6 +1053,21 @@ def test_an_old_stop_makes_no_stop_after_it_new_again() -> None:
     assert harness.epoch == epoch
 
 
+def test_two_stops_of_one_instant_change_a_robot_that_stands_once() -> None:
+    """The table of requests.py: two operators stop it together, and no third request is stale."""
+    harness = idle()
+    harness.applied("stop", id="anna")
+    epoch = harness.epoch
+    harness.applied("stop", id="ben")
+    assert harness.epoch == epoch
+    harness.applied("reset")
+    harness.applied("stop", id="carl")  # the reset may have been asked for after it
+    assert standing_state(harness) == (State.IDLE, Reason.RESET)
+    harness.advance(0.1)
+    harness.applied("stop", id="dora")
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
 def test_a_stop_that_was_issued_before_an_emergency_stop_changes_nothing_after_it() -> None:
     harness = started()
     harness.advance(1.0)
@@ -1053,10 +1090,11 @@ def test_a_reset_of_one_latch_of_two_makes_earlier_requests_stale() -> None:
     assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
 
 
-def test_a_run_whose_start_time_is_over_makes_no_other_request_stale() -> None:
+@pytest.mark.parametrize("late_by", [0.5, 0.51])  # its load would end later still
+def test_a_run_whose_start_time_is_over_makes_no_other_request_stale(late_by: float) -> None:
     harness = idle()
     before = harness.epoch
-    late = harness.refused("run", pattern="forward", at={harness.robot.id: harness.now - 0.51})
+    late = harness.refused("run", pattern="forward", at={harness.robot.id: harness.now - late_by})
     assert late.refusal is Refusal.TOO_LATE
     assert "start 0.5 s ago" in late.text
     assert harness.epoch == before

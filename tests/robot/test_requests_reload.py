@@ -9,6 +9,7 @@ import pytest
 from swarmd.api import Twist
 from swarmd.core.errors import PluginError
 from swarmd.core.events import RequestInput
+from swarmd.core.goal import Goal, GoalState
 from swarmd.core.host_messages import (
     CancelTrial,
     KillHost,
@@ -99,6 +100,37 @@ def test_rerun_of_a_run_with_half_a_second_left_drives_for_half_a_second() -> No
     assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
 
 
+def test_a_run_whose_time_is_over_as_the_trial_passes_does_not_drive_again() -> None:
+    """docs/patterns.md: run again with the time left, which is none."""
+    harness = driving()
+    harness.ask("run", pattern="own", seconds=2.0)
+    harness.advance(1.95)
+    request = begun(harness, is_rerun=True)
+    harness.now += 0.06  # before the tick that would have ended the run
+    before = len(harness.commands)
+    harness.host_says(TrialDone(1, ""))
+    assert harness.reply_to(request).code is Code.APPLIED
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
+    harness.advance(0.5)
+    assert all(twist.is_zero for _, twist in harness.commands[before:])
+
+
+@pytest.mark.parametrize("has_goal", [True, False])
+def test_rerun_keeps_the_goal_of_the_run_and_takes_no_other(has_goal: bool) -> None:
+    harness = driving()
+    harness.ask("stop")
+    goal = Goal(generation=1, issuer="bob", id="g1", pattern="own")
+    harness.find(goal)  # a run without it ends it
+    harness.ask("run", pattern="own", goal=goal if has_goal else None)
+    for _ in range(2):
+        harness.advance(0.5)
+        assert harness.twist == Twist(0.2)
+        known = harness.status.goal
+        assert known is not None
+        assert known.state is (GoalState.RUNNING if has_goal else GoalState.ENDED)
+        assert harness.applied("reload", pattern="own", is_rerun=True).text == "runs own"
+
+
 @pytest.mark.parametrize(
     ("pattern", "refusal"), [("broken", Refusal.PATTERN_FAILED), ("owm", Refusal.UNKNOWN_PATTERN)]
 )
@@ -126,9 +158,9 @@ def test_a_late_copy_of_what_was_refused_during_a_trial_starts_nothing(verb: str
 def test_trial_timeout_leaves_the_run_alone() -> None:
     harness = driving()
     request = begun(harness, is_rerun=True)
-    harness.advance(9.9)  # docs/patterns.md: a trial may take 10 s
+    harness.advance(9.95)  # docs/patterns.md: a trial may take 10 s
     assert not harness.is_answered(request)
-    harness.advance(0.2)
+    harness.advance(0.05)
     assert harness.reply_to(request).refusal is Refusal.PATTERN_FAILED
     assert any(isinstance(command, CancelTrial) for command in harness.sent)
     harness.host_says(TrialDone(1, ""))  # too late

@@ -187,6 +187,8 @@ class RobotHarness:
             current = tuple(filter(self._is_provisional, self.robot.generations))
             self._take(self.robot, ProvisionalInput(current), at)
         actions = self._take(self.robot, input, at)
+        # `RequestHandler.on_param` asks for both.
+        assert (self.robot._run.running is not None) is self.robot.is_running
         if actions is not None:
             self.carry_out(actions, at)
 
