@@ -9,25 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec import Struct, structs
 
 from benchmarks.table import markdown
 from studies.safety.scenes import Scene, scenario
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Scan
 from swarmd.protection.decision import DecisionContext
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.world import World
-
-if TYPE_CHECKING:
-    from swarmd.steering.tracks import Surroundings, Track
-else:
-    _tracks = load_kernel("swarmd.steering.tracks")
-    Surroundings, Track = _tracks.Surroundings, _tracks.Track
+from swarmd.steering.tracks import Surroundings, Track
 
 REACH = 2.5  # m, of true tracks
 COMPARED = 1.5  # m within which tracks are compared

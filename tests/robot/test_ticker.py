@@ -18,7 +18,6 @@ from swarmd.core.events import (
     ScanInput,
 )
 from swarmd.core.host_messages import Loaded, Step, Stepped
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import RunRequest
@@ -35,7 +34,8 @@ from tests.support.robot_harness import acted
 if TYPE_CHECKING:
     from swarmd.robot.pattern_run import PatternRun
 
-STEERING = load_kernel("swarmd.steering.steering").Steering
+from swarmd.steering.steering import Steering
+
 PLATFORM = load_platform("waffle_pi")
 AXES = ("linear", "angular", "lateral")
 FORMS = both_forms("swarmd.robot.ticker")
@@ -135,7 +135,7 @@ def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
 def running_robot() -> tuple[Robot, float]:
     settings = RobotSetup(driver="story")
     robot, now = (
-        Robot("r", PLATFORM, settings, make_steering=STEERING, seed=1, instance="b", now=10.0),
+        Robot("r", PLATFORM, settings, make_steering=Steering, seed=1, instance="b", now=10.0),
         10.0,
     )
     robot.step(DriverInput(True, "there"), now)
