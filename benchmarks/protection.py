@@ -15,7 +15,6 @@ from swarmd.core.events import (
     RequestInput,
     ScanInput,
 )
-from swarmd.core.kernels import load_kernel
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
@@ -40,18 +39,18 @@ from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.setup import RobotSetup
-from swarmd.sensing.scan_pipeline import ScanConditioner
+from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.settings.settings import load_platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.realism import REALISTIC
 from swarmd.sim.world.world import World
+from swarmd.steering.steering import Steering
 from swarmd.testing.scans import Disc, scan_of
 from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode
 from tests.support.protection import Commander
 from tests.support.robot_harness import moved
 
-STEERING = load_kernel("swarmd.steering.steering").Steering
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
 REQUESTED = Twist(0.2, 0.1)
 PERIOD = 0.2
@@ -74,7 +73,7 @@ class LiveRobot:
         settings = RobotSetup(driver="simulated")
         self.now, self.seq = 0.0, 0
         self.robot = Robot(
-            "r", platform, settings, make_steering=STEERING, seed=0, instance="b", now=0.0
+            "r", platform, settings, make_steering=Steering, seed=0, instance="b", now=0.0
         )
         self.robot.step(DriverInput(True, ""), self.now)
         self.robot.step(

@@ -1,10 +1,15 @@
 """swarmd: a runtime for robot swarms.
 
 A public name is imported when it is first used: the daemon and each verb of swarmctl run
-`import swarmd`, which must not load the client and the simulation.
+`import swarmd`, which must not load the client and the simulation. From the first import on,
+`import` of a kernel gives the compiled one (core/kernels.py).
 """
 
 from typing import TYPE_CHECKING
+
+from swarmd.core.kernels import install_finder
+
+install_finder()
 
 # Each public name, and the module that has it.
 _PUBLIC = {

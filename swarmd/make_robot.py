@@ -5,7 +5,6 @@ The robot itself imports neither of both (`swarmd/robot/steers.py`), since they 
 
 from __future__ import annotations
 
-from swarmd.core.kernels import load_kernel
 from swarmd.kin.make import KinMaker
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotIdentity
@@ -20,11 +19,13 @@ def make_robot(
 
     `now`: s on the robot's clock. `earlier`: the records of earlier daemon processes.
     """
+    from swarmd.steering.steering import Steering  # 12 ms of a start
+
     return Robot(
         identity.robot,
         identity.platform,
         identity.setup,
-        make_steering=load_kernel("swarmd.steering.steering").Steering,
+        make_steering=Steering,
         make_kin=KinMaker(),
         seed=identity.seed,
         instance=identity.instance,

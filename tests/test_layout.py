@@ -109,9 +109,6 @@ OF_METRICS = (
     *("swarmd.core.values", "swarmd.sim.metrics", "swarmd.sim.trace"),
     *("numpy", "math", "dataclasses"),
 )
-# What others import from a kernel's file beside constants, alike in both forms: records of plain
-# values, and functions of numbers or of a text.
-ALIKE = {"Track", "axis_of", "difference", "wrap"}
 
 
 @cache
@@ -148,17 +145,6 @@ def imports(path: Path) -> list[tuple[int, str]]:
     return found
 
 
-def lines_for_types(path: Path) -> set[int]:
-    """The lines of `if TYPE_CHECKING`, without its `else`."""
-    return {
-        line
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        for inner in node.body
-        for line in range(inner.lineno, (inner.end_lineno or inner.lineno) + 1)
-    }
-
-
 def is_within(module: str, package: str) -> bool:
     return module == package or module.startswith(package + ".")
 
@@ -191,7 +177,7 @@ def test_the_rooms_that_one_must_know_of_a_module(module: str) -> None:
 
 @pytest.mark.parametrize("module", ["swarmd.protection.protection", "swarmd.robot.robot"])
 def test_protection_and_the_robot_know_nothing_of_steering(module: str) -> None:
-    """Neither by an import nor by a kernel that is loaded by its name: the shells give it."""
+    """Neither at the start nor later: the shells give it."""
     known = import_closure(module)
     assert "swarmd.protection.barrier" in known
     assert not [one for one in known if one.startswith(("swarmd.steering", "swarmd.kin"))]
@@ -432,7 +418,7 @@ def test_every_kernel_is_in_a_library() -> None:
     files = {
         name_of(path)
         for path in sources("swarmd", "sim")
-        if re.search(r"^ *import cython$", path.read_text(), re.MULTILINE)
+        if "from swarmd.core import cython_shadow as cython\n" in path.read_text()
     }
     assert {*map(kernels.source_of, kernels.KERNELS)} == files
 
@@ -445,44 +431,6 @@ def test_mypy_checks_every_module_of_ours() -> None:
         if name.startswith(("swarmd", "*"))
     ]
     assert exempt == []
-
-
-def test_kernels_are_loaded_and_not_imported() -> None:
-    """An import gives the interpreted form, which is not the one that robots run.
-
-    Tests state why they want it: `interpreted` of tests/support/kernel_forms.py.
-    """
-    found = []
-    for path in sources(*CODE, *_TESTS, *_MEASURES, "examples"):
-        lines = kernels_by_line(path)
-        for_types = lines_for_types(path) if lines else set()
-        found += [f"{name_of(path)}:{n} imports {lines[n]}" for n in lines.keys() - for_types]
-    assert found == []
-
-
-def in_libraries_of(path: Path) -> set[str]:
-    """The kernels in each library that a file is compiled into: those that it may import."""
-    rows = kernels.LIBRARIES.values()
-    own = [{*row} for row in rows if name_of(path) in map(kernels.source_of, row)]
-    return set.intersection(*own) if own else set()
-
-
-def kernels_by_line(path: Path) -> dict[int, list[str]]:
-    """The lines that import a kernel, or a part of one that has two forms, and its name.
-
-    A kernel may import those that are in each of its libraries.
-    """
-    by_line: dict[int, list[str]] = {}
-    for line, name in imports(path):
-        by_line.setdefault(line, []).append(name)
-    found = {}
-    wanted = {*kernels.KERNELS} - in_libraries_of(path)
-    for line, names in by_line.items():
-        parts = [name.rpartition(".") for name in names]
-        parts = [part for part in parts if part[0] in wanted]
-        forms = ["".join(p) for p in parts if not p[2].isupper() and p[2] not in ALIKE]
-        found[line] = forms if parts else [name for name in names if name in wanted]
-    return {line: names for line, names in found.items() if names}
 
 
 def test_python_uses_kernels_as_cython_permits() -> None:
@@ -556,7 +504,7 @@ def test_public_names_are_imported_when_they_are_used() -> None:
     code = "import sys, swarmd; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name for name in done.stdout.split() if name.startswith("swarmd")}
-    assert loaded == {"swarmd"}
+    assert loaded == {"swarmd", "swarmd.core", "swarmd.core.kernels"}
     assert names == typed == {name for name in names if callable(getattr(swarmd, name))}
     assert names <= set(dir(swarmd))
     with pytest.raises(AttributeError, match="conect"):

@@ -32,7 +32,6 @@ from swarmd.core import events
 from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.pin import is_pinned, processor
 from swarmd.core.values import Array, Value
@@ -42,6 +41,7 @@ from swarmd.make_robot import make_robot
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
+from swarmd.robot import ticker
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
 from swarmd.sim.lockstep.huge_pages import use_huge_pages
@@ -63,8 +63,6 @@ from swarmd.sim.world.realism import configured
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.sensors import SENSORS, SensorTimes, sensors_due
-
-_core = load_kernel("swarmd.robot.ticker")
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
@@ -486,10 +484,10 @@ class Lockstep:
             shells = [self.shells[row] for row in receivers]
             robots = [None if shell is None else shell.robot for shell in shells]
             if isinstance(message, events.KinInput):
-                kins = _core.kin_many(robots, message, now)
+                kins = ticker.kin_many(robots, message, now)
                 hear_many(kins, message.robot, message.told, now)
             else:
-                _core.message_many(robots, message, now)
+                ticker.message_many(robots, message, now)
         received = self._new_latches
         self._new_latches = []
         for row, latches in received:
@@ -543,7 +541,7 @@ class Lockstep:
             own = self._process.rows
             shells = [self.shells[row] for row in own.tolist()]
             robots = [None if shell is None else shell.robot for shell in shells]
-            _core.odometry_many(robots, world.odometry(own), now)
+            ticker.odometry_many(robots, world.odometry(own), now)
         self._tick_rows(self._ticks.due(now), now)
         self._tick_rows(self.alarms.due(self._steps), now)
         for row in [row for row, at in self._silent_at.items() if now >= at]:
@@ -556,7 +554,7 @@ class Lockstep:
         if shells:
             robots = [shell.robot for shell in shells]
             rows = [shell.row for shell in shells]
-            for place, actions in _core.tick_many(robots, rows, self.commands, now):
+            for place, actions in ticker.tick_many(robots, rows, self.commands, now):
                 shells[place].carry_out(actions, now)
             self.has_new_commands = True
 

@@ -10,20 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import wrap
+from swarmd.core.cython_shadow import cos, fabs, hypot, isfinite, sin
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import cython
-
     from swarmd.core.values import Array, Platform
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import cos, fabs, hypot, isfinite, sin
-else:
-    from swarmd.core.cython_shadow import cos, fabs, hypot, isfinite, sin
 
 from swarmd.sim.world.bodies import inertia, value
 

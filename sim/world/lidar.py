@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform, ScanSpec, Sweep
+from swarmd.sim.world import ray_caster
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.bodies import heights, value
 from swarmd.sim.world.geometry import Indices
@@ -163,8 +163,7 @@ class Lidar:
         walls = np.concatenate((start, end - start), axis=1)
         farthest_sides = -spec.range_max * np.hypot(walls[:, 2], walls[:, 3])
         corners = shapes.polygons
-        self._kernel = load_kernel("swarmd.sim.world.ray_caster")
-        self._caster = self._kernel.Caster(
+        self._caster = ray_caster.Caster(
             spec,
             self._rays,
             np.concatenate((walls, farthest_sides[:, None]), axis=1),
@@ -199,7 +198,7 @@ class Lidar:
         counts = np.diff(ends, prepend=0)
         start = self._rays.place_of(sweep_order(bearings, sweep)[0][0])
         first = start + ends - counts if sweep.direction > 0.0 else start + 1 - ends
-        return self._kernel.Sweeps(self._caster, first % len(bearings), counts, ranges)
+        return ray_caster.Sweeps(self._caster, first % len(bearings), counts, ranges)
 
 
 class RangeSensors:

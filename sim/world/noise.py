@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform, ScanSpec
 from swarmd.sim.world.geometry import Indices
+from swarmd.sim.world.ray_caster import BLOCK, Errors
 from swarmd.sim.world.realism import LidarNoise
 from swarmd.sim.world.seeding import generator
-
-BLOCK = 6
-"""Rays in one packet of an LDS, which its driver loses together."""
 
 
 class NoisyLidar:
@@ -71,7 +68,7 @@ class NoisyLidar:
         normal = np.empty(rays)
         uniform = np.empty(rays + math.ceil(rays / BLOCK), dtype=np.float32)
         encoded = np.stack((self._near, self._nothing), axis=-1)
-        errors = load_kernel("swarmd.sim.world.ray_caster").Errors(
+        errors = Errors(
             self._noise,
             self._factors,
             self._reach,

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform
+from swarmd.sim.world.base import Wheels
 from swarmd.sim.world.bodies import value
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.realism import OdometryNoise
@@ -55,10 +55,9 @@ class Odometers:
             separation=np.array([value(platform, "wheel_separation") for platform in platforms]),
             is_lateral=np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
-        base = load_kernel("swarmd.sim.world.base")
         truth = starts.copy()
         reported = np.zeros_like(starts)
-        self._wheels = base.Wheels(self._measured, truth, reported, noise.slip, rngs)
+        self._wheels = Wheels(self._measured, truth, reported, noise.slip, rngs)
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
         """A reading of robots `rows` (m,): poses x, y, yaw, and twists linear, angular, lateral.

@@ -13,47 +13,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import wrap
+from swarmd.core.cython_shadow import (
+    HUGE_VAL,
+    asin,
+    atan2,
+    ceil,
+    cos,
+    fabs,
+    floor,
+    hypot,
+    isfinite,
+    rint,
+    sin,
+    sqrt,
+)
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
+if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from swarmd.core.values import Array, ScanSpec
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import (
-        HUGE_VAL,
-        asin,
-        atan2,
-        ceil,
-        cos,
-        fabs,
-        floor,
-        hypot,
-        isfinite,
-        rint,
-        sin,
-        sqrt,
-    )
-else:
-    from swarmd.core.cython_shadow import (
-        HUGE_VAL,
-        asin,
-        atan2,
-        ceil,
-        cos,
-        fabs,
-        floor,
-        hypot,
-        isfinite,
-        rint,
-        sin,
-        sqrt,
-    )
 
-from swarmd.sim.world.noise import BLOCK
+BLOCK = 6
+"""Rays in one packet of an LDS, which its driver loses together."""
 
 # rad added to each interval, so that no ray passes between two surfaces that share a corner.
 _BEARING_MARGIN = cython.declare(cython.double, 1e-12)

@@ -15,9 +15,8 @@ import mujoco
 import numpy as np
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
-from swarmd.sim.world import bodies
+from swarmd.sim.world import base, bodies
 from swarmd.sim.world.active_faults import Faults
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.batteries import charge, has_battery
@@ -143,7 +142,6 @@ class World:
 
     def _begin_bases(self, realism: Realism, starts: Array, seed: int) -> None:
         memory = self.data.qpos, self.data.qvel, self.data.qfrc_applied
-        base = load_kernel("swarmd.sim.world.base")
         self._bases = base.Bases(realism.actuation, self.platforms, memory, self.dt)
         self._hovering = Hovering(self.platforms, self.ids, self._bases.drift, self.dt, seed)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)

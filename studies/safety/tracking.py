@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from msgspec import Struct, structs
@@ -19,18 +19,12 @@ from benchmarks.table import markdown
 from studies import keeper
 from studies.keeper import Traced, traced
 from studies.safety.scenes import Scene, scenario
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Scan
 from swarmd.protection.decision import DecisionContext
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.world import World
-
-if TYPE_CHECKING:
-    from swarmd.steering.tracks import Surroundings, Track
-else:
-    _tracks = load_kernel("swarmd.steering.tracks")
-    Surroundings, Track = _tracks.Surroundings, _tracks.Track
+from swarmd.steering.tracks import Surroundings, Track
 
 REACH = 2.5  # m, of true tracks
 COMPARED = 1.5  # m within which tracks are compared

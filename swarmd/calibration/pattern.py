@@ -27,7 +27,8 @@ from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.formation_geometry import to_base_frame
 from swarmd.kit.params import Params, Recovery, about
 from swarmd.protection.binding_range import REACTION_TIME
-from swarmd.sensing.scan_pipeline import TOLERANCE, delay_by_stamps
+from swarmd.sensing.delay_by_stamps import delay_by_stamps
+from swarmd.sensing.scan_delay import TOLERANCE
 
 _SLOW = 0.35  # speed of the slower drives, as a share of the top speed
 _CLEAR = 0.3  # s for which a drive continues once steady, so that the cruise excludes its start

@@ -1,22 +1,15 @@
 """Arithmetic of angles in radians.
 
-A kernel (see `kernels.py`) that is a part of each library that uses it. Python code that is not
-compiled imports the interpreted form, which gives the same bits.
+A kernel (see `kernels.py`) that is a part of each unit that uses it. `import` gives the
+interpreted form, which gives the same bits.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import fabs, fmod
-else:
-    from swarmd.core.cython_shadow import fabs, fmod
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import fabs, fmod
 
 PI = cython.declare(cython.double, math.pi)
 TURN = cython.declare(cython.double, 2.0 * math.pi)

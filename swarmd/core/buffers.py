@@ -1,6 +1,6 @@
 """Arrays that kernels read, and buffers of numbers that they keep; in CPython mostly lists.
 
-A kernel (see `kernels.py`) that is a part of each library that uses it. Views of memory that are
+A kernel (see `kernels.py`) that is a part of each unit that uses it. Views of memory that are
 made in one place spare the compiler a fifth of its work. CPython indexes a list faster than an
 array, and a memoryview faster than an array of numpy.
 """
@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
+from swarmd.core import cython_shadow as cython
 
+if TYPE_CHECKING:
     from swarmd.core.values import Array
-else:
-    from swarmd.core import cython_shadow as cython
 
 
 @cython.cfunc

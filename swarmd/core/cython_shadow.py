@@ -14,7 +14,7 @@ import inspect
 import math
 import sys
 from collections.abc import Callable
-from math import atan, atan2, ceil, copysign, fabs, floor, isfinite, isinf, isnan
+from math import atan, atan2, ceil, copysign, fabs, floor, isfinite, isinf, isnan, log
 from typing import Any, TypeVar
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "isfinite",
     "isinf",
     "isnan",
+    "log",
     "remainder",
     "rint",
     "sin",

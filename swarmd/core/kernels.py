@@ -1,26 +1,34 @@
 """The kernels: files with arithmetic on scans and near points, which Cython compiles.
 
-A kernel's file is the only source of its arithmetic. `setup.py` compiles the kernels of each row of
-LIBRARIES into one library. Kernels that call each other's functions of C are in one row: from one
-library to another, a call with nine arrays takes 8 us. So a kernel that many use is in many rows,
-and each of these libraries holds its own copy of the code.
+A kernel's file is the only source of its arithmetic, and `import` of its name gives what runs: the
+compiled module, or else the interpreted one. `swarmd/__init__.py` installs the `KernelFinder`,
+which Python asks before it looks for a file. Under `SWARMD_COMPILED=0` it finds nothing; a test
+gets both forms in one process by tests/support/kernel_forms.py.
 
-CPython interprets the files if
+`setup.py` builds the libraries of LIBRARIES. A library is one file along a line of trust: what must
+be right (`_trusted`), what may be wrong since protection judges it (`_led`), and the simulated
+world. It consists of units. A unit is a module of its own, in which Cython has joined the kernels
+that call each other's functions of C: from one unit to another, a call with nine arrays takes 8 us,
+and the cheapest one 50 ns. So a kernel of `swarmd.core` that many use is in several units, each
+with its own copy of the code.
+
+CPython interprets the files of a library if
 
 - there is no library,
 - the environment has SWARMD_COMPILED=0,
-- a library was compiled from other sources than the present files: callers might use functions that
-  the library lacks,
+- the library was compiled from other sources than the present files: callers might use functions
+  that it lacks,
 - the library `_views` is absent or was compiled by another version of Cython. All libraries import
   it, since it contains Cython's code for memory views.
 
-setup.py runs this file alone, so this file imports no other module of swarmd.
+setup.py runs this file alone, and `import swarmd` runs it: so it imports no other module of swarmd,
+and nothing at its top that takes time.
 
 Reasons and measurements:
 
-- There are several libraries since these compile in parallel. Their price: even the cheapest call
-  from one library to another costs 50 ns. All these calls take an estimated 2 % of the time with
-  100 robots.
+- There are several units since these compile in parallel, and a process begins only those that it
+  imports: a pattern needs `kit.points` alone, and steering and kin would take 16 ms of its start.
+  All calls from one unit to another take an estimated 2 % of the time with 100 robots.
 - A kernel's function without a result has the type `cython.int` and no `return` at its end, where
   Cython returns 0. Cython passes an exception by the value -1, so its caller need not ask for an
   exception after each call.
@@ -34,131 +42,188 @@ Reasons and measurements:
 
 from __future__ import annotations
 
-import ctypes
-import hashlib
 import os
-import struct
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
-from importlib.util import find_spec
+from importlib.machinery import ExtensionFileLoader, ModuleSpec, PathFinder
 from itertools import chain
-from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, cast
 
-LIBRARIES: Mapping[str, tuple[str, ...]] = {
-    "swarmd.protection._barrier": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.core.odometry_trail",
-        "swarmd.protection.comparisons",
-        "swarmd.protection.closing_speed",
-        "swarmd.protection.barrier_assumptions",
-        "swarmd.protection.outline",
-        "swarmd.protection.dead_reckoning",
-        "swarmd.protection.surfaces",
-        "swarmd.protection.obstacles",
-        "swarmd.protection.walls.straight_runs",
-        "swarmd.protection.walls.bare_returns",
-        "swarmd.protection.walls.standing_walls",
-        "swarmd.protection.touch_zone",
-        "swarmd.protection.constraints",
-        "swarmd.protection.projection",
-        "swarmd.protection.envelope",
-        "swarmd.protection.stopping",
-        "swarmd.protection.fence.fence_stops",
-        "swarmd.protection.limiting_obstacles",
-        "swarmd.protection.passage",
-        "swarmd.protection.feasible_set",
-        "swarmd.protection.barrier",
-    ),
-    "swarmd.protection._assumption_monitor": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.protection.assumption_monitor",
-    ),
-    "swarmd.protection._blind_zone": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.core.ray_order",
-        "swarmd.protection.blind_zone",
-    ),
-    "swarmd.protection._following": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.protection.following",
-    ),
-    "swarmd.protection._protection": ("swarmd.protection.protection",),
-    "swarmd.sensing._scans": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.core.odometry_trail",
-        "swarmd.core.ray_order",
-        "swarmd.sensing.ray_memory",
-        "swarmd.sensing.blind_sector",
-        "swarmd.sensing.conditioning",
-        "swarmd.sensing.delay_by_stamps",
-        "swarmd.sensing.delay_by_turns",
-        "swarmd.sensing.scan_delay",
-        "swarmd.sensing.odometry_history",
-        "swarmd.sensing.ray_motion",
-        "swarmd.sensing.deskew",
-        "swarmd.sensing.scan_layout",
-        "swarmd.sensing.scan_features",
-    ),
-    "swarmd.robot._ticker": (
-        "swarmd.robot.effects",
-        "swarmd.robot.pattern_run",
-        "swarmd.robot.input_ages",
-        "swarmd.robot.ticker",
-    ),
-    "swarmd.kit._points": ("swarmd.kit.points",),
-    "swarmd.kin._kin": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.core.odometry_trail",
-        "swarmd.kin.hypothesis",
-        "swarmd.kin.kin",
-    ),
-    "swarmd.steering._steering": (
-        "swarmd.core.angles",
-        "swarmd.core.buffers",
-        "swarmd.core.odometry_trail",
-        "swarmd.core.ray_order",
-        "swarmd.steering.tracks",
-        "swarmd.steering.velocity_obstacles",
-        "swarmd.steering.openings",
-        "swarmd.steering.avoidance",
-        "swarmd.steering.recovery",
-        "swarmd.steering.way_settings",
-        "swarmd.steering.right_of_way",
-        "swarmd.steering.steering",
-    ),
-    "swarmd.sim.world._base": ("swarmd.core.angles", "swarmd.sim.world.base"),
-    "swarmd.sim.world._ray_caster": ("swarmd.core.angles", "swarmd.sim.world.ray_caster"),
+if TYPE_CHECKING:
+    import ctypes
+    from importlib.abc import Loader
+
+LIBRARIES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "swarmd._trusted": {
+        "swarmd.protection._barrier": (
+            "swarmd.core.angles",
+            "swarmd.core.buffers",
+            "swarmd.core.odometry_trail",
+            "swarmd.core.ray_order",
+            "swarmd.protection.comparisons",
+            "swarmd.protection.closing_speed",
+            "swarmd.protection.barrier_assumptions",
+            "swarmd.protection.outline",
+            "swarmd.protection.dead_reckoning",
+            "swarmd.protection.surfaces",
+            "swarmd.protection.obstacles",
+            "swarmd.protection.walls.straight_runs",
+            "swarmd.protection.walls.bare_returns",
+            "swarmd.protection.walls.standing_walls",
+            "swarmd.protection.touch_zone",
+            "swarmd.protection.constraints",
+            "swarmd.protection.projection",
+            "swarmd.protection.envelope",
+            "swarmd.protection.stopping",
+            "swarmd.protection.fence.fence_stops",
+            "swarmd.protection.limiting_obstacles",
+            "swarmd.protection.passage",
+            "swarmd.protection.feasible_set",
+            "swarmd.protection.blind_zone",
+            "swarmd.protection.barrier",
+        ),
+        "swarmd.protection._protection": (
+            "swarmd.core.angles",
+            "swarmd.core.buffers",
+            "swarmd.protection.assumption_monitor",
+            "swarmd.protection.following",
+            "swarmd.protection.protection",
+        ),
+        "swarmd.sensing._scans": (
+            "swarmd.core.angles",
+            "swarmd.core.buffers",
+            "swarmd.core.odometry_trail",
+            "swarmd.core.ray_order",
+            "swarmd.sensing.ray_memory",
+            "swarmd.sensing.blind_sector",
+            "swarmd.sensing.conditioning",
+            "swarmd.sensing.delay_by_stamps",
+            "swarmd.sensing.delay_by_turns",
+            "swarmd.sensing.scan_delay",
+            "swarmd.sensing.odometry_history",
+            "swarmd.sensing.ray_motion",
+            "swarmd.sensing.deskew",
+            "swarmd.sensing.scan_layout",
+            "swarmd.sensing.scan_features",
+        ),
+        "swarmd.robot._ticker": (
+            "swarmd.robot.effects",
+            "swarmd.robot.pattern_run",
+            "swarmd.robot.input_ages",
+            "swarmd.robot.ticker",
+        ),
+    },
+    "swarmd._led": {
+        "swarmd.steering._steering": (
+            "swarmd.core.angles",
+            "swarmd.core.buffers",
+            "swarmd.core.odometry_trail",
+            "swarmd.core.ray_order",
+            "swarmd.steering.tracks",
+            "swarmd.steering.velocity_obstacles",
+            "swarmd.steering.openings",
+            "swarmd.steering.avoidance",
+            "swarmd.steering.recovery",
+            "swarmd.steering.way_settings",
+            "swarmd.steering.right_of_way",
+            "swarmd.steering.steering",
+        ),
+        "swarmd.kin._kin": (
+            "swarmd.core.angles",
+            "swarmd.core.buffers",
+            "swarmd.core.odometry_trail",
+            "swarmd.kin.hypothesis",
+            "swarmd.kin.kin",
+        ),
+        "swarmd.kit._points": ("swarmd.kit.points",),
+    },
+    "swarmd.sim._world": {
+        "swarmd.sim.world._world": (
+            "swarmd.core.angles",
+            "swarmd.sim.world.base",
+            "swarmd.sim.world.ray_caster",
+        ),
+    },
 }
-"""By the module name of a library: the kernels in it, each behind those that it imports.
+"""By the module name of a library: its units, and in each the kernels, behind those they import.
 
-A kernel of `swarmd.core` is compiled into each library that uses it. `load_kernel` takes the first
-of these, so the libraries of what must be right come first: a damaged library of kin or steering
-must not change protection.
+This says what is built. `import` takes a kernel of `swarmd.core` from the first unit that has it,
+so what must be right comes first: a damaged library of what is led must not change protection.
 """
 
-KERNELS = tuple(dict.fromkeys(chain.from_iterable(LIBRARIES.values())))
+UNITS: Mapping[str, tuple[str, ...]] = {
+    unit: kernels for units in LIBRARIES.values() for unit, kernels in units.items()
+}
+KERNELS = tuple(dict.fromkeys(chain.from_iterable(UNITS.values())))
 
 VIEWS = "swarmd.core._views"
 
+HELPERS = ("swarmd.core.angles", "swarmd.core.buffers", "swarmd.core.ray_order")
+"""Kernels of C functions alone, which units take into themselves: `import` gives their source."""
+
+_LIBRARY_OF = {unit: library for library, units in LIBRARIES.items() for unit in units}
+_UNIT_OF = {
+    kernel: unit for unit in reversed([*UNITS]) for kernel in UNITS[unit] if kernel not in HELPERS
+}
 _NOT_COMPILED = "not compiled"
 _STALE = "older than its source (run make kernels)"
 
 
-def load_kernel(name: str) -> Any:
-    """The kernel of the module `name`: from the compiled library, or else the interpreted module.
+class KernelFinder:
+    """Finds the compiled form of a kernel, and the units in libraries; nothing else."""
 
-    Logs a line for a library that was compiled from other sources. (`import` of the same name
-    always gives the interpreted module.)
-    """
-    return _compiled(name) or import_module(name)
+    @staticmethod
+    def find_spec(
+        name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """What loads a compiled module; None if it is no kernel or must be interpreted."""
+        unit = _UNIT_OF.get(name, name)
+        library = _LIBRARY_OF.get(unit)
+        if library is None or not _is_wanted() or _fault_of(library):
+            return None
+        file = _file(library)
+        if file is None:
+            return None
+        if name == unit:
+            return ModuleSpec(name, ExtensionFileLoader(name, file), origin=file)
+        return ModuleSpec(name, cast("Loader", _KernelLoader(unit, path)), origin=file)
+
+
+class _KernelLoader:
+    """Gives a module the names that a kernel has in its unit."""
+
+    def __init__(self, unit: str, path: Sequence[str] | None) -> None:
+        self._unit = unit
+        self._path = path
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """None: Python makes the module."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Fill the module. Its file is the source, which `inspect` and tracebacks show."""
+        source = PathFinder.find_spec(module.__name__, self._path)
+        if source is not None and source.origin is not None:
+            module.__file__ = source.origin
+        unit = import_module(self._unit)
+        if module.__name__ not in unit.NAMES:
+            raise ImportError(f"{module.__name__} is imported in a circle", name=module.__name__)
+        vars(module).update(unit.NAMES[module.__name__], __unit__=unit)
+
+
+def install_finder() -> None:
+    """Let `import` find compiled kernels, from now on in this process."""
+    if KernelFinder not in sys.meta_path:
+        sys.meta_path.insert(0, KernelFinder)
+
+
+def unit_of(name: str) -> ModuleType:
+    """The compiled unit of a module; the module itself if it is no kernel, or interpreted."""
+    module = import_module(name)
+    unit: ModuleType = getattr(module, "__unit__", module)
+    return unit
 
 
 def describe_kernels() -> str:
@@ -179,20 +244,16 @@ def source_of(name: str) -> str:
     return name.replace(".", "/").replace("swarmd/sim/", "sim/") + ".py"
 
 
+def kernels_of(library: str) -> tuple[str, ...]:
+    """The kernels in a library, each once."""
+    return tuple(dict.fromkeys(chain.from_iterable(LIBRARIES[library].values())))
+
+
 def digest_of(sources: list[bytes]) -> str:
     """The digest of the sources of a library."""
+    import hashlib  # each `import swarmd` runs this file
+
     return hashlib.sha256(b"".join(sources)).hexdigest()
-
-
-def _compiled(name: str) -> Any:
-    """The imported library of a kernel; None if the file must be interpreted."""
-    library = next((library for library, names in LIBRARIES.items() if name in names), None)
-    if library is None or not _is_wanted() or _fault_of(library):
-        return None
-    try:
-        return import_module(library)
-    except ImportError:  # built for another processor
-        return None
 
 
 def _is_wanted() -> bool:
@@ -207,8 +268,10 @@ def _fault_of(name: str) -> str:
     views = _opened(VIEWS)
     if path is None or library is None or views is None:
         return _NOT_COMPILED
-    root = path.parents[name.count(".")]
-    files = (root / f"{one.replace('.', '/')}.py" for one in LIBRARIES[name])
+    from pathlib import Path  # each `import swarmd` runs this file
+
+    root = Path(path).parents[name.count(".")]
+    files = (root / f"{one.replace('.', '/')}.py" for one in kernels_of(name))
     sources = [file.read_bytes() for file in files if file.exists()]
     is_stale = _digest_in(library, "views_digest") != _digest_in(views, "views_digest")
     if sources:
@@ -223,15 +286,19 @@ def _fault_of(name: str) -> str:
 
 @cache
 def _opened(name: str) -> ctypes.CDLL | None:
+    import ctypes  # takes 3 ms, and not of a process without kernels
+
     path = _file(name)
     try:
-        return None if path is None else ctypes.CDLL(str(path))
+        return None if path is None else ctypes.CDLL(path)
     except OSError:  # damaged, or built for another processor
         return None
 
 
 def _digest_in(library: ctypes.CDLL, name: str) -> str:
     """The digest `name` that setup.py put into a library; empty without one."""
+    import ctypes  # takes 3 ms, and not of a process without kernels
+
     try:
         return (ctypes.c_char * 64).in_dll(library, name).value.decode()
     except ValueError:
@@ -243,17 +310,20 @@ def _short(library: str) -> str:
     return library.rpartition(".")[2].removeprefix("_")
 
 
-def _file(name: str) -> Path | None:
+@cache
+def _file(name: str) -> str | None:
     """The file of a library; None if the file is absent or incomplete.
 
     To load a truncated file may end the process with SIGBUS. An ELF file ends with its section
     table, whose place is in the header: a file that ends before is truncated.
     """
+    import struct  # each `import swarmd` runs this file
+    from importlib.util import find_spec
+
     spec = find_spec(name)
     if spec is None or spec.origin is None or not spec.origin.endswith(".so"):
         return None
-    path = Path(spec.origin)
-    with path.open("rb") as file:
+    with open(spec.origin, "rb") as file:
         header = file.read(64)
     if header[:5] == b"\x7fELF\x02":
         if len(header) < 64:
@@ -261,6 +331,6 @@ def _file(name: str) -> Path | None:
         order = "<" if header[5] == 1 else ">"
         (table,) = struct.unpack_from(order + "Q", header, 40)
         size, count = struct.unpack_from(order + "HH", header, 58)
-        if path.stat().st_size < table + size * count:
+        if os.stat(spec.origin).st_size < table + size * count:
             return None
-    return path
+    return spec.origin

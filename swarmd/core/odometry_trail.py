@@ -11,16 +11,16 @@
   for MAX_EXTRAPOLATION s at most. Before the oldest it moves back at that reading's twist; `covers`
   says whether the readings reach back to a time.
 
-A kernel (see `kernels.py`) that is a part of each library that uses it. Units: m, s, rad.
+A kernel (see `kernels.py`) that is a part of each unit that uses it. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.bounds import MAX_COORDINATE
 from swarmd.core.buffers import doubles
+from swarmd.core.cython_shadow import NAN, cos, fabs, hypot, isfinite, remainder, sin
 from swarmd.core.values import (
     HISTORY,
     HISTORY_SPACING,
@@ -30,15 +30,6 @@ from swarmd.core.values import (
     Odometry,
     Pose,
 )
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import NAN, cos, fabs, hypot, isfinite, remainder, sin
-else:
-    from swarmd.core.cython_shadow import NAN, cos, fabs, hypot, isfinite, remainder, sin
 
 LONGEST_EXTRAPOLATION = cython.declare(cython.double, MAX_EXTRAPOLATION)
 """s for which the newest measured twist is extrapolated."""

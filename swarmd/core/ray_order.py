@@ -1,24 +1,15 @@
 """The order of the rays of a scan by rising angle.
 
-A kernel (see `kernels.py`) that is a part of each library that uses it.
+A kernel (see `kernels.py`) that is a part of each unit that uses it.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, checked_indices, wrapped_index
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import isfinite
-else:
-    from swarmd.core.cython_shadow import isfinite
+from swarmd.core.cython_shadow import isfinite
 
 # Moves of the insertion sort for each ray, after which angles count as unsorted.
 _MOVES_A_RAY = cython.declare(cython.Py_ssize_t, 16)

@@ -12,26 +12,16 @@ Blackman and Popoli, "Design and Analysis of Modern Tracking Systems", 1999, 6.2
 motion count, since things that stand fit for ever: a sight counts after the peer has moved by
 _NEWS from where it last counted, a mutual sight after the own robot has.
 
-A kernel (see `core/kernels.py`), compiled into one library with kin.py. Units: m, s, rad.
+A kernel (see `core/kernels.py`), compiled into one unit with kin.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import angle_between
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, cos, fabs, log, sin, sqrt
-else:
-    from math import log
-
-    from swarmd.core.cython_shadow import INFINITY, cos, fabs, sin, sqrt
+from swarmd.core.cython_shadow import INFINITY, cos, fabs, log, sin, sqrt
 
 POINT = cython.declare(cython.Py_ssize_t, 3)
 """Numbers of a point in a buffer: its x, y, and distance from the origin of its frame."""

@@ -29,7 +29,7 @@ than clusters that no nearer object hides, and steering computes them anyway.
 Frames: the frame of the own odometry, unless a name says another. Times: s on the robot's clock.
 Units: m, rad.
 
-A kernel (see `core/kernels.py`), compiled into one library with hypothesis.py.
+A kernel (see `core/kernels.py`), compiled into one unit with hypothesis.py.
 """
 
 from __future__ import annotations
@@ -38,26 +38,20 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN, angle_between, wrap
 from swarmd.core.buffers import doubles, view
+from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, isnan, rint, sin
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
 from swarmd.core.told import MOST_OBJECTS, OBJECT, UNIT, Told
 from swarmd.core.values import Neighbor
 from swarmd.kin.hypothesis import POINT, Hypothesis, begun, length
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+if TYPE_CHECKING:
     from collections.abc import Iterable
     from typing import Any
 
-    import cython
-
     from swarmd.core.values import Odometry, Scan
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, atan2, cos, fabs, isnan, rint, sin
-else:
-    from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, isnan, rint, sin
 
 # C names
 _MOST_NUMBER = cython.declare(cython.double, 1e12)  # m, rad or s in a message

@@ -14,13 +14,13 @@ class KinMaker:
 
     def __call__(self, middle: float, resets: int) -> Kin:
         """The `Kin` of a robot. Its kernel is loaded here, since most robots never need it."""
-        from swarmd.kin.naming import Kin  # 11 ms of a start
+        from swarmd.kin.kin import Kin  # 11 ms of a start
 
         return Kin(middle, resets)
 
 
 def hear_many(kins: list[Kin], id: str, told: Told, now: float) -> None:
     """Hand the message of a peer to each of the robots that hear it at one time."""
-    from swarmd.kin.naming import hear_many  # loaded with the first `Kin`
+    from swarmd.kin.kin import hear_many  # loaded with the first `Kin`
 
     hear_many(kins, id, told, now)

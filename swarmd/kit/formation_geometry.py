@@ -24,11 +24,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Neighbor, Pose, Scan
+from swarmd.kit import points as kernel
 from swarmd.sensing.rays import clusters
 
-_kernel = load_kernel("swarmd.kit.points")
 # Beyond this share of its range a lidar sees only parts of an object.
 _MAX_RANGE_SHARE = 0.95
 # A position is the mean of at most so many measurements. If a measurement differs from the mean by
@@ -95,7 +94,7 @@ def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float
     """
     # If the scan were cut off at `reach`, the near part of a wall would seem as narrow as a robot.
     objects = clusters(scan, within=scan.range_max).objects
-    centers = _kernel.robot_centers([*objects], _MAX_RANGE_SHARE * reach, width, offset)
+    centers = kernel.robot_centers([*objects], _MAX_RANGE_SHARE * reach, width, offset)
     return np.array(centers, dtype=np.float64).reshape(-1, 2)
 
 

@@ -12,45 +12,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    NAN,
+    asin,
+    atan2,
+    cos,
+    fabs,
+    hypot,
+    isinf,
+    isnan,
+    remainder,
+    sin,
+)
+
+if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from typing import TypeAlias
-
-    import cython
 
     from swarmd.core.values import Scan
 
     Pair: TypeAlias = tuple[float, float]
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import (
-        INFINITY,
-        NAN,
-        asin,
-        atan2,
-        cos,
-        fabs,
-        hypot,
-        isinf,
-        isnan,
-        remainder,
-        sin,
-    )
-else:
-    from swarmd.core.cython_shadow import (
-        INFINITY,
-        NAN,
-        asin,
-        atan2,
-        cos,
-        fabs,
-        hypot,
-        isinf,
-        isnan,
-        remainder,
-        sin,
-    )
 
 from swarmd.core.values import ZERO, Twist
 

@@ -6,23 +6,13 @@ Vectors are in the base frame (x forward, y left), of length 0 (stand) to 1 (ful
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Scan, Twist
+from swarmd.kit.points import NearPoints, RobotsInSight, polar_from_base, to_middle
 from swarmd.sensing.rays import Ray, closest_points, nearest
-
-if TYPE_CHECKING:
-    from swarmd.kit.points import NearPoints, RobotsInSight, polar_from_base, to_middle
-else:
-    _kernel = load_kernel("swarmd.kit.points")
-    NearPoints = _kernel.NearPoints
-    RobotsInSight = _kernel.RobotsInSight
-    polar_from_base = _kernel.polar_from_base
-    to_middle = _kernel.to_middle
 
 __all__ = [
     "AHEAD_HALF_WIDTH",

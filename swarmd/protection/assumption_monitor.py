@@ -45,24 +45,17 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
+from swarmd.core.cython_shadow import copysign, cos, fabs, remainder, sin, sqrt
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Array, Odometry, Platform, Twist
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.walls.walls_settings import MOVING_WALL
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+if TYPE_CHECKING:
     from collections.abc import Collection
-
-    import cython
-
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import copysign, cos, fabs, remainder, sin, sqrt
-else:
-    from swarmd.core.cython_shadow import copysign, cos, fabs, remainder, sin, sqrt
 
 MIN_SHARE = 0.2
 """The lowest `speed_share`."""

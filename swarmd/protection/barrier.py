@@ -13,22 +13,22 @@ Sources: control barrier functions as command filters (Ames, Xu, Grizzle and Tab
 contact: Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017. Unlike theirs, all inputs come from
 the robot's own lidar and odometry. docs/safety.md states what holds and under which assumptions.
 
-Cython compiles this file with its parts as one library, and CPython runs the files where they are
-not compiled (core/kernels.py). Each comparison is written so that a NaN makes a constraint
+Cython compiles this file with its parts as one unit, and CPython runs the files where they are not
+compiled (core/kernels.py). Each comparison is written so that a NaN makes a constraint
 stricter: an unknown constraint forbids motion.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view
+from swarmd.core.cython_shadow import fabs, hypot
 from swarmd.core.errors import ConfigError
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import (
     ZERO,
@@ -42,6 +42,7 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.barrier_assumptions import OTHER, Assumptions
+from swarmd.protection.blind_zone import BlindZoneMemory
 from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.comparisons import maximum
 from swarmd.protection.constraints import ConstraintRows, Constraints, SpeedAxes, linear_limit
@@ -59,17 +60,6 @@ from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import Speeds, StopCheck
 from swarmd.protection.walls.standing_walls import StandingWalls
 from swarmd.sensing.rays import unit_vectors
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-
-    from swarmd.protection.blind_zone import BlindZoneMemory
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import fabs, hypot
-else:
-    from swarmd.core.cython_shadow import fabs, hypot
 
 SLOW_REQUEST = cython.declare(cython.double, 3.0 * CREEP_SPEED)
 """m/s: a robot with a faster request does not creep towards an obstacle."""
@@ -117,8 +107,7 @@ class Barrier:
         if platform.scan.near == "lost" and platform.scan.range_min > 0.0:
             base_speed = math.hypot(platform.limits.linear, platform.limits.lateral)  # m/s at most
             approach_speed = settings.others_speed + base_speed
-            blind_zone = load_kernel("swarmd.protection.blind_zone")
-            self._hidden = blind_zone.BlindZoneMemory(
+            self._hidden = BlindZoneMemory(
                 platform.scan.range_min, approach_speed, 1.0 / platform.scan.rate
             )
         assumptions = Assumptions(platform, settings)

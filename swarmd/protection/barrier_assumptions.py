@@ -1,23 +1,18 @@
 """The assumptions of mode `barrier` about others and about this base, as numbers of the kernel.
 
-Part of the library of barrier.py. Units: m, s, rad.
+Part of the unit of barrier.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.clock import TICK
 from swarmd.core.values import Platform
 from swarmd.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.protection.closing_speed import DECISION_PERIOD
 from swarmd.protection.settings import BarrierSettings
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
 
 SIDE_RESERVE = 0.3
 """Default of `side_reserve`, as a share of `others_speed`.

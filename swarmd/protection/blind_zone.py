@@ -28,42 +28,26 @@ end at an obstacle inside the zone, or see nothing. An empty sector is a run of 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, angle_between, mod_turn
 from swarmd.core.buffers import doubles, flags, indices, view, wrapped_index
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    atan2,
+    cos,
+    fabs,
+    hypot,
+    isfinite,
+    isinf,
+    sin,
+)
 from swarmd.core.ray_order import sort_rays
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import (
-        INFINITY,
-        atan2,
-        cos,
-        fabs,
-        hypot,
-        isfinite,
-        isinf,
-        sin,
-    )
-else:
-    from swarmd.core.cython_shadow import (
-        INFINITY,
-        atan2,
-        cos,
-        fabs,
-        hypot,
-        isfinite,
-        isinf,
-        sin,
-    )
 
 # s for which an empty sector too narrow for a robot, and a doubtful obstacle, are remembered
 _NARROW_MEMORY = cython.declare(cython.double, 2.0)

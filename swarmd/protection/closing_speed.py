@@ -1,23 +1,14 @@
 """The highest speed at which the outline may close on an obstacle: the caps of mode `barrier`.
 
-Part of the library of barrier.py. Units: m, s, rad.
+Part of the unit of barrier.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
 from swarmd.core.clock import TICK
+from swarmd.core.cython_shadow import fabs, sqrt
 from swarmd.protection.comparisons import at_least
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import fabs, sqrt
-else:
-    from swarmd.core.cython_shadow import fabs, sqrt
 
 DECISION_PERIOD = cython.declare(cython.double, TICK)
 """s between two decisions, for which a command stands."""

@@ -1,13 +1,8 @@
-"""Comparisons of numbers with defined results for NaN. Part of the library of barrier.py."""
+"""Comparisons of numbers with defined results for NaN. Part of the unit of barrier.py."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
+from swarmd.core import cython_shadow as cython
 
 
 @cython.cfunc

@@ -1,6 +1,6 @@
 """The constraints of mode `barrier` in the plane of the two speeds, and the points behind them.
 
-Part of the library of barrier.py. A constraint is an inequality a x + b y <= cap. x and y are the
+Part of the unit of barrier.py. A constraint is an inequality a x + b y <= cap. x and y are the
 linear and the angular speed of the command, each divided by its limit. So a and b are the closing
 speeds in m/s at the limits. The cap in m/s is the highest speed at which a place of the outline may
 close on a point. `ConstraintRows` is a table with one constraint in each row, so names in the code
@@ -13,9 +13,10 @@ takes effect.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, checked_indices, doubles, indices
+from swarmd.core.cython_shadow import INFINITY, cos, fabs, sin, sqrt
 from swarmd.core.values import Limits
 from swarmd.protection.barrier_assumptions import BARE_WALL, OTHER, REACTION, WALL, Assumptions
 from swarmd.protection.closing_speed import (
@@ -31,15 +32,6 @@ from swarmd.protection.dead_reckoning import PlanarPose
 from swarmd.protection.obstacles import NearObstacles, Points
 from swarmd.protection.outline import CHUNK, Chunk, Outline
 from swarmd.protection.touch_zone import TouchSector
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, cos, fabs, sin, sqrt
-else:
-    from swarmd.core.cython_shadow import INFINITY, cos, fabs, sin, sqrt
 
 SIDE_ANGLE = math.radians(60.0)
 """rad between a return and its two side constraints."""

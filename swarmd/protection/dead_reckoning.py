@@ -1,12 +1,14 @@
 """Dead reckoning of mode `barrier`: poses between readings of odometry, and between two scans.
 
-Part of the library of barrier.py. Units: m, s, rad.
+Part of the unit of barrier.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import INFINITY, copysign, cos, fabs, sin
 from swarmd.core.odometry_trail import (
     ANEW,
     LONGEST_EXTRAPOLATION,
@@ -20,16 +22,8 @@ from swarmd.core.values import Pose
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.comparisons import maximum
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Odometry
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, copysign, cos, fabs, sin
-else:
-    from swarmd.core.cython_shadow import INFINITY, copysign, cos, fabs, sin
 
 _AGE_TOLERANCE = cython.declare(cython.double, 1e-6)  # s, for the rounding of ages
 

@@ -1,15 +1,15 @@
 """The speed limit of all corners near obstacles in mode `barrier` (the envelope), and creeping.
 
-Part of the library of barrier.py. "Rows" are constraints, see constraints.py. Units: m, s, rad.
+Part of the unit of barrier.py. "Rows" are constraints, see constraints.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, checked_indices, doubles, view
+from swarmd.core.cython_shadow import hypot
 from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
 from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
@@ -24,15 +24,6 @@ from swarmd.protection.constraints import (
 from swarmd.protection.obstacles import NearObstacles
 from swarmd.protection.outline import Outline
 from swarmd.protection.projection import is_feasible
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import hypot
-else:
-    from swarmd.core.cython_shadow import hypot
 
 SURFACE_GAP = cython.declare(cython.double, 0.0125)
 """m that a locked robot keeps to what it closes on, as the scan shows it."""

@@ -1,13 +1,15 @@
 """The feasible set of mode `barrier`: all constraints on the next command.
 
 A situation (time, scan, odometry, ...) has one feasible set, which all requests in it share. Part
-of the library of barrier.py. Units: m, s, rad.
+of the unit of barrier.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import NAN, cos, sin
 from swarmd.core.odometry_trail import LONGEST_EXTRAPOLATION
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.closing_speed import DECISION_PERIOD
@@ -37,17 +39,9 @@ from swarmd.protection.obstacles import (
 from swarmd.protection.outline import Outline
 from swarmd.protection.touch_zone import TouchSector
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import TouchZone, Twist
     from swarmd.protection.decision import DecisionContext
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import NAN, cos, sin
-else:
-    from swarmd.core.cython_shadow import NAN, cos, sin
 
 _NO_ODOMETRY = cython.declare(cython.Py_ssize_t, -1)
 

@@ -26,23 +26,15 @@ A kernel (see `core/kernels.py`), since each reading of odometry and each comman
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import msgspec
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles
+from swarmd.core.cython_shadow import NAN, copysign, cos, fabs, remainder, sin, sqrt
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
 from swarmd.protection.settings import BarrierSettings
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import NAN, copysign, cos, fabs, remainder, sin, sqrt
-else:
-    from swarmd.core.cython_shadow import NAN, copysign, cos, fabs, remainder, sin, sqrt
 
 MIN_DURATION = 0.7
 """Seconds for which the speed must be outside the bounds."""

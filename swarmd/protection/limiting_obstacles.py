@@ -1,28 +1,19 @@
 """The obstacles that limit a command of mode `barrier`, for a report.
 
-Part of the library of barrier.py. "Rows" are constraints, see constraints.py. Units: m, s, rad.
+Part of the unit of barrier.py. "Rows" are constraints, see constraints.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked
+from swarmd.core.cython_shadow import INFINITY, atan2, hypot
 from swarmd.core.messages import LimitingObstacle
 from swarmd.protection.barrier_assumptions import REACTION, WALL, Assumptions
 from swarmd.protection.closing_speed import closing_cap, closing_deceleration, wall_cap
 from swarmd.protection.comparisons import maximum
 from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints, SpeedAxes
 from swarmd.protection.outline import Outline
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, atan2, hypot
-else:
-    from swarmd.core.cython_shadow import INFINITY, atan2, hypot
 
 BINDING_TOLERANCE = cython.declare(cython.double, 1e-9)
 """A constraint a x + b y <= cap counts as tight if both sides differ by less than this."""

@@ -7,22 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol, TypeGuard
+from typing import Protocol, TypeGuard
 
 import msgspec
 import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import LimitingObstacle, NarrowestPassage
 from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
+from swarmd.protection.barrier import Barrier
 from swarmd.protection.decision import Clearance, DecisionContext, ModeDecision
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.settings import SLOW_SHARE, StopZoneSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
-
-if TYPE_CHECKING:
-    from swarmd.protection.barrier import Barrier
 
 _LEAST_LENGTH = 1e-9  # of a field: a shorter one has no direction
 
@@ -197,14 +194,8 @@ class StopZone:
         )
 
 
-def make_barrier(platform: Platform) -> Barrier:
-    """The mode `barrier`, compiled or interpreted."""
-    barrier: Barrier = load_kernel("swarmd.protection.barrier").Barrier(platform)
-    return barrier
-
-
 MODES: Mapping[str, Callable[[Platform], Mode]] = MappingProxyType(
-    {"barrier": make_barrier, "potential_field": PotentialField, "stop_zone": StopZone, "off": Off}
+    {"barrier": Barrier, "potential_field": PotentialField, "stop_zone": StopZone, "off": Off}
 )
 """The class of each mode."""
 

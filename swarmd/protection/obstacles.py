@@ -1,6 +1,6 @@
 """The obstacles of mode `barrier`: returns of the last scan, hidden obstacles, and discs.
 
-Part of the library of barrier.py. Units: m, s, rad, in the base frame.
+Part of the unit of barrier.py. Units: m, s, rad, in the base frame.
 """
 
 from __future__ import annotations
@@ -9,23 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, checked_indices, doubles, indices, view
+from swarmd.core.cython_shadow import INFINITY, NAN, cos, hypot, sin
 from swarmd.protection.barrier_assumptions import OTHER, REACTION, Assumptions
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.outline import Outline
 from swarmd.protection.surfaces import find_surface_gaps
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Array
     from swarmd.protection.decision import ToldObstacle
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, cos, hypot, sin
-else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, cos, hypot, sin
 
 NO_NUMBERS = view(np.empty(0))
 NO_ROWS = view(np.empty((0, 4)))

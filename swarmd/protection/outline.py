@@ -1,6 +1,6 @@
 """The robot's outline in the kernel `barrier`: gaps from it to points.
 
-Part of the library of barrier.py; footprint.py has the same distances for code in Python. Units: m,
+Part of the unit of barrier.py; footprint.py has the same distances for code in Python. Units: m,
 s, rad, in the base frame.
 """
 
@@ -10,21 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, view
+from swarmd.core.cython_shadow import INFINITY, sqrt
 from swarmd.core.values import Platform
 from swarmd.protection.comparisons import maximum
 from swarmd.protection.footprint import Footprint
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Array
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, sqrt
-else:
-    from swarmd.core.cython_shadow import INFINITY, sqrt
 
 CHUNK = cython.declare(cython.Py_ssize_t, 64)
 """Points of a chunk at most."""

@@ -1,15 +1,15 @@
 """The room that a robot of mode `barrier` needs: clearances, and the narrowest passage.
 
-Part of the library of barrier.py. Units: m, s, rad.
+Part of the unit of barrier.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import ScanSpec
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
@@ -23,11 +23,6 @@ from swarmd.protection.comparisons import maximum
 from swarmd.protection.constraints import SIDE_ANGLE
 from swarmd.protection.decision import Clearance
 from swarmd.protection.outline import Chunk, Outline
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
 
 _PASSAGE_SLACK = 0.03  # m per side by which a passage must be wider: noise, a turning lidar
 _CORRIDOR_SPEED = 0.08  # m/s: what counts as passing a corridor

@@ -1,25 +1,16 @@
 """The feasible pair of speeds nearest to a requested pair: exact projection in mode `barrier`.
 
-Part of the library of barrier.py. A point is a pair (x, y): linear and angular speed over their
+Part of the unit of barrier.py. A point is a pair (x, y): linear and angular speed over their
 limits.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, doubles
+from swarmd.core.cython_shadow import INFINITY
 from swarmd.protection.constraints import ConstraintRows
 from swarmd.protection.outline import CHUNK
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
-else:
-    from swarmd.core.cython_shadow import INFINITY
 
 TOLERANCE = cython.declare(cython.double, 1e-12)
 """By how much rounding may violate a constraint."""

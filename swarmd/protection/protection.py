@@ -4,8 +4,7 @@ In every mode, `Protection` enforces the platform's limits and stops the robot u
 `Mode` (modes.py) judges the request, or what steering (`swarmd/steering/`) asks in its place.
 `robot/input_ages.py` decides when old scans or old odometry hold the robot.
 
-A kernel (see `core/kernels.py`), since each input that can change the command passes it. Other
-modules load it, compiled or interpreted.
+A kernel (see `core/kernels.py`), since each input that can change the command passes it.
 """
 
 from __future__ import annotations
@@ -15,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import fabs
 from swarmd.core.messages import LimitingObstacle, NarrowestPassage, Reason
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Scan, TouchZone, Twist
+from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.protection.decision import (
     NO_PERMIT,
     Clearance,
@@ -31,23 +32,14 @@ from swarmd.protection.decision import (
 )
 from swarmd.protection.fence.fence import Fence
 from swarmd.protection.fence.fence_settings import FenceSettings
+from swarmd.protection.following import FollowingMonitor
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_mode, narrowest_passage
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+if TYPE_CHECKING:
     from collections.abc import Collection
 
-    import cython
-
-    from swarmd.protection.assumption_monitor import AssumptionMonitor
-    from swarmd.protection.following import FollowingMonitor
     from swarmd.protection.modes import Mode
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import fabs
-else:
-    from swarmd.core.cython_shadow import fabs
 
 # m/s or rad/s: what rounding leaves of a zero command
 _ZERO_TOLERANCE = cython.declare(cython.double, 1e-9)
@@ -131,10 +123,9 @@ class Protection:
         self._mode = make_mode(platform)
         self._footprint = Footprint(platform.footprint)
         self._geometry = ScanGeometry(platform.scan)
-        monitors = load_kernel("swarmd.protection.assumption_monitor")
         # Of the modes only barrier assumes anything.
-        self._monitor = monitors.AssumptionMonitor(platform) if is_barrier(self._mode) else None
-        self.following = load_kernel("swarmd.protection.following").FollowingMonitor(platform)
+        self._monitor = AssumptionMonitor(platform) if is_barrier(self._mode) else None
+        self.following = FollowingMonitor(platform)
         self._latency = platform.scan.latency
         self._has_walls = is_barrier(self._mode) and self._mode.has_walls
         self.events = []

@@ -1,6 +1,6 @@
 """The stop check of mode `barrier`: the outline stays clear of obstacles while the robot brakes.
 
-Part of the library of barrier.py. A constraint limits how fast a place of the outline closes on an
+Part of the unit of barrier.py. A constraint limits how fast a place of the outline closes on an
 obstacle now. Constraints alone do not keep the outline clear during a stop, for three reasons:
 
 1. A corner swings outwards while the robot still turns.
@@ -16,26 +16,17 @@ frame.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, doubles, view
+from swarmd.core.cython_shadow import copysign, cos, fabs, sin, sqrt
 from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
 from swarmd.protection.closing_speed import DECISION_PERIOD
 from swarmd.protection.constraints import Constraints, PlacedPoints, SpeedAxes
 from swarmd.protection.outline import Outline
 from swarmd.protection.projection import is_feasible
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import copysign, cos, fabs, sin, sqrt
-else:
-    from swarmd.core.cython_shadow import copysign, cos, fabs, sin, sqrt
 
 NEGLIGIBLE_SPEED = cython.declare(cython.double, 0.015)
 """m/s: closing at a speed up to this is no approach."""

@@ -1,23 +1,14 @@
 """Wide surfaces among the near returns of a scan, and the gap to them without the noise of one ray.
 
-Part of the library of barrier.py. A robot that creeps passes a wide surface more closely than other
+Part of the unit of barrier.py. A robot that creeps passes a wide surface more closely than other
 obstacles (envelope.py). Units: m, in the base frame.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import NAN, hypot
 from swarmd.protection.outline import Outline
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import NAN, hypot
-else:
-    from swarmd.core.cython_shadow import NAN, hypot
 
 SURFACE_SPACING = cython.declare(cython.double, 0.05)
 """m: two neighbouring returns within this distance are of one surface."""

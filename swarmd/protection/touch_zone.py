@@ -1,26 +1,18 @@
 """The touch zone in mode `barrier`: directions in which a pattern may touch an obstacle.
 
-Part of the library of barrier.py. Units: m, s, rad, in the base frame.
+Part of the unit of barrier.py. Units: m, s, rad, in the base frame.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view
+from swarmd.core.cython_shadow import cos, sin
 from swarmd.core.values import Array, TouchZone
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import cos, sin
-else:
-    from swarmd.core.cython_shadow import cos, sin
 
 _SAME_FACE = 1e-9  # m by which corners of one face may differ
 _TOUCH_STEP = math.radians(15.0)  # directions between two of these are at most 1 % faster

@@ -45,7 +45,7 @@ from swarmd.core.host_messages import (
 )
 from swarmd.core.messages import State
 from swarmd.core.values import Scan
-from swarmd.sensing.scan_pipeline import COMPARED_SCANS, MIN_DISTINCT_RETURNS
+from swarmd.sensing.conditioning import COMPARED_SCANS, MIN_DISTINCT_RETURNS
 from swarmd.texts.values import seconds
 from swarmd.texts.why import protection_word, standing_of
 

@@ -1,6 +1,6 @@
 """`Effects`: the changes that one event makes for the shell, gathered before they become `Actions`.
 
-The shell is the daemon or the lockstep simulator. A kernel (see `core/kernels.py`), in one library
+The shell is the daemon or the lockstep simulator. A kernel (see `core/kernels.py`), in one unit
 with ticker.py.
 """
 
@@ -11,20 +11,17 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.host_messages import KillHost, Load, SetParams, Step
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    import cython
 
     from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
     from swarmd.core.messages import Reply
     from swarmd.core.told import Told
     from swarmd.core.values import Value
     from swarmd.robot.actions import FailedCode
-else:
-    from swarmd.core import cython_shadow as cython
 
 _NO_MESSAGES: Mapping[str, Value] = cython.declare(object, MappingProxyType({}))
 

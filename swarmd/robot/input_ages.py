@@ -1,7 +1,7 @@
 """The ages of a robot's inputs: the holds that follow from them, and the context of decisions.
 
 A hold is a reason for which a running robot stands, such as a scan that is too old. A kernel (see
-`core/kernels.py`), compiled into one library with ticker.py. `Sensors` extends `InputAges` by the
+`core/kernels.py`), compiled into one unit with ticker.py. `Sensors` extends `InputAges` by the
 work that is rarer than a tick. Times are in s on the robot's clock. The time of an input that has
 not arrived is -inf.
 """
@@ -10,16 +10,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import INFINITY, floor
 from swarmd.core.messages import Reason
 from swarmd.core.values import Inputs, Neighbor
 from swarmd.protection.decision import DecisionContext
 from swarmd.robot import timeouts
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+if TYPE_CHECKING:
     from collections import deque
     from collections.abc import Mapping
-
-    import cython
 
     from swarmd.core.neighbor_places import NeighborPlaces
     from swarmd.core.told import Told
@@ -31,12 +31,6 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from swarmd.sensing.conditioning import ScanConditioner
     from swarmd.sensing.odometry_history import OdometryHistory
     from swarmd.sensing.scan_delay import ScanDelay
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, floor
-else:
-    from swarmd.core.cython_shadow import INFINITY, floor
 
 _ODOMETRY_TIMEOUT = cython.declare(cython.double, timeouts.ODOMETRY_TIMEOUT)
 _NEIGHBOR_TIMEOUT = cython.declare(cython.double, timeouts.NEIGHBOR_TIMEOUT)

@@ -19,7 +19,6 @@ Bytes can be read by the same version of swarmd only, with the same kernels comp
 
 from __future__ import annotations
 
-import sys
 import zlib
 from array import array
 from collections import Counter, deque
@@ -40,7 +39,7 @@ import numpy as np
 from msgspec import Meta, MsgspecError, Struct
 
 from swarmd.core.errors import CodecError
-from swarmd.core.kernels import KERNELS, load_kernel
+from swarmd.core.kernels import unit_of
 from swarmd.core.values import Array
 from swarmd.robot.robot import HANDLERS, Robot
 from swarmd.robot.setup import RobotSetup
@@ -198,7 +197,7 @@ class _Writer:
     def _class_of(self, kind: type) -> tuple[str, tuple[str, ...] | None]:
         """The name of a class, and its fields if it is a class of values (else None)."""
         if kind not in self._classes:
-            module = _source_of(kind)
+            module = kind.__module__
             if not _is_ours(module):
                 raise ValueError(f"{module}.{kind.__name__} is no part of a robot's memory")
             self._classes[kind] = f"{module}.{kind.__name__}", _fields_of(kind)
@@ -445,13 +444,6 @@ class _Reader:
         return made
 
 
-def _source_of(kind: type) -> str:
-    """The source module of a class, also if the class is compiled."""
-    # A compiled library of several source files lists the source of each class in `CLASSES`.
-    classes = getattr(sys.modules[kind.__module__], "CLASSES", {})
-    return classes.get(kind.__name__) or kind.__module__.replace("._", ".")
-
-
 def _is_ours(module: str) -> bool:
     """True if a memory may contain objects of the classes of `module`."""
     return module in _VALUES or (module.startswith(_PACKAGES) and module != __name__)
@@ -461,9 +453,12 @@ def _class_named(name: str) -> type:
     module, _, title = name.rpartition(".")
     cls = None
     if _is_ours(module):
-        cls = vars(load_kernel(module) if module in KERNELS else import_module(module)).get(title)
+        try:
+            cls = vars(import_module(module)).get(title)
+        except ModuleNotFoundError:
+            raise ValueError(f"{name} was compiled there, and is interpreted here") from None
     # The names of a module include imported classes, such as Path, which writes files.
-    if not isinstance(cls, type) or _source_of(cls) != module:
+    if not isinstance(cls, type) or cls.__module__ != module:
         raise ValueError(f"{name} is no part of a robot's memory")
     return cls
 
@@ -510,9 +505,7 @@ def _object_maker(kind: type, row: _Kind) -> Callable[[list[Any]], Any]:
 
 def _unpickler_of(kind: type) -> Callable[[type, int, None], Any] | None:
     """Cython's function that makes an empty object of a compiled class; None if interpreted."""
-    bases = (
-        (sys.modules[base.__module__], f"__pyx_unpickle_{base.__name__}") for base in kind.__mro__
-    )
+    bases = ((unit_of(base.__module__), f"__pyx_unpickle_{base.__name__}") for base in kind.__mro__)
     return next((getattr(module, name) for module, name in bases if hasattr(module, name)), None)
 
 

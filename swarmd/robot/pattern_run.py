@@ -1,6 +1,6 @@
 """The load and the run of a pattern: steps, the expiry of its command, faults, backoff of restarts.
 
-A kernel (see `core/kernels.py`), compiled into one library with ticker.py. Times are in s on the
+A kernel (see `core/kernels.py`), compiled into one unit with ticker.py. Times are in s on the
 robot's clock. A deadline that is not set is inf.
 
 1. A requested command expires three periods after the start of the step that returned it, or after
@@ -17,24 +17,18 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import INFINITY
 from swarmd.protection.decision import NO_PERMIT
 from swarmd.robot import timeouts
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    import cython
 
     from swarmd.core.host_messages import Loaded, ParamSources
     from swarmd.core.values import Outputs, Scalar, Twist
     from swarmd.protection.decision import Permit
     from swarmd.robot.pattern_load import Loading, Wish
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
-else:
-    from swarmd.core.cython_shadow import INFINITY
 
 _STEP_TIMEOUT = cython.declare(cython.double, timeouts.STEP_TIMEOUT)
 _STEP_TOLERANCE = cython.declare(cython.double, timeouts.STEP_TOLERANCE)

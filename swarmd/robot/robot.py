@@ -17,7 +17,6 @@ from swarmd.core import events
 from swarmd.core.events import Input
 from swarmd.core.goal import GoalRecord, HeldGoal, digest_of
 from swarmd.core.host_messages import TrialDone
-from swarmd.core.kernels import load_kernel
 from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import (
     MAX_TRACKS,
@@ -36,9 +35,11 @@ from swarmd.core.told import Told
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
 from swarmd.protection.compatibility import Accepts, longest_diagonal
 from swarmd.protection.decision import Decision, DecisionContext
+from swarmd.protection.protection import Protection, ProtectionView
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.message_limits import EventLimit
+from swarmd.robot.pattern_run import PatternRun
 from swarmd.robot.peers import POSE_TIMEOUT
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
@@ -46,22 +47,12 @@ from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
 from swarmd.robot.standing import HELD_TIME, StandingWatch
 from swarmd.robot.state import Lifecycle, StateMachine
 from swarmd.robot.status import decision_summary, make_status, status_reason
+from swarmd.robot.ticker import DutyCycle, Ticker
 from swarmd.robot.timeouts import STATUS_PERIOD
 
 if TYPE_CHECKING:
-    from swarmd.protection.protection import Protection, ProtectionView
     from swarmd.robot.effects import Effects
-    from swarmd.robot.pattern_run import PatternRun
     from swarmd.robot.steers import MakeKin, MakeSteering
-    from swarmd.robot.ticker import DutyCycle, Ticker
-else:
-    protections = load_kernel("swarmd.protection.protection")
-    Protection = protections.Protection
-    ProtectionView = protections.ProtectionView
-    PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
-    _kernel = load_kernel("swarmd.robot.ticker")
-    DutyCycle = _kernel.DutyCycle
-    Ticker = _kernel.Ticker
 
 
 def _settled(

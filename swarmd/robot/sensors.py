@@ -19,7 +19,6 @@ from msgspec.structs import astuple
 from swarmd.core.codec import encode_value
 from swarmd.core.events import DetectionsInput, SensorInput, tag_of
 from swarmd.core.hazard import Hazard
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, PeerFinding, Reason
 from swarmd.core.neighbor_places import NeighborPlaces
 from swarmd.core.values import (
@@ -41,16 +40,18 @@ from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, barrier_setti
 from swarmd.protection.decision import PoseAnchors, ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
+from swarmd.robot.input_ages import InputAges
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
 from swarmd.robot.steers import MakeKin
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
+from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.deskew import Deskewer
+from swarmd.sensing.odometry_history import OdometryHistory
 from swarmd.sensing.rays import unit_vectors
-from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
+from swarmd.sensing.scan_delay import ScanDelay
 
 if TYPE_CHECKING:
-    from swarmd.robot.input_ages import Hold, InputAges
-else:
-    InputAges = load_kernel("swarmd.robot.input_ages").InputAges
+    from swarmd.robot.input_ages import Hold
 
 MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
 SCAN_TIMES = 12  # scans over which the scan rate is measured

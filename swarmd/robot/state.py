@@ -46,7 +46,6 @@ from msgspec import structs
 
 from swarmd.core import host_messages
 from swarmd.core.goal import Goal, GoalRecord, GoalState
-from swarmd.core.kernels import load_kernel
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import MAX_EVENTS, Code, Epoch, Latch, LoggedEvent, Reason, Reply, State
 from swarmd.core.refusal import Refusal
@@ -68,7 +67,9 @@ from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.low_battery import LowBattery
 from swarmd.robot.message_limits import Outbox
 from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish, load_command
+from swarmd.robot.pattern_run import PatternRun
 from swarmd.robot.setup import RobotIdentity
+from swarmd.robot.ticker import StateField
 from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
     LOAD_TIMEOUT,
@@ -79,11 +80,6 @@ from swarmd.robot.timeouts import (
 
 if TYPE_CHECKING:
     from swarmd.robot.effects import Effects
-    from swarmd.robot.pattern_run import PatternRun
-    from swarmd.robot.ticker import StateField
-else:
-    PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
-    StateField = load_kernel("swarmd.robot.ticker").StateField
 
 
 class Trigger(StrEnum):

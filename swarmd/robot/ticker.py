@@ -1,6 +1,6 @@
 """The hot path of one robot: turns inputs and ticks into `Actions`, and checks holds and deadlines.
 
-A kernel (see `core/kernels.py`), compiled into one library with effects.py, pattern_run.py and
+A kernel (see `core/kernels.py`), compiled into one unit with effects.py, pattern_run.py and
 input_ages.py. `Robot` extends `Ticker` by the work that is rarer than a tick. Times are in s on the
 robot's clock. A deadline that is not set is inf.
 """
@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.clock import STALL_TIMEOUT
+from swarmd.core.cython_shadow import INFINITY, fabs, isnan
 from swarmd.core.events import HostInput
 from swarmd.core.host_messages import Step, Stepped
 from swarmd.core.messages import Reason, State
@@ -22,10 +24,8 @@ from swarmd.robot.effects import Effects
 from swarmd.robot.input_ages import InputAges
 from swarmd.robot.pattern_run import NOTHING_PERMITTED, ROUNDING, PatternRun, Running, later
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
+if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import cython
 
     from swarmd.core.events import Input, KinInput, MessageInput, ScanInput, TickInput
     from swarmd.core.host_messages import HostCommand
@@ -37,12 +37,6 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from swarmd.robot.sensors import Sensors
     from swarmd.robot.state import Lifecycle, StateMachine
     from swarmd.robot.steers import Steers
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, fabs, isnan
-else:
-    from swarmd.core.cython_shadow import INFINITY, fabs, isnan
 
 _MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
 _STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)

@@ -28,8 +28,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import checked, checked_indices, flags, indices, scratch, view_of
+from swarmd.core.cython_shadow import INFINITY, NAN, fabs, floor, hypot, isnan, remainder, rint
 from swarmd.core.values import Array, Odometry, ScanSpec
 from swarmd.sensing.sector_history import (
     EQUAL,
@@ -39,16 +41,8 @@ from swarmd.sensing.sector_history import (
     lost_sectors,
 )
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Pose
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, fabs, floor, hypot, isnan, remainder, rint
-else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, fabs, floor, hypot, isnan, remainder, rint
 
 # Sectors of 4 degrees, of the sensor and of the directions around it.
 _SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)

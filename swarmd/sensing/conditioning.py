@@ -8,24 +8,17 @@ the scan is rejected.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view_of
+from swarmd.core.cython_shadow import INFINITY, NAN, isfinite
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
 from swarmd.sensing.blind_sector import BlindSectors
 from swarmd.sensing.ray_memory import RayMemory
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, isfinite
-else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, isfinite
 
 MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
 COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any of its buffers

@@ -12,19 +12,13 @@ import math
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import INFINITY
 from swarmd.core.messages import DelayFigure
 from swarmd.core.values import Scan, ScanSpec
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Array
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
-else:
-    from swarmd.core.cython_shadow import INFINITY
 
 LONGEST_SHARED = 5.0
 """Seconds: a scan with a greater age by its stamp counts as stamped by another clock."""

@@ -14,40 +14,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import scratch, view
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    NAN,
+    ceil,
+    fabs,
+    floor,
+    hypot,
+    isnan,
+    remainder,
+    sqrt,
+)
 from swarmd.core.messages import DelayFigure
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Array, Pose, Scan
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import (
-        INFINITY,
-        NAN,
-        ceil,
-        fabs,
-        floor,
-        hypot,
-        isnan,
-        remainder,
-        sqrt,
-    )
-else:
-    from swarmd.core.cython_shadow import (
-        INFINITY,
-        NAN,
-        ceil,
-        fabs,
-        floor,
-        hypot,
-        isnan,
-        remainder,
-        sqrt,
-    )
 
 # Candidate delays: 0 to _LONGEST_DELAY s.
 _CANDIDATES = cython.declare(cython.Py_ssize_t, 49)

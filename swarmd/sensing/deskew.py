@@ -14,24 +14,17 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
+from swarmd.core.cython_shadow import INFINITY
 from swarmd.core.values import Array, Scan, ScanSpec, Sweep
 from swarmd.sensing.odometry_history import OdometryHistory
 from swarmd.sensing.ray_motion import move_rays, rays_in_sector
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
-else:
-    from swarmd.core.cython_shadow import INFINITY
 
 _MAX_TIMED_RAYS = cython.declare(cython.int, 8)  # objects that are kept
 

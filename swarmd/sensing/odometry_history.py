@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
+from swarmd.core.cython_shadow import cos, fabs, hypot, remainder, sin
 from swarmd.core.odometry_trail import (
     ANEW,
     R_ANGULAR,
@@ -22,15 +23,6 @@ from swarmd.core.odometry_trail import (
 )
 from swarmd.core.values import HISTORY, Odometry
 from swarmd.sensing.scan_delay import ScanDelay
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import cos, fabs, hypot, remainder, sin
-else:
-    from swarmd.core.cython_shadow import cos, fabs, hypot, remainder, sin
 
 _MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
 # m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.

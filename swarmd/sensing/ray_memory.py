@@ -11,20 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, angle_between, mod_turn, wrap
 from swarmd.core.buffers import flags, indices, scratch, view_of, wrapped_index
+from swarmd.core.cython_shadow import INFINITY, NAN, fabs, isfinite, isnan, rint
 from swarmd.core.ray_order import sort_rays
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Array, ScanSpec
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, fabs, isfinite, isnan, rint
-else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, fabs, isfinite, isnan, rint
 
 PACKET_RAYS = 6  # rays that an LDS loses together
 

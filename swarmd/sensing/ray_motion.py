@@ -2,19 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, mod_turn, wrap
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, asin, atan2, cos, fabs, isfinite, sin, sqrt
-else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, asin, atan2, cos, fabs, isfinite, sin, sqrt
-
+from swarmd.core.cython_shadow import INFINITY, NAN, asin, atan2, cos, fabs, isfinite, sin, sqrt
 
 # The tangent of an angle up to which its series is exact to 3e-15, and faster than atan2.
 _SMALL_TANGENT = cython.declare(cython.double, 0.03)

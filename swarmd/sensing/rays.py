@@ -15,11 +15,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Scan
+from swarmd.sensing import scan_features
 
 _TWO_PI = 2.0 * math.pi
-_kernel = load_kernel("swarmd.sensing.scan_features")
 
 
 class Ray(NamedTuple):
@@ -77,13 +76,13 @@ class RayClusters(Struct, frozen=True, eq=False):
 
 def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:
     """The nearest return within `half_width` rad of a bearing; None without one."""
-    ray = None if scan is None else _kernel.nearest(scan, bearing, half_width)
+    ray = None if scan is None else scan_features.nearest(scan, bearing, half_width)
     return None if ray is None else Ray(*ray)
 
 
 def unit_vectors(bearings: Array) -> Array:
     """The directions (n, 2) at `bearings` (n,) rad."""
-    vectors: Array = _kernel.unit_vectors(bearings)
+    vectors: Array = scan_features.unit_vectors(bearings)
     return vectors
 
 
@@ -111,7 +110,7 @@ def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Arra
     """
     if scan is None:
         return np.empty((0, 2))
-    points: Array = _kernel.closest_points(scan, within, count)
+    points: Array = scan_features.closest_points(scan, within, count)
     return points
 
 
@@ -150,7 +149,7 @@ def clusters(
     which grows with the range (Borges and Aldon, "Line extraction in 2D range images for mobile
     robotics", 2004).
     """
-    return RayClusters([] if scan is None else _kernel.clusters(scan, within, jump, grazing))
+    return RayClusters([] if scan is None else scan_features.clusters(scan, within, jump, grazing))
 
 
 def _wrap(bearings: Array) -> Array:

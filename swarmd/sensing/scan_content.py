@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Scan, ScanSpec
-from swarmd.sensing.scan_pipeline import COMPARED_SCANS, MAX_REPEATS, MIN_DISTINCT_RETURNS
+from swarmd.sensing.conditioning import COMPARED_SCANS, MAX_REPEATS, MIN_DISTINCT_RETURNS
 from swarmd.sensing.sector_history import SECTORS
 
 ENOUGH_SCANS = MAX_REPEATS + 1

@@ -8,21 +8,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import INFINITY
 from swarmd.core.messages import ScanDelaySummary
 from swarmd.core.values import Scan, ScanSpec
 from swarmd.sensing.delay_by_stamps import DelayByStamps
 from swarmd.sensing.delay_by_turns import DelayByTurns
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Pose
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
-else:
-    from swarmd.core.cython_shadow import INFINITY
 
 TOLERANCE = 0.01
 """Seconds: a smaller delay beyond the declared latency counts as 0, as clocks resolve no less."""

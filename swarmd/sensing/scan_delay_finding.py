@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 from swarmd.core.finding import Finding
 from swarmd.core.values import Scan, ScanSpec
-from swarmd.sensing.scan_pipeline import TOLERANCE, delay_by_stamps
+from swarmd.sensing.delay_by_stamps import delay_by_stamps
+from swarmd.sensing.scan_delay import TOLERANCE
 
 
 def scan_delay_finding(

@@ -6,20 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, wrap
 from swarmd.core.buffers import view, view_of
+from swarmd.core.cython_shadow import INFINITY, cos, fabs, hypot, sin, sqrt
 from swarmd.sensing.scan_layout import ScanLayout, layout_of
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Array, Scan
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, cos, fabs, hypot, sin, sqrt
-else:
-    from swarmd.core.cython_shadow import INFINITY, cos, fabs, hypot, sin, sqrt
 
 # m: the range given to rays without a return, so that they form runs.
 _UNSEEN = cython.declare(cython.double, 1e9)

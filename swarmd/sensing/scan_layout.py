@@ -6,21 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, wrap
 from swarmd.core.buffers import checked, flags, indices, scratch, view_of
+from swarmd.core.cython_shadow import INFINITY, NAN, isfinite, isnan, rint, tan
 from swarmd.core.ray_order import sort_rays
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Array, Scan
-else:
-    from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, isfinite, isnan, rint, tan
     from cython.cimports.libc.string import memcmp
-else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, isfinite, isnan, rint, tan
 
 _MAX_LAYOUTS = cython.declare(cython.int, 8)  # layouts that are kept
 _MAX_STEPS = cython.declare(cython.double, 3.5)  # between rays of one object

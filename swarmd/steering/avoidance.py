@@ -22,8 +22,9 @@ A kernel (see `core/kernels.py`), since each decision passes it.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import INFINITY, cos, hypot, sin
 from swarmd.core.values import Array, Limits, Twist
 from swarmd.protection.decision import Clearance
 from swarmd.steering.tracks import Surroundings, Track
@@ -35,15 +36,6 @@ from swarmd.steering.velocity_obstacles import (
     track_lines,
     wall_lines,
 )
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, cos, hypot, sin
-else:
-    from swarmd.core.cython_shadow import INFINITY, cos, hypot, sin
 
 # s within which a track is met
 _HORIZON = cython.declare(cython.double, 1.8)

@@ -10,39 +10,24 @@ A kernel (see `core/kernels.py`), since each scan passes it. right_of_way.py cal
 from __future__ import annotations
 
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN
 from swarmd.core.buffers import scratch, view
+from swarmd.core.cython_shadow import (
+    atan,
+    atan2,
+    cos,
+    fabs,
+    hypot,
+    remainder,
+    sin,
+)
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.steering.tracks import ScanReturns
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import (
-        atan,
-        atan2,
-        cos,
-        fabs,
-        hypot,
-        remainder,
-        sin,
-    )
-else:
-    from swarmd.core.cython_shadow import (
-        atan,
-        atan2,
-        cos,
-        fabs,
-        hypot,
-        remainder,
-        sin,
-    )
 
 _MAX_RANGE = cython.declare(cython.double, 2.5)  # m from the lidar within which openings are seen
 _JUMP = cython.declare(cython.double, 0.25)  # m between neighbouring ranges at the end of a wall

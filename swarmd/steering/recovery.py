@@ -28,42 +28,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec import Struct
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, wrap
 from swarmd.core.buffers import view
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    atan2,
+    copysign,
+    cos,
+    fabs,
+    hypot,
+    remainder,
+    sin,
+)
 from swarmd.core.values import ZERO, Array, Limits, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
 from swarmd.steering.avoidance import PASSAGE_WIDTHS
 from swarmd.steering.tracks import speed_of
 from swarmd.steering.velocity_obstacles import passage_between
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Pose
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import (
-        INFINITY,
-        atan2,
-        copysign,
-        cos,
-        fabs,
-        hypot,
-        remainder,
-        sin,
-    )
-else:
-    from swarmd.core.cython_shadow import (
-        INFINITY,
-        atan2,
-        copysign,
-        cos,
-        fabs,
-        hypot,
-        remainder,
-        sin,
-    )
 
 # A robot with less than this share of the requested speed is blocked.
 _BLOCKED_SHARE = cython.declare(cython.double, 0.5)

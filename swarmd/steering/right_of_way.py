@@ -15,13 +15,25 @@ from __future__ import annotations
 
 import math
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from msgspec import Struct
 from msgspec.structs import astuple, replace
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN
 from swarmd.core.avoided import Avoided, WayState
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    atan2,
+    copysign,
+    cos,
+    fabs,
+    hypot,
+    remainder,
+    sin,
+    tan,
+)
 from swarmd.core.odometry_trail import ANEW, OdometryTrail
 from swarmd.core.values import ZERO, Limits, Odometry, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
@@ -29,35 +41,6 @@ from swarmd.steering.openings import SIGHTINGS, Opening, Openings, gap_middle
 from swarmd.steering.recovery import Allows, Points
 from swarmd.steering.tracks import ScanReturns, Surroundings, Track, speed_of
 from swarmd.steering.way_settings import WaySettings
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import (
-        INFINITY,
-        atan2,
-        copysign,
-        cos,
-        fabs,
-        hypot,
-        remainder,
-        sin,
-        tan,
-    )
-else:
-    from swarmd.core.cython_shadow import (
-        INFINITY,
-        atan2,
-        copysign,
-        cos,
-        fabs,
-        hypot,
-        remainder,
-        sin,
-        tan,
-    )
 
 _way = cython.declare(WaySettings, WaySettings())
 # m/s that are tried for a slower command; protection lets a robot creep at the last

@@ -4,8 +4,7 @@ Right of way, avoidance and recovery may replace a request by a candidate, one a
 The robot hands the candidate to protection, which judges it like any request. So steering may be
 wrong: it cannot weaken protection, and protection imports nothing of it.
 
-A kernel (see `core/kernels.py`), since each request passes it. Other modules load it, compiled or
-interpreted.
+A kernel (see `core/kernels.py`), since each request passes it.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.avoided import Avoided
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Platform, Scan, TouchZone, Twist
@@ -23,12 +23,8 @@ from swarmd.steering.recovery import NO_OTHERS, Allows, Others, Points, Recovery
 from swarmd.steering.right_of_way import RightOfWay
 from swarmd.steering.tracks import ScanReturns, Track, Tracker
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.protection.protection import ProtectionView
-else:
-    from swarmd.core import cython_shadow as cython
 
 _partial = cython.declare(object, partial)  # a C name, found at once
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow

@@ -20,43 +20,27 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles, indices, view, view_of, wrapped_index
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    atan2,
+    cos,
+    fabs,
+    floor,
+    hypot,
+    sin,
+    sqrt,
+)
 from swarmd.core.odometry_trail import ANEW, OdometryTrail
 from swarmd.core.ray_order import sort_rays
 from swarmd.core.values import Array, Odometry, Platform, Scan
 from swarmd.protection.decision import DecisionContext
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import (
-        INFINITY,
-        atan2,
-        cos,
-        fabs,
-        floor,
-        hypot,
-        sin,
-        sqrt,
-    )
-else:
-    from swarmd.core.cython_shadow import (
-        INFINITY,
-        atan2,
-        cos,
-        fabs,
-        floor,
-        hypot,
-        sin,
-        sqrt,
-    )
 
 REACH = cython.declare(cython.double, 2.5)
 """m from the lidar beyond which no object is tracked."""

@@ -12,19 +12,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view
+from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
 from swarmd.steering.tracks import Track
 
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-
+if TYPE_CHECKING:
     from swarmd.core.values import Array
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, fabs, hypot, sqrt
-else:
-    from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
 
 _EPSILON = cython.declare(cython.double, 1e-9)
 _ROUNDED_UP = cython.declare(cython.double, 1.0 + 1e-9)  # times a square: more than rounding

@@ -6,18 +6,13 @@ with the others; no sweep has varied it alone, so that a better value may exist.
 The figures of one number or of a few are those of the commit that brought them, on doors of two
 bodies with eight robots; later parts have moved the totals.
 
-A kernel (see `core/kernels.py`), compiled into one library with right_of_way.py, so that a number
+A kernel (see `core/kernels.py`), compiled into one unit with right_of_way.py, so that a number
 is read as a field of C.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
+from swarmd.core import cython_shadow as cython
 
 
 @cython.final

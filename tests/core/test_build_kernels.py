@@ -40,7 +40,7 @@ def test_build_goes_on_without_a_kernel_that_does_not_compile(tmp_path: Path) ->
         command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert "protection._barrier" in done.stderr  # it says so
+    assert "swarmd._trusted" in done.stderr  # it says so
     assert not list(tmp_path.glob("built/**/*.so"))
 
 

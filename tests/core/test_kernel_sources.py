@@ -17,12 +17,12 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.kernels import LIBRARIES, source_of
+from swarmd.core.kernels import UNITS, source_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
 REASONS = tomllib.loads(Path(__file__).with_name("kernel_sources.toml").read_text())
-"""By library: what a rule yields, and why it is alike in both forms."""
+"""By unit: what a rule yields, and why it is alike in both forms."""
 
 
 DIRECTIVES = {
@@ -35,12 +35,12 @@ DIRECTIVES = {
 
 @cache
 def kernels() -> dict[str, Kernel]:
-    """The kernels of each library as one source, by the name of the library without its package."""
+    """The kernels of each unit as one source, by the name of the unit without its package."""
     return {
-        library.rpartition("._")[2]: Kernel(
+        unit.rpartition("._")[2]: Kernel(
             "".join((ROOT / source_of(name)).read_text() for name in names)
         )
-        for library, names in LIBRARIES.items()
+        for unit, names in UNITS.items()
     }
 
 

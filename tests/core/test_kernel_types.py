@@ -1,4 +1,4 @@
-"""mypy reads the types of C in kernels, and the module that `load_kernel` gives."""
+"""mypy reads the types of C in kernels, and what others import of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 CALLER, KERNEL = "swarmd/protection/fence/fence.py", "swarmd/protection/projection.py"
 PLANTED = {
-    CALLER: '_kernel.clearance("edges", 0.0, 0.0, 0.0)',
+    CALLER: 'fence_stops.clearance("edges", 0.0, 0.0, 0.0)',
     KERNEL: "def _planted(row: cython.double[::1]) -> cython.bint: return row[0]",
 }
 

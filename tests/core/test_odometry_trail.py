@@ -6,11 +6,9 @@ import math
 
 import pytest
 
-from swarmd.core.kernels import load_kernel
-from swarmd.core.odometry_trail import ANEW, NEXT, REFUSED, SAME
+from swarmd.core.odometry_trail import ANEW, NEXT, REFUSED, SAME, OdometryTrail
 from swarmd.core.values import Odometry, Pose, Twist
 
-OdometryTrail = load_kernel("swarmd.core.odometry_trail").OdometryTrail
 AHEAD = Twist(0.2)
 
 

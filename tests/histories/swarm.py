@@ -65,7 +65,6 @@ from swarmd.core.host_messages import (
     TrialDone,
 )
 from swarmd.core.incident import Incident
-from swarmd.core.kernels import load_kernel
 from swarmd.core.keys import MESSAGE, build
 from swarmd.core.messages import Code, PeerView, Reply
 from swarmd.core.record import RecordKind
@@ -112,11 +111,11 @@ from swarmd.robot.setup import EarlierLives, RobotSetup
 from swarmd.security.roster import Role
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
+from swarmd.steering.steering import Steering
 from tests.histories.black_box import BlackBox, Death, memory_folder
 from tests.support.fake_services import fake_services
 from tests.support.no_real_clock import no_real_clock
 
-STEERING = load_kernel("swarmd.steering.steering").Steering
 LEASE, SETTLE = 3.0, 1.0  # of profile field
 DELAY = 0.005  # s
 MOST_DELAY = 1.2  # of a datagram, as a share of the delay
@@ -507,7 +506,7 @@ class VirtualDaemon(Node):
                 profile="field",
                 settings=RobotSettings(fence=FENCE if swarm.is_fenced else None),
             ),
-            make_steering=STEERING,
+            make_steering=Steering,
             seed=1,
             instance=instance.hex(),
             now=now,

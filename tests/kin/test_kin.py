@@ -15,7 +15,7 @@ from msgspec.structs import replace as changed
 
 from swarmd.core.told import Told
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
-from swarmd.kin.naming import NO_ROBOT, Kin
+from swarmd.kin.kin import NO_ROBOT, Kin
 
 PERIOD = 0.2
 FREE = Scan(0, 0.0, np.empty(0), np.empty(0), 0.1, 3.5)

@@ -6,14 +6,14 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from msgspec import structs
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
+from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor, axis_of
 from swarmd.protection.decision import DecisionContext, MovedWall
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
@@ -22,16 +22,6 @@ from tests.support.filter_sim import FilterSim, box, under_barrier
 from tests.support.kernel_forms import both_forms, compares_forms, interpreted, long_run
 from tests.support.protection import Protection
 from tests.support.restless_bases import RestlessBases, noisy
-
-if TYPE_CHECKING:
-    from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor, axis_of
-else:
-    kernel = load_kernel("swarmd.protection.assumption_monitor")
-    AssumptionMonitor, axis_of, MIN_SHARE = (
-        kernel.AssumptionMonitor,
-        kernel.axis_of,
-        kernel.MIN_SHARE,
-    )
 
 KERNEL = "swarmd.protection.assumption_monitor"
 BURGER = under_barrier(load_platform("burger"))

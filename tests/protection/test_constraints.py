@@ -14,15 +14,16 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from swarmd.core.clock import TICK
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.barrier_assumptions import SIDE_RESERVE
 from swarmd.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.compatibility import barrier_settings
+from swarmd.protection.constraints import linear_limit
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.modes import Mode
+from swarmd.protection.touch_zone import touch_directions
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.barrier_parts import (
@@ -41,12 +42,8 @@ from tests.support.kernel_forms import interpreted
 KERNEL = "swarmd.protection.barrier"
 if TYPE_CHECKING:
     from swarmd.protection.barrier import Barrier
-    from swarmd.protection.constraints import linear_limit
-    from swarmd.protection.touch_zone import touch_directions
 else:
     Barrier = interpreted(KERNEL, because="a method of C is replaced, fields are read").Barrier
-    linear_limit = load_kernel("swarmd.protection.constraints").linear_limit
-    touch_directions = load_kernel("swarmd.protection.touch_zone").touch_directions
 
 
 @pytest.mark.parametrize(

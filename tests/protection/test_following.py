@@ -7,15 +7,13 @@ from bisect import bisect
 from collections.abc import Callable
 from dataclasses import replace
 from random import Random
-from typing import TYPE_CHECKING
 
 import pytest
 from msgspec import structs
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, TouchZone, Twist
 from swarmd.protection.decision import DecisionContext, Permit
-from swarmd.protection.following import DELAY, MIN_DURATION, WINDOW
+from swarmd.protection.following import DELAY, MIN_DURATION, WINDOW, FollowingMonitor
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.scans import empty_scan
 from tests.support.examples import part
@@ -26,10 +24,6 @@ from tests.support.stub_patterns import PATTERNS
 
 KERNEL = "swarmd.protection.following"
 TICK = 0.05
-if TYPE_CHECKING:
-    from swarmd.protection.following import FollowingMonitor
-else:
-    FollowingMonitor = load_kernel(KERNEL).FollowingMonitor
 
 BURGER = load_platform("burger")
 Motion = Callable[[float], Twist]

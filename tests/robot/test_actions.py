@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.host_messages import HostCommand, KillHost, Load, SetParams, Step
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Inputs
+from swarmd.robot.effects import Effects
 from swarmd.settings.settings import load_platform
 
 LOAD = Load(1, "drive", (), "tb3-01", load_platform("burger"), 1)
@@ -30,7 +30,7 @@ STEP = Step(1, Inputs(now=0.0, dt=0.0))
 def test_host_gets_the_command_that_decides(
     commands: tuple[KillHost | Load | SetParams | Step, ...], chosen: HostCommand
 ) -> None:
-    effects = load_kernel("swarmd.robot.effects").Effects(0.0)
+    effects = Effects(0.0)
     for command in commands:
         effects.command_host(command)
     assert type(effects.host) is type(chosen)

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from swarmd.core.host_messages import Loaded
-from swarmd.core.kernels import load_kernel
 from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import Loading, Wish
+from swarmd.robot.pattern_run import PatternRun
 from swarmd.robot.timeouts import LOAD_TIMEOUT, MIN_EXPIRY, STEP_TIMEOUT
-
-if TYPE_CHECKING:
-    from swarmd.robot.pattern_run import PatternRun
-else:
-    PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
 
 
 def loading(seconds: float | None = None, since: float = 10.0) -> Loading:

@@ -42,7 +42,6 @@ from swarmd.core.host_messages import (
     Stepped,
     TrialDone,
 )
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Epoch, Latch, Reason
 from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import (
@@ -58,13 +57,13 @@ from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import RobotSetup
 from swarmd.settings.settings import load_platform
+from swarmd.steering.steering import Steering
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.examples import examples
 from tests.support.platforms import with_mode
 from tests.support.robot_harness import RobotHarness, acted
 from tests.support.stub_patterns import started
 
-STEERING = load_kernel("swarmd.steering.steering").Steering
 PLATFORM = with_mode(load_platform("waffle_pi"), "stop_zone")  # with recovery, and cheap
 COMMANDS = (Twist(0.2), Twist(0.0, 0.5), Twist(-0.1, -0.2), Twist(float("nan")), None)
 
@@ -85,7 +84,7 @@ class Pair:
         settings = RobotSetup(driver="story")
         self.robots = tuple(
             made(
-                "r", PLATFORM, settings, make_steering=STEERING, seed=1, instance="b", now=self.now
+                "r", PLATFORM, settings, make_steering=Steering, seed=1, instance="b", now=self.now
             )
             for made in (Robot, Restless)
         )

@@ -13,7 +13,6 @@ from msgspec.structs import replace
 from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, ReadingsInput
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Status
 from swarmd.core.values import Neighbor, Scan, Twist
 from swarmd.protection.decision import Decision
@@ -21,6 +20,7 @@ from swarmd.robot.sensors import Sensors
 from swarmd.robot.status import MAX_ROWS
 from swarmd.robot.status import _avoided as avoided_text
 from swarmd.robot.status import _summary as make_summary
+from swarmd.robot.ticker import DutyCycle
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.robot_harness import RobotHarness
@@ -77,7 +77,7 @@ def test_status_reports_no_constraint_that_does_not_bind(harness: RobotHarness) 
 def test_status_reports_the_lateral_speed() -> None:
     requested, safe = Twist(0.0, 0.0, 0.25), Twist(0.0, 0.0, 0.125)
     decision = Decision("barrier", requested, safe, None, True, (), None, None, 1)
-    shown = make_summary(decision, load_kernel("swarmd.robot.ticker").DutyCycle())
+    shown = make_summary(decision, DutyCycle())
     assert (shown.requested_lateral, shown.safe_lateral) == (0.25, 0.125)
 
 

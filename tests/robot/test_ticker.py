@@ -23,7 +23,6 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import Loaded, Step, Stepped
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason, State
 from swarmd.core.told import Told
 from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Twist
@@ -34,6 +33,7 @@ from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import RobotSetup
 from swarmd.settings.platforms import load_platform
+from swarmd.steering.steering import Steering
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.robot_harness import acted
@@ -42,7 +42,6 @@ from tests.support.stub_patterns import idle, standing_state, started
 if TYPE_CHECKING:
     from swarmd.robot.pattern_run import PatternRun
 
-STEERING = load_kernel("swarmd.steering.steering").Steering
 PLATFORM = load_platform("waffle_pi")
 AXES = ("linear", "angular", "lateral")
 FORMS = both_forms("swarmd.robot.ticker")
@@ -142,7 +141,7 @@ def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
 def running_robot() -> tuple[Robot, float]:
     settings = RobotSetup(driver="story")
     robot, now = (
-        Robot("r", PLATFORM, settings, make_steering=STEERING, seed=1, instance="b", now=10.0),
+        Robot("r", PLATFORM, settings, make_steering=Steering, seed=1, instance="b", now=10.0),
         10.0,
     )
     robot.step(DriverInput(True, "there"), now)
@@ -224,7 +223,7 @@ def test_the_first_tick_of_a_robot_looks_at_all_and_gives_a_status() -> None:
         "r",
         PLATFORM,
         RobotSetup(driver="story"),
-        make_steering=STEERING,
+        make_steering=Steering,
         seed=1,
         instance="b",
         now=10.0,

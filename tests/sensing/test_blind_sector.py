@@ -10,7 +10,8 @@ import pytest
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Twist
-from swarmd.sensing.scan_pipeline import BlindSectors, ScanConditioner
+from swarmd.sensing.blind_sector import BlindSectors
+from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_from, scan_of
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.sensing.ray_memory import PACKET_RAYS
-from swarmd.sensing.scan_pipeline import ScanConditioner
 from tests.support.kernel_forms import both_forms
 
 FORMS = both_forms("swarmd.sensing.conditioning")

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
-from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory
+from swarmd.sensing.deskew import Deskewer
+from swarmd.sensing.odometry_history import OdometryHistory
 
 N, PERIOD = 360, 0.2
 BEARINGS = np.arange(N) * 2.0 * np.pi / N

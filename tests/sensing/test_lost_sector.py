@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Twist
 from swarmd.robot.sensors import Sensors
-from swarmd.sensing.scan_pipeline import BlindSectors, ScanConditioner
+from swarmd.sensing.blind_sector import BlindSectors
+from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.sensing.sector_history import frozen_sectors
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_from, scan_of

@@ -13,7 +13,9 @@ import pytest
 from swarmd.core.codec import encode
 from swarmd.core.messages import ScanDelaySummary
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
-from swarmd.sensing.scan_pipeline import OdometryHistory, ScanDelay, delay_by_stamps
+from swarmd.sensing.delay_by_stamps import delay_by_stamps
+from swarmd.sensing.odometry_history import OdometryHistory
+from swarmd.sensing.scan_delay import ScanDelay
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_of
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from swarmd.sensing.delay_by_stamps import delay_by_stamps
 from swarmd.sensing.scan_delay_finding import scan_delay_finding
-from swarmd.sensing.scan_pipeline import delay_by_stamps
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 

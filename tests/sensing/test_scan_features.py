@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Scan
+from swarmd.sensing.scan_layout import ScanLayout
 from tests.support.recorded_scans import KERNEL, SPECS, assert_same, recorded
 
 
@@ -56,7 +56,7 @@ def test_malformed_scan_or_count_is_refused_and_ends_no_process() -> None:
 
 
 def test_a_layout_takes_no_more_bearings_than_it_has_room_for() -> None:
-    layout = load_kernel("swarmd.sensing.scan_layout").ScanLayout(3)
+    layout = ScanLayout(3)
     layout.set_bearings(np.array([0.0, 1.0, 2.0]))
     with pytest.raises(IndexError, match="expected 4"):
         layout.set_bearings(np.zeros(4))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,32 +13,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from swarmd.core.avoided import WayState
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext, Permit
 from swarmd.settings.settings import load_platform
+from swarmd.steering.avoidance import Avoidance
+from swarmd.steering.tracks import Surroundings, Track
+from swarmd.steering.velocity_obstacles import Line, excess, most_violated, nearest
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
 from tests.support.kernel_forms import both_forms, compares_forms, long_run
 from tests.support.protection import Commander
 from tests.support.tracks import numbers_of
-
-if TYPE_CHECKING:
-    from swarmd.steering.avoidance import Avoidance
-    from swarmd.steering.tracks import Surroundings, Track
-    from swarmd.steering.velocity_obstacles import Line, excess, most_violated, nearest
-else:
-    Avoidance = load_kernel("swarmd.steering.avoidance").Avoidance
-    kernel = load_kernel("swarmd.steering.tracks")
-    Surroundings, Track = kernel.Surroundings, kernel.Track
-    kernel = load_kernel("swarmd.steering.velocity_obstacles")
-    Line, excess, most_violated, nearest = (
-        kernel.Line,
-        kernel.excess,
-        kernel.most_violated,
-        kernel.nearest,
-    )
 
 AVOIDING = under_barrier(load_platform("burger"))
 BURGER = replace(AVOIDING, protection={**AVOIDING.protection, "avoidance": "none"})

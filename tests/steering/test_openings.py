@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,15 +12,10 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Pose, Scan
+from swarmd.steering.openings import Openings
 from tests.support.examples import examples
 from tests.support.kernel_forms import both_forms, compares_forms
-
-if TYPE_CHECKING:
-    from swarmd.steering.openings import Openings
-else:
-    Openings = load_kernel("swarmd.steering.openings").Openings
 
 BEARINGS = np.radians(np.arange(-180.0, 180.0))
 HALF, BODY = 0.18, 0.09  # m, of a door in the middle of a wall at x = 0, and of a robot

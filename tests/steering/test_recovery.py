@@ -5,27 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from swarmd.core.clock import TICK
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext, Permit
 from swarmd.settings.settings import load_platform
+from swarmd.steering.recovery import NO_OTHERS, Others, Recovery
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
 from tests.support.kernel_forms import long_run
 from tests.support.protection import Commander
-
-if TYPE_CHECKING:
-    from swarmd.steering.recovery import NO_OTHERS, Others, Recovery
-else:
-    kernel = load_kernel("swarmd.steering.recovery")
-    NO_OTHERS, Others, Recovery = kernel.NO_OTHERS, kernel.Others, kernel.Recovery
 
 BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
 MAY = Permit(may_recover=True)

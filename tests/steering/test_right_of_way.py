@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from swarmd.core.avoided import WayState
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import Clearance, DecisionContext
-
-if TYPE_CHECKING:
-    from swarmd.steering.right_of_way import RightOfWay
-    from swarmd.steering.tracks import Surroundings, Track
-else:
-    RightOfWay = load_kernel("swarmd.steering.right_of_way").RightOfWay
-    kernel = load_kernel("swarmd.steering.tracks")
-    Surroundings, Track = kernel.Surroundings, kernel.Track
+from swarmd.steering.right_of_way import RightOfWay
+from swarmd.steering.tracks import Surroundings, Track
 
 BASE, ROOM = Limits(0.22, 2.84), Clearance(0.5, 0.18, 0.09)
 AHEAD = Twist(0.22)

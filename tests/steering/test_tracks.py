@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext, ToldObstacle
 from swarmd.settings.platforms import load_platform
+from swarmd.steering.tracks import Surroundings, Tracker
 from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.tracks import numbers_of
-
-if TYPE_CHECKING:
-    from swarmd.steering.tracks import Surroundings, Tracker
-else:
-    Tracker = load_kernel("swarmd.steering.tracks").Tracker
 
 BURGER = load_platform("burger")
 BEARINGS = BURGER.scan.bearings

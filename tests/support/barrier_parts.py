@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,9 @@ interpreted_kernel = kernel_forms.interpreted(
 
 def part(name: str) -> Any:
     """The module of a part, interpreted like the mode."""
-    return import_module(f"swarmd.protection.{name}")
+    return kernel_forms.interpreted(
+        f"swarmd.protection.{name}", because="each part is a function or field of C"
+    )
 
 
 def interpreted(platform: Platform = BURGER, **settings: object) -> Any:

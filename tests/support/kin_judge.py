@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.told import Told
 from swarmd.core.values import Array, Neighbor, Odometry, Scan
-from swarmd.kin.naming import NO_ROBOT, Kin
+from swarmd.kin.kin import NO_ROBOT, Kin
 from swarmd.protection.decision import DecisionContext
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.steering.tracks import Tracker
 
 REACH = 2.5  # m, of the tracks
 START = 10.0  # s
@@ -124,7 +124,7 @@ def play(
     platform = load_platform("waffle_pi")
     n = len(made.ids)
     rng = np.random.default_rng(seed)
-    trackers = [load_kernel("swarmd.steering.tracks").Tracker(platform) for _ in range(n)]
+    trackers = [Tracker(platform) for _ in range(n)]
     kins = [make(MIDDLE) for _ in made.ids]
     air: list[tuple[float, int, int, int, Told]] = []
     for instant, truth in enumerate(made.truth):

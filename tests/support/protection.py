@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Platform, Scan, Twist
+from swarmd.protection import protection as protection_module
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
-
-if TYPE_CHECKING:
-    from swarmd.protection.protection import Protection
-    from swarmd.steering.steering import Steering
-else:
-    Protection = load_kernel("swarmd.protection.protection").Protection
-    Steering = load_kernel("swarmd.steering.steering").Steering
+from swarmd.protection.protection import Protection
+from swarmd.steering import steering as steering_module
+from swarmd.steering.steering import Steering
 
 __all__ = ["Commander", "Protection", "Steering"]
 
@@ -26,8 +22,8 @@ class Commander:
     """
 
     def __init__(self, platform: Platform, kernels: tuple[Any, Any] | None = None) -> None:
-        protection = load_kernel("swarmd.protection.protection") if kernels is None else kernels[0]
-        steering = load_kernel("swarmd.steering.steering") if kernels is None else kernels[1]
+        protection = protection_module if kernels is None else kernels[0]
+        steering = steering_module if kernels is None else kernels[1]
         self.protection: Protection = protection.Protection(platform)
         view = protection.ProtectionView(self.protection)
         self.steering: Steering = steering.Steering(platform, view)

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Pose, Twist
+from swarmd.protection import assumption_monitor
+from swarmd.sim.world import base
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.odometer import ODOMETRY_RATE, Odometers
 from swarmd.sim.world.realism import REALISTIC, Actuation, OdometryNoise
@@ -74,12 +75,10 @@ class RestlessBases:
         bases = [replace(platform, body=body)] * count
         self._pose, self._velocity, self._force = (np.zeros((count, 3)) for _ in range(3))
         memory = self._pose.ravel(), self._velocity.ravel(), self._force.ravel()
-        base = load_kernel("swarmd.sim.world.base")
         self._bases = base.Bases(Actuation(delay=delay), bases, memory, DT)
         ids, noise = [f"r{i}" for i in range(count)], noise or REALISTIC.odometry
         self._odometers = Odometers(noise, bases, np.zeros((count, 3)), ids, seed)
-        kernel = load_kernel("swarmd.protection.assumption_monitor")
-        self.monitors = [kernel.AssumptionMonitor(platform) for _ in range(count)]
+        self.monitors = [assumption_monitor.AssumptionMonitor(platform) for _ in range(count)]
         self._rng = np.random.default_rng(seed)
         limits = platform.limits
         axes = (limits.linear, limits.angular, limits.lateral)

@@ -36,7 +36,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
-from swarmd.core.kernels import describe_kernels, load_kernel
+from swarmd.core.kernels import describe_kernels
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code, Epoch, Reply, Status
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist
@@ -56,9 +56,9 @@ from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotSetup
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
+from swarmd.steering.steering import Steering
 from swarmd.testing.scans import empty_scan
 
-STEERING = load_kernel("swarmd.steering.steering").Steering
 ScanSource = Callable[[int, float], Scan | None]
 _platform = cache(load_platform)  # each story has a robot of its own
 
@@ -136,7 +136,7 @@ class RobotHarness:
                     touch=touch or {}, fence=fence, on_low_battery=on_low_battery
                 ),
             ),
-            make_steering=STEERING,
+            make_steering=Steering,
             make_kin=KinMaker(),
             seed=1,
             instance=instance,

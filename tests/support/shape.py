@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import inspect
 import io
-import re
 import subprocess
 import sys
 import tarfile
@@ -43,7 +42,6 @@ CLOSURES = (
     "swarmd.daemon.daemon",
 )
 """Modules whose imports a test lists by room."""
-_LOADED = re.compile(r"load_kernel\(\s*\"([\w.]+)\"")
 
 
 def statements(tree: ast.Module) -> Iterator[ast.stmt]:
@@ -60,10 +58,10 @@ def statements(tree: ast.Module) -> Iterator[ast.stmt]:
 def import_closure(module: str, *, at_start: bool = False, root: Path = ROOT) -> dict[str, Path]:
     """The modules of swarmd that a module imports, directly or not, and itself, with their files.
 
-    A kernel that `load_kernel` loads by its name counts as imported. An `__init__.py` leads to the
-    modules that it re-exports, and does not count itself. What a function imports counts, unless
-    `at_start`: then only what an import of the module imports. The public names of `swarmd` itself
-    do not count, which are imported when they are used. `root`: the folder of the project.
+    An `__init__.py` leads to the modules that it re-exports, and does not count itself. What a
+    function imports counts, unless `at_start`: then only what an import of the module imports. The
+    public names of `swarmd` itself do not count, which are imported when they are used. `root`: the
+    folder of the project.
     """
     waiting = [module]
     known: dict[str, Path] = {}
@@ -104,16 +102,9 @@ def _at_start(tree: ast.Module) -> Iterator[ast.stmt]:
 @cache
 def _imported(path: Path, at_start: bool) -> tuple[str, ...]:
     """The modules that a module imports, and each imported name, which might be a module."""
-    text = path.read_text(encoding="utf-8")
-    tree = ast.parse(text)
-    if at_start:
-        begin = [*_at_start(tree)]
-        plain = [ast.unparse(node) for node in begin if not hasattr(node, "body")]
-        found = _LOADED.findall("\n".join(plain).replace("'", '"'))
-    else:
-        begin = [*statements(tree)]
-        found = _LOADED.findall(text)
-    for node in begin:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    found = []
+    for node in _at_start(tree) if at_start else statements(tree):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

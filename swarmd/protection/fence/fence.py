@@ -25,15 +25,13 @@ import msgspec
 import numpy as np
 
 from swarmd.core.clock import TICK
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import MAX_EXTRAPOLATION, Array, Platform, Pose, Twist
 from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.protection.decision import Anchor, DecisionContext, LayerView
+from swarmd.protection.fence import fence_stops
 from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.protection.footprint import radius_of
 from swarmd.protection.settings import ODOMETRY_SHARE, BarrierSettings
-
-_kernel = load_kernel("swarmd.protection.fence.fence_stops")
 
 _SHARES = 8  # a limited command has shares of the request in steps of 1 / _SHARES
 _SPACING = 0.1  # m between the points that stand for the fence
@@ -76,7 +74,7 @@ class Fence:
         The circle holds the outline at each yaw. For a place outside, the clearance is minus the
         distance from the fence to the farthest place of the circle.
         """
-        clearances: Array = _kernel.clearances(self._edges, places, self.radius)
+        clearances: Array = fence_stops.clearances(self._edges, places, self.radius)
         return clearances
 
     def widest(self) -> float:
@@ -89,7 +87,7 @@ class Fence:
         for _ in range(6):
             axes = [np.linspace(low[i], high[i], _GRID + 1) for i in (0, 1)]
             points = np.stack(np.meshgrid(*axes), axis=2).reshape(-1, 2)
-            away = _kernel.clearances(self._edges, points, 0.0)
+            away = fence_stops.clearances(self._edges, points, 0.0)
             index = int(away.argmax())
             if away[index] > best:
                 best = float(away[index])
@@ -138,7 +136,7 @@ class Fence:
         shares = self._even if is_even else self._shares
         linear_size = math.hypot(requested.linear, requested.lateral) / limits.linear
         turn_size = abs(requested.angular) / limits.angular
-        index = _kernel.nearest_permitted(
+        index = fence_stops.nearest_permitted(
             self._edges,
             shares,
             (requested.linear, requested.lateral, requested.angular),
@@ -199,7 +197,7 @@ class Fence:
         return room
 
     def _clearance(self, pose: Pose) -> float:
-        return float(_kernel.clearance(self._edges, pose.x, pose.y, self.radius))
+        return float(fence_stops.clearance(self._edges, pose.x, pose.y, self.radius))
 
     def _predicted(
         self, context: DecisionContext, anchor: Anchor, command: Twist

@@ -25,8 +25,7 @@ from collections import deque
 
 from msgspec import Struct
 
-from swarmd.core.kernels import load_kernel
-from swarmd.core.odometry_trail import ANEW, NEXT
+from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail
 from swarmd.core.values import Odometry, Pose, SharedPose
 from swarmd.protection.decision import Anchor
 from swarmd.protection.fence.fence_settings import FenceSettings
@@ -116,7 +115,7 @@ class FencePose:
         self._frame = settings.frame
         self._timeout = timeout
         self._holds = settings.without_pose == "hold"
-        self._odometry = load_kernel("swarmd.core.odometry_trail").OdometryTrail()
+        self._odometry = OdometryTrail()
         self._last: Odometry | None = None  # the newest reading of it
         self._way = 0.0
         self._turned = 0.0

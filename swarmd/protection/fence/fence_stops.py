@@ -1,6 +1,6 @@
 """The distance to the fence, and stops inside the fence: the arithmetic of fence.py.
 
-Part of the library of barrier.py, whose `StopMotion` simulates a stop. An edge of the fence is a
+Part of the unit of barrier.py, whose `StopMotion` simulates a stop. An edge of the fence is a
 row of five numbers: x and y of its start, x and y of its end, and the number of its polygon.
 Polygon 0 is the outer polygon. Robots keep out of the polygons from 1 on. The edges of a polygon
 follow each other. Units: m, s, rad, in the shared frame.
@@ -8,23 +8,16 @@ follow each other. Units: m, s, rad, in the shared frame.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view
+from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
 from swarmd.core.values import Array
 from swarmd.protection.closing_speed import DECISION_PERIOD
 from swarmd.protection.stopping import IDEAL_BRAKING, StopMotion
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, fabs, hypot, sqrt
-else:
-    from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
 
 _FENCE_STEPS = cython.declare(cython.Py_ssize_t, 8)  # of a simulated stop
 _PLACE_ROUNDING = cython.declare(cython.double, 1e-9)  # m

@@ -28,29 +28,20 @@ the scan before were not measured.
 Not known here: what lies below or above the scan plane and has no part in it, and a part narrower
 than _PART whose returns are lost. docs/safety.md names both.
 
-Part of the library of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
+Part of the unit of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles, indices
+from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
 from swarmd.core.values import Platform
 from swarmd.protection.barrier_assumptions import BARE_WALL, WALL
 from swarmd.protection.obstacles import REACH
 from swarmd.protection.outline import Outline
 from swarmd.protection.walls.straight_runs import Run, StraightRuns
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, fabs, hypot, sqrt
-else:
-    from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
 
 # m, the narrowest part of any platform in the scan plane. The lidar heads of TurtleBots have
 # diameters of 0.072 and 0.11 m.

@@ -18,15 +18,15 @@ returns are assumed to approach at `others_speed`, as without the declaration.
 So a surface does not stand in a scan in which it is new, hidden, shorter than `length`, curved,
 nearer or farther than expected, or misplaced by wrong odometry.
 
-Part of the library of barrier.py. Units: m, s, rad, in the base frame at the time of the newest
+Part of the unit of barrier.py. Units: m, s, rad, in the base frame at the time of the newest
 ray, except for walls, which are in the odometry frame.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import doubles, indices
+from swarmd.core.cython_shadow import INFINITY, cos, fabs, floor, hypot, sin
 from swarmd.core.values import Platform
 from swarmd.protection.barrier_assumptions import OTHER, WALL
 from swarmd.protection.dead_reckoning import ScanMotion
@@ -36,15 +36,6 @@ from swarmd.protection.settings import ODOMETRY_SHARE
 from swarmd.protection.walls.bare_returns import BareReturns
 from swarmd.protection.walls.straight_runs import SPACING, Run, StraightRuns
 from swarmd.protection.walls.walls_settings import STILL, WallsStand
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, cos, fabs, floor, hypot, sin
-else:
-    from swarmd.core.cython_shadow import INFINITY, cos, fabs, floor, hypot, sin
 
 _odometry_share = cython.declare(cython.double, ODOMETRY_SHARE)
 _still = cython.declare(cython.double, STILL)

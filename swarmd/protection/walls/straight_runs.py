@@ -8,25 +8,16 @@
 3. A run is long if its ends are `length` m apart and its returns do not bend. Parts of a round
    surface are runs, too, but bend: a parabola is fitted to the returns of each run.
 
-Part of the library of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
+Part of the unit of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import doubles, indices
+from swarmd.core.cython_shadow import INFINITY, NAN, fabs, hypot, sqrt
 from swarmd.core.values import Platform
 from swarmd.protection.obstacles import REACH
-
-if TYPE_CHECKING:  # Cython reads this import, CPython the other one
-    import cython
-else:
-    from swarmd.core import cython_shadow as cython
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, fabs, hypot, sqrt
-else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, fabs, hypot, sqrt
 
 # m between neighbouring returns of a surface: less than a Burger's 0.14 m, and more than the 0.07 m
 # of an e-puck2 and the 0.11 m of a Thymio.

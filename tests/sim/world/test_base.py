@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
+from swarmd.sim.world import base
 from swarmd.sim.world.realism import IDEAL, Actuation
 
-base = load_kernel("swarmd.sim.world.base")
 BURGER = load_platform("burger")
 # Without ramps of its own.
 QUICK = replace(

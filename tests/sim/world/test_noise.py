@@ -13,7 +13,8 @@ import pytest
 
 from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.world.noise import BLOCK, NoisyLidar
+from swarmd.sim.world.noise import NoisyLidar
+from swarmd.sim.world.ray_caster import BLOCK
 from swarmd.sim.world.realism import IDEAL, REALISTIC, LidarNoise
 from tests.support.platforms import with_plain_scan
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform
+from swarmd.sim.world import base
 from swarmd.sim.world.odometer import Odometers, measurement
 from swarmd.sim.world.realism import IDEAL, REALISTIC, OdometryNoise
 
@@ -123,7 +123,6 @@ def test_the_measurement_is_that_of_two_wheels() -> None:
 
 def test_a_reading_is_the_matrix_times_the_motion_times_the_slip() -> None:
     matrix = np.array([[[2.0, 0.25, 0.0], [0.5, 3.0, 0.0], [0.0, 0.0, 0.75]]])
-    base = load_kernel("swarmd.sim.world.base")
     rngs = [np.random.default_rng(0)]
     wheels = base.Wheels(matrix, np.zeros((1, 3)), np.zeros((1, 3)), 0.5, rngs)
     slips = *(1.0 + 0.5 * np.random.default_rng(0).standard_normal(2)), 1.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,16 +19,10 @@ from studies.safety.tracking import (
     true_tracks,
     with_lidar,
 )
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Scan
 from swarmd.protection.decision import DecisionContext
 from swarmd.sim.lockstep.lockstep import Lockstep
-
-if TYPE_CHECKING:
-    from swarmd.steering.tracks import Surroundings, Track
-else:
-    kernel = load_kernel("swarmd.steering.tracks")
-    Surroundings, Track = kernel.Surroundings, kernel.Track
+from swarmd.steering.tracks import Surroundings, Track
 
 pytestmark = pytest.mark.long
 
