@@ -198,6 +198,12 @@ class Creeping:
         self.slow = Envelope(outline, CREEP_SPEED)
         self.usual = Envelope(outline, assumptions.surface_speed)
 
+    def check_indices(self) -> None:
+        """Nothing is refused: `checked` compares each length with the count of its loop.
+
+        An index that an array states is bounded where it is read, or is the index of a view.
+        """
+
     @cython.cfunc
     @cython.exceptval(-1)
     def allow(self, placed: PlacedPoints) -> cython.int:

@@ -104,7 +104,7 @@ def clocked_crowd(
     core = SimpleNamespace(
         tick_many=_tick_many, odometry_many=_odometry_many, message_many=_message_many
     )
-    with mock.patch.object(maker, "Robot", made), mock.patch.object(lockstep, "_core", core):
+    with mock.patch.object(maker, "Robot", made), mock.patch.object(lockstep, "ticker", core):
         yield Lockstep(scenario, seed)
 
 

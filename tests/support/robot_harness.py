@@ -187,10 +187,13 @@ class RobotHarness:
             current = tuple(filter(self._is_provisional, self.robot.generations))
             self._take(self.robot, ProvisionalInput(current), at)
         actions = self._take(self.robot, input, at)
-        # `RequestHandler.on_param` asks for both.
-        assert (self.robot._run.running is not None) is self.robot.is_running
+        self.check_run()
         if actions is not None:
             self.carry_out(actions, at)
+
+    def check_run(self) -> None:
+        """The robot has a run exactly in state running: `RequestHandler.on_param` asks for both."""
+        assert (self.robot._run.running is not None) is self.robot.is_running
 
     def scan(self, scan: Scan | None) -> None:
         """A scan arrives now."""

@@ -14,6 +14,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform
+from swarmd.sim.experiments.outcomes import read_outcomes
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names, scenario_of
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
@@ -162,11 +163,26 @@ def test_an_unknown_name_is_refused(name: str) -> None:
         load_scenario(name)
 
 
+def page_of_outcomes(folder: Path, block: str) -> None:
+    """The rows of outcomes on the page can be read beside a scenario."""
+    shipped = Path(__file__).parents[3] / "patterns" / "dispersion" / "scenario.yaml"
+    (folder / "scenario.yaml").write_text(shipped.read_text())
+    (folder / "outcomes.yaml").write_text(block)
+    rows = read_outcomes(folder / "outcomes.yaml").rows
+    assert [row.what.split(",")[0] for row in rows] == [
+        "contacts",
+        "late distance to the centroid",
+    ]
+
+
 def test_the_scenarios_on_the_page_about_scenarios_are_some(tmp_path: Path) -> None:
     page = Path(__file__).parents[3] / "docs" / "experiments.md"
     blocks = re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
     events = []
     for block in blocks:
+        if block.startswith("scenario:"):
+            page_of_outcomes(tmp_path, block)
+            continue
         (tmp_path / "page.yaml").write_text(block)
         scenario = load_scenario(tmp_path / "page.yaml")
         assert scenario.starts(0).shape == (5, 3)
