@@ -169,6 +169,7 @@ _UNIT_OF = {
     kernel: unit for unit in reversed([*UNITS]) for kernel in UNITS[unit] if kernel not in HELPERS
 }
 _NOT_COMPILED = "not compiled"
+_SECTION_OF_NAMES = 3  # SHT_STRTAB of ELF
 _STALE = "older than its source (run make kernels)"
 
 
@@ -312,25 +313,33 @@ def _short(library: str) -> str:
 
 @cache
 def _file(name: str) -> str | None:
-    """The file of a library; None if the file is absent or incomplete.
+    """The file of a library; None if the file is absent, incomplete, or cannot be read.
 
-    To load a truncated file may end the process with SIGBUS. An ELF file ends with its section
-    table, whose place is in the header: a file that ends before is truncated.
+    To load a truncated file may end the process with SIGBUS, and one whose end is zeros, as after a
+    loss of power, with SIGSEGV. An ELF file ends with its section table, whose place is in the
+    header: a file that ends before is truncated, and the table names the kind of the section of
+    names.
     """
     import struct  # each `import swarmd` runs this file
     from importlib.util import find_spec
 
-    spec = find_spec(name)
-    if spec is None or spec.origin is None or not spec.origin.endswith(".so"):
+    try:
+        spec = find_spec(name)
+        if spec is None or spec.origin is None or not spec.origin.endswith(".so"):
+            return None
+        with open(spec.origin, "rb") as file:
+            header = file.read(64)
+            if header[:5] == b"\x7fELF\x02":
+                if len(header) < 64:
+                    return None
+                order = "<" if header[5] == 1 else ">"
+                (table,) = struct.unpack_from(order + "Q", header, 40)
+                size, count, names = struct.unpack_from(order + "HHH", header, 58)
+                if os.stat(spec.origin).st_size < table + size * count:
+                    return None
+                file.seek(table + size * names)
+                if names and struct.unpack(order + "LL", file.read(8))[1] != _SECTION_OF_NAMES:
+                    return None
+    except (OSError, ModuleNotFoundError):  # no right to read it, or no `swarmd.sim` here
         return None
-    with open(spec.origin, "rb") as file:
-        header = file.read(64)
-    if header[:5] == b"\x7fELF\x02":
-        if len(header) < 64:
-            return None
-        order = "<" if header[5] == 1 else ">"
-        (table,) = struct.unpack_from(order + "Q", header, 40)
-        size, count = struct.unpack_from(order + "HH", header, 58)
-        if os.stat(spec.origin).st_size < table + size * count:
-            return None
     return spec.origin

@@ -169,6 +169,26 @@ def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
 
 
 @pytest.mark.integration
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.99])
+def test_a_kernel_that_ends_in_zeros_is_not_loaded_and_named(
+    share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a loss of power leaves it: the file has its length, and its last pages were not written.
+
+    The linker of C ends the process if it opens such a file.
+    """
+    monkeypatch.delenv("SWARMD_COMPILED", raising=False)
+    whole = _library("swarmd._trusted").read_bytes()
+    written = whole[: int(share * len(whole))]
+    (tmp_path / "_cut.abi3.so").write_bytes(written.ljust(len(whole), b"\0"))
+    assert _said_of_cut_kernel(tmp_path) == "[None] interpreted (not compiled)"
+
+
+def test_a_library_in_a_package_that_is_not_here_is_not_compiled() -> None:
+    assert kernels._file("swarmd.absent._absent") is None
+
+
+@pytest.mark.integration
 def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
