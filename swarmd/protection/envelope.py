@@ -314,7 +314,7 @@ class Creeping:
                 continue
             surface: cython.double = near.surface_gap[near_index[point]]
             if surface == surface:
-                kept: cython.double = place_gap[i] + surface - scan_gap[point]  # less noise
+                kept: cython.double = place_gap[i] + (surface - scan_gap[point])  # less noise
                 cap = (kept - SURFACE_GAP) / SURFACE_TIME
             elif not gap[point] <= contact[point]:
                 cap = 0.5 * (place_gap[i] - contact[point]) / (age[point] + DECISION_PERIOD)

@@ -222,7 +222,11 @@ class Recovery:
 
     @cython.ccall
     def set_down(self) -> None:
-        """The robot does not run, or is held: a person may have set it down where it is."""
+        """The robot does not run: a person may have set it down where it is.
+
+        A hold that lasts ends the run. A shorter one, such as of a late scan, is no such time:
+        robots that meet would leave anew with each of them.
+        """
         self._set_down_at = None
         self._is_set_down = True
         self._leaving_time = 0.0

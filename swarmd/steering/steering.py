@@ -108,7 +108,7 @@ class Steering:
         # avoidance as it is.
         if hold is None or not is_running:
             self._switch_avoidance(is_running, permit)
-        if hold is not None or not is_running:
+        if not is_running:
             recovery.set_down()
         clipped = candidate = self._protection.clip(requested)
         may_move: cython.bint = is_running and hold is None and context.scan_age is not None

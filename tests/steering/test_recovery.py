@@ -298,18 +298,26 @@ def nose_to_a_wall(platform: Platform, gap: float) -> Scan:
     return scan_from(platform, ranges, platform.scan.bearings)
 
 
-def test_a_robot_that_was_held_counts_as_set_down_again() -> None:
-    """Who stops a robot may carry it into a corner. It then backs off for 8 s, before for 4 s."""
+@pytest.mark.parametrize(
+    ("is_running", "hold", "then"), [(False, None, 8.0), (True, Reason.STALE_SCAN, 4.0)]
+)
+def test_a_robot_whose_run_ended_counts_as_set_down_again(
+    is_running: bool, hold: Reason | None, then: float
+) -> None:
+    """Who stops a robot may carry it into a corner. It then backs off for 8 s, before for 4 s.
+
+    A hold of a decision, such as of a late scan, is no time in which somebody carries it.
+    """
     commander = Commander(WAFFLE)
     scan = nose_to_a_wall(WAFFLE, 0.1)
     now = 10.0
 
-    def safe(x: float, hold: Reason | None = None) -> Twist:
+    def safe(x: float, is_running: bool = True, hold: Reason | None = None) -> Twist:
         nonlocal now
         now += TICK
         context = DecisionContext(now, 0.0, Odometry(now, Pose(x), ZERO), 0.0)
         commander.observe(scan, context)
-        return commander.decide(Twist(0.26), context, True, hold, MAY).safe
+        return commander.decide(Twist(0.26), context, is_running, hold, MAY).safe
 
     def back_off() -> float:
         """The s of the first way straight back, where the robot has driven to."""
@@ -319,9 +327,9 @@ def test_a_robot_that_was_held_counts_as_set_down_again() -> None:
 
     safe(0.0)
     after_driving = back_off()
-    safe(0.2, Reason.STALE_SCAN)
-    after_hold = back_off()
-    assert (after_driving, after_hold) == pytest.approx((4.0, 8.0), abs=2.0 * TICK)
+    safe(0.2, is_running, hold)
+    afterwards = back_off()
+    assert (after_driving, afterwards) == pytest.approx((4.0, then), abs=2.0 * TICK)
 
 
 def test_a_robot_that_does_not_come_free_does_as_before_after_two_minutes() -> None:
