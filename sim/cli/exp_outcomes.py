@@ -62,11 +62,13 @@ def run_outcomes(ctx: click.Context, name: str, seeds: str, options: RunOptions)
     """
     # 1. The rows, and the plan of all runs.
     need("mujoco")
-    from swarmd.core.files import read_regular
+    from swarmd.core.files import read_regular, write_whole
     from swarmd.sim.experiments.manifest import NAME as MANIFEST
-    from swarmd.sim.experiments.manifest import write_whole
+    from swarmd.sim.experiments.manifest import manifest_of
     from swarmd.sim.experiments.outcomes import NAME, judge_all, outcomes_file, read_outcomes
     from swarmd.sim.experiments.plan import parse_seeds
+    from swarmd.sim.experiments.store import recorded_in
+    from swarmd.sim.metrics.catalog import beyond_catalog
 
     given = {
         parameter
@@ -108,7 +110,19 @@ def run_outcomes(ctx: click.Context, name: str, seeds: str, options: RunOptions)
     )
     if (folder / MANIFEST).exists():
         raise ConfigError(f"{folder}: holds another experiment; name a new folder with --out")
-    text = read_regular(outcomes.file).decode()
+    for runs, plan in plans.items():
+        # Before the copy is written: it never names other runs than the folder holds.
+        if (folder / runs / MANIFEST).exists():
+            recorded_in(
+                folder / runs,
+                manifest_of(
+                    plan,
+                    traces=not options.no_traces,
+                    command=command,
+                    metrics=beyond_catalog(metrics[runs]),
+                ),
+            )
+    text = read_regular(outcomes.file)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / NAME, text)

@@ -341,12 +341,7 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
     table = folder / TABLE
     traces = folder / TRACES
     if (folder / manifests.NAME).exists():
-        recorded = read_manifest(folder)
-        difference = next(manifests.differences(recorded, manifest), None)
-        if difference is not None:
-            text = f"{folder}: holds another experiment: {difference}"
-            raise ConfigError(f"{text}; name another folder with --out, or remove this one")
-        manifest = recorded
+        manifest = recorded_in(folder, manifest)
     else:
         _refuse_other_files(folder)
         # The manifest comes first: it marks the folder as the folder of an experiment.
@@ -365,6 +360,16 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
     if not read_regular(table).startswith(head.encode()):  # of an earlier version
         write_whole(table, head + lines(row.cells for row in rows.values()))
     return Store(folder, manifest, rows)
+
+
+def recorded_in(folder: Path, manifest: Manifest) -> Manifest:
+    """The manifest in a folder; ConfigError if it is of another experiment than `manifest`."""
+    recorded = read_manifest(folder)
+    difference = next(manifests.differences(recorded, manifest), None)
+    if difference is not None:
+        text = f"{folder}: holds another experiment: {difference}"
+        raise ConfigError(f"{text}; name another folder with --out, or remove this one")
+    return recorded
 
 
 def _refuse_other_files(folder: Path) -> None:

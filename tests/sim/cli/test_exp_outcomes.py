@@ -156,3 +156,31 @@ def test_a_folder_of_another_experiment_stays_as_it_is(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "holds another experiment" in done.stderr
     assert sorted(path.name for path in (tmp_path / "made").iterdir()) == ["manifest.json"]
+
+
+@pytest.mark.integration
+def test_a_folder_of_other_runs_keeps_its_rows(tmp_path: Path) -> None:
+    file = mine(tmp_path)
+    file.write_text(OUTCOMES.replace("seeds: 2", "seeds: 1"))
+    swarmctl = swarmctl_in(tmp_path)
+    words = ("exp", "run", file, "--out", "made", "-j", 1, "--no-traces")
+    done = swarmctl(*words)
+    assert done.returncode == 0, done.stderr
+    copy = (tmp_path / "made" / "outcomes.yaml").read_text()
+    # Runs of another duration, with rows that the runs of before would meet.
+    file.write_text(file.read_text().replace("own: {}", "own: {set: {duration: 1}}"))
+    other = swarmctl(*words)
+    assert other.returncode == 2
+    assert "another experiment" in other.stderr
+    assert (tmp_path / "made" / "outcomes.yaml").read_text() == copy
+
+
+@pytest.mark.integration
+def test_a_file_in_utf_16_is_copied_as_it_is(tmp_path: Path) -> None:
+    file = mine(tmp_path)
+    file.write_bytes(OUTCOMES.replace("seeds: 2", "seeds: 1").encode("utf-16"))
+    swarmctl = swarmctl_in(tmp_path)
+    done = swarmctl("exp", "run", file, "--out", "made", "-j", 1, "--no-traces")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "made" / "outcomes.yaml").read_bytes() == file.read_bytes()
+    assert swarmctl("exp", "check", "made").returncode == 0
