@@ -71,6 +71,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _DIGITS_OF_CODE = 12
+_BEGIN = b'{"task": '  # of each record
 _EVERY = 1.0  # s between two lines of progress
 _NOT_DECIDING = frozenset({"swarmd", "code"})
 """What `made_with` names beside libraries and functions: the sources have a digest of their own."""
@@ -358,7 +359,14 @@ class _File:
                 raise ConfigError(
                     f"{self._path}: another process does runs of this file; wait for its end"
                 ) from error
-            out.truncate(self._content().rfind(b"\n") + 1)
+            content = self._content()
+            whole = content.rfind(b"\n") + 1
+            if not _is_begun(content[whole:]):
+                raise ConfigError(
+                    f"{self._path}: its end is no record that was cut off; name another file, or"
+                    " end its last line"
+                )
+            out.truncate(whole)
 
             def append(task: Any, result: _Result) -> Record[Any, Any]:
                 line = self._line(task, result)
@@ -475,6 +483,12 @@ def _list_runs(perform: Callable[[Any], Any], found: Sequence[Record[Any, Any]])
     except OSError as error:
         text = f"{file}: {error.strerror}; the runs are kept, and not listed"
         raise SwarmError(f"{text}: mend it, or unset {VARIABLE}") from error
+
+
+def _is_begun(end: bytes) -> bool:
+    """Whether the end of a file may be a record that was cut off, by a kill or with the power."""
+    begin = end.rstrip(b"\0")[: len(_BEGIN)]
+    return _BEGIN.startswith(begin)
 
 
 def _text(value: Any) -> str:

@@ -134,6 +134,24 @@ def test_a_line_that_was_cut_off_is_done_again_and_the_file_is_whole(tmp_path: P
     assert [line["found"] for line in lines(file)] == [2.0, 4.0]
 
 
+@pytest.mark.parametrize("end", ['{"ta', '{"task": {"number": 2', "\0" * 40])
+def test_an_end_of_a_power_cut_is_left_out(end: str, tmp_path: Path) -> None:
+    file = tmp_path / "runs.jsonl"
+    records(double, tasks(1), file, code="a")
+    file.write_bytes(file.read_bytes() + end.encode())
+    assert len(records(double, tasks(1, 2), file, code="a")) == 2
+    assert [line["found"] for line in lines(file)] == [2.0, 4.0]
+
+
+def test_a_file_of_others_without_a_last_line_end_stays_as_it_is(tmp_path: Path) -> None:
+    file = tmp_path / "notes.json"
+    file.write_text('{"notes": "the only copy"}')
+    with pytest.raises(ConfigError, match=r"notes\.json"):
+        records(double, tasks(1), file, code="a")
+    assert file.read_text() == '{"notes": "the only copy"}'
+    assert not done
+
+
 @pytest.mark.parametrize(
     "odd",
     [
