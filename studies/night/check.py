@@ -2,7 +2,8 @@
 
 A table whose sources are those of its runs is current without a run. Else some of its kept runs are
 done again and their bits compared (`kept_runs.drawn`). Bits say nothing of formulas: a table whose
-study or metrics have changed otherwise than in comments has to be made again.
+study or metrics have changed otherwise than in comments has to be made again, and so has one of
+which nobody knows: made with files of no commit, or of a commit that git does not know.
 """
 
 from __future__ import annotations
@@ -45,9 +46,12 @@ PROGRAM = Path(__file__).with_name("again.py")
 _FORMULAS = (
     *("studies/", "benchmarks/", "tests/", "sim/metrics/", "sim/experiments/statistics.py"),
     *("sim/experiments/outcomes.py", "sim/experiments/requirements.py"),
+    *("sim/experiments/benchmark.py", "sim/experiments/compare.py"),
+    *("sim/experiments/search_space.py", "sim/experiments/sequential.py"),
+    *("sim/experiments/tune.py", "sim/experiments/tuned_values.py"),
 )
 _FORMULAS_OF_PATTERNS = ("/metrics.py", "/outcomes.yaml")
-"""The files that compute tables of runs, and that no run imports."""
+"""The files that compute tables of runs or choose runs, and that no run imports."""
 _IN_BITS = (
     *("studies/keeper.py", "studies/kept.py"),
     *("studies/point_swarm.py", "tests/support/voting_sim.py"),
@@ -69,6 +73,7 @@ class State(Enum):
     CHECKED = "current"
     CHANGED = "changed"
     OTHER_FORMULAS = "its formulas have changed"
+    UNKNOWN = "its formulas may have changed"
     NO_RUNS = "no kept runs"
     OPEN = "not checked"
 
@@ -101,9 +106,12 @@ def look_at(job: Job) -> Look:
     for found, state in ((made.current, State.CHECKED), (made.changed, State.CHANGED)):
         if found is not None and found.digest == digest:
             return Look(state, found.text)
-    names = changed_since(made.of_runs["commit"], job.sources)
+    commit = made.of_runs["commit"]
+    if "," in commit:  # git does not know with which changes, and formulas may be among them
+        return Look(State.UNKNOWN, f"made with files of no commit: {commit}", None)
+    names = changed_since(commit, job.sources)
     if names is None:
-        return Look(State.OPEN, "of a commit that git does not know", None)
+        return Look(State.UNKNOWN, "of a commit that git does not know", None)
     since = f"{len(names)} files changed" if names else "made before its sources were known"
     if not read_runs(job.name):
         return Look(State.NO_RUNS, f"{since}; no run is kept", tuple(names))

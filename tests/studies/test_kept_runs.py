@@ -192,7 +192,10 @@ def test_what_is_known_without_a_run(
         (["patterns/drive/outcomes.yaml"], 1, State.OTHER_FORMULAS),
         (["patterns/drive/pattern.py"], 1, State.OPEN),
         (["studies/keeper.py", "studies/point_swarm.py"], 1, State.OPEN),
-        (None, 1, State.OPEN),
+        (["sim/experiments/benchmark.py"], 1, State.OTHER_FORMULAS),
+        (["sim/experiments/compare.py"], 1, State.OTHER_FORMULAS),
+        (["sim/experiments/tune.py"], 1, State.OTHER_FORMULAS),
+        (None, 1, State.UNKNOWN),
     ],
 )
 def test_bits_say_nothing_of_formulas(
@@ -201,6 +204,13 @@ def test_bits_say_nothing_of_formulas(
     monkeypatch.setattr(check, "changed_since", lambda commit, paths: names)
     write(made(), [a_run(seed) for seed in range(runs)])
     assert look_at(Table(made())).state is state  # type: ignore[arg-type]  # has what is asked
+
+
+def test_of_files_of_no_commit_nobody_knows_the_formulas(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check, "changed_since", lambda commit, paths: [])
+    about = made(made_with={"digest": "then", "commit": "c0, with changes", "day": "2026-11-29"})
+    write(about, [a_run(0)])
+    assert look_at(Table(about)).state is State.UNKNOWN  # type: ignore[arg-type]  # has what is asked
 
 
 # A check
@@ -292,11 +302,11 @@ def test_on_other_libraries_both_sides_are_done_here(monkeypatch: pytest.MonkeyP
 
 
 def test_a_commit_with_changes_cannot_be_built(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = made(made_with={"digest": "then", "commit": "c0, with changes", "day": "2026-11-29"})
+    known = made(made_with={"digest": "now", "commit": "c0, with changes", "day": "2026-11-29"})
     write(known, [a_run(0)])
     Checks(monkeypatch).there = "numpy: 2.4.6, here 2.5.0"
     with pytest.raises(SwarmError, match="ARGS=drive"):
-        checked()
+        checked(is_again=True)
 
 
 # A change of one gain
