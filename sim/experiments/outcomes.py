@@ -390,7 +390,10 @@ def samples_of(row: Row, results: Mapping[str, Results]) -> Samples:
         text = f"{row.what}: {names} are compared run by run, and have"
         raise SwarmError(f"{text} {len(own)} and {counted(len(other), 'run')}; do the others")
     with np.errstate(divide="ignore", invalid="ignore"):
-        return (_known(own - other if row.other.kind == "less" else own / other, row),)
+        values = own - other if row.other.kind == "less" else own / other
+    if row.if_known:  # an event that never happened on both sides is no run without a value
+        values = values[~(np.isnan(own) | np.isnan(other))]
+    return (tuple(values.tolist()),)
 
 
 def _values(results: Mapping[str, Results], names: Sequence[str], metric: str) -> Array:
