@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Platform, ScanSpec
 from swarmd.sim.world.geometry import Indices
-from swarmd.sim.world.ray_caster import BLOCK, Errors
 from swarmd.sim.world.realism import LidarNoise
 from swarmd.sim.world.seeding import generator
 
@@ -66,6 +65,9 @@ class NoisyLidar:
 
     def _errors_of(self, rays: int) -> tuple[Any, Array, NDArray[np.float32]]:
         normal = np.empty(rays)
+        # At the first scan: who reads a scenario needs no library of the world.
+        from swarmd.sim.world.ray_caster import BLOCK, Errors
+
         uniform = np.empty(rays + math.ceil(rays / BLOCK), dtype=np.float32)
         encoded = np.stack((self._near, self._nothing), axis=-1)
         errors = Errors(
