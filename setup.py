@@ -4,11 +4,11 @@ Each kernel is a Python file that Cython compiles (pure-Python mode). swarmd/cor
 the libraries, the units in each, and the kernels in each unit. A unit is one C file: its kernels
 are joined, without the imports of each other. A library is linked of its units. Where there is no
 compiler the build goes on without libraries, and CPython runs the files. A library serves the
-Python that builds it, and takes .92 of the time of one for the stable ABI. With
-SWARMD_STABLE_ABI=1, as for wheels, it serves Python 3.11 and all later versions. Each library holds
-the digest of its sources, which swarmd/core/kernels.py compares before it loads the library.
-Cython's code for views of memory is in one library that all kernels import: a copy in each took a
-quarter of the time of the build.
+Python that builds it, and is faster than one for the stable ABI (.92 of the time in the median of
+four seeds; single pairs at load gave .79 to 1.35). With SWARMD_STABLE_ABI=1, as for wheels, it
+serves Python 3.11 and all later versions. Each library holds the digest of its sources, which
+swarmd/core/kernels.py compares before it loads the library. Cython's code for views of memory is in
+one library that all kernels import: a copy in each took a quarter of the time of the build.
 
 With SWARMD_COMPILED=0 nothing is compiled and Cython is not needed: `make demo` installs so first,
 and compiles the kernels while robots move.
