@@ -6,7 +6,8 @@ epoch (count of the robot's changes) that the robot had when the command was iss
 1. The robot refuses a run or reset if its epoch has changed since the command was issued.
 2. A run or reset of unknown age, or older than MAX_COMMAND_AGE, is refused.
 3. A stop or emergency stop of any age is carried out, and repeated until the base rests.
-4. Only operators command: in a secured swarm the name must be an operator of the roster.
+4. Only operators command: in a secured swarm the name must be an operator of the roster, or have a
+   permit, by which the request server judges the request.
 """
 
 from __future__ import annotations
@@ -190,9 +191,9 @@ class DriverCommands:
 
 def permission_fault(operator: str, identity: Identity | None) -> str:
     """Why this operator may not command the robot; empty if it may. `identity`: of the robot."""
-    if identity is not None and identity.roster.role_of(operator) is not Role.OPERATOR:
-        return (
-            f"{operator} is no operator of roster {identity.roster.generation}; name an operator in"
-            " driver_options"
-        )
-    return ""
+    if identity is None or identity.roster.role_of(operator) in (Role.OPERATOR, Role.PERMIT):
+        return ""
+    return (
+        f"{operator} is no operator of roster {identity.roster.generation}; name an operator in"
+        " driver_options"
+    )
