@@ -354,6 +354,11 @@ class Authority:
         )
 
     @property
+    def days(self) -> float:
+        """The life of new certificates."""
+        return self._state.days
+
+    @property
     def secret(self) -> bytes:
         """The secret of the swarm at this generation."""
         return self._state.now.secret

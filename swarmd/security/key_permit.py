@@ -36,7 +36,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.names import expand_globs
+from swarmd.core.names import expand_globs, select_names
 from swarmd.core.verbs import AnyRequest, EstopRequest, ParamRequest, RunRequest, StopRequest
 from swarmd.security.roster import KeyPermit
 
@@ -146,25 +146,29 @@ def moment(wall: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(wall))
 
 
-def check_permit(permit: KeyPermit) -> None:
-    """Raise ConfigError for a permit that cannot mean what it says."""
+def check_permit(permit: KeyPermit, robots: tuple[str, ...]) -> None:
+    """Raise ConfigError for a permit that cannot mean what it says. `robots`: of the roster."""
     if permit.robots:
-        expand_globs(permit.robots)
+        select_names((permit.robots,), robots)
     for text in permit.may:
-        _check_line(text)
-    lines = lines_of(permit)
-    verbs = {line.verb for line in lines}
+        _check_line(text, robots)
+    verbs = {line.verb for line in lines_of(permit)}
     if "run" in verbs and not verbs & {*STOPS}:
         raise ConfigError("whoever may run must be able to stop: add `stop`")
 
 
-def _check_line(text: str) -> None:
+def _check_line(text: str, robots: tuple[str, ...]) -> None:
     verb, of = _split(text)
     if verb not in VERBS:
-        raise ConfigError(f"{unknown('verb of a permit', verb, VERBS)}")
-    if verb in STOPS and of:
-        expand_globs(of)
-    if any(char in of for char in " [],") and verb not in STOPS:
+        raise ConfigError(
+            f"{unknown('request of a permit', verb, VERBS)}; expected stop, estop, `run PATTERN` or"
+            " `param PATTERN.NAME`"
+        )
+    if verb in STOPS:
+        if of:
+            select_names((of,), robots)
+        return
+    if any(char in of for char in " [],"):
         raise ConfigError(f"{text!r}: expected one name, with * and ? for any characters")
     if verb == "param" and of and "." not in of:
         raise ConfigError(f"{text!r}: expected PATTERN.NAME, such as `param {of}.*`")

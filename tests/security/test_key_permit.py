@@ -33,6 +33,7 @@ from swarmd.security.roster import KeyPermit
 NOW = 1_800_000_000
 EPOCH = Epoch("0123456789ab", 1)
 TARGETS = {"tb3-01": EPOCH, "tb3-07": EPOCH}
+ROBOTS = tuple(f"tb3-0{number}" for number in range(1, 8))
 PUPILS = KeyPermit(
     role="pupils",
     key=bytes(64),
@@ -237,10 +238,12 @@ def test_an_answer_says_what_the_key_may() -> None:
         (("param gain", "stop"), ""),
         (("stop tb3-[",), ""),
         (("stop",), "TB3"),
+        (("stop",), "tb4-*"),  # no such robot
+        (("stop tb4-01",), ""),
         (("run attraction",), ""),  # whoever may run must be able to stop
     ],
 )
 def test_a_permit_that_cannot_be_meant_is_not_issued(may: tuple[str, ...], robots: str) -> None:
     with pytest.raises(ConfigError):
-        check_permit(permit(*may, robots=robots))
-    check_permit(PUPILS)
+        check_permit(permit(*may, robots=robots), ROBOTS)
+    check_permit(PUPILS, ROBOTS)
