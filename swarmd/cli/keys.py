@@ -282,7 +282,8 @@ def issue(
     check_permit(permit, authority.roster.robots)
     given = {name: replace(permit, role=role or name) for name in new}
     roster = authority.change(permits=given)
-    warn(f"{', '.join(new)} may {permit_text(permit)}: generation {roster.generation}")
+    who = ", ".join(new)
+    warn(f"generation {roster.generation} of the roster: {who} may {permit_text(permit)}")
     for name, path in _bundle_files(new, target).items():
         write_bundle(path, bundle_of(authority, name))
         click.echo(f"wrote {path}: {name}, until {moment(permit.until)}")
@@ -332,7 +333,8 @@ def list_(options: CommonOptions) -> None:
         click.echo(f"# {UNSET_CLOCK}: whether certificates have ended is not known")
         return
     for row in rows:
-        note = end_of_certificate(row["expires"], now) if row["expires"] else ""
+        has_end = row["expires"] and row["permit"] is None  # a permit says when it ends
+        note = end_of_certificate(row["expires"], now) if has_end else ""
         if note:
             click.echo(f"# {row['name']}: {note}; see `swarmctl keys renew`")
 

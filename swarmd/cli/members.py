@@ -17,6 +17,7 @@ from swarmd.client.targets import check_known
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import SwarmError
 from swarmd.security.key_permit import permit_text
+from swarmd.security.roster import Role
 from swarmd.texts.keys import (
     end_of_certificate,
     key_text,
@@ -107,8 +108,9 @@ def _secured(identity: Identity | None) -> Iterator[str]:
     if identity is not None:
         roster = identity.roster
         yield f"secured: asked as {key_text(identity)}, roster {roster.generation}"
-        if text := permit_warning(identity, time.time()):
-            yield f"WARNING: {identity.name}: {text}"
+        if identity.role is Role.PERMIT:
+            if text := permit_warning(identity, time.time()):
+                yield f"WARNING: {identity.name} (this user): {text}"
             return
         if text := end_of_certificate(identity.info.expires, time.time()):
             remedy = own_remedy(identity.name) if time.time() >= FIRST_WALL else "set it"
