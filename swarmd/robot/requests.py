@@ -223,6 +223,7 @@ class RequestHandler:
                 request=request,
                 goal=request.goal,
                 start_at=request.at.get(self._robot),
+                speed=request.speed,
             )
 
     def on_resume(self, request: verbs.ResumeRequest, effects: Effects) -> None:
@@ -540,6 +541,7 @@ class RequestHandler:
         seconds_left: float | None = None
         if running.finish_at != math.inf:
             seconds_left = max(running.finish_at - effects.now, MIN_RUN_TIME)
+        speed = running.permit.speed
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
@@ -556,6 +558,7 @@ class RequestHandler:
                 request=request,
                 goal=goal,
                 is_fresh=True,
+                speed=speed,
             )
         else:
             effects.command_host(KillHost())

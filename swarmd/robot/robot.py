@@ -196,7 +196,8 @@ class Robot(Ticker):
     @property
     def running_speed(self) -> float | None:
         """The greatest speed of the present run in m/s; None: no bound beside that of the robot."""
-        return None
+        running = self._run.running
+        return None if running is None else running.permit.speed
 
     @property
     def generations(self) -> tuple[int, ...]:
@@ -473,6 +474,7 @@ class Robot(Ticker):
                 wish=running.wish,
                 until=running.until,
                 is_restart=True,
+                speed=running.permit.speed,
             )
 
     def _take_due_status(self, now: float) -> bool:
