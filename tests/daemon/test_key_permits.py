@@ -71,10 +71,11 @@ class Rig:
         self.replies: list[Reply] = []
 
     def by_zenoh(self, request: Request, asker: str = "pupil") -> RecordingQuery:
-        query = RecordingQuery(encode(request), asker)
-        self.server.handle(request.verb, query)  # type: ignore[arg-type]  # a query of this test
+        query: Any = RecordingQuery(encode(request), asker)
+        self.server.handle(request.verb, query)
         self.replies += query.replies
-        return query
+        made: RecordingQuery = query
+        return made
 
     def by_own_system(self, request: Request) -> None:
         """As a command of ROS, for which `driver_options` name `pupil`."""

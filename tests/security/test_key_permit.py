@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from swarmd.core.bounds import ParamValues
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Epoch
@@ -32,7 +33,7 @@ from swarmd.security.roster import KeyPermit
 
 NOW = 1_800_000_000
 EPOCH = Epoch("0123456789ab", 1)
-TARGETS = {"tb3-01": EPOCH, "tb3-07": EPOCH}
+TARGETS: dict[str, Epoch | None] = {"tb3-01": EPOCH, "tb3-07": EPOCH}
 ROBOTS = tuple(f"tb3-0{number}" for number in range(1, 8))
 PUPILS = KeyPermit(
     role="pupils",
@@ -56,7 +57,7 @@ def run(pattern: str = "attraction", **fields: Any) -> RunRequest:
 
 
 def param(*names: str) -> ParamRequest:
-    params = dict.fromkeys(names, 0.1)
+    params: ParamValues = dict.fromkeys(names, 0.1)
     return ParamRequest(id="p1", operator="anna", targets=TARGETS, params=params)
 
 
