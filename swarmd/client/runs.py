@@ -190,7 +190,10 @@ def _check_for_permit(run: Run, option: Callable[[str], str]) -> None:
     """Raise ConfigError for options of a goal, which no permit permits."""
     if run.on_join != "offer" or run.lease is not None:
         name = "lease" if run.lease is not None else "on_join"
-        raise ConfigError(f"{option(name)} is of a goal, and a key with a permit sets none")
+        raise ConfigError(
+            f"{option(name)} is of a goal, and a key with a permit sets none; bound the run by"
+            f" {option('seconds')}"
+        )
 
 
 def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:

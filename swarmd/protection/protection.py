@@ -17,7 +17,17 @@ import numpy as np
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import LimitingObstacle, NarrowestPassage, Reason
-from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Scan, TouchZone, Twist
+from swarmd.core.values import (
+    ZERO,
+    Array,
+    Limits,
+    Odometry,
+    Platform,
+    Scan,
+    TouchZone,
+    Twist,
+    slowed,
+)
 from swarmd.protection.decision import (
     NO_PERMIT,
     Clearance,
@@ -45,9 +55,9 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import fabs, sqrt
+    from cython.cimports.libc.math import fabs
 else:
-    from swarmd.core.cython_shadow import fabs, sqrt
+    from swarmd.core.cython_shadow import fabs
 
 # m/s or rad/s: what rounding leaves of a zero command
 _ZERO_TOLERANCE = cython.declare(cython.double, 1e-9)
@@ -79,18 +89,6 @@ def _is_nearly_zero(twist: Twist) -> cython.bint:
         and fabs(angular) <= _ZERO_TOLERANCE
         and fabs(lateral) <= _ZERO_TOLERANCE
     )
-
-
-@cython.cfunc
-def _slowed(twist: Twist, speed: cython.double) -> Twist:
-    """The Twist, with all speeds reduced by one share if its base is faster than `speed` m/s."""
-    linear: cython.double = twist.linear
-    lateral: cython.double = twist.lateral
-    asked: cython.double = sqrt(linear * linear + lateral * lateral)
-    if not asked > speed:
-        return twist
-    share: cython.double = speed / asked
-    return Twist(linear * share, twist.angular * share, lateral * share)
 
 
 @cython.cclass
@@ -263,8 +261,8 @@ class Protection:
         is_replaced: cython.bint = candidate is not clipped
         # 4. For the same case in the same context each mode decides the same.
         is_recovering = steered is not None and steered.is_recovering
-        speed: cython.double = math.inf if permit.speed is None else permit.speed
-        case = clipped, candidate, is_replaced != 0, is_recovering, touch, permit.speed
+        speed = permit.speed
+        case = clipped, candidate, is_replaced != 0, is_recovering, touch, speed
         if context is self._last_context and case == self._last_case:
             return self._last_decision
         # 5. The mode limits the candidate, within the bounds of layers and the speed of the run.
@@ -303,7 +301,7 @@ class Protection:
         self, context: DecisionContext, touch: TouchZone | None, requested: Twist
     ) -> Twist:
         """What the mode would permit of any requested command in the situation of `context`."""
-        return self._judge(self._limits.clip(requested), context, touch, math.inf).twist
+        return self._judge(self._limits.clip(requested), context, touch, None).twist
 
     @cython.cfunc
     def _judge(
@@ -311,17 +309,17 @@ class Protection:
         request: Twist,
         context: DecisionContext,
         touch: TouchZone | None,
-        speed: cython.double,
+        speed: float | None,
     ) -> ModeDecision:
         """The decision of the mode within all bounds; sets `_is_bounded`.
 
-        `speed`: the greatest of the run in m/s, inf without a bound. It bounds as a layer does.
+        `speed`: the greatest of the run in m/s; None: no bound. It bounds as a layer does.
         A bound limits the request, and then the command of a mode that changed the request. The
         second limit reduces all speeds by one share: the result still satisfies the constraints of
         the mode, since these are convex and permit zero.
         """
         command = self._safe
-        slow = _slowed(request, speed)
+        slow = request if speed is None else slowed(request, speed)
         asked = slow
         for bound in self._bounds:
             asked = bound.limit(asked, context, command)
@@ -331,7 +329,7 @@ class Protection:
             for bound in self._bounds:
                 twist = bound.limit(twist, context, command, is_even=True)
         self._is_bounded = asked is not slow or twist is not decision.twist
-        bounded = twist if twist is asked else _slowed(twist, speed)
+        bounded = twist if speed is None or twist is asked else slowed(twist, speed)
         is_changed: cython.bint = self._is_bounded or bounded is not twist
         return ModeDecision(bounded, True, decision.rows) if is_changed else decision
 

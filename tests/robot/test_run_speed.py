@@ -29,6 +29,15 @@ def test_a_run_is_as_fast_as_its_pattern_asks_without_a_bound_and_with_one_at_mo
     assert (harness.robot.running_pattern, harness.robot.running_speed) == ("forward", 0.1)
 
 
+def test_a_robot_that_is_slow_by_its_bound_is_neither_blocked_nor_limited_by_protection() -> None:
+    harness = running(0.02)
+    harness.advance(10.0)
+    decision = harness.robot.decision
+    assert (decision.requested.linear, decision.safe.linear) == (0.02, 0.02)
+    assert not decision.is_active
+    assert not decision.is_recovering
+
+
 def test_parameters_do_not_raise_it() -> None:
     harness = running()
     harness.applied("param", params={"speed": 0.25})
