@@ -37,7 +37,14 @@ from msgspec.structs import replace
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.names import expand_globs, select_names
-from swarmd.core.verbs import AnyRequest, EstopRequest, ParamRequest, RunRequest, StopRequest
+from swarmd.core.verbs import (
+    MAX_AHEAD,
+    AnyRequest,
+    EstopRequest,
+    ParamRequest,
+    RunRequest,
+    StopRequest,
+)
 from swarmd.security.roster import KeyPermit
 
 MAX_RUN = 1e7
@@ -239,9 +246,12 @@ def _judge_run(case: _Case, request: AnyRequest) -> AnyRequest | Denial:
             return Denial(f"set {pattern}.{name}")
     if permit.longest is not None and (request.seconds or 0.0) > permit.longest:
         return Denial(f"run for {request.seconds:g} s")
+    left = permit.until - case.wall - (MAX_AHEAD if request.at else 0.0)
+    if left <= 0.0:
+        return Denial("run at a time so near the end of its permit")
     return replace(
         request,
-        seconds=_least(request.seconds, permit.longest, _time_left(case)),
+        seconds=_least(request.seconds, permit.longest, left if left <= MAX_RUN else None),
         speed=_least(request.speed, permit.speed),
     )
 
@@ -287,12 +297,6 @@ def _may_set(permit: KeyPermit, pattern: str, name: str) -> bool:
         if not line.of or (_matches(of_pattern, pattern) and _matches(of_name, name)):
             return True
     return False
-
-
-def _time_left(case: _Case) -> float | None:
-    """Seconds until the permit ends; None if no run can be so long."""
-    left = case.permit.until - case.wall
-    return left if left <= MAX_RUN else None
 
 
 def _least(*values: float | None) -> float | None:

@@ -32,7 +32,7 @@ PERMITS = {
         until=2**40,
     )
 }
-IN_SUITE, IN_EVIDENCE = range(0, 12, 2), range(12, 400, 2)  # even ones are secured
+IN_SUITE, IN_EVIDENCE = range(2, 10, 2), range(10, 400, 2)  # even ones are secured
 STEPS_OF_PUPIL = 6
 
 

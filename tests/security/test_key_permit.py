@@ -184,6 +184,10 @@ def test_a_run_is_refused_beyond_its_bound_and_ends_with_its_permit() -> None:
     judged = judge(PUPILS, run(), "tb3-01", wall=NOW + 590)
     assert isinstance(judged, RunRequest)
     assert judged.seconds == 10.0
+    later = judge(PUPILS, run(at={"tb3-01": 5.0}), "tb3-01", wall=NOW + 530)
+    assert isinstance(later, RunRequest)
+    assert later.seconds == 10.0  # it may begin 60 s later
+    assert not is_permitted(PUPILS, run(at={"tb3-01": 5.0}), wall=NOW + 541)
 
 
 def test_a_run_has_the_bound_of_speed_and_parameters_keep_it() -> None:
