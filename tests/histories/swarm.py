@@ -742,14 +742,14 @@ class VirtualDaemon(Node):
         for stop, sender in effects.replayed:
             self._send(self._refused_ack(stop.id, REPLAYED), sender)
         for stop, sender, text in effects.refused:
-            ack = self._refused_ack(stop.id, Refusal.NOT_PERMITTED)
-            self.server.deny_stop(
-                stop, str(sender), text, lambda reply, a=ack, to=sender: self._send(a, to)
-            )
+            self.server.deny_stop(stop, str(sender), text, partial(self._deny, sender))
         self._apply(effects, source)
         if effects.beacon is not None:
             self.black_box.on_beacon(effects.beacon, source)
         self._tick_soon()
+
+    def _deny(self, source: Address, reply: Reply) -> None:
+        self._send(self._refused_ack(reply.id, Refusal.NOT_PERMITTED), source)
 
     def _refused_ack(self, id: str, refusal: str) -> Ack:
         return Ack(

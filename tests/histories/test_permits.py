@@ -72,7 +72,7 @@ class PermitJudge(Invariants):
 
 def of_pupil(chance: random.Random, robots: Sequence[str]) -> HistoryStep:
     """A step of the pupil: of all robots, or of some."""
-    targets = ()
+    targets: tuple[str, ...] = ()
     if chance.random() < 0.5:
         targets = tuple(sorted(chance.sample(robots, chance.randint(1, len(robots)))))
     options = {"by": PUPIL, "targets": targets}
