@@ -64,8 +64,8 @@ def looks(swarm: Swarm) -> list[Callable[..., str]]:
     return [members, describe, incidents]
 
 
-def commands(swarm: Swarm) -> list[Callable[..., str]]:
-    """The tools for a key that may command."""
+def commands(swarm: Swarm, lease: float | None) -> list[Callable[..., str]]:
+    """The tools for a key that may command; `lease`: of each run, None without one."""
 
     def run(
         pattern: str,
@@ -75,7 +75,7 @@ def commands(swarm: Swarm) -> list[Callable[..., str]]:
     ) -> str:
         """Start a pattern on robots (without `robots`: on all), for `seconds`, at most 600."""
         end = min(seconds, MOST_SECONDS)
-        return result(swarm.run(pattern, robots, params=params, seconds=end, lease=LEASE))
+        return result(swarm.run(pattern, robots, params=params, seconds=end, lease=lease))
 
     def param(values: dict[str, Any], robots: list[str] | None = None) -> str:
         """Change parameters of running patterns."""
@@ -95,9 +95,11 @@ def commands(swarm: Swarm) -> list[Callable[..., str]]:
 def server(swarm: Swarm) -> MCPServer:
     """The server with the tools that the key of this account permits."""
     made = MCPServer("swarmd", instructions=NOTE)
-    # For the model's sake: robots refuse the commands of a viewer in any case.
-    may_command = swarm.members().role != "viewer"
-    for tool in [*looks(swarm), *(commands(swarm) if may_command else [])]:
+    # For the model's sake: robots refuse what the key may not in any case, and say what it may.
+    role = swarm.members().role
+    # Robots give no lease to a key with a permit: the permit bounds each run by its own `for`.
+    tools = [] if role == "viewer" else commands(swarm, None if role == "permit" else LEASE)
+    for tool in [*looks(swarm), *tools]:
         made.add_tool(tool)
     return made
 

@@ -15,7 +15,7 @@ from swarmd.cli.options import FILE, CommonOptions, Failure, common_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.send import known_members, session_of, show
 from swarmd.client.goals import resume_on
-from swarmd.client.runs import send_goal
+from swarmd.client.runs import check_sets_goals, send_goal
 from swarmd.core.clock import boottime
 from swarmd.core.verbs import LabelRequest, ParamRequest
 from swarmd.network.operator.exit_codes import APPLIED, NO_TARGET, PARTIAL
@@ -41,6 +41,7 @@ def diff(options: CommonOptions, file: Path) -> None:
     The exit code is 0 if nothing differs, 3 if something differs or is not known.
     """
     with replace(options, config=file).operator() as operator:
+        check_sets_goals(operator, "apply")
         view = known_members(options, operator)
         plan = _plan(operator, view)
         _print(options, plan)
@@ -65,6 +66,7 @@ def apply(options: CommonOptions, file: Path, yes: bool) -> None:
     are: `swarmctl resume` runs the goal again.
     """
     with replace(options, config=file).operator() as operator:
+        check_sets_goals(operator, "apply")
         view = known_members(options, operator)
         plan = _plan(operator, view)
         _print(options, plan)

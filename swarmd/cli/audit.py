@@ -134,7 +134,8 @@ def _row(line: _Line) -> tuple[str, ...]:
     entry = line.entry
     note = f" [{entry.left_out} before it left out]" if entry.left_out else ""
     result = f"{entry.result}: {entry.text}" if entry.text else entry.result
-    return (_time(line.at), line.robot, entry.operator, entry.source, entry.what, result + note)
+    operator = f"{entry.operator} ({entry.permit})" if entry.permit else entry.operator
+    return (_time(line.at), line.robot, operator, entry.source, entry.what, result + note)
 
 
 def _time(at: float | None) -> str:
@@ -154,5 +155,6 @@ def _record(line: _Line) -> dict[str, Any]:
         "time": None if moment is None else moment.isoformat(timespec="milliseconds"),
         "operator": entry.operator,
         "from": entry.source,
+        "permit": entry.permit,
         **fields(entry, "verb", "targets", "what", "result", "text", "left_out", "seq"),
     }

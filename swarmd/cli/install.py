@@ -140,11 +140,17 @@ def report_identity(identity: Identity, roster: Roster) -> None:
     """Print what was written and how long it is valid."""
     info = identity.info
     counts = {"robot": roster.robots, "operator": roster.operators, "viewer": roster.viewers}
+    if roster.permits:
+        counts["permit"] = tuple(roster.permits)
     names = (counted(len(of), role) for role, of in counts.items())
     click.echo(
         f"{info.role} {info.name} of swarm {info.swarm}, roster of generation {roster.generation}:"
         f" {', '.join(names)}"
     )
+    if permit := roster.permits.get(info.name):
+        from swarmd.security.key_permit import permit_text
+
+        click.echo(f"{info.name} ({permit.role}) may {permit_text(permit)}")
     click.echo(f"wrote {identity.folder}")
     if warning := end_of_certificate(info.expires, time.time()):
         click.echo(f"warning: {warning}", err=True)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
 from swarmd.cli import keys_rollout
 from swarmd.cli.authority_folder import (
@@ -32,8 +32,10 @@ from swarmd.cli.options import (
     FOLDER,
     PROFILES,
     CommonOptions,
+    Duration,
     VerbGroup,
     check_names_or_all,
+    common_options,
     local_options,
 )
 from swarmd.cli.output import print_json, print_table, warn
@@ -42,7 +44,8 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.keys import check_id
 from swarmd.core.names import check_distinct, expand_names, select_names
 from swarmd.security.identity import Identity, choose_identity
-from swarmd.security.roster import Role
+from swarmd.security.key_permit import check_permit, moment, permit_text
+from swarmd.security.roster import PUBLIC_KEY_BYTES, KeyPermit, Role, Roster
 from swarmd.texts.keys import DAY, UNSET_CLOCK, day, end_of_certificate, life
 from swarmd.texts.values import NOTHING
 
@@ -221,6 +224,72 @@ def _bundle_files(names: Sequence[str], target: Path | None) -> dict[str, Path]:
     return {name: folder / f"{name}{SUFFIX}" for name in names}
 
 
+@keys.command(
+    epilog="Example: swarmctl keys issue anna --may stop --may 'run attraction' --robots tb3-01"
+)
+@click.argument("names", nargs=-1, required=True, metavar="NAME...")
+@click.option(
+    "--may",
+    multiple=True,
+    required=True,
+    metavar="REQUEST",
+    help="stop, estop, 'stop ROBOTS', 'run PATTERN' or 'param PATTERN.NAME', with * and ?.",
+)
+@click.option("--role", metavar="NAME", help="The name of the permit, such as pupils [NAME].")
+@click.option("--robots", default="", metavar="ROBOTS", help="Which, such as 'tb3-0[1-3]' [all].")
+@click.option("--for", "longest", type=Duration(), help="The longest run, such as 60s.")
+@click.option("--speed", type=click.FloatRange(0.0, 100.0, min_open=True), help="At most, in m/s.")
+@click.option("--lasts", type=Duration(), help="The life of the permit [that of certificates].")
+@click.option(
+    "--bundles",
+    "target",
+    type=click.Path(path_type=Path),
+    metavar="FILE|FOLDER",
+    help="Where to write the bundles [NAME.bundle in this folder].",
+)
+@common_options
+def issue(
+    options: CommonOptions,
+    names: tuple[str, ...],
+    may: tuple[str, ...],
+    role: str | None,
+    robots: str,
+    longest: float | None,
+    speed: float | None,
+    lasts: float | None,
+    target: Path | None,
+) -> None:
+    """Give each NAME a permit, write its bundle, and send the new roster to all robots.
+
+    A permit lists what a key may ask; robots refuse everything else, and say what the key may. A
+    name with a permit looks as a viewer does. A NAME that has a permit gets this one in its place.
+    A robot that takes a new roster stands.
+    """
+    from swarmd.security.bundle import write_bundle
+
+    authority = open_authority(options.swarm)
+    new = [name for word in names for name in expand_names(word)]
+    life_of = authority.days * DAY if lasts is None else lasts
+    permit = KeyPermit(
+        role=check_id(role or new[0], "the name of the permit"),
+        key=bytes(PUBLIC_KEY_BYTES),  # `change` sets the key of each name
+        may=tuple(" ".join(text.split()) for text in may),
+        robots=robots,
+        longest=longest,
+        speed=speed,
+        until=math.ceil(time.time() + life_of),
+    )
+    check_permit(permit, authority.roster.robots)
+    given = {name: replace(permit, role=role or name) for name in new}
+    roster = authority.change(permits=given)
+    who = ", ".join(new)
+    warn(f"generation {roster.generation} of the roster: {who} may {permit_text(permit)}")
+    for name, path in _bundle_files(new, target).items():
+        write_bundle(path, bundle_of(authority, name))
+        click.echo(f"wrote {path}: {name}, until {moment(permit.until)}")
+    keys_rollout.roll_out(options, authority)
+
+
 @keys.command("list", epilog="Example: swarmctl keys list")
 @_swarm_option
 @local_options
@@ -242,6 +311,7 @@ def list_(options: CommonOptions) -> None:
             {
                 "name": name,
                 "role": str(roster.role_of(name)),
+                "permit": _permit_of(roster, name),
                 "is_bundled": record is not None,
                 "expires": None if record is None else record.expires,
                 "days": days_left,
@@ -255,12 +325,16 @@ def list_(options: CommonOptions) -> None:
     header = ("NAME", "ROLE", "ENDS", "GENERATION", "BUNDLED")
     print_table(header, [_row(row, now) for row in rows])
     click.echo(f"# swarm {roster.swarm}, roster of generation {roster.generation}")
+    for row in rows:
+        if row["permit"] is not None:
+            click.echo(f"# {row['name']} ({row['permit']['role']}) may {row['permit']['may']}")
     # Notes on certificates that end soon, unless the clock of this machine is not set yet.
     if now < FIRST_WALL:
         click.echo(f"# {UNSET_CLOCK}: whether certificates have ended is not known")
         return
     for row in rows:
-        note = end_of_certificate(row["expires"], now) if row["expires"] else ""
+        has_end = row["expires"] and row["permit"] is None  # a permit says when it ends
+        note = end_of_certificate(row["expires"], now) if has_end else ""
         if note:
             click.echo(f"# {row['name']}: {note}; see `swarmctl keys renew`")
 
@@ -321,6 +395,12 @@ def install_reader(
     context = Context(swarm=info.swarm, config=str(folder / SWARM_YAML))
     add_context(info.swarm, context, use=is_first)
     return identity
+
+
+def _permit_of(roster: Roster, name: str) -> dict[str, str] | None:
+    """The permit of a name in words; None for a name without one."""
+    permit = roster.permits.get(name)
+    return None if permit is None else {"role": permit.role, "may": permit_text(permit)}
 
 
 def _is_in_use(swarm: str) -> bool:

@@ -42,7 +42,7 @@ ANSWER_TIME = 3.0
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @click.option(
     "--role",
-    type=click.Choice([str(role) for role in Role]),
+    type=click.Choice([str(role) for role in Role if role is not Role.PERMIT]),
     help="What they may do in the swarm [robot, for names that are numbered as its robots].",
 )
 @common_options
@@ -50,6 +50,7 @@ def add(options: CommonOptions, names: tuple[str, ...], role: str | None) -> Non
     """Add each NAME, or range such as 'tb3-[41-50]', and send the new roster to all robots.
 
     A robot that takes a new roster stands. Write the bundles of the new names with `keys bundle`.
+    A name that may do less than an operator gets a permit: `keys issue`.
     """
     authority = open_authority(options.swarm)
     new = [name for word in names for name in expand_names(word)]

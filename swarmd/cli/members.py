@@ -16,7 +16,15 @@ from swarmd.cli.send import exit_code_of, known_members, report, session_of
 from swarmd.client.targets import check_known
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import SwarmError
-from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
+from swarmd.security.key_permit import permit_text
+from swarmd.security.roster import Role
+from swarmd.texts.keys import (
+    end_of_certificate,
+    key_text,
+    key_warnings,
+    own_remedy,
+    permit_warning,
+)
 from swarmd.texts.members import HEADER, WIDE, health, row, wide_cells
 from swarmd.texts.status import sections_with_events
 from swarmd.texts.values import printable
@@ -87,15 +95,23 @@ def forget(options: CommonOptions, name: str) -> None:
 
 
 def _asked_as(identity: Identity | None) -> dict[str, str] | None:
-    """The name and role of the key with which a secured swarm was asked."""
-    return None if identity is None else {"name": identity.name, "role": str(identity.role)}
+    """The name, role and permit of the key with which a secured swarm was asked."""
+    if identity is None:
+        return None
+    asked_as = {"name": identity.name, "role": str(identity.role)}
+    permit = identity.roster.permits.get(identity.name)
+    return asked_as if permit is None else {**asked_as, "may": permit_text(permit)}
 
 
 def _secured(identity: Identity | None) -> Iterator[str]:
     """The keys with which a secured swarm was asked, and a warning if they end soon."""
     if identity is not None:
         roster = identity.roster
-        yield f"secured: asked as {identity.name} ({identity.role}), roster {roster.generation}"
+        yield f"secured: asked as {key_text(identity)}, roster {roster.generation}"
+        if identity.role is Role.PERMIT:
+            if text := permit_warning(identity, time.time()):
+                yield f"WARNING: {identity.name} (this user): {text}"
+            return
         if text := end_of_certificate(identity.info.expires, time.time()):
             remedy = own_remedy(identity.name) if time.time() >= FIRST_WALL else "set it"
             yield f"WARNING: {text}: {identity.name} (this user); {remedy}"
@@ -125,12 +141,19 @@ def describe(options: CommonOptions, robot: str) -> None:
         check_known(robot, view.members, view.roster)
         member = view.members[robot]
         if options.is_json:
-            print_json("Member", {"member": to_builtins(member), "why": why(member)})
+            content = {
+                "member": to_builtins(member),
+                "why": why(member),
+                "asked_as": _asked_as(operator.identity),
+            }
+            print_json("Member", content)
         else:
             click.echo(printable(f"{robot}: {why(member)}"))
             if member.status is not None:
                 for note in key_warnings([member.status], time.time()):
                     click.echo(note)
+                if operator.identity is not None:
+                    click.echo(printable(f"asked as {key_text(operator.identity)}"))
                 for title, rows in sections_with_events(
                     member, member.status, _described(member.status)
                 ):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from time import monotonic
 from typing import Any
@@ -17,7 +18,7 @@ from swarmd.core.host_messages import REQUEST_LAYER
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.machine import measure_machine
 from swarmd.daemon.driver import make_driver
-from swarmd.daemon.driver_commands import permission_fault
+from swarmd.daemon.driver_commands import command_fault
 from swarmd.driver_api.command_source import command_source
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
@@ -261,10 +262,11 @@ def _check_commands(settings: DaemonSettings, driver: Driver) -> Iterator[Findin
     """A fault for each run of the driver's options that the robot would refuse."""
     source = command_source(driver)
     commands = {} if source is None else source.runs
+    wall = time.time()
     refused = {
         name: why
         for name, command in commands.items()
-        if (why := permission_fault(command.operator, settings.identity))
+        if (why := command_fault(command, settings.id, settings.identity, wall=wall))
     }
     runs = [
         _run(settings, name, run.pattern, run.params, run.until)

@@ -114,7 +114,7 @@ def run(
         if lease is not None:
             from swarmd.cli.run_lease import run_while_here
 
-            run_while_here(asked, new_run, run_targets)
+            run_while_here(asked, new_run, run_targets, _option)
         else:
             nothing_opened = ExitStack()  # only a lease is kept open
             started = carry_out(new_run, asked.targeted, run_targets, nothing_opened, _option)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import NoReturn
 
@@ -18,17 +19,19 @@ from swarmd.texts.values import seconds
 SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waited for
 
 
-def run_while_here(asked: Asked, run: Run, targets: tuple[str, ...]) -> NoReturn:
+def run_while_here(
+    asked: Asked, run: Run, targets: tuple[str, ...], option: Callable[[str], str] = str
+) -> NoReturn:
     """Run a pattern with a lease until all robots have ended the run, or until a signal stops them.
 
     A lease ends the run of a robot that does not hear this program. `targets`: those of the run's
-    goal.
+    goal. `option` returns the name of an option as the user writes it.
     """
     lease = run.lease or 0.0
     ended = None
     with signals_end(), ExitStack() as opened:
         try:
-            started = carry_out(run, asked.targeted, targets, opened)
+            started = carry_out(run, asked.targeted, targets, opened, option)
             outcome = asked.show(started.outcome)
             if not outcome.applied:
                 report_again(outcome)

@@ -20,6 +20,7 @@ from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError, R
 from swarmd.plugins import need
 from swarmd.security.roster import Role
+from swarmd.texts.keys import key_text
 
 if TYPE_CHECKING:
     from swarmd.security.identity import Identity
@@ -60,7 +61,8 @@ class WebOptions:
     """The address of a page, its tokens and its certificate; an empty token counts as absent.
 
     `tls`: the files of certificate and key; None: no TLS. Empty for `--tls` without files: `of`
-    then takes the files of the identity. `is_read_only`: no page may send commands.
+    then takes the files of the identity. `is_read_only`: no page may send commands. `key`: with
+    whose key pages command, and what it may.
     """
 
     bind: str
@@ -69,13 +71,14 @@ class WebOptions:
     viewer_token: str = ""
     tls: tuple[Path, Path] | tuple[()] | None = None
     is_read_only: bool = False
+    key: str = ""
 
     @property
     def access(self) -> Access:
         """The tokens and what they permit."""
         from swarmd.view.access import Access
 
-        return Access(self.token, self.viewer_token, self.is_read_only)
+        return Access(self.token, self.viewer_token, self.is_read_only, self.key)
 
     def of(self, identity: Identity | None) -> WebOptions:
         """These options for a page of a swarm in which this user is `identity`.
@@ -88,7 +91,8 @@ class WebOptions:
             self,
             token=self.token or secrets.token_urlsafe(TOKEN_BYTES),
             tls=(identity.certificate, identity.key) if self.tls == () else self.tls,
-            is_read_only=identity.role is not Role.OPERATOR,
+            is_read_only=identity.role is Role.VIEWER,
+            key=key_text(identity),
         )
 
     def context(self) -> ssl.SSLContext | None:
@@ -206,6 +210,11 @@ async def _started(
     address = await server.start(web.bind, web.port, web.context())
     first = "read only" if web.is_read_only else "page"
     on_address(f"{first}: {address}{f'?token={web.token}' if web.token else ''}")
+    if web.key and not web.is_read_only:
+        warn(
+            f"who opens it commands with the key of {web.key}; for a page that may less:"
+            " `swarmctl keys issue`, then view --web --identity FOLDER"
+        )
     if web.viewer_token:
         on_address(f"read only: {address}?token={web.viewer_token}")
     if web.tls is None and not is_loopback(web.bind):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from swarmd.client.runs import send_goal
+from swarmd.client.runs import check_sets_goals, send_goal
 from swarmd.client.session import Session
 from swarmd.client.stops import stop_names
 from swarmd.core.errors import RequestError
@@ -41,6 +41,7 @@ def undo(session: Session) -> Outcome:
     RequestError if there is no goal before, or if the goal before had a run lease.
     """
     operator = session.operator
+    check_sets_goals(operator, "undo")
     view = signed_goals(session.look(is_request_next=True), operator.identity)
     present, before = present_goals(view)
     if present is None or before is None:

@@ -68,7 +68,7 @@ class Members(Mapping[str, SeenMember]):
 
     @property
     def role(self) -> str:
-        """What the key of this account may: `operator` or `viewer`; empty without keys."""
+        """The role of this account's key: `operator`, `viewer` or `permit`; empty without keys."""
         return "" if self.asker is None else str(self.asker.role)
 
     def describe(self, robot: str) -> Description:

@@ -21,6 +21,7 @@ from swarmd.network.operator.exit_codes import FAILED, PARTIAL
 from swarmd.network.operator.operator_goals import next_generation, next_goal, signed_again
 from swarmd.network.operator.request_sender import REQUEST_WAIT
 from swarmd.plugins import is_pattern_path
+from swarmd.security.roster import Role
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from swarmd.client.targets import Targets
     from swarmd.core.goal import Goal
     from swarmd.core.messages import Epoch, Status
+    from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
     from swarmd.texts.assignments import Value
 
@@ -143,6 +145,8 @@ def carry_out(
         from swarmd.client.canary import choose_canaries
 
         canaries = choose_canaries(run.canary, targeted.names, option("canary"))
+    if has_permit(targeted.operator):
+        _check_for_permit(run, option)
     goal = run.goal(targeted, targets)
 
     # `Run.check` permits only one of canary, `at` and lease.
@@ -169,6 +173,29 @@ def carry_out(
     return StartedRun(goal, outcome, keeper=keeper)
 
 
+def has_permit(operator: Operator) -> bool:
+    """True if the key of this operator has a permit, which lets it set no goal."""
+    return operator.identity is not None and operator.identity.role is Role.PERMIT
+
+
+def check_sets_goals(operator: Operator, verb: str) -> None:
+    """Raise ConfigError for a key that may set no goal. `verb`: what the user asked for."""
+    if has_permit(operator):
+        raise ConfigError(
+            f"{verb} sets a goal, and a key with a permit ({operator.name}) sets none"
+        )
+
+
+def _check_for_permit(run: Run, option: Callable[[str], str]) -> None:
+    """Raise ConfigError for options of a goal, which no permit permits."""
+    if run.on_join != "offer" or run.lease is not None:
+        name = "lease" if run.lease is not None else "on_join"
+        raise ConfigError(
+            f"{option(name)} is of a goal, and a key with a permit sets none; bound the run by"
+            f" {option('seconds')}"
+        )
+
+
 def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:
     """The targets of a goal: globs and labels as typed, so that robots that join later match.
 
@@ -184,7 +211,8 @@ def send_goal(
 ) -> Outcome:
     """Send a goal to robots: as a run request, or as a goal request if it has no pattern.
 
-    The request counts as issued when the verb of `session` began.
+    The request counts as issued when the verb of `session` began. A key with a permit sends the run
+    without the goal: such a run is of the asked robots alone, and nothing spreads.
     """
     request = session.operator.request
     began = session.began
@@ -198,7 +226,7 @@ def send_goal(
         params=goal.params,
         seconds=goal.seconds,
         until=goal.conditions,
-        goal=goal,
+        goal=None if has_permit(session.operator) else goal,
         **fields,
     )
 

@@ -339,6 +339,18 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
         )
 
 
+def slowed(twist: Twist, speed: float) -> Twist:
+    """The twist, with all speeds reduced by one share if its base is faster than `speed` m/s.
+
+    `slowed(Twist(0.2, 0.4), 0.1) == Twist(0.1, 0.2)`: the curve stays.
+    """
+    asked = math.sqrt(twist.linear * twist.linear + twist.lateral * twist.lateral)
+    if not asked > speed:  # also a twist that is not finite
+        return twist
+    share = speed / asked
+    return Twist(twist.linear * share, twist.angular * share, twist.lateral * share)
+
+
 @dataclass(frozen=True, slots=True)
 class Sweep:
     """The sweep of a rotating sensor, which measures one ray after another.

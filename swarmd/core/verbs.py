@@ -112,6 +112,7 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     - `at`: by robot, the start time in s on the robot's own clock (CLOCK_BOOTTIME). The pattern is
       loaded before. A robot without an entry starts once the pattern is loaded. The robot refuses a
       request that arrives MAX_LATE after its start time, or later.
+    - `speed`: the greatest speed of the run in m/s, beside that of the robot; None: no bound.
     """
 
     pattern: Name
@@ -120,6 +121,7 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     until: tuple[Word, ...] = ()
     goal: Goal | None = None
     at: dict[Name, Seconds] = {}
+    speed: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
 
 
 class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
@@ -443,6 +445,7 @@ class AuditEntry(Struct, frozen=True, kw_only=True, omit_defaults=True):
     - `targets`: the count of target robots; None: all robots.
     - `left_out`: the count of earlier entries that were not written, since they were too many or
       the disk had a fault.
+    - `permit`: the name of the permit of the operator's key; empty for an operator of the roster.
     """
 
     seq: Count = 0
@@ -457,6 +460,7 @@ class AuditEntry(Struct, frozen=True, kw_only=True, omit_defaults=True):
     result: Word
     text: Line = ""
     left_out: Count = 0
+    permit: Word = ""
 
 
 class AuditQuery(Struct, frozen=True, kw_only=True):

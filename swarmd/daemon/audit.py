@@ -53,6 +53,7 @@ class Audit:
 
     Requests beyond the limits are counted. `write` takes a line, `keep` an entry. `clock`: the id
     of the clock of `now`, another id after each boot of the machine. `wall` returns s since 1970.
+    `role_of(name)` returns the name of the permit of a key; empty without a permit.
     """
 
     def __init__(
@@ -62,11 +63,13 @@ class Audit:
         *,
         clock: str = "",
         wall: Callable[[], float] = lambda: 0.0,
+        role_of: Callable[[str], str] = lambda name: "",
     ) -> None:
         self._write = write
         self._keep = keep
         self._clock = clock
         self._wall = wall
+        self._role_of = role_of
         self._lines = _Limits(APPLIED_RATE, APPLIED_BURST, OTHER_RATE, OTHER_BURST)
         self._entries = _Limits(APPLIED_ENTRIES, ENTRY_BURST, OTHER_ENTRIES, ENTRY_BURST)
         self._peer_lines = _Limits(PEER_RATE, PEER_BURST, PEER_RATE, PEER_BURST)
@@ -147,6 +150,7 @@ class Audit:
             clock=self._clock,
             wall=round(wall, 3) if wall >= FIRST_WALL else None,
             operator=printable(shortened(operator, 128)),
+            permit=self._role_of(operator),
             source=printable(shortened(source)),
             verb=printable(what.partition(" ")[0][:MAX_PART]),
             what=printable(shortened(what, MAX_WHAT)),

@@ -40,6 +40,7 @@ from swarmd.daemon.driver_commands import DriverCommands
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.incidents import IncidentService
+from swarmd.daemon.key_permits import KeyPermits
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
@@ -66,8 +67,9 @@ from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
 from swarmd.network.datagram import Address, Beacon, Stop
-from swarmd.network.peer import Summary
+from swarmd.network.peer import StopVerdict, Summary
 from swarmd.network.settings import ONLY_HERE
+from swarmd.network.signature import Author
 from swarmd.network.spread.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.protection.compatibility import body_of
@@ -76,6 +78,7 @@ from swarmd.recording.head import RecordingHead
 from swarmd.recording.lost_member import LOST, LostMember
 from swarmd.robot.actions import Actions
 from swarmd.security.identity import Identity
+from swarmd.security.key_permit import PresentRun
 from swarmd.security.roster_change import TakenRoster
 from swarmd.settings.driver_options import base_options, may_rest
 from swarmd.settings.settings import DaemonSettings
@@ -180,6 +183,9 @@ class Daemon:
         self._drops = DropCounter()
         self._rosters = RosterService(settings.id, settings.identity, self._on_roster, self._drops)
         self._goals = GoalService(folder, lambda: self._rosters.identity, self.on_event)
+        self._permits = KeyPermits(
+            settings.id, lambda: self._rosters.identity, lambda: self._present_run
+        )
         self._puller = Puller(settings.network, settings.id, settings.identity, drops=self._drops)
 
     def _begin_code(self, folder: Path) -> None:
@@ -255,7 +261,13 @@ class Daemon:
         )
         # Each request that was answered gives a line of the log and an entry of a file. `clock`
         # names this boot of the machine; `wall` gives s since 1970.
-        self._audit = Audit(self._on_audit, self._tools.audit.add, clock=clock_id(), wall=time.time)
+        self._audit = Audit(
+            self._on_audit,
+            self._tools.audit.add,
+            clock=clock_id(),
+            wall=time.time,
+            role_of=self._permits.role_of,
+        )
         self._requests = RequestServer(
             settings.id,
             self._on_request,
@@ -270,6 +282,7 @@ class Daemon:
             ),
             drops=self._drops,
             is_secured=settings.identity is not None,
+            judge=self._permits.judge,
         )
 
     def _begin_robot(self, driver: Driver) -> None:
@@ -484,6 +497,22 @@ class Daemon:
             adopted = robot.goal.goal
             on_join = f"on_join {adopted.on_join}" if adopted.pattern else ""
             self._audit.note(adopted.text, adopted.issuer, "a peer", on_join, boottime())
+
+    @property
+    def _present_run(self) -> PresentRun | None:
+        """The pattern that runs, and the bound of its speed; None without one."""
+        pattern = self._robot.running_pattern
+        return None if pattern is None else PresentRun(pattern, self._robot.running_speed)
+
+    def judge_stop(self, stop: Stop, author: Author | None) -> StopVerdict:
+        """What permits leave of a stop. `author`: its verified signer."""
+        return self._permits.judge_stop(stop, author)
+
+    def on_refused_stop(
+        self, stop: Stop, source: Address, text: str, answer: Callable[[Reply], None]
+    ) -> None:
+        """Audit a stop that its permit does not permit here; the reply goes to `answer`."""
+        self._requests.deny_stop(stop, f"{source[0]}:{source[1]}", text, answer)
 
     def on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
         """Carry out a stop or estop of an operator or relay; the reply goes to `answer`."""

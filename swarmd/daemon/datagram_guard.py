@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 NOTICE_PERIOD = 60.0  # s between two lines about refused datagrams
 REPLAY_PERIOD = 10.0  # s between two lines about replayed stops
-REFUSAL_RATE = 20.0  # answers a second to replayed stops
+REFUSAL_RATE = 20.0  # answers a second to replayed stops, and to those without a permit
 HINT_PERIOD = 5.0  # s between two hints of a newer roster that are followed, to keep links few
 HINT_AGAIN = 15.0  # s until a host's next hint is followed; meanwhile hints of other hosts are
 _STRANGE = (Flaw.UNSIGNED, Flaw.FORGED, Flaw.ROLE)
@@ -79,6 +79,7 @@ class DatagramGuard:
         self._written: Mapping[bytes, int] = self._file.read().counters
         self._writing = threading.Lock()  # guards the file, which a thread writes
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
+        self._denials = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of stops without a permit
         self._strange: Counter[str] = Counter()  # refused datagrams by flaw, until the next warning
         # A hint is a beacon of a newer roster, which cannot be verified: anyone can send hints.
         # `_asks` limits how often hints lead to `on_newer_roster`.
@@ -150,6 +151,11 @@ class DatagramGuard:
             return None
         text = "a later stop of this operator was heard before"
         return self.proven(replace(ack, code="refused", refusal=REPLAYED, text=text), stop)
+
+    def denial(self, stop: Stop, ack: Ack, now: float) -> Ack | None:
+        """The answer to a stop that its permit does not permit; None beyond REFUSAL_RATE."""
+        self._drops.add("datagram:permit")
+        return self.proven(ack, stop) if self._denials.take(1.0, now) else None
 
     def has_new_counters(self) -> bool:
         """True once after each change of the counters; the caller then calls `write_counters`."""

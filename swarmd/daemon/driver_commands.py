@@ -6,7 +6,8 @@ epoch (count of the robot's changes) that the robot had when the command was iss
 1. The robot refuses a run or reset if its epoch has changed since the command was issued.
 2. A run or reset of unknown age, or older than MAX_COMMAND_AGE, is refused.
 3. A stop or emergency stop of any age is carried out, and repeated until the base rests.
-4. Only operators command: in a secured swarm the name must be an operator of the roster.
+4. Only operators command: in a secured swarm the name must be an operator of the roster, or have a
+   permit, by which the request server judges the request.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from swarmd.core.refusal import Refusal
 from swarmd.daemon.requests import RequestServer
 from swarmd.driver_api.command_source import Answer, DriverCommand
 from swarmd.security.identity import Identity
+from swarmd.security.key_permit import Denial, judge
 from swarmd.security.roster import Role
 
 MAX_COMMAND_AGE = 2.5
@@ -132,39 +134,14 @@ class DriverCommands:
 
     def _request_of(self, command: DriverCommand, now: float) -> verbs.Request:
         """The request of a command, with the epoch of the robot when the command was issued."""
-        id = secrets.token_hex(8)
-        operator = command.operator
+        latch_ids = tuple(
+            latch_id
+            for latch_id, latch in self._robot.latches.items()
+            if command.resets_others or latch.issuer == command.operator
+        )
         # Without an age, `_refusal_of` refuses a run or reset; a stop needs no age.
-        age = command.age or 0.0  # s
-        targets: dict[str, Epoch | None] = {self._robot.id: self._epoch_at(now - age)}
-        match command.verb:
-            case "stop":
-                return verbs.StopRequest(id=id, operator=operator, targets=targets)
-            case "estop":
-                reason = command.reason or command.source
-                return verbs.EstopRequest(
-                    id=id, operator=operator, targets=targets, scope="robots", reason=reason
-                )
-            case "reset":
-                latch_ids = tuple(
-                    latch_id
-                    for latch_id, latch in self._robot.latches.items()
-                    if command.resets_others or latch.issuer == operator
-                )
-                return verbs.ResetRequest(id=id, operator=operator, targets=targets, ids=latch_ids)
-            case "run":
-                run = command.run
-                assert run is not None
-                return verbs.RunRequest(
-                    id=id,
-                    operator=operator,
-                    targets=targets,
-                    pattern=run.pattern,
-                    params=dict(run.params),
-                    seconds=run.seconds,
-                    until=run.until,
-                    age=age,
-                )
+        epoch = self._epoch_at(now - (command.age or 0.0))
+        return _request_of(command, {self._robot.id: epoch}, latch_ids)
 
     def _epoch_at(self, at: float) -> Epoch:
         """The epoch at the time `at`, or the oldest epoch that is known."""
@@ -188,11 +165,57 @@ class DriverCommands:
         return None
 
 
+def command_fault(
+    command: DriverCommand, robot: str, identity: Identity | None, *, wall: float
+) -> str:
+    """Why `robot` would refuse a command for its operator or a permit; empty if it would not.
+
+    `wall`: s since 1970, by which a permit may have ended.
+    """
+    fault = permission_fault(command.operator, identity)
+    if fault or identity is None or identity.roster.role_of(command.operator) is Role.OPERATOR:
+        return fault
+    permit = identity.roster.permits[command.operator]
+    judged = judge(permit, _request_of(command, {robot: None}), robot, wall=wall)
+    return judged.text if isinstance(judged, Denial) else ""
+
+
 def permission_fault(operator: str, identity: Identity | None) -> str:
     """Why this operator may not command the robot; empty if it may. `identity`: of the robot."""
-    if identity is not None and identity.roster.role_of(operator) is not Role.OPERATOR:
-        return (
-            f"{operator} is no operator of roster {identity.roster.generation}; name an operator in"
-            " driver_options"
-        )
-    return ""
+    if identity is None or identity.roster.role_of(operator) in (Role.OPERATOR, Role.PERMIT):
+        return ""
+    return (
+        f"{operator} is no operator of roster {identity.roster.generation}; name an operator in"
+        " driver_options"
+    )
+
+
+def _request_of(
+    command: DriverCommand, targets: dict[str, Epoch | None], latch_ids: tuple[str, ...] = ()
+) -> verbs.Request:
+    """The request of a command to one robot. `latch_ids`: the emergency stops of a reset."""
+    id = secrets.token_hex(8)
+    operator = command.operator
+    match command.verb:
+        case "stop":
+            return verbs.StopRequest(id=id, operator=operator, targets=targets)
+        case "estop":
+            reason = command.reason or command.source
+            return verbs.EstopRequest(
+                id=id, operator=operator, targets=targets, scope="robots", reason=reason
+            )
+        case "reset":
+            return verbs.ResetRequest(id=id, operator=operator, targets=targets, ids=latch_ids)
+        case "run":
+            run = command.run
+            assert run is not None
+            return verbs.RunRequest(
+                id=id,
+                operator=operator,
+                targets=targets,
+                pattern=run.pattern,
+                params=dict(run.params),
+                seconds=run.seconds,
+                until=run.until,
+                age=command.age or 0.0,
+            )

@@ -60,7 +60,7 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.members.link_quality import LinkQuality
 from swarmd.network.members.membership import MAX_MEMBERS
-from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
+from swarmd.network.peer import Peer, PeerActions, PeerSettings, StopVerdict, Summary
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author
 from swarmd.security.identity import Identity, authority_of
@@ -85,6 +85,14 @@ class NetworkOwner(Protocol):
 
     def on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
         """Carry out a stop or estop of an operator or relay; the reply goes to `answer`."""
+
+    def judge_stop(self, stop: Stop, author: Author | None) -> StopVerdict:
+        """What permits leave of a stop. `author`: its verified signer."""
+
+    def on_refused_stop(
+        self, stop: Stop, source: Address, text: str, answer: Callable[[Reply], None]
+    ) -> None:
+        """Audit a stop that its permit does not permit here; the reply goes to `answer`."""
 
     def on_clock(self, sample: ClockSample) -> None:
         """Record a reading of the clock of a peer."""
@@ -302,6 +310,7 @@ class Network:
             now=boottime(),
             admission=None if self._guard is None else self._guard.admission,
             check_goal=owner.check_goal,
+            judge_stop=owner.judge_stop,
         )
 
     async def _claim(self, peer: Peer) -> None:
@@ -497,6 +506,9 @@ class Network:
             else:
                 self._confirm_member(body, source)
             self._refuse_replays(self._guard, actions, author)
+            for stop, sender, text in actions.refused:
+                answer = partial(self._answer_refused, self._guard, stop, sender, author)
+                self._owner.on_refused_stop(stop, sender, text, answer)
         self._carry_out(actions, source, author)
 
     def _confirm_member(self, body: Datagram, source: Address) -> None:
@@ -510,16 +522,24 @@ class Network:
     ) -> None:
         """Answer replayed stops with a refusal, at a limited rate."""
         for stop, sender in actions.replayed:
-            ack = Ack(
-                id=stop.id,
-                robot=self._robot.name,
-                instance=self._instance,
-                revision=0,
-                code="refused",
-            )
-            refusal = guard.refusal(stop, sender, ack, boottime())
+            refusal = guard.refusal(stop, sender, self._refused_ack(stop.id), boottime())
             if refusal is not None:
                 self._send(refusal, sender, author)
+
+    def _answer_refused(
+        self, guard: DatagramGuard, stop: Stop, sender: Address, author: Author | None, reply: Reply
+    ) -> None:
+        """Answer a stop that its permit does not permit here, at a limited rate."""
+        ack = replace(self._refused_ack(stop.id), refusal=reply.refusal, text=_ack_text(reply.text))
+        refusal = guard.denial(stop, ack, boottime())
+        if refusal is not None:
+            self._send(refusal, sender, author)
+
+    def _refused_ack(self, id: str) -> Ack:
+        """The ack of a stop that was refused before the robot saw it."""
+        return Ack(
+            id=id, robot=self._robot.name, instance=self._instance, revision=0, code="refused"
+        )
 
     def _carry_out(
         self, actions: PeerActions, source: Address | None = None, author: Author | None = None
@@ -595,7 +615,7 @@ class Network:
             revision=0 if reply.epoch is None else reply.epoch.revision,
             code=reply.code,
             refusal=reply.refusal,
-            text=reply.text.encode()[:MAX_ACK_TEXT].decode(errors="ignore"),
+            text=_ack_text(reply.text),
             is_moving=reply.is_moving,
         )
         if self._guard is not None:
@@ -634,6 +654,11 @@ class Network:
             return True
         membership = self._peer.membership
         return name in membership.indirect or membership.member(name, boottime()) is not None
+
+
+def _ack_text(text: str) -> str:
+    """The text, cut to the bytes that an ack may have."""
+    return text.encode()[:MAX_ACK_TEXT].decode(errors="ignore")
 
 
 def _as_relayed(stop: Stop) -> Stop:

@@ -28,6 +28,7 @@ from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Stop
+from swarmd.security.key_permit import Denial
 
 if TYPE_CHECKING:
     from swarmd.daemon.incidents import IncidentService
@@ -63,6 +64,10 @@ class _Pending:
     source: Callable[[], str]
     is_relayed: bool = False
     query: Query | None = None  # None if the request came as a datagram or from the own system
+
+
+Judge = Callable[[verbs.AnyRequest], verbs.AnyRequest | Denial]
+"""The request as its permit permits it, or why it is refused."""
 
 
 class SendReply(Protocol):
@@ -109,6 +114,8 @@ class RequestServer:
        counted in `drops`.
     5. If the swarm `is_secured`, the operator of a request is the name in the certificate of the
        Zenoh link, whatever name the request has.
+    6. `judge` judges each request by the permit of its name, whatever way it came: it returns the
+       request as it may be carried out, or a `Denial`, with which the request is refused.
     """
 
     def __init__(
@@ -120,6 +127,7 @@ class RequestServer:
         *,
         drops: DropCounter,
         is_secured: bool = False,
+        judge: Judge = lambda request: request,
         clock: Clock = boottime,
     ) -> None:
         """Look up the handler of each verb: a method of a service, or else `on_request`.
@@ -127,6 +135,7 @@ class RequestServer:
         `audit` takes each answered request. `drops` counts requests whose handler failed.
         """
         self._clock = clock
+        self._judge = judge
         self._drops = drops
         self._is_secured = is_secured
         self._robot = robot
@@ -203,25 +212,44 @@ class RequestServer:
         `source`: the address of the sender. `answer` sends the ack. An operator repeats a stop with
         one id: each copy is carried out and answered, and `reply` audits only the first copy.
         """
-        # In a request each target has an epoch. A stop names no epochs: None, for "not compared".
-        targets = None if stop.targets is None else dict.fromkeys(stop.targets)
-        if targets is not None and self._robot not in targets:
+        if stop.targets is not None and self._robot not in stop.targets:
             return
-        kind: type[verbs.StopRequest | verbs.EstopRequest]
-        kind = verbs.StopRequest if stop.verb == "stop" else verbs.EstopRequest
-        # Only an estop has `is_relayed`: a relayed estop does not renew a latch that was reset. A
-        # stop leaves no latch, and the robot treats a relayed stop as any other stop.
-        request = msgspec.structs.replace(
-            kind(**verbs.shared_fields(stop, kind)),
-            operator=stop.operator or "unknown",
-            targets=targets,
-            age=min(stop.age / 1000.0, MAX_SECONDS),  # s; `stop.age` is in ms
-        )
+        request = _request_of(stop)
         # The audit notes `is_relayed` for both verbs.
         self._pending[stop.id] = _Pending(
             request, answer, lambda: source, is_relayed=stop.is_relayed
         )
-        self._on_request(request)
+        self._hand_on(request)
+
+    def deny_stop(
+        self, stop: Stop, source: str, text: str, answer: Callable[[Reply], None]
+    ) -> None:
+        """Refuse and audit a stop that came as a datagram, and that no permit permits here."""
+        if stop.id in self._pending:
+            return  # an earlier copy was permitted
+        self._pending[stop.id] = _Pending(
+            _request_of(stop), answer, lambda: source, is_relayed=stop.is_relayed
+        )
+        self.reply(self._denial(stop.id, text))
+
+    def _hand_on(self, request: verbs.Request) -> None:
+        """Hand the robot a pending request that came past Zenoh, as far as its permit permits."""
+        judged = self._judge(request)
+        if isinstance(judged, Denial):
+            self.reply(self._denial(request.id, judged.text))
+            return
+        assert isinstance(judged, verbs.Request)
+        self._on_request(judged)
+
+    def _denial(self, id: str, text: str) -> Reply:
+        """The reply to a request that the permit of its name does not permit."""
+        return Reply(
+            id=id,
+            robot=self._robot,
+            code=Code.REFUSED,
+            refusal=Refusal.NOT_PERMITTED,
+            text=verbs.shortened(text, MAX_TEXT),
+        )
 
     def take(self, request: verbs.Request, source: str, answer: Callable[[Reply], None]) -> None:
         """Carry out a request for this robot that came from the robot's own system.
@@ -235,7 +263,7 @@ class RequestServer:
             self.refuse(request, source, answer, Refusal.BUSY, text)
             return
         self._pending[request.id] = _Pending(request, answer, lambda: source)
-        self._on_request(request)
+        self._hand_on(request)
 
     def refuse(
         self,
@@ -295,13 +323,19 @@ class RequestServer:
             query.drop()
         elif request.id in self._replies and not is_stop:
             query.reply(encode(self._replies[request.id]))
+        elif is_pending and self._pending[request.id].request.operator != request.operator:
+            query.drop()  # the reply belongs to the operator whose request waits
         else:
             # The newest query of an id gets the reply: the link of an older query may be closed.
             self._pending[request.id] = _Pending(
                 request, lambda reply: query.reply(encode(reply)), lambda: query.source, query=query
             )
             if is_stop or not is_pending:
-                self._handlers[request.verb](request, self.reply)
+                judged = self._judge(request)
+                if isinstance(judged, Denial):
+                    self.reply(self._denial(request.id, judged.text))
+                else:
+                    self._handlers[judged.verb](judged, self.reply)
 
     def _refuse(self, verb: str, query: Query, code: Code, text: str) -> None:
         """Reply to a request that could not be decoded, or whose handler failed; audit it.
@@ -362,6 +396,22 @@ class RequestServer:
             refusal=refusal,
             text=verbs.shortened(text, MAX_TEXT),
         )
+
+
+def _request_of(stop: Stop) -> verbs.StopRequest | verbs.EstopRequest:
+    """The request of a stop that came as a datagram."""
+    # In a request each target has an epoch. A stop names no epochs: None, for "not compared".
+    targets = None if stop.targets is None else dict.fromkeys(stop.targets)
+    kind: type[verbs.StopRequest | verbs.EstopRequest]
+    kind = verbs.StopRequest if stop.verb == "stop" else verbs.EstopRequest
+    # Only an estop has `is_relayed`: a relayed estop does not renew a latch that was reset. A
+    # stop leaves no latch, and the robot treats a relayed stop as any other stop.
+    return msgspec.structs.replace(
+        kind(**verbs.shared_fields(stop, kind)),
+        operator=stop.operator or "unknown",
+        targets=targets,
+        age=min(stop.age / 1000.0, MAX_SECONDS),  # s; `stop.age` is in ms
+    )
 
 
 def _names_of(targets: Any) -> Collection[Any]:

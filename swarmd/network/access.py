@@ -10,10 +10,11 @@ Directions are seen from the session that has the rules: `ingress` messages come
 the link, `egress` messages go there.
 
 - A robot receives queries on `control/<verb>/<asker>` from the operator of that name, and from the
-  viewer of that name for verbs whose row in `core/verbs.py` permits viewers. A robot sends
-  `state/*` and `message/**` to operators and viewers, and answers `shared/<what>/<asker>` to each
-  name of the roster. A robot receives puts, the messages of programs to patterns, from operators
-  only: such a message may move the robot.
+  viewer of that name for verbs whose row in `core/verbs.py` permits viewers. From a name with a
+  permit it receives all requests, so that it answers what the key may, and the questions of
+  viewers. A robot sends `state/*` and `message/**` to operators, viewers and names with a permit,
+  and answers `shared/<what>/<asker>` to each name of the roster. A robot receives puts, the
+  messages of programs to patterns, from operators only: such a message may move the robot.
 - Operators and viewers receive a robot's keys from the robot of that name only.
 - Robots, operators and viewers see each other's liveliness tokens; each may declare only the token
   of its own name.
@@ -43,10 +44,16 @@ _OUT = "egress"
 
 
 def may_ask(role: Role, verb: str) -> bool:
-    """True if a name with this role may ask `control/<verb>` of a robot."""
+    """True if a name with this role may ask `control/<verb>` of a robot.
+
+    A name with a permit may send each request: the robot judges it, and answers what the key may.
+    """
     row = VERBS.get(verb)
-    is_for_viewers = row is not None and row.is_for_viewers
-    return role is Role.OPERATOR or (role is Role.VIEWER and is_for_viewers)
+    if role is Role.OPERATOR:
+        return True
+    if row is None or role is Role.ROBOT:
+        return False
+    return row.is_for_viewers or (role is Role.PERMIT and row.is_request)
 
 
 def robot_access(roster: Roster, robot: str) -> Access:
@@ -69,7 +76,7 @@ def robot_access(roster: Roster, robot: str) -> Access:
     # Requests, and pulls of shared files such as a roster. A key ends with the asker's name.
     robot_shared = build(roster.swarm, robot, SHARED, ANY, ANY)
     rules.allow(roster.robots, _OUT, ["reply", "declare_queryable"], [robot_shared])
-    for name in (*roster.operators, *roster.viewers, *roster.robots):
+    for name in (*roster.askers, *roster.robots):
         pulled = build(roster.swarm, robot, SHARED, ANY, name)
         rules.allow([name], _IN, ["query"], [*_request_keys(roster, name), pulled])
     return rules.access()
@@ -78,9 +85,9 @@ def robot_access(roster: Roster, robot: str) -> Access:
 def _allow_robot_to_readers(rules: _Rules, roster: Roster, robot: str) -> None:
     """Let a robot send state, messages, replies and its liveliness token to all readers.
 
-    A reader is an operator or a viewer.
+    A reader is an operator, a viewer or a name with a permit.
     """
-    readers = (*roster.operators, *roster.viewers)
+    readers = roster.askers
     state = build(roster.swarm, robot, "state", ANY)
     control = build(roster.swarm, robot, CONTROL, ANY, ANY)
     messages = build(roster.swarm, robot, MESSAGE, ANY, ANY)
@@ -96,11 +103,11 @@ def _allow_robot_to_readers(rules: _Rules, roster: Roster, robot: str) -> None:
 
 
 def _allow_readers_to_robot(rules: _Rules, roster: Roster) -> None:
-    """Let operators and viewers subscribe at a robot, and show their liveliness tokens.
+    """Let readers subscribe at a robot, and show their liveliness tokens.
 
     They query and subscribe with a wildcard in place of the robot's name.
     """
-    readers = (*roster.operators, *roster.viewers)
+    readers = roster.askers
     all_states = [build(roster.swarm, ANY, "state", ANY)]
     rules.allow(readers, _IN, ["query", "declare_subscriber"], all_states)
     all_messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
@@ -170,7 +177,7 @@ def router_access(roster: Roster, router: str) -> Access:
     was allowed to subscribe.
     """
     all_keys = [f"{ROOT}/{roster.swarm}/**"]
-    names = (*roster.robots, *roster.operators, *roster.viewers)
+    names = roster.names
     rules = _Rules()
     rules.allow([router], _IN, _ALL_MESSAGES, all_keys)
     rules.allow(dict.fromkeys((*names, router)), _OUT, _ALL_MESSAGES, all_keys)

@@ -72,6 +72,20 @@ MAX_DUPLICATES = 64  # other instances with this robot's id
 CheckGoal = Callable[[Goal, float], bool | None]
 
 
+class StopVerdict(NamedTuple):
+    """What a robot does with a stop that its permit bounds.
+
+    `relayed`: the stop as this robot carries it out and relays it, with the robots that it may
+    reach; None: no robot. `refusal`: why this robot refuses the stop; empty if it does not.
+    """
+
+    relayed: Stop | None
+    refusal: str = ""
+
+
+JudgeStop = Callable[[Stop, Author | None], StopVerdict]
+
+
 @dataclass(frozen=True, slots=True)
 class Summary:
     """The robot's state for its beacon, and the stops that the robot no longer relays."""
@@ -133,6 +147,8 @@ class PeerActions:
     """In a secured swarm: why the datagram is dropped."""
     replayed: list[tuple[Stop, Address]] = field(default_factory=list)
     """In a secured swarm: stops that are refused as replayed."""
+    refused: list[tuple[Stop, Address, str]] = field(default_factory=list)
+    """In a secured swarm: stops that no permit permits here, with their senders and the reason."""
     is_repeated: bool = False
     """In a secured swarm: an earlier copy of the stop was heard."""
     goals: list[FoundGoal] = field(default_factory=list)  # goals that peers have shown
@@ -165,7 +181,8 @@ class Peer:
 
     `roster`: the robots that the swarm expects. `admission`: the checks of a secured swarm; None:
     the swarm is not secured. `check_goal(goal, now)`: True if the goal of a peer is accepted, False
-    if it is not signed, None if the check must wait (`GoalCheck`).
+    if it is not signed, None if the check must wait (`GoalCheck`). `judge_stop(stop, author)`: what
+    permits leave of a stop; it is called for each copy, before the robot relays it.
     """
 
     def __init__(
@@ -176,6 +193,7 @@ class Peer:
         now: float,
         admission: Admission | None = None,
         check_goal: CheckGoal = lambda goal, now: True,
+        judge_stop: JudgeStop = lambda stop, author: StopVerdict(stop),
     ) -> None:
         self.robot = settings.robot
         self._instance = settings.instance
@@ -183,6 +201,7 @@ class Peer:
         self._admission = admission
         self._roster = roster
         self._check_goal = check_goal
+        self._judge_stop = judge_stop
         self._random = random.Random(settings.instance)
         self._begin_membership(settings, now)
         self._begin_spread()
@@ -298,7 +317,7 @@ class Peer:
                 self.membership.on_member_list(body, now)
                 actions.indirect_addresses = self._indirect_addresses(body)
             case Stop():
-                self._on_stop(body, source, now, actions)
+                self._on_stop(body, source, now, actions, author)
             case Ack():
                 self._on_ack(body, source, actions)
             case Latches():
@@ -705,8 +724,17 @@ class Peer:
         echo = 0 if self._admission is None else self._admission.freshness.new_echo(now)
         return Solicit(echo=echo, wants_members=members, wants_latches=latches)
 
-    def _on_stop(self, stop: Stop, source: Address, now: float, actions: PeerActions) -> None:
+    def _on_stop(
+        self, stop: Stop, source: Address, now: float, actions: PeerActions, author: Author | None
+    ) -> None:
+        """Take a copy of a stop; carry out and relay what its permit leaves of it."""
         if self._admission is not None:
+            verdict = self._judge_stop(stop, author)
+            if verdict.refusal:
+                actions.refused.append((stop, source, verdict.refusal))
+            if verdict.relayed is None:
+                return
+            stop = verdict.relayed
             taken = self._admission.stops.take(stop, now)
             if taken is None:
                 actions.replayed.append((stop, source))

@@ -40,6 +40,8 @@ PREVIOUS_TIME = 600.0  # s after a new roster for which stops of the generation 
 _START = struct.Struct(">BI")
 _PROOF = b"swarmd ack"  # so that a proof is no signature of a datagram
 _CLASSES = (Role.ROBOT, Role.OPERATOR, Role.VIEWER)  # the order of the tags of a group
+# The class of receivers of each role: a name with a permit has the class key of viewers.
+_CLASS_OF = {role: number for number, role in enumerate(_CLASSES)} | {Role.PERMIT: 2}
 _GROUP_BYTES = _START.size + len(_CLASSES) * SIGNATURE_BYTES
 _ANSWER_BYTES = _START.size + 2 * SIGNATURE_BYTES
 
@@ -107,7 +109,7 @@ class Signer:
             keys = self._group
         else:
             signed = payload + _START.pack(Format.ANSWER, generation)
-            keys = self._group[_CLASSES.index(asker.role)], self._pair(asker.name)
+            keys = self._group[_CLASS_OF[asker.role]], self._pair(asker.name)
         whole = signed + b"".join([_tag(key, signed) for key in keys])
         if len(whole) > MAX_DATAGRAM:
             raise CodecError(f"a signed datagram of {len(whole)} bytes; at most {MAX_DATAGRAM}")
@@ -146,7 +148,7 @@ class Verifier:
         self._keys = keys
         self._roster = roster
         self._names: dict[str, tuple[Author, bytes]] = {}  # those on the roster that were heard
-        self._index = _CLASSES.index(role)
+        self._index = _CLASS_OF[role]
         self._class_key = (keys.robots, keys.operators, keys.viewers)[self._index]
         self._previous = (
             None if previous is None else Verifier(previous.keys, role, previous.roster)

@@ -103,6 +103,8 @@ class Permit(Struct, frozen=True):
     Protection adds the measured delay to the age of scans."""
     avoids: bool | None = None
     """avoidance may change the command; None: as the platform says"""
+    speed: float | None = None
+    """m/s, the greatest speed of the run, whatever its pattern or steering asks; None: no bound"""
 
 
 NO_PERMIT = Permit()

@@ -17,7 +17,17 @@ import numpy as np
 from swarmd.core import cython_shadow as cython
 from swarmd.core.cython_shadow import fabs
 from swarmd.core.messages import LimitingObstacle, NarrowestPassage, Reason
-from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Scan, TouchZone, Twist
+from swarmd.core.values import (
+    ZERO,
+    Array,
+    Limits,
+    Odometry,
+    Platform,
+    Scan,
+    TouchZone,
+    Twist,
+    slowed,
+)
 from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.protection.decision import (
     NO_PERMIT,
@@ -219,7 +229,7 @@ class Protection:
             context: the time, and the inputs with their ages.
             is_running: the robot is in the state `running`.
             hold: the reason of a hold, which zeroes the command; None without a hold.
-            permit: what the pattern permits, of which protection reads its touch zone.
+            permit: what the pattern permits, of which protection reads its touch zone and speed.
             steered: what steering asks in place of the request; None: the request.
         """
         touch = permit.touch
@@ -242,12 +252,13 @@ class Protection:
         is_replaced: cython.bint = candidate is not clipped
         # 4. For the same case in the same context each mode decides the same.
         is_recovering = steered is not None and steered.is_recovering
-        case = clipped, candidate, is_replaced != 0, is_recovering, touch
+        speed = permit.speed
+        case = clipped, candidate, is_replaced != 0, is_recovering, touch, speed
         if context is self._last_context and case == self._last_case:
             return self._last_decision
-        # 5. The mode limits the candidate, within the bounds of layers.
+        # 5. The mode limits the candidate, within the bounds of layers and the speed of the run.
         mode_request = self._limits.clip(candidate) if is_replaced else candidate
-        decision = self._judge(mode_request, context, touch)
+        decision = self._judge(mode_request, context, touch, speed)
         twist = decision.twist
         is_active: cython.bint = is_replaced or decision.is_active
         if not _is_finite(twist):
@@ -281,20 +292,26 @@ class Protection:
         self, context: DecisionContext, touch: TouchZone | None, requested: Twist
     ) -> Twist:
         """What the mode would permit of any requested command in the situation of `context`."""
-        return self._judge(self._limits.clip(requested), context, touch).twist
+        return self._judge(self._limits.clip(requested), context, touch, None).twist
 
     @cython.cfunc
     def _judge(
-        self, request: Twist, context: DecisionContext, touch: TouchZone | None
+        self,
+        request: Twist,
+        context: DecisionContext,
+        touch: TouchZone | None,
+        speed: float | None,
     ) -> ModeDecision:
         """The decision of the mode within all bounds; sets `_is_bounded`.
 
+        `speed`: the greatest of the run in m/s; None: no bound. It bounds as a layer does.
         A bound limits the request, and then the command of a mode that changed the request. The
         second limit reduces all speeds by one share: the result still satisfies the constraints of
         the mode, since these are convex and permit zero.
         """
         command = self._safe
-        asked = request
+        slow = request if speed is None else slowed(request, speed)
+        asked = slow
         for bound in self._bounds:
             asked = bound.limit(asked, context, command)
         decision = self._mode.decide(asked, context, command, touch)
@@ -302,8 +319,10 @@ class Protection:
         if twist is not asked:
             for bound in self._bounds:
                 twist = bound.limit(twist, context, command, is_even=True)
-        self._is_bounded = asked is not request or twist is not decision.twist
-        return ModeDecision(twist, True, decision.rows) if self._is_bounded else decision
+        self._is_bounded = asked is not slow or twist is not decision.twist
+        bounded = twist if speed is None or twist is asked else slowed(twist, speed)
+        is_changed: cython.bint = self._is_bounded or bounded is not twist
+        return ModeDecision(bounded, True, decision.rows) if is_changed else decision
 
     def views(self, context: DecisionContext) -> list[LayerView | None]:
         """The place of the robot against each bound; None without a usable pose."""

@@ -57,6 +57,7 @@ class Loading:
     start_at: float | None = None  # the run does not begin before this time
     loaded: Loaded | None = None  # the host's answer, kept until `start_at`
     is_restart: bool = False  # a failed pattern is loaded again
+    speed: float | None = None  # the greatest speed of the run in m/s; None: that of the robot
 
 
 class PendingParams(NamedTuple):

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.cython_shadow import INFINITY
+from swarmd.core.values import slowed
 from swarmd.protection.decision import NO_PERMIT
 from swarmd.robot import timeouts
 
@@ -157,7 +158,11 @@ class PatternRun:
         asked_at = self.awaiting_since
         running.requested_at = now if asked_at == INFINITY else asked_at
         self.awaiting_since = INFINITY
-        running.requested = outputs.twist
+        # Steering and protection see no request beyond the bound: what is slow by its bound is not
+        # blocked, and its command is not one that protection has changed.
+        twist = outputs.twist
+        speed = running.permit.speed
+        running.requested = twist if twist is None or speed is None else slowed(twist, speed)
         running.scan_seq = scan_seq
 
     def is_expired(self, now: cython.double) -> bool:

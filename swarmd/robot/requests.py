@@ -223,6 +223,7 @@ class RequestHandler:
                 request=request,
                 goal=request.goal,
                 start_at=request.at.get(self._robot),
+                speed=request.speed,
             )
 
     def on_resume(self, request: verbs.ResumeRequest, effects: Effects) -> None:
@@ -542,6 +543,7 @@ class RequestHandler:
         if running.finish_at != math.inf:
             # Without time left the new run ends in the event in which it begins.
             seconds_left = running.finish_at - effects.now
+        speed = running.permit.speed
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
@@ -558,6 +560,7 @@ class RequestHandler:
                 request=request,
                 goal=goal,
                 is_fresh=True,
+                speed=speed,
             )
         else:
             effects.command_host(KillHost())

@@ -179,6 +179,18 @@ class Robot(Ticker):
         return None if present is None else present.generation
 
     @property
+    def running_pattern(self) -> str | None:
+        """The pattern that runs; None without one."""
+        running = self._run.running
+        return None if running is None else str(running.pattern)
+
+    @property
+    def running_speed(self) -> float | None:
+        """The greatest speed of the present run in m/s; None: no bound beside that of the robot."""
+        running = self._run.running
+        return None if running is None else running.permit.speed
+
+    @property
     def generations(self) -> tuple[int, ...]:
         """The generations of the patterns that run or are being loaded."""
         run = self._run
@@ -453,6 +465,7 @@ class Robot(Ticker):
                 wish=running.wish,
                 until=running.until,
                 is_restart=True,
+                speed=running.permit.speed,
             )
 
     def _take_due_status(self, now: float) -> bool:

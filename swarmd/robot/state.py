@@ -334,7 +334,7 @@ class Lifecycle:
             self.log(f"{loading.pattern} restarted", now)
         else:
             self._on_new_run(loading, event.note, effects)
-        _give_permit(self, loading.pattern, event, now)
+        _give_permit(self, loading, event, now)
 
     def _on_new_run(self, loading: Loading, note: str, effects: Effects) -> None:
         """Tell the goals of the new run, and answer its request; `note`: remark of the host."""
@@ -415,7 +415,7 @@ class Lifecycle:
             return
         running.values = event.params
         permit = running.permit
-        running.permit = _permit(event.params, permit.touch, permit.scan_delay)
+        running.permit = _permit(event.params, permit.touch, permit.scan_delay, permit.speed)
         running.params = {**running.params, **request.params}
         names = ", ".join(request.params)
         self.goals.note(f"param set by {request.operator}: {names}"[:MAX_TEXT])
@@ -576,6 +576,7 @@ class Lifecycle:
         start_at: float | None = None,
         is_fresh: bool = False,
         is_restart: bool = False,
+        speed: float | None = None,
     ) -> None:
         """Command the pattern host to load a pattern; the run begins once the host has loaded it.
 
@@ -584,7 +585,8 @@ class Lifecycle:
         request that is answered when the run begins, or refused if the load fails. `goal`: the goal
         of the run. `start_at`: the run does not begin before this time, s on the own clock.
         `is_fresh`: load in a new host process; also done if the present host has outdated code.
-        `is_restart`: the failed pattern of the present run is loaded again.
+        `is_restart`: the failed pattern of the present run is loaded again. `speed`: the greatest
+        speed of the run in m/s, None for that of the robot.
         """
         run = self.pattern_run
         run.generation += 1
@@ -600,6 +602,7 @@ class Lifecycle:
             goal=goal,
             start_at=start_at,
             is_restart=is_restart,
+            speed=speed,
         )
         run.restart_at = math.inf  # this load replaces a restart that was planned
         self._load_command = structs.replace(
@@ -794,7 +797,7 @@ class Lifecycle:
 
 
 def _give_permit(
-    lifecycle: Lifecycle, pattern: str, event: host_messages.Loaded, now: float
+    lifecycle: Lifecycle, loading: Loading, event: host_messages.Loaded, now: float
 ) -> None:
     """Set the permit of the running pattern, until the pattern is loaded again.
 
@@ -803,9 +806,10 @@ def _give_permit(
     """
     running = lifecycle.pattern_run.running
     assert running is not None
+    pattern = loading.pattern
     granted = granted_zones(lifecycle.identity.setup.settings.touch).get(pattern)
     zone, zone_text = effective_zone(pattern, event.touches, granted)
-    running.permit = _permit(event.params, zone, event.scan_delay)
+    running.permit = _permit(event.params, zone, event.scan_delay, loading.speed)
     if zone_text:
         lifecycle.log(f"{pattern} {zone_text}", now)
     if event.scan_delay > 0.0:
@@ -845,10 +849,13 @@ def _end_lease(lifecycle: Lifecycle, goal: Goal, effects: Effects) -> None:
 
 
 def _permit(
-    params: host_messages.ParamSources, touch: TouchZone | None, scan_delay: float
+    params: host_messages.ParamSources,
+    touch: TouchZone | None,
+    scan_delay: float,
+    speed: float | None,
 ) -> Permit:
     """What a pattern with these parameters permits protection to do."""
     may_recover, _ = params.get("recovery", (False, ""))
     avoidance, _ = params.get("avoidance", ("platform", ""))
     avoids = None if avoidance == "platform" else avoidance == "orca"
-    return Permit(may_recover is True, touch, scan_delay, avoids)
+    return Permit(may_recover is True, touch, scan_delay, avoids, speed)

@@ -28,7 +28,15 @@ from swarmd.security import datagram_keys
 from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.identity import IdentityInfo, Issued, RosterFile, write_private
 from swarmd.security.private_keys import load_key, pem_of, public_bytes
-from swarmd.security.roster import Role, Roster, digest_of, encode_roster, pack_roster, read_roster
+from swarmd.security.roster import (
+    KeyPermit,
+    Role,
+    Roster,
+    digest_of,
+    encode_roster,
+    pack_roster,
+    read_roster,
+)
 
 KEY = "authority.key"
 CERTIFICATE = "authority.pem"
@@ -131,9 +139,16 @@ class Authority:
         return cls(folder, passphrase)
 
     def change(
-        self, *, add: Mapping[str, Role] | None = None, remove: Collection[str] = ()
+        self,
+        *,
+        add: Mapping[str, Role] | None = None,
+        remove: Collection[str] = (),
+        permits: Mapping[str, KeyPermit] | None = None,
     ) -> Roster:
         """Write the next generation of the roster, with a new secret for datagrams.
+
+        `permits`: by name, a new permit, whose `key` this method sets. The name is new, or has an
+        earlier permit, which the new one replaces.
 
         ConfigError for an added name that is on the roster, and for a removed name that the roster
         lacks. ConfigError also for an added name whose earlier certificate was revoked and has not
@@ -141,9 +156,14 @@ class Authority:
         """
         with self._locked():
             self._state, self.roster = self._read_state()
-            return self._change(dict(add or {}), remove)
+            given = dict(permits or {})
+            known = self.roster.permits
+            new = {name: Role.PERMIT for name in given if name not in known}
+            return self._change(dict(add or {}) | new, remove, given)
 
-    def _change(self, add: dict[str, Role], remove: Collection[str]) -> Roster:
+    def _change(
+        self, add: dict[str, Role], remove: Collection[str], permits: Mapping[str, KeyPermit]
+    ) -> Roster:
         """As `change`, with the lock held and the present state read."""
         # 1. The roster of the next generation, with a new secret for datagrams.
         self._check_change(add, remove)
@@ -151,7 +171,7 @@ class Authority:
         secret = os.urandom(datagram_keys.SECRET_BYTES)
         old = self.roster
         roles = {name: old.role_of(name) for name in old.names if name not in remove} | add
-        roster = self._next_roster(roles, secret)
+        roster = self._next_roster(roles, secret, {**old.permits, **permits})
         content = encode_roster(roster)
         signed = pack_roster(content, sign(self._key, Purpose.ROSTER, content))
 
@@ -186,17 +206,25 @@ class Authority:
             if roster.role_of(name) is None:
                 raise ConfigError(f"{name} is not on the roster of {roster.swarm}")
 
-    def _next_roster(self, roles: Mapping[str, Role | None], secret: bytes) -> Roster:
+    def _next_roster(
+        self,
+        roles: Mapping[str, Role | None],
+        secret: bytes,
+        permits: Mapping[str, KeyPermit],
+    ) -> Roster:
         """The roster of the next generation, with names and `roles`; a role None: not on it.
 
         `secret`: of the swarm, for this generation. The roster has only the digest of the secret,
-        and of the datagram keys of each operator and viewer. By the digest, the receiver checks a
-        secret or keys that a robot hands over.
+        and of the datagram keys of each name that is no robot. By the digest, the receiver checks a
+        secret or keys that a robot hands over. `permits`: by name, at least of each name with the
+        role PERMIT. Such a name is in no other field that gives a right: robots of version 0.2 do
+        not know the field `permits`, and would take the name for an operator or viewer.
         """
         old = self.roster
         generation = self.roster.generation + 1
         operators = [name for name, role in roles.items() if role is Role.OPERATOR]
         viewers = tuple(name for name, role in roles.items() if role is Role.VIEWER)
+        permitted = [name for name, role in roles.items() if role is Role.PERMIT]
         return Roster(
             swarm=old.swarm,
             generation=generation,
@@ -209,14 +237,19 @@ class Authority:
             secret_digest=digest_of(secret),
             readers={
                 name: _reader_digest(generation, secret, name, is_operator=name in operators)
-                for name in (*operators, *viewers)
+                for name in (*operators, *viewers, *permitted)
+            },
+            permits={
+                name: replace(permits[name], key=public_bytes(self._key_of(name).public_key()))
+                for name in permitted
             },
         )
 
     def issue(self, name: str, *, days: float | None = None, is_recorded: bool = True) -> Issued:
         """Make a new identity (certificate, private key, roster) for a name of the roster.
 
-        `days`: the life of the certificate; None: the life that the authority's state names. With
+        `days`: the life of the certificate; None: the life that the authority's state names. The
+        certificate of a name with a permit ends with the permit. With
         `is_recorded` the authority records the end of the certificate. False: the certificate may
         not reach the name, and the caller calls `note_issued` once it does. ConfigError if the
         roster lacks the name.
@@ -229,6 +262,9 @@ class Authority:
         with self._locked():  # makes the private key of a new name, which all processes then use
             key = self._key_of(name)
         until = _now() + datetime.timedelta(days=days)
+        permit = self.roster.permits.get(name)
+        if permit is not None:
+            until = datetime.datetime.fromtimestamp(permit.until, datetime.UTC)
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
         certificate = (
@@ -316,6 +352,11 @@ class Authority:
             is_operator=name in roster.operators,
             answers=answers,
         )
+
+    @property
+    def days(self) -> float:
+        """The life of new certificates."""
+        return self._state.days
 
     @property
     def secret(self) -> bytes:
@@ -424,7 +465,7 @@ def _now() -> datetime.datetime:
 
 
 def _reader_digest(generation: int, secret: bytes, name: str, *, is_operator: bool) -> bytes:
-    """The digest of the datagram keys of an operator or viewer at a generation of the roster.
+    """The digest of the datagram keys of a name that is no robot, at a generation of the roster.
 
     `answers`, the keys that a reader shares with robots, are no part of the digest: they do not
     change with the roster.

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator
 
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.messages import Status
+from swarmd.security.identity import Identity
+from swarmd.security.key_permit import fault_of_time, permit_text
 from swarmd.texts.values import counted, seconds
 
 WARN_DAYS = 14
@@ -49,6 +51,22 @@ def own_end(name: str, expires: float, now: float) -> str:
         f" refuse its links, and hear its stops; set the clock if it is wrong, else"
         f" {own_remedy(name)}"
     )
+
+
+def key_text(identity: Identity) -> str:
+    """The name of a key and what it may do: `bob (operator)`, `anna (pupils: stop; until ..)`."""
+    permit = identity.roster.permits.get(identity.name)
+    if permit is None:
+        return f"{identity.name} ({identity.role})"
+    return f"{identity.name} ({permit.role}: {permit_text(permit)})"
+
+
+def permit_warning(identity: Identity, now: float) -> str:
+    """Why the permit of this user does not count by the clock of this machine; else empty."""
+    permit = identity.roster.permits.get(identity.name)
+    if permit is None or now < FIRST_WALL:
+        return ""
+    return fault_of_time(permit, "this machine", now)
 
 
 def life(left: float) -> str:

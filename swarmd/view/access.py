@@ -38,12 +38,14 @@ class Access:
 
     With `is_read_only` no page may send commands. Without tokens each page may send commands, so
     `check_bind` lets such a server listen on loopback only. ConfigError for a token that is too
-    short, for viewers' token without operators' token, and for equal tokens.
+    short, for viewers' token without operators' token, and for equal tokens. `key`: the key of the
+    swarm that all pages command with, and what it may; empty without keys.
     """
 
     operator: str = ""
     viewer: str = ""
     is_read_only: bool = False
+    key: str = ""
 
     def __post_init__(self) -> None:
         for name, token in (("--token", self.operator), ("--viewer-token", self.viewer)):

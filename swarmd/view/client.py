@@ -39,11 +39,12 @@ class Rows:
 
 
 class Client:
-    """One page; `role` is `operator` or `viewer`."""
+    """One page; `role` is `operator` or `viewer`. `key`: whose key commands, and what it may."""
 
-    def __init__(self, connection: ServerConnection, role: str) -> None:
+    def __init__(self, connection: ServerConnection, role: str, key: str = "") -> None:
         self.connection = connection
         self.role = role
+        self._key = key
         self.selected: list[str] = []
         self.past: float | None = None
         """The time that the page looks back at; None for the present."""
@@ -154,7 +155,10 @@ class Client:
         self._rows = {}
         self._others = ()
         self._plotted *= source.playback is None  # another run has other moments
-        return json.dumps({"kind": "hello", **hello_of(source, self.role)})
+        hello = {"kind": "hello", **hello_of(source, self.role)}
+        if self._key and self.role == "operator":
+            hello["key"] = self._key
+        return json.dumps(hello)
 
     def _changes(self, rows: Rows) -> list[str]:
         """The message of the rows that changed, the ages of all robots, and other changes."""

@@ -207,7 +207,7 @@ class ViewServer:
         self._waiting.pop(connection, None)  # `_waiting`: the connections without a role
         # 2. Send the present state, then take the commands of the page until it closes. Meanwhile a
         #    task of the server sends the frames (poses).
-        client = Client(connection, role)
+        client = Client(connection, role, self._access.key)
         loop = asyncio.get_running_loop()
         budget = TokenBucket(VIEWER_RATE, VIEWER_BURST)
         self._clients.add(client)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import stat
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Level
 from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.security.identity import find_identity, load_identity
+from swarmd.security.roster import Role
 from swarmd.settings.contexts import context_in_use
 from swarmd.settings.settings import load_daemon_settings
 
@@ -304,3 +306,52 @@ def test_the_last_operator_and_the_last_robot_stay(meadow: Run, home: Path) -> N
         assert is_refused(done)
         assert "--role" in str(done.exception)
     assert tree(home) == before
+
+
+def test_issue_writes_a_bundle_with_a_permit_that_list_shows(keys: Run, home: Path) -> None:
+    assert keys("init", "meadow", "--robots", "tb3-[01-03]").exit_code == 0
+    may = ("--may", "stop", "--may", "run  attraction", "--may", "param attraction.*")
+    bounds = ("--robots", "tb3-0[1-2]", "--for", "60s", "--speed", "0.15", "--lasts", "10m")
+    issued = keys("issue", "anna,ben", "--role", "pupils", *may, *bounds)
+    assert issued.exit_code == NO_TARGET  # no robot has a bundle that could take the roster
+
+    rows = {row["name"]: row for row in json.loads(keys("list", "-o", "json").stdout)["names"]}
+    for name in ("anna", "ben"):
+        assert rows[name]["role"] == "permit"
+        assert rows[name]["permit"]["role"] == "pupils"
+        for part in ("run attraction", "param attraction.*", "tb3-0[1-2]", "60 s", "0.15 m/s"):
+            assert part in rows[name]["permit"]["may"]
+    assert rows["tb3-01"]["permit"] is None
+    assert "anna (pupils) may stop" in keys("list").stdout
+
+    assert keys("install", "anna.bundle", "--force").exit_code == 0
+    identity = find_identity("meadow")
+    assert identity is not None
+    permit = identity.roster.permits["anna"]
+    assert (identity.role, identity.info.expires) == (Role.PERMIT, permit.until)
+    assert abs(permit.until - time.time() - 600.0) < 100.0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("alice", "--may", "stop"),  # an operator
+        ("tb3-01", "--may", "stop"),
+        ("anna", "--may", "reset"),
+        ("anna", "--may", "stop", "--robots", "tb4-*"),
+        ("anna", "--may", "run attraction"),  # and may not stop
+        ("anna", "--may", "stop", "--role", "Pupils"),
+    ],
+)
+def test_a_mistake_in_issue_changes_no_roster(
+    keys: Run, home: Path, words: tuple[str, ...]
+) -> None:
+    assert keys("init", "meadow", "--robots", "tb3-01", "--operators", "alice").exit_code == 0
+    before = keys("list", "-o", "json").stdout
+    assert is_refused(keys("issue", *words))
+    assert keys("list", "-o", "json").stdout == before
+    assert not list(home.glob("*.bundle"))
+
+
+def test_a_permit_is_no_role_of_add(meadow: Run) -> None:
+    assert meadow("add", "anna", "--role", "permit").exit_code == 2

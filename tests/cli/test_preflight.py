@@ -28,7 +28,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding, Level
 from swarmd.core.values import Value
 from swarmd.daemon.driver import make_driver
-from swarmd.security.roster import Role
+from swarmd.security.roster import KeyPermit, Role, Roster
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 
@@ -341,6 +341,19 @@ def test_the_runs_of_a_name_that_is_no_operator_are_refused(
     told = faults(_check_commands(secured, make_driver(settings)))
     subjects = {line.partition(":")[0] for line in told}
     assert subjects == {"/swarmd/stop", "/swarmd/estop", "services.runs.go"}
+
+
+def test_the_commands_that_a_permit_does_not_permit_are_refused(tmp_path: Path) -> None:
+    runs = {"go": {"pattern": "flocking"}, "fast": {"pattern": "drive", "params": {"speed": 0.2}}}
+    options: dict[str, Any] = {"services": {"operator": "ros", "runs": runs}}
+    settings = settings_of(tmp_path, driver="rmw_zenoh", driver_options=options)
+    permit = KeyPermit(role="ros", key=bytes(64), may=("stop", "run drive"), until=2**33)
+    roster = Roster(swarm="lab", generation=3, secret_digest=bytes(32), permits={"ros": permit})
+    identity: Any = SimpleNamespace(roster=roster)
+    secured = replace(settings, identity=identity)
+    told = faults(_check_commands(secured, make_driver(settings)))
+    subjects = {line.partition(":")[0] for line in told}
+    assert subjects == {"/swarmd/estop", "services.runs.fast", "services.runs.go"}
 
 
 @pytest.mark.long

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from swarmd.cli.web import WebOptions, web_options
 from swarmd.core.errors import ConfigError
+from swarmd.security.roster import KeyPermit
 from tests.support.keys import SwarmKeys
 
 ROOT = Path(__file__).parents[2]
@@ -21,14 +22,28 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> SwarmKeys:
     folder = tmp_path_factory.mktemp("keys")
-    return SwarmKeys(folder, "meadow", ["r1"], operators=["alice"], viewers=["eve"])
+    pupil = KeyPermit(role="pupils", key=bytes(64), may=("stop",), until=2**32)
+    return SwarmKeys(
+        folder, "meadow", ["r1"], operators=["alice"], viewers=["eve"], permits={"anna": pupil}
+    )
 
 
-@pytest.mark.parametrize(("name", "role"), [("alice", "operator"), ("eve", "viewer")])
-def test_a_page_may_do_what_its_identity_may(keys: SwarmKeys, name: str, role: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "role", "key"),
+    [
+        ("alice", "operator", "alice (operator)"),
+        ("eve", "viewer", "eve (viewer)"),
+        ("anna", "operator", "anna (pupils: stop; until 2106-02-07 06:28 UTC)"),
+    ],
+)
+def test_a_page_may_do_what_its_identity_may(
+    keys: SwarmKeys, name: str, role: str, key: str
+) -> None:
+    """The robots judge what the page of a name with a permit commands."""
     page = WebOptions("127.0.0.1", 0, token="an-operators-token").of(keys[name])
     assert page.access.role("an-operators-token") == role
     assert page.access.role("another") == ""
+    assert page.access.key == key
 
 
 @pytest.mark.parametrize("name", ["alice", "eve"])

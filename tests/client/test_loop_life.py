@@ -325,7 +325,9 @@ def test_a_keeper_gets_the_owner_of_its_session(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(Run, "goal", lambda *_: goal)
     monkeypatch.setattr(runs, "send_goal", lambda *_, **__: APPLIED)
     owned, sent, ended = threading.Event(), list[int](), list[bool]()
-    operator = SimpleNamespace(send_lease=lambda id, count, robots: sent.append(count))
+    operator = SimpleNamespace(
+        identity=None, send_lease=lambda id, count, robots: sent.append(count)
+    )
     session = Session(cast("Operator", operator), is_owned=owned.is_set)
     targeted: Any = SimpleNamespace(
         session=session,

@@ -18,11 +18,12 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from swarmd.core.incident import Incident, IncidentKind
+from swarmd.security.roster import KeyPermit
 from tests.histories.invariants import (
     HEAL_TIME,
     TELL_TIME,
@@ -72,16 +73,27 @@ def step(gap: float, name: str, **args: Any) -> HistoryStep:
 class History:
     """A swarm of robots `r1` to `r<count>` and two operators, to which steps happen.
 
-    It is secured with each second seed, and fenced if a pose is to stand still.
+    It is secured with each second seed, and fenced if a pose is to stand still. `permits`: by name
+    of a further operator. `judge` makes the rules.
     """
 
-    def __init__(self, count: int, seed: int = 1, *, is_fenced: bool = False) -> None:
-        self.swarm = VirtualSwarm(seed, is_secured=seed % 2 == 0, is_fenced=is_fenced)
-        self.judge = Invariants(self.swarm)
+    def __init__(
+        self,
+        count: int,
+        seed: int = 1,
+        *,
+        is_fenced: bool = False,
+        permits: Mapping[str, KeyPermit] | None = None,
+        judge: Callable[[VirtualSwarm], Invariants] = Invariants,
+    ) -> None:
+        self.swarm = VirtualSwarm(
+            seed, is_secured=seed % 2 == 0, is_fenced=is_fenced, permits=permits
+        )
+        self.judge = judge(self.swarm)
         self.swarm.judge = self.judge
         self.operators = {
             name: VirtualOperator(self.swarm, name, number)
-            for number, name in enumerate(OPERATORS, 1)
+            for number, name in enumerate((*OPERATORS, *(permits or {})), 1)
         }
         with no_exception():
             for number in range(count):
@@ -320,10 +332,10 @@ class History:
             node.wall += shift
 
 
-def replay(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> History:
-    """Let a history happen. BrokenRuleError if it breaks a rule."""
+def replay(count: int, steps: Sequence[HistoryStep], seed: int = 1, **options: Any) -> History:
+    """Let a history happen. BrokenRuleError if it breaks a rule. `options`: of `History`."""
     is_fenced = any(one.name == "freeze_pose" for one in steps)
-    history = History(count, seed, is_fenced=is_fenced)
+    history = History(count, seed, is_fenced=is_fenced, **options)
     try:
         for one in steps:
             history.carry_out(one)

@@ -169,7 +169,8 @@ class VirtualOperator(Node):
 
     @property
     def author(self) -> Author:
-        return Author(Role.OPERATOR, self.user)
+        permits = {} if self.swarm.identity is None else self.swarm.identity.roster.permits
+        return Author(Role.PERMIT if self.user in permits else Role.OPERATOR, self.user)
 
     def receive(self, body: Datagram, sender: Node) -> None:
         if self.swarm.now < self._wakes_at:

@@ -24,6 +24,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Protocol
 from unittest.mock import Mock
 
@@ -92,6 +93,7 @@ from swarmd.core.verbs import (
 )
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.goal_service import STORE_TIME
+from swarmd.daemon.key_permits import KeyPermits
 from swarmd.daemon.requests import RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.programs import MAX_TAKEN, Programs
@@ -108,7 +110,8 @@ from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotSetup
-from swarmd.security.roster import Role
+from swarmd.security.key_permit import PresentRun
+from swarmd.security.roster import KeyPermit, Role
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from swarmd.steering.steering import Steering
@@ -276,13 +279,23 @@ class VirtualSwarm:
 
     `cuts`: pairs of names, (sender, receiver), that nothing passes. In a swarm that `is_secured`
     robots know the authors of datagrams, as if these were signed, and admit what counts. In one
-    that `is_fenced` a tracker tells robots their poses while they run.
+    that `is_fenced` a tracker tells robots their poses while they run. `permits`: of the roster of
+    a secured swarm.
     """
 
-    def __init__(self, seed: int, *, is_secured: bool = False, is_fenced: bool = False) -> None:
+    def __init__(
+        self,
+        seed: int,
+        *,
+        is_secured: bool = False,
+        is_fenced: bool = False,
+        permits: Mapping[str, KeyPermit] | None = None,
+    ) -> None:
         self.now = 1000.0
         self.most_delay = MOST_DELAY
         self.is_secured, self.is_fenced = is_secured, is_fenced
+        roster = SimpleNamespace(permits=dict(permits or {}), robots=ROSTER)
+        self.identity: Any = SimpleNamespace(roster=roster) if is_secured else None
         self.random = random.Random(seed)
         self.cuts: set[tuple[str, str]] = set()
         self.loss, self.delay = 0.0, DELAY
@@ -513,6 +526,12 @@ class VirtualDaemon(Node):
             earlier=EarlierLives(self.disk.latches, self.disk.goals),
         )
         self.admission = self._admission()
+        self.permits = KeyPermits(
+            self.name,
+            lambda: swarm.identity,
+            self._present_run,
+            wall=lambda: swarm.wall + self.wall,
+        )
         self.peer = Peer(
             PeerSettings(
                 robot=self.name,
@@ -527,6 +546,7 @@ class VirtualDaemon(Node):
             roster=ROSTER if swarm.is_secured else (),
             now=now,
             admission=self.admission,
+            judge_stop=self.permits.judge_stop,
         )
         self._session = VirtualSession()
         self._programs = Programs(
@@ -549,11 +569,16 @@ class VirtualDaemon(Node):
             replace(fake_services(), incidents=self.black_box.service),
             drops=StrictDrops(),
             is_secured=swarm.is_secured,
+            judge=self.permits.judge,
             clock=lambda: swarm.now,
         )
         self.black_box.open()
         self._observe()
         self._tick_at(now)
+
+    def _present_run(self) -> PresentRun | None:
+        pattern = self.robot.running_pattern
+        return None if pattern is None else PresentRun(pattern, self.robot.running_speed)
 
     def _admission(self) -> Admission | None:
         if not self.swarm.is_secured:
@@ -714,19 +739,26 @@ class VirtualDaemon(Node):
             shown = struct_replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
             self.server.stop(shown, str(sender), partial(self._ack, stop, sender))
         for stop, sender in effects.replayed:
-            ack = Ack(
-                id=stop.id,
-                robot=self.name,
-                instance=self.instance,
-                revision=0,
-                code=Code.REFUSED,
-                refusal=REPLAYED,
-            )
-            self._send(ack, sender)
+            self._send(self._refused_ack(stop.id, REPLAYED), sender)
+        for stop, sender, text in effects.refused:
+            self.server.deny_stop(stop, str(sender), text, partial(self._deny, sender))
         self._apply(effects, source)
         if effects.beacon is not None:
             self.black_box.on_beacon(effects.beacon, source)
         self._tick_soon()
+
+    def _deny(self, source: Address, reply: Reply) -> None:
+        self._send(self._refused_ack(reply.id, Refusal.NOT_PERMITTED), source)
+
+    def _refused_ack(self, id: str, refusal: str) -> Ack:
+        return Ack(
+            id=id,
+            robot=self.name,
+            instance=self.instance,
+            revision=0,
+            code=Code.REFUSED,
+            refusal=refusal,
+        )
 
     def _on_request(self, request: Request) -> None:
         self.waits[request.id] = max(self._waited, self.waits.get(request.id, 0.0))

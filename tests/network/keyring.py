@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from swarmd.network.signature import Trust
@@ -15,7 +15,7 @@ from swarmd.security.datagram_keys import (
     robot_secret,
 )
 from swarmd.security.identity import Identity, IdentityInfo
-from swarmd.security.roster import Roster
+from swarmd.security.roster import KeyPermit, Roster
 
 AUTHORITY = b"k" * 64
 _MASTER = b"m" * 32
@@ -29,6 +29,7 @@ class Keyring:
         robots: Collection[str] = (),
         operators: Collection[str] = (),
         viewers: Collection[str] = (),
+        permits: Mapping[str, KeyPermit] | None = None,
     ) -> None:
         self.secret = b""
         self.roster = Roster(
@@ -38,6 +39,7 @@ class Keyring:
             operators=dict.fromkeys(operators, bytes(64)),
             viewers=tuple(viewers),
             secret_digest=bytes(32),
+            permits=dict(permits or {}),
         )
         self.renew()
 
@@ -53,6 +55,7 @@ class Keyring:
             operators={name: key for name, key in old.operators.items() if name not in remove},
             viewers=tuple(name for name in old.viewers if name not in remove),
             secret_digest=hashlib.sha256(self.secret).digest(),
+            permits={name: one for name, one in old.permits.items() if name not in remove},
         )
 
     def keys(self, name: str) -> DatagramKeys:

@@ -16,7 +16,7 @@ from swarmd.network.access import (
     robot_access,
     router_access,
 )
-from swarmd.security.roster import Role, Roster
+from swarmd.security.roster import KeyPermit, Role, Roster
 
 ROSTER = Roster(
     swarm="lab",
@@ -25,6 +25,9 @@ ROSTER = Roster(
     operators={"alice": bytes(64), "bob": bytes(64)},
     viewers=("class",),
     secret_digest=bytes(32),
+    permits={
+        "pupil": KeyPermit(role="pupils", key=bytes(64), may=("stop", "run drive"), until=2**32)
+    },
 )
 
 
@@ -61,6 +64,33 @@ def test_a_name_asks_with_its_own_chunk_and_what_its_role_may(robot: str) -> Non
         *(("bob", "bob", verb) for verb in ("run", "members", "*")),
         ("class", "class", "members"),
     }
+
+
+@pytest.mark.parametrize("robot", ["r1", "*"])
+def test_a_name_with_a_permit_sends_each_request_in_its_name_and_the_questions_of_viewers(
+    robot: str,
+) -> None:
+    """The robot judges the requests, and answers what the key may."""
+    passing = {
+        verb for verb in VERBS if may_query("pupil", build("lab", robot, CONTROL, verb, "pupil"))
+    }
+    assert passing == {*VERBS} - {"audit", "incident"}
+    for asker in ("alice", "class", "*"):
+        assert not may_query("pupil", build("lab", robot, CONTROL, "run", asker))
+    assert not may_query("pupil", build("lab", robot, CONTROL, "*", "pupil"))
+
+
+def test_a_name_with_a_permit_sends_patterns_no_messages() -> None:
+    access = robot_access(ROSTER, "r1")
+    for sender in ("pupil", "alice", "r1"):
+        key = build("lab", sender, MESSAGE, "voter", "opinion")
+        assert not allows(access, "pupil", "ingress", "put", key)
+    own = asker_access(ROSTER, "pupil")
+    assert not allows(
+        own, "r1", "egress", "put", build("lab", "pupil", MESSAGE, "voter", "opinion")
+    )
+    assert allows(own, "r1", "egress", "query", build("lab", "r1", CONTROL, "run", "pupil"))
+    assert allows(access, "pupil", "egress", "put", build("lab", "r1", "state", "status"))
 
 
 def test_shared_blobs_are_for_each_name_of_the_roster() -> None:

@@ -29,7 +29,16 @@ from swarmd.network.datagram import (
     unpack,
 )
 from swarmd.network.members.admission import Admission
-from swarmd.network.peer import CheckGoal, HeardLease, Peer, PeerActions, PeerSettings, Summary
+from swarmd.network.peer import (
+    CheckGoal,
+    HeardLease,
+    JudgeStop,
+    Peer,
+    PeerActions,
+    PeerSettings,
+    StopVerdict,
+    Summary,
+)
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
 from swarmd.robot.goals import Found, Goals
 from tests.network.keyring import Keyring
@@ -67,6 +76,7 @@ class Robot:
     trust: Trust | None = None
     flaws: Counter[str] = field(default_factory=Counter)
     replayed: list[str] = field(default_factory=list)
+    denied: list[str] = field(default_factory=list)
     duplicates: list[str] = field(default_factory=list)
 
     @property
@@ -130,7 +140,12 @@ class VirtualNetwork:
             self.run(3.0)
 
     def add(
-        self, name: str, key: str = "", *, check_goal: CheckGoal = lambda goal, now: True
+        self,
+        name: str,
+        key: str = "",
+        *,
+        check_goal: CheckGoal = lambda goal, now: True,
+        judge_stop: JudgeStop = lambda stop, author: StopVerdict(stop),
     ) -> Robot:
         """A robot that starts; `key`: its name in this network, if an id is used twice."""
         self._lives += 1
@@ -150,6 +165,7 @@ class VirtualNetwork:
             now=self.now,
             admission=None if self.keyring is None else self._admission(name),
             check_goal=check_goal,
+            judge_stop=judge_stop,
         )
         key = key or name
         number = self._lives
@@ -259,6 +275,7 @@ class VirtualNetwork:
         if effects.flaw is not None:
             robot.flaws[effects.flaw] += 1
         robot.replayed.extend(stop.id for stop, _ in effects.replayed)
+        robot.denied.extend(text for _, _, text in effects.refused)
         for stop, sender in effects.stops:
             self._on_stop(receiver, robot, stop, sender)
         self._carry_out(receiver, effects, (source, author))

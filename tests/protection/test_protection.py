@@ -127,6 +127,48 @@ def test_after_a_hold_a_command_of_the_same_instant_is_in_force_again() -> None:
     assert protection.mode_command == REQUESTED
 
 
+@pytest.mark.parametrize(
+    ("requested", "speed", "wanted"),
+    [
+        (Twist(0.2, 0.3), 0.1, Twist(0.1, 0.15)),  # the curve stays
+        (Twist(-0.2, 0.3), 0.1, Twist(-0.1, 0.15)),
+        (Twist(0.2, 0.3), 0.2, Twist(0.2, 0.3)),
+        (Twist(0.0, 1.0), 0.1, Twist(0.0, 1.0)),
+        (Twist(0.2), None, Twist(0.2)),
+    ],
+)
+def test_no_command_is_faster_than_its_run_may_be(
+    protection: Protection, requested: Twist, speed: float | None, wanted: Twist
+) -> None:
+    context = DecisionContext(0.0, 0.0)
+    protection.observe(scan_of(np.full(360, np.inf)), context)
+    permit = Permit(speed=speed)
+    decision = protection.decide(requested, context, True, None, permit)
+    assert structs.astuple(decision.safe) == pytest.approx(structs.astuple(wanted), abs=1e-12)
+    assert (decision.reason, decision.is_bounded) == (None, False)
+
+    # Steering asks for more, and the same instant is decided anew for another bound.
+    steered = Steered(Twist(0.25), is_recovering=True)
+    fast = protection.decide(requested, context, True, None, permit, steered)
+    assert fast.safe.linear == pytest.approx(speed or 0.25)
+    slower = protection.decide(requested, context, True, None, Permit(speed=0.05), steered)
+    assert slower.safe.linear == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("distance", [0.05, 0.2, 0.3])
+def test_the_command_of_a_mode_beside_an_obstacle_keeps_the_bound(
+    protection: Protection, distance: float
+) -> None:
+    """Modes that change a request may raise its speed, as one that backs away."""
+    context = DecisionContext(0.0, 0.0)
+    protection.observe(ahead(distance, 60), context)
+    for requested in (Twist(0.2), Twist(0.01, 1.0), Twist(-0.2), ZERO):
+        free = protection.decide(requested, context, True, None).safe
+        slow = protection.decide(requested, context, True, None, Permit(speed=0.01)).safe
+        assert math.hypot(slow.linear, slow.lateral) <= 0.01 + 1e-12
+        assert abs(slow.angular) <= abs(free.angular) + abs(requested.angular) + 1e-12
+
+
 def test_limits_apply_to_every_component(protection: Protection) -> None:
     protection.observe(scan_of(np.full(360, np.inf)), DecisionContext(0.0))
     decision = decide(protection, Twist(9.0, -9.0, 9.0))
@@ -326,7 +368,8 @@ def test_compiled_and_interpreted_code_decide_the_same(mode: Mode, avoidance: st
         scan = ahead(draw.choice((0.15, 0.4, 2.0)), draw.choice((1, 60)))
         if step % 20 == 0:
             requested = draw.choice((None, ZERO, Twist(0.2), Twist(0.1, 2.5), Twist(math.nan)))
-            permit = Permit(True, draw.choice((None, TouchZone(0.0, 0.5, 0.05))))
+            speed = (None, 0.1)[step // 20 % 2]
+            permit = Permit(True, draw.choice((None, TouchZone(0.0, 0.5, 0.05))), speed=speed)
         is_running, is_held = draw.random() < 0.95, draw.random() < 0.05
         decisions = []
         for one in ones:

@@ -28,8 +28,9 @@ from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
 from swarmd.network.datagram import Address, Beacon, Stop
-from swarmd.network.peer import Summary
+from swarmd.network.peer import StopVerdict, Summary
 from swarmd.network.settings import NetworkSettings
+from swarmd.network.signature import Author
 from tests.support.keys import SwarmKeys
 from tests.support.statuses import status
 
@@ -111,6 +112,14 @@ class FakeDaemon:
 
     def check_goal(self, goal: Goal, now: float) -> bool:
         return True
+
+    def judge_stop(self, stop: Stop, author: Author | None) -> StopVerdict:
+        return StopVerdict(stop)
+
+    def on_refused_stop(
+        self, stop: Stop, source: Address, text: str, answer: Callable[[Reply], None]
+    ) -> None:
+        """It refuses none."""
 
     def on_input(self, input: Input) -> None:
         """It has no robot."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from swarmd.security.authority import Authority
 from swarmd.security.identity import Identity, load_identity
-from swarmd.security.roster import Role
+from swarmd.security.roster import KeyPermit, Role
 
 P256_ORDER = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
 
@@ -32,16 +32,17 @@ class SwarmKeys:
         *,
         operators: Iterable[str] = (),
         viewers: Iterable[str] = (),
+        permits: Mapping[str, KeyPermit] | None = None,
     ) -> None:
         self.folder = folder
         self.authority = Authority.create(folder / "authority", swarm)
         self.authority.change(
             add=dict.fromkeys(robots, Role.ROBOT)
             | dict.fromkeys(operators, Role.OPERATOR)
-            | dict.fromkeys(viewers, Role.VIEWER)
+            | dict.fromkeys(viewers, Role.VIEWER),
+            permits=permits,
         )
-        roster = self.authority.roster
-        for name in (*roster.robots, *roster.operators, *roster.viewers):
+        for name in self.authority.roster.names:
             self.authority.issue(name).write(self.folder_of(name))
 
     def folder_of(self, name: str) -> Path:

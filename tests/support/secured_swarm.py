@@ -7,6 +7,7 @@ import functools
 import socket
 import struct
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Any, Self
@@ -18,6 +19,7 @@ from swarmd.network.datagram import Address, Beacon, Datagram, tag_of, unpack
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
+from swarmd.security.roster import KeyPermit
 from tests.support.fake_body import resting_body
 from tests.support.keys import SwarmKeys
 from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, wait_until
@@ -91,11 +93,17 @@ class SecuredSwarm:
         names: tuple[str, ...] = RUNNING,
         operators: tuple[str, ...] = ("anna",),
         viewers: tuple[str, ...] = ("class",),
+        permits: Mapping[str, KeyPermit] | None = None,
         listens: bool = False,
     ) -> None:
         self.name = unique_swarm()
         self.keys = SwarmKeys(
-            folder / "keys", self.name, names, operators=operators, viewers=viewers
+            folder / "keys",
+            self.name,
+            names,
+            operators=operators,
+            viewers=viewers,
+            permits=permits,
         )
         self.settings = NetworkSettings(swarm=self.name)
         self.endpoint = free_endpoint()
@@ -138,9 +146,9 @@ class SecuredSwarm:
     def anna(self) -> Operator:
         return self._left.enter_context(self.operator())
 
-    def operator(self) -> Operator:
-        """An operator that has no link yet, a context manager."""
-        return Operator(self.settings, identity=self.keys["anna"])
+    def operator(self, name: str = "anna") -> Operator:
+        """An operator that has no link yet, a context manager. `name`: whose key it has."""
+        return Operator(self.settings, identity=self.keys[name])
 
     def status(self, robot: str) -> Status:
         """The robot's status, as its operator gets it."""

@@ -260,6 +260,15 @@ async def test_a_page_that_looks_back_learns_of_new_robots_and_gets_plots() -> N
         await message(page, "plots")
 
 
+@pytest.mark.parametrize(("token", "key"), [("operator-token", "anna (pupils)"), ("viewer-1", "")])
+async def test_a_page_that_commands_is_told_with_whose_key(token: str, key: str) -> None:
+    access = Access("operator-token", "viewer-1", key="anna (pupils)")
+    async with serving(access=access) as (_, address):
+        path = socket_of(address, token)
+        async with connect(path, max_size=None) as page:
+            assert (await message(page, "hello")).get("key", "") == key
+
+
 def test_an_overloaded_computer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     assert overload(4.0) == ""

@@ -55,7 +55,7 @@ SIGNERS: Mapping[type[Datagram], frozenset[Role]] = {
     Beacon: _ROBOTS,
     Solicit: _ALL,
     MemberList: _ROBOTS,
-    Stop: frozenset({Role.ROBOT, Role.OPERATOR}),
+    Stop: frozenset({Role.ROBOT, Role.OPERATOR, Role.PERMIT}),
     Ack: _ROBOTS,
     Latches: _ROBOTS,
     Message: _ROBOTS,

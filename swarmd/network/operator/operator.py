@@ -73,6 +73,7 @@ from swarmd.network.operator.stop_request import PendingStop, Renew, Select
 from swarmd.network.operator.stop_sender import StopSender
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity, authority_of
+from swarmd.security.roster import Role
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator_admission import OperatorAdmission
@@ -524,9 +525,12 @@ class Operator(Closing):
         """Raise ConfigError if the role of the own identity does not permit a verb."""
         identity = self.identity
         if identity is not None and not may_ask(identity.role, verb):
+            what = f"{identity.role} of swarm {self.settings.swarm}, which may only look"
+            if identity.role is Role.PERMIT:
+                what = f"name with a permit in swarm {self.settings.swarm}"
             raise ConfigError(
-                f"{identity.name} is a {identity.role} of swarm {self.settings.swarm}, which may"
-                f" only look; {verb} needs the identity of an operator; nothing was sent"
+                f"{identity.name} is a {what}; {verb} needs the identity of an operator; nothing"
+                " was sent"
             )
 
     def _mute(self, linked: Collection[str], missing: Collection[str]) -> tuple[str, ...]:

@@ -156,6 +156,7 @@ let hasPlayed = false;
 model.addEventListener('hello', () => {
   element('title').textContent = `${model.swarm || 'swarmd'}${model.role === 'viewer' ? ' (read only)' : ''}`;
   document.title = element('title').textContent;
+  element('key').textContent = model.key && `as ${model.key}`;
   document.body.classList.toggle('operator', model.role === 'operator' && !model.playback);
   element('align').hidden = !isByOdometry();
   element('back').hidden = Boolean(model.playback);

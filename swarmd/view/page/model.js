@@ -53,6 +53,7 @@ export class Model extends EventTarget {
     this.arena = message.arena;
     this.source = message.source;
     this.role = message.role;
+    this.key = message.key || '';
     this.patterns = message.patterns || [];
     this.reportUnits = new Map(Object.entries(message.report_units || {}));
     this.runs = message.runs;

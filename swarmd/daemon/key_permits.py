@@ -1,0 +1,92 @@
+"""What the permits of a roster leave of the requests and stops that reach one daemon."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from msgspec.structs import replace
+
+from swarmd.core.names import owner_of
+from swarmd.core.verbs import AnyRequest
+from swarmd.network.datagram import Stop
+from swarmd.network.peer import StopVerdict
+from swarmd.network.signature import Author
+from swarmd.security.identity import Identity
+from swarmd.security.key_permit import (
+    Denial,
+    PresentRun,
+    denied,
+    fault_of_time,
+    is_bound_stop,
+    judge,
+    stoppable,
+)
+from swarmd.security.roster import KeyPermit, Role
+
+
+class KeyPermits:
+    """Judges what comes in the name of a permit; the requests of other names come back unchanged.
+
+    `identity` returns the present identity of the robot; None: a swarm without keys. `present_run`
+    returns the run of the robot; None without one. `wall` returns s since 1970.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        identity: Callable[[], Identity | None],
+        present_run: Callable[[], PresentRun | None],
+        *,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self._robot = robot
+        self._identity = identity
+        self._present_run = present_run
+        self._wall = wall
+
+    def judge(self, request: AnyRequest) -> AnyRequest | Denial:
+        """The request as its permit permits it, or why this robot refuses it."""
+        permit = self._of(request.operator)
+        if permit is None:
+            return request
+        wall = self._wall()
+        return judge(permit, request, self._robot, wall=wall, running=self._present_run())
+
+    def judge_stop(self, stop: Stop, author: Author | None) -> StopVerdict:
+        """What the permit of its name leaves of a stop that came as a datagram.
+
+        `author`: its verified signer. The robots of the permit alone get the stop from this robot,
+        whatever other robots know of permits.
+        """
+        permit = self._of(stop.operator)
+        if permit is None:
+            # A permit of the roster before ends with that roster; a stop of an operator counts on.
+            is_of_permit = author is not None and author.role is Role.PERMIT
+            gone = f"{stop.operator} is no longer on the roster"
+            return StopVerdict(None, gone) if is_of_permit else StopVerdict(stop)
+        name = stop.operator
+        is_for_this = stop.targets is None or self._robot in stop.targets
+        if text := fault_of_time(permit, self._robot, self._wall()):
+            return StopVerdict(None, f"{name}: {text}" if is_for_this else "")
+        if not is_bound_stop(permit, stop.verb):
+            return StopVerdict(stop)
+        robots = self._robots() if stop.targets is None else stop.targets
+        targets = stoppable(permit, stop.verb, robots)
+        is_denied = is_for_this and self._robot not in targets
+        refusal = denied(permit, name, f"{stop.verb} {self._robot}").text if is_denied else ""
+        narrowed = replace(stop, targets=targets, scope="robots") if targets else None
+        return StopVerdict(narrowed, refusal)
+
+    def role_of(self, name: str) -> str:
+        """The name of the permit of a key, such as `pupils`; empty without a permit."""
+        permit = self._of(name)
+        return "" if permit is None else permit.role
+
+    def _robots(self) -> tuple[str, ...]:
+        identity = self._identity()
+        return () if identity is None else identity.roster.robots
+
+    def _of(self, name: str) -> KeyPermit | None:
+        identity = self._identity()
+        return None if identity is None else identity.roster.permits.get(owner_of(name))
