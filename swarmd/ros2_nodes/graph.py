@@ -16,17 +16,16 @@ from swarmd.kit.mistakes import MAX_TEXT, place_of
 from swarmd.ros2_nodes.message_classes import Message, MessageClasses
 from swarmd.ros2_nodes.qos import QoSProfile
 from swarmd.ros2_nodes.refusal import Ended, NotCarriedOver
+from swarmd.ros2_nodes.ros_time import S_TO_NS
 
 MAX_CALLBACKS = 2_000
 """Callbacks in one step. A node beyond it floods itself or another one."""
-MAX_LATE = 0.5
-"""s: a timer that is later by more leaves calls out, as after a suspended process."""
+MAX_LATE = 500_000_000
+"""ns: a timer that is later by more leaves calls out, as after a suspended process."""
 MAX_ASKED = 1_000
 """How often one callback may ask `rclpy.ok()`, or for a service that is not there."""
 MAX_SUBSCRIPTIONS = 1_000
 """Publishers, subscriptions, timers and services of a robot."""
-SAME_TIME = 1e-9
-"""s by which times of floating point may differ."""
 
 
 class Published(NamedTuple):
@@ -120,24 +119,15 @@ class Publisher:
 
 @dataclass(eq=False)
 class Timer:
-    """A timer of a node; times in s."""
+    """A timer of a node; times in ns, so that a sum of periods has no rounding."""
 
     graph: Graph
     owner: Owner
-    period: float
+    timer_period_ns: int
     callback: Callable[[], Any] | None
-    due: float
-    called: float
+    due: int
+    called: int
     is_cancelled: bool = False
-
-    @property
-    def timer_period_ns(self) -> int:
-        """The period in ns."""
-        return round(self.period * 1e9)
-
-    @timer_period_ns.setter
-    def timer_period_ns(self, value: int) -> None:
-        self.period = value / 1e9
 
     def cancel(self) -> None:
         """Call no more, until a reset."""
@@ -146,7 +136,7 @@ class Timer:
     def reset(self) -> None:
         """Begin a whole period now."""
         self.is_cancelled = False
-        self.due = self.graph.now + self.period
+        self.due = self.graph.now_ns + self.timer_period_ns
 
     def is_canceled(self) -> bool:
         """Whether the timer is cancelled."""
@@ -154,15 +144,15 @@ class Timer:
 
     def is_ready(self) -> bool:
         """Whether the timer is due."""
-        return not self.is_cancelled and self.due <= self.graph.now + SAME_TIME
+        return not self.is_cancelled and self.due <= self.graph.now_ns
 
     def time_since_last_call(self) -> int:
         """ns since the last call."""
-        return round((self.graph.now - self.called) * 1e9)
+        return self.graph.now_ns - self.called
 
     def time_until_next_call(self) -> int:
         """ns until the next call."""
-        return round((self.due - self.graph.now) * 1e9)
+        return self.due - self.graph.now_ns
 
     def destroy(self) -> None:
         """Call no more."""
@@ -307,6 +297,11 @@ class Graph:
         self._callbacks = 0  # of this step
         self._questions = 0  # of this callback
 
+    @property
+    def now_ns(self) -> int:
+        """`now` in ns."""
+        return round(self.now * S_TO_NS)
+
     # What nodes make
 
     def add_subscription(self, subscription: Subscription) -> None:
@@ -329,10 +324,12 @@ class Graph:
         self, owner: Owner, period: float, callback: Callable[[], Any] | None, *, is_started: bool
     ) -> Timer:
         """Add a timer whose first call is due after a whole period (s)."""
-        if not period > 0.0:
-            raise ValueError(f"a timer has the period {period!r} s; expected more than 0")
+        if not 1e-6 <= period < 1e9:
+            raise ValueError(f"a timer has the period {period!r} s; expected 1e-6 or more")
         self._check_count(len(self.timers))
-        timer = Timer(self, owner, period, callback, self.now + period, self.now)
+        period_ns = round(period * S_TO_NS)
+        now = self.now_ns
+        timer = Timer(self, owner, period_ns, callback, now + period_ns, now)
         timer.is_cancelled = not is_started
         self.timers.append(timer)
         return timer
@@ -408,14 +405,15 @@ class Graph:
 
         The time of each callback is the time at which its timer is due.
         """
-        while (timer := self._next_timer(until, is_included=is_included)) is not None:
-            self.now = max(self.now, min(timer.due, until))
-            timer.due += timer.period
-            if timer.due < until - MAX_LATE:
+        end = round(until * S_TO_NS) + int(is_included)
+        while (timer := self._next_timer(end)) is not None:
+            self.now = max(self.now, timer.due / S_TO_NS)
+            timer.called = timer.due
+            timer.due += timer.timer_period_ns
+            if timer.due < end - MAX_LATE:
                 # As rcl does after a pause: whole periods are left out, so that the phase stays.
-                missed = (until - MAX_LATE - timer.due) // timer.period + 1.0
-                timer.due += missed * timer.period
-            timer.called = self.now
+                missed = (end - MAX_LATE - timer.due) // timer.timer_period_ns + 1
+                timer.due += missed * timer.timer_period_ns
             if timer.callback is not None:
                 self.run(timer.owner, timer.callback)
             self.run_queue()
@@ -460,13 +458,9 @@ class Graph:
             return str(error)
         return self.refused or described(error)
 
-    def _next_timer(self, until: float, *, is_included: bool) -> Timer | None:
-        limit = until + SAME_TIME if is_included else until - SAME_TIME
-        due = [
-            timer
-            for timer in self.timers
-            if not timer.is_cancelled and (timer.due <= limit if is_included else timer.due < limit)
-        ]
+    def _next_timer(self, end: int) -> Timer | None:
+        """The timer that is due first, and before `end` (ns); of equal ones the one made first."""
+        due = [timer for timer in self.timers if not timer.is_cancelled and timer.due < end]
         return min(due, key=lambda timer: timer.due, default=None)
 
     def _enqueue(self, subscription: Subscription, message: Message) -> None:

@@ -32,8 +32,8 @@ _READING_FIELDS = (
 """The field of a message that takes a reading: the first of these that it has."""
 _EVEN = 1e-4
 """rad by which the directions of an even scan may differ from their places."""
-_RING = 3.0
-"""A scan whose widest gap has fewer mean gaps is a whole turn, with a ray or two missing."""
+_RING = 2.5
+"""A scan whose widest gap is less than this times the median gap is a whole turn."""
 
 
 class Command(NamedTuple):
@@ -237,7 +237,7 @@ def scan_layout(scan: Scan, topic: ScanTopic, nominal: Array) -> ScanLayout:
     at = turned[order]
     gaps = np.append(np.diff(at), at[0] + full - at[-1])
     widest = int(gaps.argmax())
-    if gaps[widest] < _RING * full / count:
+    if gaps[widest] < _RING * float(np.median(gaps)):
         step = full / count
     else:  # a sector, whose first ray is the one behind the widest gap
         order = np.roll(order, -widest - 1)
