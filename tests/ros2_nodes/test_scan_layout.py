@@ -1,4 +1,4 @@
-"""Scans of ROS: rays in rising order, evenly spaced, from the direction of a driver of the robot."""
+"""Scans of ROS: rays in rising order, evenly spaced, from the first direction of a driver on."""
 
 from __future__ import annotations
 
