@@ -14,8 +14,8 @@ from numpy.random import Generator
 _get_state: Callable[[], Any] = random.getstate
 _set_state: Callable[[Any], None] = random.setstate
 _seed: Callable[..., None] = random.seed
-_get_numpy: Callable[[], Any] = np.random.get_bit_generator
-_set_numpy: Callable[[Any], None] = np.random.set_bit_generator
+_get_numpy: Callable[[], Any] = getattr(np.random, "get_bit_generator")  # noqa: B009  # no stub
+_set_numpy: Callable[[Any], None] = getattr(np.random, "set_bit_generator")  # noqa: B009
 _seed_numpy: Callable[..., None] = np.random.seed
 _make_numpy: Callable[..., Generator] = np.random.default_rng
 _LARGEST = 2**32
@@ -44,7 +44,7 @@ class Chance:
         _set_state(self._python)
         _set_numpy(self._numpy)
         np.random.default_rng = self._default_rng
-        np.random.seed = self._seed_of_numpy  # type: ignore[assignment]  # a method of the shared one
+        np.random.seed = self._seed_of_numpy
         try:
             yield
         finally:

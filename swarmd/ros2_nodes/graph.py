@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.kit.mistakes import MAX_TEXT, place_of
 from swarmd.ros2_nodes.message_classes import Message, MessageClasses
 from swarmd.ros2_nodes.qos import QoSProfile
-from swarmd.ros2_nodes.refusal import Ended, NotCarriedOver
+from swarmd.ros2_nodes.refusal import Ended, NotCarriedOver, Spun
 from swarmd.ros2_nodes.ros_time import S_TO_NS
 
 MAX_CALLBACKS = 2_000
@@ -389,7 +389,7 @@ class Graph:
         if self._questions > MAX_ASKED:
             self.refuse(f"{text}: a callback never waits; use a timer (`create_timer`)")
 
-    def refuse(self, text: str) -> None:
+    def refuse(self, text: str) -> NoReturn:
         """Raise NotCarriedOver, and keep the text for a node that catches it."""
         self.refused = self.refused or text
         raise NotCarriedOver(text)
@@ -443,6 +443,11 @@ class Graph:
                 result = _finished(result)
         except SystemExit as error:
             raise Ended(f"{owner.name} has ended itself: sys.exit({error.code!r})") from None
+        except Spun:
+            self.is_leaving = False
+            raise PluginError(
+                f"{owner.name}: calls rclpy.spin in a callback; spin once, in main()"
+            ) from None
         except (Ended, PluginError, MemoryError):
             raise
         except Exception as error:  # a node may raise anything

@@ -154,20 +154,16 @@ class RobotNodes:
             raise ConfigError(
                 f"{module.__name__} has no {name or 'main'}; expected module:Class, or a main()"
             )
-        if isinstance(started, type) and issubclass(started, Node):
-            started()
-            return
-        self._run_main(started)
-
-    def _run_main(self, main: Any) -> None:
-        takes_args = bool(inspect.signature(main).parameters)
+        is_node = isinstance(started, type) and issubclass(started, Node)
+        takes_args = not is_node and bool(inspect.signature(started).parameters)
         try:
-            main(None) if takes_args else main()
-        except Spun:
+            started(None) if takes_args else started()
+        except Spun:  # the end of a main(), or of a constructor that spins itself
             return
         finally:
             self.graph.is_leaving = False
-        raise ConfigError("main() has returned; expected it to end in rclpy.spin(node)")
+        if not is_node:
+            raise ConfigError("main() has returned; expected it to end in rclpy.spin(node)")
 
     def _publish_start(self, launch: LaunchFile) -> None:
         for one in launch.start:

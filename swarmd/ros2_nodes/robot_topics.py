@@ -169,7 +169,7 @@ class RobotTopics:
 
     def _laser_scan(self, scan: Scan) -> Any:
         """The scan as a driver of ROS publishes it: rays in rising order, from `angle_min` on."""
-        message = self._graph.types.kind(LASER_SCAN)()
+        message: Any = self._graph.types.kind(LASER_SCAN)()
         oldest = 0.0 if scan.ages is None else float(scan.ages.max(initial=0.0))
         age = (scan.newest_age or 0.0) + oldest
         self._stamp(message.header, max(0.0, self._graph.now - age), self._scan.frame)
@@ -184,7 +184,7 @@ class RobotTopics:
         return message
 
     def _made(self, kind: str, frame: str) -> Any:
-        message = self._graph.types.kind(kind)()
+        message: Any = self._graph.types.kind(kind)()
         self._stamp(message.header, self._graph.now, frame)
         return message
 

@@ -20,7 +20,7 @@ class ClockType(IntEnum):
 class Duration:
     """A length of time, as `rclpy.duration.Duration`."""
 
-    _kind: ClassVar[Callable[[str], type]]
+    _kind: ClassVar[Any]  # gives the class of a message by its name
 
     def __init__(self, *, seconds: float = 0, nanoseconds: float = 0) -> None:
         self.nanoseconds = int(seconds * S_TO_NS) + int(nanoseconds)
@@ -59,7 +59,7 @@ class Duration:
 class Time:
     """A time, as `rclpy.time.Time`; 0 is when the nodes began."""
 
-    _kind: ClassVar[Callable[[str], type]]
+    _kind: ClassVar[Any]  # gives the class of a message by its name
     _duration: ClassVar[type[Duration]] = Duration
 
     def __init__(

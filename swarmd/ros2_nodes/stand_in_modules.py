@@ -286,7 +286,7 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
     )
     no_shutdown = type("ExternalShutdownException", (Exception,), {})
     clock_types = {"ClockType": ros_time.ClockType}
-    parts = {
+    parts: dict[str, dict[str, Any]] = {
         "node": {"Node": robot_node},
         "qos": {"QoSProfile": qos.QoSProfile, **policies, **qos.profiles()},
         "parameter": {
@@ -314,7 +314,7 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         "utilities": {
             "ok": spinning.is_ok,
             "get_default_context": Context,
-            "remove_ros_args": lambda args=None: list(args or ()),
+            "remove_ros_args": list,
         },
         "timer": {"Timer": object, "Rate": object},
         "publisher": {"Publisher": object},
@@ -503,7 +503,6 @@ def builtins_of(side: RobotSide, files: NodeFiles) -> dict[str, Any]:
 
     def input_(*_: Any) -> NoReturn:
         side.graph.refuse("input(): a node asks nobody; use a topic or a parameter")
-        raise NotCarriedOver("input()")
 
     return {"open": open_, "print": print_, "input": input_}
 

@@ -57,6 +57,7 @@ def fault(folder: Path, text: str) -> str:
         ("", "open('/etc/hostname')", "open"),
         ("", "input()", "input"),
         ("", "rclpy.spin_once(self)", "spin_once"),
+        ("", "rclpy.spin(self)", "rclpy.spin"),
         ("from rclpy.action import ActionClient\n", "ActionClient(self, 1, 'x')", "ActionClient"),
         ("import tf2_ros\n", "tf2_ros.Buffer()", "tf2_ros.Buffer"),
     ],

@@ -152,6 +152,7 @@ def test_seven_robots_give_the_same_bits_in_several_processes(tmp_path: Path) ->
     """Each follows a wall with noise of both generators, and votes by broadcast."""
     data = swarm_of_seven(written(tmp_path) / "all.yaml")
     whole = simulate_run(scenario_of(data), 4)
+    assert whole.requested is not None
     assert np.abs(whole.requested).sum() > 1.0
     assert whole.state is not None
     assert (whole.state[5:] == "running").all()
@@ -163,4 +164,4 @@ def test_another_seed_gives_other_bits(tmp_path: Path) -> None:
     data = {**swarm_of_seven(written(tmp_path) / "all.yaml"), "duration": 1.0}
     first, again, other = (simulate_run(scenario_of(data), seed) for seed in (4, 4, 5))
     same_bits(first, again)
-    assert first.requested.tobytes() != other.requested.tobytes()
+    assert first.pose.tobytes() != other.pose.tobytes()

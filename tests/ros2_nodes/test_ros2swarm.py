@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,8 +69,8 @@ def test_a_pattern_runs_or_says_why_not(tmp_path: Path, pattern: str, platform: 
 
 def test_votes_go_to_the_other_robots_with_the_number_of_the_robot(tmp_path: Path) -> None:
     path = write_launch(tmp_path, SOURCE.absolute(), "majority_rule", OURS)
-    sent = [one.messages["topics"] for one in run(path, "burger", 6.0) if one.messages]
-    ((number, (robot, opinion)),) = sent[0]  # type: ignore[misc]
+    sent: list[Any] = [one.messages["topics"] for one in run(path, "burger", 6.0) if one.messages]
+    ((number, (robot, opinion)),) = sent[0]
     assert (number, robot) == (0, 1)
     assert opinion in range(3)
 

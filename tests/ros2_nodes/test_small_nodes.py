@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,6 +28,18 @@ def test_a_timer_drives_from_its_first_period_on(nodes: Path, run: str) -> None:
         Twist(0.2, 2.0),
         Twist(0.2, 2.0),
     ]
+
+
+def test_a_constructor_may_spin_itself(nodes: Path) -> None:
+    text = (
+        "class One(Node):\n"
+        "    def __init__(self):\n"
+        "        super().__init__('one')\n"
+        "        self.out = self.create_publisher(Twist, 'cmd_vel', 1)\n"
+        "        self.create_timer(0.1, lambda: self.out.publish(Twist()))\n"
+        "        rclpy.spin(self)\n"
+    )
+    assert steps(node_with(nodes, text), [0.0, 0.1])[-1].twist == Twist()
 
 
 def test_two_robots_of_a_process_share_no_class_attribute(nodes: Path) -> None:
@@ -111,7 +124,8 @@ def test_what_a_vote_sends_is_the_number_of_the_topic_and_its_fields(nodes: Path
         nodes, "nodes: [{run: 'vote:Vote'}]\nshared: [/other, /votes]\nnamespace: /r_{number}"
     )
     sent = steps(robot, [0.0, 1.0])[-1].messages
-    (message,) = sent["topics"]  # type: ignore[misc]
+    topics: Any = sent["topics"]
+    (message,) = topics
     assert message[0] == 1
     assert message[1][0] == "/r_1"
     assert message[1][1] in (0, 1, 2)
@@ -164,6 +178,7 @@ def test_more_messages_than_fit_go_in_later_steps_and_the_oldest_are_lost(nodes:
     node_with(nodes, body)
     robot = launched(nodes, "nodes: [{run: 'one:One'}]\nshared: [/far]")
     outputs = steps(robot, [0.1 * n for n in range(30)])
-    sent = [int(one[1][0]) for out in outputs for one in out.messages.get("topics", [])]  # type: ignore[union-attr,index]
+    groups: list[Any] = [out.messages.get("topics", []) for out in outputs]
+    sent = [int(fields[0]) for group in groups for _, fields in group]
     assert sent == list(range(36, 100))
     assert outputs[-1].report["messages_lost"] == 36
