@@ -92,15 +92,19 @@ PATTERNS: Mapping[str, list[Node]] = {
 """As their launch files start them."""
 
 
+SOURCE = "src"
+"""The link to the sources beside the launch files."""
+
+
 def launch(
-    source: Path, pattern: str, protection: str = BOTH, values: Mapping[str, Any] | None = None
+    pattern: str, protection: str = BOTH, values: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """The launch file of a pattern of theirs; `values`: parameters in place of those of the file.
 
     Their protection stands between the pattern and the base, unless it is `ours alone`. The
     Jackal's folder has no file of the sensor: it has that of the Limo.
     """
-    package = source / "ros2swarm"
+    package = f"{SOURCE}/ros2swarm"
     config = f"{package}/config/{{platform}}"
     has_theirs = protection != OURS
     nodes: list[dict[str, Any]] = [
@@ -125,7 +129,7 @@ def launch(
         for node in PATTERNS[pattern]
     ]
     return {
-        "path": [str(package), str(source)],
+        "path": [package, SOURCE],
         "namespace": "/robot_namespace_{number}",
         "nodes": nodes,
         "start": [
@@ -151,8 +155,10 @@ def write_launch(
 ) -> Path:
     """Write the launch file into `folder`; returns its path."""
     folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / SOURCE).exists():
+        (folder / SOURCE).symlink_to(source.absolute())
     path = folder / f"{pattern}_{protection.replace(' ', '_')}.yaml"
-    path.write_text(yamlfile.text_of(launch(source, pattern, protection, values)))
+    path.write_text(yamlfile.text_of(launch(pattern, protection, values)))
     return path.absolute()
 
 

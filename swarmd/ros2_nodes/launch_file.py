@@ -22,6 +22,7 @@ NUMBER = "{number}"
 PLATFORM = "{platform}"
 """Stands for the name of the robot's platform."""
 MAX_NODES = 32
+_HEAD = re.compile(rb"^nodes[ \t]*:", re.MULTILINE)
 
 Values: TypeAlias = dict[str, Any]
 Words: TypeAlias = Annotated[str, Meta(min_length=1, max_length=256)]
@@ -105,17 +106,25 @@ class LaunchFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     log_level: Annotated[str, Meta(pattern="^(debug|info|warn|error|fatal)$")] = "info"
 
 
+def is_launch_text(text: bytes) -> bool:
+    """Whether a YAML file is a launch file: a line begins with `nodes:`."""
+    return _HEAD.search(text) is not None
+
+
 def read_launch_file(path: Path) -> tuple[LaunchFile, NodeFiles]:
     """The launch file at `path`, and the files from its folder on.
 
     ConfigError in one line for a file that cannot be read, or with a wrong key or value.
     """
     files = NodeFiles(path.parent)
-    data = yamlfile.parsed(files.read(files.path(path.name)), path.name)
+    text = files.read(files.path(path.name))
+    data = yamlfile.parsed(text, path.name)
     launch, faults = layered.read(data, LaunchFile)
     if faults:
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise ConfigError(f"{path.name}: {faults[0][1]}{more}")
+    if not is_launch_text(text):  # else an experiment would not compare it as code
+        raise ConfigError(f"{path.name}: expected a line that begins with `nodes:`")
     assert isinstance(launch, LaunchFile)
     return launch, files
 

@@ -48,6 +48,11 @@ class RobotNodes:
         self._names = Names(robot, platform.name)
         self._folders = [self._files.path(self._names(one)) for one in self.launch.path]
         for folder, name in zip(self._folders, self.launch.path, strict=True):
+            if not folder.is_relative_to(self._files.base):
+                raise ConfigError(
+                    f"{launch.name}: path: {name} does not lie below the launch file; move the file"
+                    " up, or link the folder below it"
+                )
             if not self._files.is_folder(folder):
                 raise ConfigError(f"{launch.name}: path: there is no folder {name}")
         types = MessageClasses(self._files, self._folders)
@@ -149,6 +154,8 @@ class RobotNodes:
         else:
             module_name, _, name = entry.run.partition(":")
             module = self._modules.load(module_name)
+            if not hasattr(module, "__own__"):
+                raise ConfigError(f"run: {module_name} is no module below `path`")
         started: Any = getattr(module, name or "main", None)
         if started is None:
             raise ConfigError(

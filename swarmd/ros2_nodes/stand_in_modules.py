@@ -560,6 +560,6 @@ def _kind_of(real: type) -> type:
 def script_path(files: NodeFiles, name: str) -> Path:
     """The path of the script of an entry; ConfigError if there is none."""
     path = files.path(name)
-    if not files.is_file(path):
+    if not path.is_relative_to(files.base) or not files.is_file(path):
         raise ConfigError(f"{name}: there is no such file beside the launch file")
     return path

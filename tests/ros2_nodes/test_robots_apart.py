@@ -144,6 +144,7 @@ def swarm_of_seven(launch: Path) -> dict[str, Any]:
         },
         "start": {"layout": "random", "clearance": 0.1},
         "radio": {"loss": 0.2, "delay": 0.02},
+        "plugin_dir": str(launch.parent),
     }
 
 
