@@ -19,7 +19,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.files import read_regular, user_path
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.pin import functions_here
-from swarmd.plugins import MAX_MISSION_SIZE, mission_files, pattern_files
+from swarmd.plugins import MAX_MISSION_SIZE, MISSION, mission_files, pattern_files
 from swarmd.ros2_nodes.launch_file import is_launch_text
 
 NOT_IN_RUNS = frozenset(
@@ -148,6 +148,11 @@ def is_launch_file(path: Path) -> bool:
         return is_launch_text(read_regular(path, MAX_MISSION_SIZE))
     except OSError:
         return True  # it is compared, and found to be unreadable
+
+
+def is_code(name: str) -> bool:
+    """Whether a file of `digests_of_folders` is run as code, or chooses it: a mission does not."""
+    return not name.endswith(MISSION) or is_launch_file(user_path(name))
 
 
 def _launch_files(folder: Path) -> Iterator[Path]:

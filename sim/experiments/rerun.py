@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.files import user_path
+from swarmd.plugins import MISSION
 from swarmd.sim.experiments.manifest import (
     Manifest,
     manifest_of,
@@ -18,7 +18,7 @@ from swarmd.sim.experiments.manifest import (
     software_differences,
 )
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
-from swarmd.sim.experiments.provenance import digests_of_folders, is_launch_file
+from swarmd.sim.experiments.provenance import digests_of_folders, is_code
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment
 from swarmd.sim.experiments.trace_differences import first_difference, trace_differences
@@ -90,7 +90,7 @@ def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
     code = {
         name: digest
         for name, digest in patterns
-        if name.endswith(".py") or is_launch_file(user_path(name))
+        if name.endswith(".py") or (name.endswith(MISSION) and is_code(name))
     }
     files = [metric.origin for metric in old.metrics if names_file(metric.origin)]
     code |= {origin: digest_of_file(origin) for origin in files}

@@ -10,6 +10,8 @@ import pytest
 from swarmd.core.errors import ConfigError
 from swarmd.settings import yamlfile
 from swarmd.sim.experiments.provenance import digests_of_plugins
+from swarmd.sim.experiments.rerun import rerun
+from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 from tests.support.ros2_nodes import written
 
@@ -80,3 +82,19 @@ def test_a_launch_file_is_compared_as_code_is(nodes: Path) -> None:
     assert "follower.yaml" not in digests
     (nodes / "all.yaml").write_text("nodes: [{run: other}]\n")
     assert digests_of_plugins(nodes)["all.yaml"] != digests["all.yaml"]
+
+
+@pytest.mark.integration
+def test_nodes_that_were_run_are_run_again_and_changed_ones_are_not(
+    nodes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(nodes.parent / "state"))
+    out = nodes.parent / "out"
+    simulate(scenario(nodes.parent, "mine/all.yaml"), seeds=1, set={"duration": 0.4}, out=out)
+    assert rerun(out, None, 1) == {"s0000": ""}
+    for name in ("all.yaml", "vote.py"):
+        text = (nodes / name).read_text()
+        (nodes / name).write_text(f"{text}# other\n")
+        with pytest.raises(ConfigError, match=f"{name} has changed.*--trust"):
+            rerun(out, None, 1)
+        (nodes / name).write_text(text)
