@@ -313,7 +313,7 @@ class Graph:
             for publisher in self.publishers:
                 if publisher.topic == topic and publisher.is_alive and publisher.profile.is_latched:
                     for message in publisher.kept:
-                        self._enqueue(subscription, message)
+                        self._hand(subscription, message)
 
     def add_publisher(self, publisher: Publisher) -> None:
         """Add a publisher."""
@@ -362,22 +362,15 @@ class Graph:
         """Hand a message to the subscriptions of its topic, and to the pattern."""
         if self.is_leaving:
             return
-        copied = publisher.msg_type.copied(message)
         if publisher.profile.is_latched:
-            publisher.kept.append(copied)
-        self.deliver(publisher.topic, copied)
-        self._on_published(Published(publisher.topic, copied, self.now))
+            publisher.kept.append(publisher.msg_type.copied(message))
+        self.deliver(publisher.topic, message)
+        self._on_published(Published(publisher.topic, message, self.now))
 
     def deliver(self, topic: str, message: Message) -> None:
         """Hand a message to the subscriptions of a topic; TypeError if its type differs."""
         for subscription in self.subscriptions_of(topic):
-            if subscription.msg_type.TYPE != message.TYPE:
-                raise TypeError(
-                    f"{topic} carries {message.TYPE}, and {subscription.owner.name} subscribes to"
-                    f" it as {subscription.msg_type.TYPE}"
-                )
-            # As on a robot: no two subscriptions share a message.
-            self._enqueue(subscription, subscription.msg_type.copied(message))
+            self._hand(subscription, message)
 
     def call(self, owner: Owner, callback: Callable[[], Any]) -> None:
         """Call `callback` after the present one."""
@@ -468,8 +461,15 @@ class Graph:
         due = [timer for timer in self.timers if not timer.is_cancelled and timer.due < end]
         return min(due, key=lambda timer: timer.due, default=None)
 
-    def _enqueue(self, subscription: Subscription, message: Message) -> None:
-        subscription.pending.append(message)  # drops the oldest beyond the depth
+    def _hand(self, subscription: Subscription, message: Message) -> None:
+        """Let a message wait for a subscription, as a copy: no two of them share one."""
+        if subscription.msg_type.TYPE != message.TYPE:
+            raise TypeError(
+                f"{subscription.topic} carries {message.TYPE}, and {subscription.owner.name}"
+                f" subscribes to it as {subscription.msg_type.TYPE}"
+            )
+        # Beyond its depth the oldest message is dropped.
+        subscription.pending.append(subscription.msg_type.copied(message))
 
         def take() -> None:
             if subscription.pending and subscription.is_alive:

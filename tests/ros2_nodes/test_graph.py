@@ -124,6 +124,33 @@ def test_a_latched_message_reaches_a_later_subscription(tmp_path: Path) -> None:
     assert seen(robot) == [(0.0, "kept", 4)]
 
 
+def test_a_latched_message_is_the_one_that_was_published(tmp_path: Path) -> None:
+    text = begin(
+        "from rclpy.qos import QoSProfile, DurabilityPolicy",
+        "from std_msgs.msg import Int32",
+        "qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)",
+        "message = Int32(data=4)",
+        "self.create_publisher(Int32, 'kept', qos).publish(message)",
+        "message.data = 5",
+        "def take(m):",
+        "    self.note(m.data)",
+        "    m.data = 6",
+        "for _ in range(2): self.create_subscription(Int32, 'kept', take, qos)",
+    )
+    assert seen(node_with(tmp_path, text)) == [(0.0, 4), (0.0, 4)]
+
+
+def test_a_topic_has_one_type(tmp_path: Path) -> None:
+    text = begin(
+        "from std_msgs.msg import Int32, Float32",
+        "self.a = self.create_publisher(Int32, 'a', 10)",
+        "self.create_subscription(Float32, 'a', print, 10)",
+        "self.create_timer(0.1, lambda: self.a.publish(Int32()))",
+    )
+    with pytest.raises(PluginError, match="Int32"):
+        steps(node_with(tmp_path, text), [0.0, 0.1])
+
+
 def test_a_published_message_can_be_used_again(tmp_path: Path) -> None:
     """Two subscriptions, and the publisher, have a message each."""
     text = begin(
