@@ -18,6 +18,7 @@ from swarmd.core.host_messages import HostCommand, HostEvent, Load, Loaded, Step
 from swarmd.core.values import Inputs, Twist
 from swarmd.kit.behavior import Context
 from swarmd.pattern_host.loader import PatternLoader
+from swarmd.pattern_host.plugin_inspector import sources_of
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.pattern_host.wheel import inspect_wheel, packed_folder
 from swarmd.patterns.ros2_nodes.pattern import Ros2Nodes
@@ -87,6 +88,11 @@ def test_a_pushed_folder_runs_from_the_wheel_alone(driver: Path, tmp_path: Path)
     loader.begin({"driver": (f"{wheel}{IN_WHEEL}{value}", False)}, {"driver": digest})
     kind = loader("driver")
     assert third_twist(kind(kind.params_type(), context())) == Twist(0.2, 1.0)
+
+
+def test_the_nodes_beside_a_pattern_are_no_modules_of_it(driver: Path) -> None:
+    """They may import time and threading, for which they get stand-ins; `plugin check` says so."""
+    assert sources_of(driver / "pattern.py") == [driver / "pattern.py"]
 
 
 def test_the_example_runs_without_a_launch_file() -> None:
