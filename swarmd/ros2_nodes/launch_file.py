@@ -41,7 +41,6 @@ class NodeEntry(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     namespace: str = ""
     parameters: list[str | Values] | str | Values = []
     remap: dict[str, str] = {}
-    arguments: list[str] = []
 
 
 class ScanTopic(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -22,7 +22,7 @@ import numpy as np
 from swarmd.core.errors import ConfigError
 from swarmd.ros2_nodes import logger, parameters, qos, ros_time
 from swarmd.ros2_nodes.chance import Chance
-from swarmd.ros2_nodes.graph import Future, Graph
+from swarmd.ros2_nodes.graph import Future, Graph, Owner
 from swarmd.ros2_nodes.message_classes import MessageClasses
 from swarmd.ros2_nodes.node import Node, RobotSide
 from swarmd.ros2_nodes.node_files import NodeFiles
@@ -204,7 +204,7 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
 
         def create_task(self, callback: Callable[..., Any], *args: Any, **named: Any) -> Future:
             future = Future()
-            owner = self._nodes[0]._owner if self._nodes else side.nodes[-1]._owner
+            owner = Owner("a task of an executor")
             side.graph.call(owner, lambda: future.set_result(callback(*args, **named)))
             return future
 
@@ -246,7 +246,7 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
 
         try_shutdown = shutdown
 
-    robot_node = type("Node", (Node,), {"side": side, "__module__": "rclpy.node"})
+    robot_node = type("Node", (Node,), {"_robot_side": side, "__module__": "rclpy.node"})
 
     def create_node(node_name: str, **options: Any) -> Node:
         made: Node = robot_node(node_name, **options)

@@ -100,6 +100,34 @@ def test_each_robot_imports_the_modules_anew(tmp_path: Path) -> None:
     assert not {"helper", "package", "one", "rclpy", "geometry_msgs"} & ({*sys.modules} - before)
 
 
+def test_a_folder_without_init_comes_after_installed_modules(tmp_path: Path) -> None:
+    files = {"colorsys/one.py": "", "bare/inner.py": "NAME = 3\n", "bare/deep/more.py": "X = 4\n"}
+    written(tmp_path, files)
+    text = (
+        "import colorsys\nimport bare.inner\nfrom bare.deep import more\n"
+        "class One(Node):\n    def __init__(self):\n        super().__init__('one')\n"
+        "        assert colorsys.rgb_to_hsv(0, 0, 0)[2] == 0\n"
+        "        assert (bare.inner.NAME, more.X) == (3, 4)\n"
+    )
+    node_with(tmp_path, text)
+
+
+def test_a_node_may_give_its_attributes_any_name(tmp_path: Path) -> None:
+    """Those that this stand-in, or rclpy, has for itself are mangled."""
+    names = "side _name _namespace _remap _owner _parameters _logger _publishers _subscriptions"
+    names += " _timers _services _clients _resolved _message_type _result graph now log setup"
+    text = (
+        "class One(Node):\n    def __init__(self):\n        super().__init__('one')\n"
+        f"        for name in {names.split()!r}: setattr(self, name, 'left')\n"
+        "        self.declare_parameter('x', 1)\n"
+        "        self.out = self.create_publisher(Twist, 'cmd_vel', 1)\n"
+        "        self.create_subscription(Twist, 'a', print, 1)\n"
+        "        self.create_timer(0.1, lambda: self.out.publish(Twist()))\n"
+        "        self.get_logger().info(self.get_name() + self.get_namespace())\n"
+    )
+    assert steps(node_with(tmp_path, text), [0.0, 0.1])[-1].twist is not None
+
+
 def test_a_module_that_is_missing_in_an_own_package_is_an_import_error(tmp_path: Path) -> None:
     """As in `try: from .fast import go` `except ImportError: ...`."""
     written(tmp_path, FILES)
