@@ -92,7 +92,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("api", "settings"),
     ("robot",),
     ("make_robot", "recording"),
-    ("mission", "calibration"),
+    ("mission", "calibration", "ros2_nodes"),
     ("pattern_host", "acceptance", "client"),
     ("daemon", "replay", "view"),
     ("cli",),

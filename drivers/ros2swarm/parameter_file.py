@@ -206,7 +206,10 @@ def read_parameter_file(path: Path) -> Conversion:
     node = _node_of(path, given)
     counterpart = COUNTERPARTS[node]
     if not counterpart.pattern:
-        raise ConfigError(f"{path}: {node} has no counterpart: {counterpart.note}")
+        raise ConfigError(
+            f"{path}: {node} has no counterpart: {counterpart.note}; pattern ros2_nodes may run"
+            " their own node (docs/ros2_nodes.md)"
+        )
     parameters: dict[str, Any] = dict(counterpart.fixed)
     left_out: dict[str, str] = {}
     notes = [counterpart.note] if counterpart.note else []

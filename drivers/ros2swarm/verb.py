@@ -31,7 +31,7 @@ def ros2swarm(options: CommonOptions, file: Path) -> None:
     """Print the run of a pattern that a parameter file of ROS2swarm describes.
 
     Names without a counterpart are printed with the reason. Moves nothing; the printed line runs
-    the pattern.
+    the pattern. To run the node of ROS2swarm itself: the pattern ros2_nodes (docs/ros2_nodes.md).
     """
     converted = read_parameter_file(file)
     try:

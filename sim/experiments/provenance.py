@@ -19,7 +19,15 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.files import read_regular, user_path
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.pin import functions_here
-from swarmd.plugins import METRICS_FILE, PATTERN_FILE, mission_files, pattern_files
+from swarmd.plugins import (
+    MAX_MISSION_SIZE,
+    METRICS_FILE,
+    MISSION,
+    PATTERN_FILE,
+    mission_files,
+    pattern_files,
+)
+from swarmd.ros2_nodes.launch_file import is_launch_text
 
 NOT_IN_RUNS = frozenset(
     (
@@ -136,9 +144,10 @@ def digests_of_plugins(folder: Path) -> dict[str, str]:
     """The SHA-256 of each file of a plugin folder that may be imported, and of missions, by name.
 
     These are all files from which a pattern is found (`pattern_files`), and the Python files beside
-    and below them, which a pattern may import. SwarmError if one is not a regular file.
+    and below them, which a pattern may import, and the launch files of nodes, which choose modules.
+    SwarmError if one is not a regular file.
     """
-    files = {*pattern_files(folder), *_python_files(folder)}
+    files = {*pattern_files(folder), *_python_files(folder), *_launch_files(folder)}
     try:
         return {
             path.relative_to(folder).as_posix(): hashlib.sha256(read_regular(path)).hexdigest()
@@ -146,6 +155,25 @@ def digests_of_plugins(folder: Path) -> dict[str, str]:
         }
     except OSError as error:
         raise SwarmError(f"{error.filename}: cannot be read: {error.strerror}") from error
+
+
+def is_launch_file(path: Path) -> bool:
+    """Whether a YAML file is a launch file of `ros2_nodes`: it has a line `nodes: ...`."""
+    if path.suffix != ".yaml":
+        return False
+    try:
+        return is_launch_text(read_regular(path, MAX_MISSION_SIZE))
+    except OSError:
+        return True  # it is compared, and found to be unreadable
+
+
+def is_code(name: str) -> bool:
+    """Whether a file of `digests_of_folders` is run as code, or chooses it: a mission does not."""
+    return not name.endswith(MISSION) or is_launch_file(user_path(name))
+
+
+def _launch_files(folder: Path) -> Iterator[Path]:
+    return (path for path in _files(folder, (".yaml",)) if is_launch_file(path))
 
 
 def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
@@ -219,7 +247,14 @@ def _git(
 
 
 def _python_files(folder: Path, left_out: Set[str] = frozenset()) -> Iterator[Path]:
-    """The files below a folder that Python imports, in the order of their names.
+    """The files below a folder that Python imports, in the order of their names."""
+    return _files(folder, _SUFFIXES, left_out)
+
+
+def _files(
+    folder: Path, suffixes: tuple[str, ...], left_out: Set[str] = frozenset()
+) -> Iterator[Path]:
+    """The files below a folder with one of these suffixes, in the order of their names.
 
     Without folders of the names `left_out`, and without caches of compiled code. A folder to which
     several links lead is visited once.
@@ -232,4 +267,4 @@ def _python_files(folder: Path, left_out: Set[str] = frozenset()) -> Iterator[Pa
             continue
         visited.add(place)
         folders[:] = sorted(f for f in folders if f not in (*left_out, "__pycache__"))
-        yield from (Path(name) / file for file in sorted(files) if file.endswith(_SUFFIXES))
+        yield from (Path(name) / file for file in sorted(files) if file.endswith(suffixes))

@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.plugins import MISSION
 from swarmd.sim.experiments.manifest import (
     Manifest,
     manifest_of,
@@ -17,7 +18,7 @@ from swarmd.sim.experiments.manifest import (
     software_differences,
 )
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
-from swarmd.sim.experiments.provenance import digests_of_folders
+from swarmd.sim.experiments.provenance import digests_of_folders, is_code
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment
 from swarmd.sim.experiments.trace_differences import first_difference, trace_differences
@@ -87,7 +88,11 @@ def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
     by this user, unless `is_trusted`.
     """
     patterns = digests_of_folders(plugin_folders(old.plan)).items()
-    code = {name: digest for name, digest in patterns if name.endswith(".py")}
+    code = {
+        name: digest
+        for name, digest in patterns
+        if name.endswith(".py") or (name.endswith(MISSION) and is_code(name))
+    }
     files = [metric.origin for metric in old.metrics if names_file(metric.origin)]
     code |= {origin: digest_of_file(origin) for origin in files}
     check_code(folder, old.plugins, code, is_trusted=is_trusted)

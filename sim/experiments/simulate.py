@@ -27,7 +27,6 @@ from typing import Any, TypeAlias, cast
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.core.pin import functions_here
-from swarmd.plugins import MISSION
 from swarmd.sim.experiments.executor import Executor, on_executor
 from swarmd.sim.experiments.known_runs import known_runs
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
@@ -41,6 +40,7 @@ from swarmd.sim.experiments.pool import (
     run_job,
     run_jobs,
 )
+from swarmd.sim.experiments.provenance import is_code
 from swarmd.sim.experiments.results import CustomMetrics, Results, known_metrics
 from swarmd.sim.experiments.run_list import list_runs
 from swarmd.sim.experiments.store import Store, open_store
@@ -233,7 +233,7 @@ def run_experiment(
     digests = manifest.plugins
     # The user runs this code now, so the code counts as trusted: `exp rerun` may run it later. The
     # file of a mission holds no code.
-    remember_code(digest for name, digest in digests.items() if not name.endswith(MISSION))
+    remember_code(digest for name, digest in digests.items() if is_code(name))
     metric_digests = {metric.origin: digests.get(metric.origin, "") for metric in manifest.metrics}
     columns = (*METRICS, *(metric.name for metric in manifest.metrics))
     with open_store(folder, manifest, columns) as store:

@@ -22,7 +22,7 @@ from swarmd.plugins import pattern_folders
 from swarmd.settings.layered import Layered, fault_at
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.yamlfile import Data, read_extended, shown
-from swarmd.sim.scenarios import pattern_paths
+from swarmd.sim.scenarios import parameter_files, pattern_paths
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested
@@ -90,10 +90,12 @@ def scenario_of(
     """The scenario of a complete configuration, `Scenario.effective`, without files.
 
     `overrides`, `source`: as of `load_scenario`. ConfigError if the configuration has a path in
-    place of a pattern's name: it may be of others, whose files are looked up in `plugin_dir` alone
+    place of a pattern's name, or a file of a parameter elsewhere: it may be of others, whose files
+    are looked up in `plugin_dir` alone
     (`experiments.trust`).
     """
     pattern_paths.check_names(effective)
+    parameter_files.check_files(effective)
     sources = (("effective configuration", dict(effective)),)
     return _overridden(sources, overrides, "scenario", source)
 
@@ -143,7 +145,7 @@ def _anchored(data: Data, folder: Path) -> Data:
         value = holder.get(key) if isinstance(holder, dict) else None
         if isinstance(value, str) and (key in ("plugin_dir", "image") or value.endswith(".yaml")):
             holder[key] = str(folder / user_path(value))
-    return pattern_paths.anchored(data, folder)
+    return parameter_files.anchored(pattern_paths.anchored(data, folder), folder)
 
 
 def _dicts(items: Any) -> list[Data]:
@@ -248,7 +250,7 @@ def _layers_of(
     if overrides:
         data = Layered(*sources).data
         sources = ((override_source, nested(overrides, data, override_source)), *sources)
-    sources = pattern_paths.named(sources)
+    sources = parameter_files.placed(pattern_paths.named(sources))
     layers = Layered(*without_stale(sources), home=strongest_file)
     if "groups" not in layers.data:
         wanted = "groups: {tb3: {platform: burger, count: 5}}"

@@ -331,9 +331,16 @@ def _loaded(path: Path, output: InspectionOutput) -> type[Pattern[Any]] | None:
     return classes[0] if classes else None
 
 
+_RUNS_NODES = b"swarmd.ros2_nodes"
+
+
 def sources_of(path: Path) -> list[Path]:
-    """The files of a pattern: `path`, and the modules of its folder if that is a package."""
-    if path.name != PATTERN_FILE:
+    """The files of a pattern: `path`, and the modules of its folder if that is a package.
+
+    Modules beside a pattern that runs nodes of ROS 2 are nodes: they get stand-ins for what they
+    import, and are no modules of the pattern.
+    """
+    if path.name != PATTERN_FILE or _RUNS_NODES in read_regular(path):
         return [path]
     modules = [one for one in modules_of(path.parent) if not one.name.startswith("test_")]
     return [path, *(one for one in modules if one != path)]

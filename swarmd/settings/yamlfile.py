@@ -32,6 +32,14 @@ def read(path: Path) -> Data:
         text = read_regular(path)
     except OSError as error:
         raise ConfigError(f"{name}: cannot be read: {error.strerror}; check the path") from error
+    return parsed(text, name)
+
+
+def parsed(text: bytes, name: str) -> Data:
+    """The mapping in the text of a file called `name`, {} for an empty one.
+
+    ConfigError with name and line otherwise.
+    """
     try:
         data = yaml.load(text, Loader=_StrictLoader)
     except yaml.YAMLError as error:

@@ -16,9 +16,11 @@ PAGES = [
     path for folder in (".", "evidence", "tutorial", "robots")
     for path in sorted((DOCS / folder).glob("*.md"))
 ] + [*PATTERNS.values(), ROOT / "patterns/README.md"]  # fmt: skip
+NOT_MEASURED = {"ros2_nodes": "it does what the nodes of its user do"}
 MEASURED = {
     name: path.read_text().partition("\n## Measured\n\n")[2].partition("\n## ")[0]
     for name, path in PATTERNS.items()
+    if name not in NOT_MEASURED
 }
 KEPT = {name: kept for name, kept in outcome.kept_outcomes().items() if kept.outcomes}
 """Of the patterns whose page has a table that a study wrote."""

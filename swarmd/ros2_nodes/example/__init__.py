@@ -1,0 +1,1 @@
+"""The nodes that the pattern `ros2_nodes` runs without a parameter `launch`."""

@@ -1,0 +1,20 @@
+"""What a node may not do in a pattern, each with one line that names it and says what to do."""
+
+from __future__ import annotations
+
+from swarmd.core.errors import PluginError
+
+
+class NotCarriedOver(PluginError):
+    """A node has used a part of ROS 2, or of Python, that no pattern has."""
+
+
+class Spun(BaseException):
+    """Leaves the `main()` of a script where it spins: from then on the pattern calls the node.
+
+    No Exception, so that the `except Exception` of a script does not catch it.
+    """
+
+
+class Ended(Exception):
+    """A node has ended itself, by `rclpy.shutdown()` or `sys.exit()`."""

@@ -1,0 +1,235 @@
+"""What a node may not do in a pattern: one line that names it, also where the node catches it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import PluginError
+from swarmd.core.host_messages import Load, Loaded, LoadRefused, PatternFailed, Step, Stepped
+from swarmd.core.values import Inputs
+from swarmd.pattern_host.executor import PatternExecutor
+from swarmd.patterns.ros2_nodes.pattern import Ros2Nodes
+from tests.support.ros2_nodes import BURGER, launched, node_with, steps
+
+NODE = """
+class One(Node):
+    def __init__(self):
+        super().__init__("one")
+        self.out = self.create_publisher(Twist, "cmd_vel", 1)
+        self.create_timer(0.1, self.on_timer)
+    def on_timer(self):
+"""
+
+
+def body(*lines: str, begin: str = "") -> str:
+    """A node whose timer does this."""
+    return f"{begin}{NODE}" + "".join(f"        {line}\n" for line in lines)
+
+
+def fault(folder: Path, text: str) -> str:
+    """The error of the node's second step."""
+    with pytest.raises(PluginError) as caught:
+        steps(node_with(folder, text), [0.0, 0.1])
+    line = str(caught.value)
+    assert "\n" not in line
+    return line
+
+
+@pytest.mark.parametrize(
+    ("begin", "line", "named"),
+    [
+        ("import time\n", "time.sleep(1.0)", "time.sleep"),
+        ("from time import sleep\n", "sleep(1.0)", "time.sleep"),
+        ("", "self.create_rate(10)", "create_rate"),
+        ("import threading\n", "threading.Thread(target=print).start()", "threading.Thread"),
+        ("from threading import Timer\n", "Timer(1.0, print)", "threading.Timer"),
+        ("import socket\n", "socket.socket()", "socket.socket"),
+        ("import subprocess\n", "subprocess.run(['ls'])", "subprocess.run"),
+        ("import os\n", "os.system('ls')", "os.system"),
+        ("import os\n", "os.listdir('.')", "os.listdir"),
+        ("import multiprocessing as mp\n", "mp.Process()", "multiprocessing.Process"),
+        ("import asyncio\n", "asyncio.run(None)", "asyncio.run"),
+        ("", "open('/tmp/swarmd_x', 'w')", "open"),
+        ("", "open('/etc/hostname')", "open"),
+        ("", "input()", "input"),
+        ("", "rclpy.spin_once(self)", "spin_once"),
+        ("", "rclpy.spin(self)", "rclpy.spin"),
+        ("from rclpy.action import ActionClient\n", "ActionClient(self, 1, 'x')", "ActionClient"),
+        ("import tf2_ros\n", "tf2_ros.Buffer()", "tf2_ros.Buffer"),
+    ],
+)
+def test_a_call_is_refused_by_its_name(tmp_path: Path, begin: str, line: str, named: str) -> None:
+    assert named in fault(tmp_path, body(line, begin=begin))
+
+
+def test_a_refusal_that_a_node_catches_is_one_all_the_same(tmp_path: Path) -> None:
+    text = body("try:", "    time.sleep(1)", "except Exception:", "    pass", begin="import time\n")
+    assert "time.sleep" in fault(tmp_path, text)
+
+
+def test_names_that_are_not_used_are_imported(tmp_path: Path) -> None:
+    """A module of many helpers is common: what nobody calls does no harm."""
+    begin = (
+        "import subprocess, socket, threading\nfrom rclpy.action import ActionServer\n"
+        "from tf2_ros import TransformException\nfrom tf2_ros.buffer import Buffer\n"
+    )
+    steps(node_with(tmp_path, body("pass", begin=begin)), [0.0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("lines", "named"),
+    [
+        (("while rclpy.ok():", "    pass"), "rclpy.ok"),
+        (
+            (
+                "from std_srvs.srv import Empty",
+                "client = self.create_client(Empty, 'reset')",
+                "while not client.wait_for_service(timeout_sec=1.0):",
+                "    pass",
+            ),
+            "reset",
+        ),
+    ],
+)
+def test_a_loop_that_waits_for_others_ends(
+    tmp_path: Path, lines: tuple[str, ...], named: str
+) -> None:
+    assert named in fault(tmp_path, body(*lines))
+
+
+@pytest.mark.parametrize(
+    ("run", "text", "named"),
+    [
+        ("one:One", "import cv3\n", "cv3"),
+        ("one:One", "from geometry_msgs.msg import Twits\n", "Twist"),
+        ("one:One", "raise ValueError('no port')\n", "no port"),
+        ("one:Two", "", "Two"),
+        ("shutil:rmtree", "", "shutil"),
+        ("code", "", "code"),
+        ("../one.py", "", "one.py"),
+        ("two:Two", "", "two"),
+        ("two.py", "", "two.py"),
+        ("one", "", "main"),
+        ("one", "def main():\n    rclpy.init()\n", "main"),
+        ("one", "def main():\n    Node('a')\n", "rclpy.spin"),
+        ("one", "def main():\n    while True:\n        rclpy.spin_once(Node('a'))\n", "spin_once"),
+        ("one", "import sys\nsys.exit(3)\n", "3"),
+        ("one:One", "class One(Node):\n  def __init__(self):\n    pass\n", "no node"),
+        ("one:One", "import rclpy.nodes\n", "rclpy.nodes"),
+    ],
+)
+def test_what_cannot_start_is_refused_when_the_run_is_loaded(
+    tmp_path: Path, run: str, text: str, named: str
+) -> None:
+    (tmp_path / "one.py").write_text(f"import rclpy\nfrom rclpy.node import Node\n{text}")
+    with pytest.raises(PluginError) as caught:
+        launched(tmp_path, f"nodes: [{{run: '{run}'}}]")
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("lines", "named"),
+    [
+        (("raise RuntimeError('no')",), "RuntimeError"),
+        (("1 / 0",), "one.py"),
+        (("self.out.publish(1.0)",), "geometry_msgs/msg/Twist"),
+        (("msg = Twist()", "msg.linear.x = 1"), "float"),
+        (("msg = Twist()", "msg.speed = 1.0"), "speed"),
+        (("self.get_parameter('speeed')",), "speeed"),
+        (("self.create_timer(0.0, print)",), "period"),
+        (
+            ("self.create_subscription(Twist, 'cmd_vel', self.again, 1)",),
+            "again",
+        ),
+    ],
+)
+def test_a_node_that_raises_is_named_with_its_error(
+    tmp_path: Path, lines: tuple[str, ...], named: str
+) -> None:
+    line = fault(tmp_path, body(*lines))
+    assert line.startswith("one: ")
+    assert named in line
+
+
+def test_a_node_that_floods_itself_is_stopped(tmp_path: Path) -> None:
+    text = body(
+        "if self.get_parameter_or('begun') is not None:",
+        "    self.create_subscription(Twist, 'cmd_vel', self.out.publish, 1)",
+        "    self.out.publish(Twist())",
+    )
+    assert "callbacks" in fault(tmp_path, text)
+
+
+def test_a_node_that_floods_another_one_is_stopped(tmp_path: Path) -> None:
+    text = body(
+        "self.create_subscription(Twist, 'cmd_vel', print, 10)",
+        "while True:",
+        "    self.out.publish(Twist())",
+    )
+    assert "wait" in fault(tmp_path, text)
+
+
+def test_a_node_that_makes_a_timer_in_each_call_is_stopped(tmp_path: Path) -> None:
+    text = body("while True:", "    self.create_timer(1.0, print)")
+    assert "timers" in fault(tmp_path, text)
+
+
+# In the executor, as the pattern host and lockstep have it
+
+
+def executor_with(folder: Path, text: str) -> tuple[PatternExecutor, object]:
+    folder.joinpath("one.py").write_text(
+        "import rclpy\nfrom rclpy.node import Node\nfrom geometry_msgs.msg import Twist\n" + text
+    )
+    path = folder / "nodes.yaml"
+    path.write_text("nodes: [{run: 'one:One'}]")
+    executor = PatternExecutor(lambda name: Ros2Nodes)
+    layers = (("request", {"launch": str(path)}),)
+    return executor, executor.handle(Load(1, "ros2_nodes", layers, "r1", BURGER, 1))
+
+
+def answers(executor: PatternExecutor) -> list[Any]:
+    return [executor.handle(Step(1, Inputs(now=at, dt=0.1))) for at in (0.0, 0.1)]
+
+
+def test_a_bad_node_is_what_a_bad_pattern_is(tmp_path: Path) -> None:
+    _, refused = executor_with(tmp_path, "raise ValueError('no port')\n")
+    assert isinstance(refused, LoadRefused)
+    assert "no port" in refused.text
+
+    executor, loaded = executor_with(tmp_path, body("raise ValueError('no ray')"))
+    assert isinstance(loaded, Loaded)
+    stepped, failed = answers(executor)
+    assert isinstance(stepped, Stepped)
+    assert isinstance(failed, PatternFailed)
+    assert "no ray" in failed.text
+
+
+def test_a_command_that_is_no_number_goes_on_as_that_of_any_pattern(tmp_path: Path) -> None:
+    """Protection answers it, as it does for a pattern (tests/robot, tests/protection)."""
+    lines = ("msg = Twist()", "msg.linear.x = float('nan')", "self.out.publish(msg)")
+    executor, _ = executor_with(tmp_path, body(*lines))
+    stepped = answers(executor)[1]
+    assert isinstance(stepped, Stepped)
+    assert stepped.outputs.twist is not None
+    assert np.isnan(stepped.outputs.twist.linear)
+
+
+@pytest.mark.parametrize(
+    ("begin", "line"),
+    [("", "rclpy.shutdown()"), ("import sys\n", "sys.exit(0)"), ("", "raise SystemExit")],
+)
+def test_a_node_that_ends_itself_ends_the_run_at_rest(
+    tmp_path: Path, begin: str, line: str
+) -> None:
+    move = ("msg = Twist()", "msg.linear.x = 0.1", "self.out.publish(msg)", line)
+    outputs = steps(node_with(tmp_path, body(*move, begin=begin)), [0.0, 0.1])[1]
+    assert outputs.done is not None
+    assert outputs.done.startswith("one ")
+    assert outputs.twist is not None
+    assert outputs.twist.is_zero
