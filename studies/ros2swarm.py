@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.table import markdown
-from studies import kept, paper
+from studies import keeper, kept, paper
 from swarmd.settings import yamlfile
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
@@ -260,7 +260,7 @@ def main() -> None:
     parser.add_argument("--patterns", action="store_true", help="each pattern on each platform")
     options = parser.parse_args()
     source = options.source.absolute()
-    folder = kept.kept_folder("ros2swarm")
+    folder = keeper.experiment_folder("ros2swarm")
     made = pattern_runs if options.patterns else experiments
     part = "ros2swarm_patterns" if options.patterns else "ros2swarm_hardware"
     kept.print_parts({part: made(source, folder, options)})

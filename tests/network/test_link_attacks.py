@@ -41,13 +41,16 @@ class Besieged(SecuredSwarm):
     """Two daemons of a secured swarm, its operator anna, and what attackers may hold."""
 
     def __init__(self, folder: Path, left: contextlib.ExitStack) -> None:
-        everyone = {"operators": ("anna", "bob", "mallory"), "viewers": ("eve",)}
-        super().__init__(folder, left, listens=True, **everyone)
+        operators = ("anna", "bob", "mallory")
+        viewers = ("eve",)
+        super().__init__(folder, left, listens=True, operators=operators, viewers=viewers)
         self.revoked = self.keys["mallory"]
         self.keys.authority.change(remove=["mallory"])
         for name in ("r1", "r2", "anna", "bob", "eve"):
             self.keys.authority.issue(name).write(self.keys.folder_of(name))
-        self.foreign = SwarmKeys(folder / "foreign", self.name, ["r1"], **everyone)
+        self.foreign = SwarmKeys(
+            folder / "foreign", self.name, ["r1"], operators=operators, viewers=viewers
+        )
 
     def statuses(self) -> dict[str, Status]:
         view = self.anna.members(timeout=20.0)
