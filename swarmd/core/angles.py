@@ -26,7 +26,7 @@ def mod_turn(angle: cython.double) -> cython.double:
         return angle + TURN
     if TURN <= angle < 2.0 * TURN:
         return angle - TURN
-    rest: cython.double = fmod(angle, TURN)
+    rest = fmod(angle, TURN)
     if rest < 0.0:
         rest += TURN
     return rest

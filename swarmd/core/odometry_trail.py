@@ -62,7 +62,7 @@ def is_jump(
     dx: cython.double, dy: cython.double, turn: cython.double, seconds: cython.double
 ) -> cython.bint:
     """True if no base can move that far in that time: an estimator has shifted the pose."""
-    way: cython.double = max(hypot(dx, dy), fabs(remainder(turn, TURN)))
+    way = max(hypot(dx, dy), fabs(remainder(turn, TURN)))
     return way > _max_step + _max_speed * seconds
 
 
@@ -110,10 +110,10 @@ class OdometryTrail:
             and fabs(lateral) <= _most
         ):
             return REFUSED
-        r: cython.double[::1] = self.readings
+        r = self.readings
         start: cython.Py_ssize_t = self.place(0)
         if self.count:
-            seconds: cython.double = stamp - r[start]
+            seconds = stamp - r[start]
             if seconds < 0.0 or is_jump(
                 x - r[start + R_X], y - r[start + R_Y], yaw - r[start + R_YAW], seconds
             ):
@@ -167,7 +167,7 @@ class OdometryTrail:
     @cython.exceptval(-1)
     def set_pose(self, stamp: cython.double) -> cython.int:
         """Set `x`, `y` and `yaw` to the pose at a stamp; there must be a reading."""
-        r: cython.double[::1] = self.readings
+        r = self.readings
         k: cython.Py_ssize_t
         later: cython.Py_ssize_t = self.place(0)
 
@@ -179,8 +179,8 @@ class OdometryTrail:
         for k in range(1, self.count):
             earlier: cython.Py_ssize_t = self.place(k)
             if r[earlier] <= stamp:
-                fraction: cython.double = (stamp - r[earlier]) / (r[later] - r[earlier])
-                turned: cython.double = remainder(r[later + R_YAW] - r[earlier + R_YAW], TURN)
+                fraction = (stamp - r[earlier]) / (r[later] - r[earlier])
+                turned = remainder(r[later + R_YAW] - r[earlier + R_YAW], TURN)
                 self.x = r[earlier + R_X] + fraction * (r[later + R_X] - r[earlier + R_X])
                 self.y = r[earlier + R_Y] + fraction * (r[later + R_Y] - r[earlier + R_Y])
                 self.yaw = r[earlier + R_YAW] + fraction * turned
@@ -194,7 +194,7 @@ class OdometryTrail:
     @cython.inline
     @cython.exceptval(-1)
     def _extrapolate_measured(self, start: cython.Py_ssize_t, seconds: cython.double) -> cython.int:
-        r: cython.double[::1] = self.readings
+        r = self.readings
         return self.extrapolate(
             start, r[start + R_LINEAR], r[start + R_ANGULAR], r[start + R_LATERAL], seconds
         )
@@ -214,12 +214,12 @@ class OdometryTrail:
         The robot moves along the chord of the arc: the way ahead and to the left, rotated by half
         of the turn.
         """
-        r: cython.double[::1] = self.readings
-        turn: cython.double = angular * seconds
-        cos_chord: cython.double = cos(r[start + R_YAW] + 0.5 * turn)
-        sin_chord: cython.double = sin(r[start + R_YAW] + 0.5 * turn)
-        ahead: cython.double = linear * seconds
-        left: cython.double = lateral * seconds
+        r = self.readings
+        turn = angular * seconds
+        cos_chord = cos(r[start + R_YAW] + 0.5 * turn)
+        sin_chord = sin(r[start + R_YAW] + 0.5 * turn)
+        ahead = linear * seconds
+        left = lateral * seconds
         self.x = r[start + R_X] + cos_chord * ahead - sin_chord * left
         self.y = r[start + R_Y] + sin_chord * ahead + cos_chord * left
         self.yaw = r[start + R_YAW] + turn

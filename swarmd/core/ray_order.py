@@ -34,15 +34,15 @@ def sort_rays(
     ray: cython.Py_ssize_t = 0
     if count == 0:
         return
-    given: cython.p_double = checked(angles, count)
-    risen: cython.p_double = checked(rising, count)
-    rays: cython.p_longlong = checked_indices(order, count)
+    given = checked(angles, count)
+    risen = checked(rising, count)
+    rays = checked_indices(order, count)
 
     # 1. Begins at the smallest angle, in the direction in which angles rise.
     for i in range(count):
         if given[i] < given[ray]:
             ray = i
-    before: cython.double = given[ray - 1 if ray else count - 1]
+    before = given[ray - 1 if ray else count - 1]
     index_step: cython.Py_ssize_t = 1
     if before < given[wrapped_index(ray + 1, count)]:
         index_step = count - 1  # angles fall with the index: one back, modulo the number
@@ -50,7 +50,7 @@ def sort_rays(
     # 2. Inserts each angle.
     moves_left: cython.Py_ssize_t = _MOVES_A_RAY * count
     for i in range(count):
-        angle: cython.double = given[ray]
+        angle = given[ray]
         k = i
         while k > 0 and (risen[k - 1] > angle or (risen[k - 1] == angle and rays[k - 1] > ray)):
             risen[k] = risen[k - 1]

@@ -265,7 +265,7 @@ class _Brake:
         stop: _Stop | None = self._stop
         if stop is None:
             return
-        change: cython.double = fabs(axis._command - speed)
+        change = fabs(axis._command - speed)
         k: cython.Py_ssize_t
         for k in range(axis._commands - 1, max(axis._commands - _MAX_COMMANDS, 0) - 1, -1):
             change = max(change, fabs(axis._command - axis._speeds[k % _MAX_COMMANDS]))
@@ -361,13 +361,13 @@ class _Brake:
             self._cruise_on(begin, end, moved)
             return False
         stop.steps.append((begin, end, moved))
-        period: cython.double = end - begin
-        speed: cython.double = stop.sign * moved / period
+        period = end - begin
+        speed = stop.sign * moved / period
         was_pushed: cython.bint = speed > (1.0 + _NOISE_RISE) * stop.begin_speed
         if was_pushed or period > _MAX_PERIOD:  # or readings of odometry were lost
             self._stop = None
             return False
-        fall: cython.double = stop.begin_speed - stop.least_speed
+        fall = stop.begin_speed - stop.least_speed
         has_followed: cython.bint = speed - stop.least_speed <= _END_SHARE * fall
         if not has_followed and end - stop.fell_at <= _MAX_WAIT:
             return False
@@ -380,7 +380,7 @@ class _Brake:
         Any other period drops the stored periods. `begin`, `end`: s, the stamps of two readings of
         odometry. `moved`: m or rad that the base moved between the two readings.
         """
-        commanded: cython.double = self._command * (end - begin)
+        commanded = self._command * (end - begin)
         if commanded == 0.0 or fabs(moved - commanded) > _FOLLOWED * fabs(commanded):
             self._cruise_count = 0
             return
@@ -590,16 +590,14 @@ def _weighted_residuals(
     model_speeds: cython.double[::1] = view_of(np.zeros(len(stamps)))
     result: cython.double[:, ::1] = view_of(np.zeros((2, len(brakings))))
     for j in range(len(brakings)):
-        braking: cython.double = brakings[j]
+        braking = brakings[j]
         _model_speeds_at(stamps, speeds, braking, model_speeds)
 
         # 1. The best delay of the coarse grid.
         best_coarse: cython.double = 0.0
-        least: cython.double = _inf
+        least = _inf
         for k in range(len(coarse)):
-            residual: cython.double = _residual(
-                periods, stamps, speeds, model_speeds, braking, coarse[k], total
-            )
+            residual = _residual(periods, stamps, speeds, model_speeds, braking, coarse[k], total)
             if residual < least:
                 least = residual
                 best_coarse = coarse[k]
@@ -633,7 +631,7 @@ def _model_speeds_at(
     """
     k: cython.Py_ssize_t
     for k in range(2, len(stamps)):
-        braked_speed: cython.double = model_speeds[k - 1] - braking * (stamps[k] - stamps[k - 1])
+        braked_speed = model_speeds[k - 1] - braking * (stamps[k] - stamps[k - 1])
         model_speeds[k] = max(speeds[k - 1], braked_speed)
 
 
@@ -667,27 +665,25 @@ def _residual(
     part: cython.Py_ssize_t
     command: cython.Py_ssize_t = 0  # the index of the command that holds
     count: cython.Py_ssize_t = len(stamps)
-    cross_sum: cython.double = 0.0
-    model_sum: cython.double = 0.0
+    cross_sum = 0.0
+    model_sum = 0.0
     for i in range(len(periods)):
-        period_begin: cython.double = periods[i, 0]
-        duration: cython.double = periods[i, 1]
-        weighted_distance: cython.double = periods[i, 2]
-        weight: cython.double = periods[i, 3]
-        speed_sum: cython.double = 0.0
+        period_begin = periods[i, 0]
+        duration = periods[i, 1]
+        weighted_distance = periods[i, 2]
+        weight = periods[i, 3]
+        speed_sum = 0.0
         for part in range(2):  # the speeds at a quarter and three quarters of the period
             # The command that holds at `stamp`. The search goes forwards and back, so the periods
             # may be in any order. It ends at command 0 at the latest, which holds since -inf.
-            stamp: cython.double = period_begin + (0.25 + 0.5 * part) * duration - delay
+            stamp = period_begin + (0.25 + 0.5 * part) * duration - delay
             while command + 1 < count and stamps[command + 1] <= stamp:
                 command += 1
             while stamps[command] > stamp:
                 command -= 1
-            braked_speed: cython.double = model_speeds[command] - braking * (
-                stamp - stamps[command]
-            )
+            braked_speed = model_speeds[command] - braking * (stamp - stamps[command])
             speed_sum += max(speeds[command], braked_speed)
-        modelled: cython.double = 0.5 * speed_sum * duration  # m or rad
+        modelled = 0.5 * speed_sum * duration  # m or rad
         cross_sum += modelled * weighted_distance
         model_sum += modelled * modelled * weight
     return total - cross_sum * cross_sum / max(model_sum, 1e-12)
@@ -813,13 +809,11 @@ class AssumptionMonitor:
         if command is self._command:
             return ""
         self._command = command
-        is_linear_weak: cython.bint = self._linear.on_command(
-            command.linear, self._linear_speed, self._stamp
-        )
-        is_angular_weak: cython.bint = self._angular.on_command(
+        is_linear_weak = self._linear.on_command(command.linear, self._linear_speed, self._stamp)
+        is_angular_weak = self._angular.on_command(
             command.angular, self._angular_speed, self._stamp
         )
-        is_lateral_weak: cython.bint = False
+        is_lateral_weak = False
         if self._lateral is not None:
             is_lateral_weak = self._lateral.on_command(
                 command.lateral, self._lateral_speed, self._stamp
@@ -838,16 +832,16 @@ class AssumptionMonitor:
         """
         pose = odometry.pose
         twist = odometry.twist
-        begin: cython.double = self._stamp
+        begin = self._stamp
         end: cython.double = odometry.stamp
         x: cython.double = pose.x
         y: cython.double = pose.y
         yaw: cython.double = pose.yaw
         dx: cython.double = x - self._x
         dy: cython.double = y - self._y
-        turned: cython.double = remainder(yaw - self._yaw, TURN)
-        middle_yaw: cython.double = self._yaw + 0.5 * turned
-        distance: cython.double = sqrt(dx * dx + dy * dy)
+        turned = remainder(yaw - self._yaw, TURN)
+        middle_yaw = self._yaw + 0.5 * turned
+        distance = sqrt(dx * dx + dy * dy)
         self._stamp = end
         self._x = x
         self._y = y
@@ -879,9 +873,9 @@ class AssumptionMonitor:
 
         # 3. The motion of each axis, in the direction of the mean yaw.
         axis_distance: cython.double = cos(middle_yaw) * dx + sin(middle_yaw) * dy
-        is_linear_weak: cython.bint = self._linear.on_step(begin, end, axis_distance)
-        is_angular_weak: cython.bint = self._angular.on_step(begin, end, turned)
-        is_lateral_weak: cython.bint = False
+        is_linear_weak = self._linear.on_step(begin, end, axis_distance)
+        is_angular_weak = self._angular.on_step(begin, end, turned)
+        is_lateral_weak = False
         if self._lateral is not None:
             axis_distance = cos(middle_yaw) * dy - sin(middle_yaw) * dx
             is_lateral_weak = self._lateral.on_step(begin, end, axis_distance)
@@ -1018,7 +1012,7 @@ class AssumptionMonitor:
     def _reduce(self) -> None:
         """Set `speed_share` by all violations."""
         brake: _Brake
-        share: cython.double = self._approach_share
+        share = self._approach_share
         for brake in self._brakes():
             share = min(share, brake.braking / brake.declared)
         self.speed_share = max(share, MIN_SHARE)

@@ -320,7 +320,7 @@ class Barrier:
         """1 if the present `_speeds` are no faster than a creep, and no direction is permitted."""
         constraints: Constraints = self._feasible.constraints
         creeping: Creeping = self._feasible.creeping
-        fastest: cython.double = creeping.slow.fastest_corner(
+        fastest = creeping.slow.fastest_corner(
             self._speeds.linear, self._speeds.angular, constraints.axes
         )
         if fastest > CREEP_SPEED:
@@ -340,9 +340,9 @@ class Barrier:
         rows: ConstraintRows = self._feasible.constraints.rows
         creeping: Creeping = self._feasible.creeping
         projection: Projection = self._projection
-        present_x: cython.double = projection.x
-        present_y: cython.double = projection.y
-        off: cython.double = hypot(
+        present_x = projection.x
+        present_y = projection.y
+        off = hypot(
             self._speeds.linear / axes.limit - wanted_x,
             self._speeds.angular / axes.angular_limit - wanted_y,
         )

@@ -115,16 +115,12 @@ class Assumptions:
 
         `age`: s, the age of the return when the command takes effect.
         """
-        outline_gap: cython.double = (
-            self.fresh_binding_range + (self.others_speed + self.top_surface_speed) * age
-        )
+        outline_gap = self.fresh_binding_range + (self.others_speed + self.top_surface_speed) * age
         if not self.has_keep_out():
             return outline_gap
         # The room in which two robots can stop by `reciprocal_cap`, each in one half of the room,
         # and the m that this robot moves within `age`.
-        speed: cython.double = self.top_surface_speed
-        half_of_approach: cython.double = speed * (
-            2.0 * DECISION_PERIOD + age + 0.5 * speed / self.braking_linear
-        )
-        circle_gap: cython.double = self.keep_out + 2.0 * half_of_approach + speed * age
+        speed = self.top_surface_speed
+        half_of_approach = speed * (2.0 * DECISION_PERIOD + age + 0.5 * speed / self.braking_linear)
+        circle_gap = self.keep_out + 2.0 * half_of_approach + speed * age
         return circle_gap if circle_gap > outline_gap else outline_gap

@@ -87,7 +87,7 @@ def _nearest(
     rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double
 ) -> cython.Py_ssize_t:
     """The index of the angle nearest to `wanted`, of n > 0 rising angles."""
-    angle: cython.double = mod_turn(wanted)
+    angle = mod_turn(wanted)
     low: cython.Py_ssize_t = 0
     high: cython.Py_ssize_t = n
     middle: cython.Py_ssize_t
@@ -156,7 +156,7 @@ _NOTHING = np.empty(0)
 def _grown(old: cython.double[::1], n: cython.Py_ssize_t) -> cython.double[::1]:
     """A buffer of n numbers that begins with those of `old`."""
     i: cython.Py_ssize_t
-    new: cython.double[::1] = doubles(n)
+    new = doubles(n)
     for i in range(len(old)):
         new[i] = old[i]
     return new
@@ -190,20 +190,20 @@ def _crosses_rim(
     """
     if is_flat:
         return ranges[ray] <= radius + _MAX_SLOPE  # the change of range over one ray, at most
-    edge_range: cython.double = _finite_range(ranges, ray)
-    far_range: cython.double = edge_range
+    edge_range = _finite_range(ranges, ray)
+    far_range = edge_range
     face_rays: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t = ray
     # 1. Follows the face away from the sector, up to a step in the ranges.
     while face_rays < _EDGE_RAYS:
         i = (i + direction + ray_count) % ray_count
-        next_range: cython.double = _finite_range(ranges, i)
+        next_range = _finite_range(ranges, i)
         if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:  # a step, or no finite range
             break
         far_range = next_range
         face_rays += 1
     # 2. Extrapolates the face, which at least 3 rays must show, by one ray into the sector.
-    approach: cython.double = far_range - edge_range
+    approach = far_range - edge_range
     if face_rays < 3 or approach < _MIN_APPROACH:
         return False
     return edge_range - min(approach / face_rays, _MAX_SLOPE) <= radius + _RANGE_NOISE
@@ -364,9 +364,9 @@ class BlindZoneMemory:
         ranges: cython.const_double[::1] = view(scan.ranges)
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
         # After a pause at most 5 periods count, else all returns would be near.
-        counted_s: cython.double = min(seconds, 5.0 * self._period)
-        obstacle_step: cython.double = self._speed * counted_s + _RANGE_NOISE
-        near_range: cython.double = self._radius + 2.0 * obstacle_step
+        counted_s = min(seconds, 5.0 * self._period)
+        obstacle_step = self._speed * counted_s + _RANGE_NOISE
+        near_range = self._radius + 2.0 * obstacle_step
         # 2. The near points become those of the scan before.
         self._x, self._old_x = self._old_x, self._x
         self._y, self._old_y = self._old_y, self._y
@@ -460,10 +460,10 @@ class BlindZoneMemory:
         self, driven_x: cython.double, driven_y: cython.double, turned: cython.double
     ) -> cython.int:
         """Update the place at which the last obstacle became hidden, in the base frame."""
-        cos_turn: cython.double = cos(turned)
-        sin_turn: cython.double = sin(turned)
-        x: cython.double = self._entered_x - driven_x
-        y: cython.double = self._entered_y - driven_y
+        cos_turn = cos(turned)
+        sin_turn = sin(turned)
+        x = self._entered_x - driven_x
+        y = self._entered_y - driven_y
         self._entered_x = cos_turn * x + sin_turn * y
         self._entered_y = cos_turn * y - sin_turn * x
 
@@ -487,14 +487,14 @@ class BlindZoneMemory:
         ray_count: cython.Py_ssize_t = self._ray_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        cos_turn: cython.double = cos(turned)
-        sin_turn: cython.double = sin(turned)
+        cos_turn = cos(turned)
+        sin_turn = sin(turned)
         self._find_sectors()
         if not self._sector_count:  # an obstacle can hide in an empty sector only
             self._publish(0)
             return
         # 1. Marks the rays of each sector at whose end an obstacle crosses the rim.
-        is_entered: cython.bint = False
+        is_entered = False
         for i in range(ray_count):
             self._is_in_entered_sector[i] = False
         for k in range(self._sector_count):
@@ -599,7 +599,7 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         for i in range(first, first + width):
             self._is_empty[wrapped_index(i, ray_count)] = True
-        half_angle: cython.double = width * PI / ray_count
+        half_angle = width * PI / ray_count
         is_flat: cython.bint = half_angle < _FLAT
         self._sector_first[k] = first
         self._sector_width[k] = width
@@ -641,7 +641,7 @@ class BlindZoneMemory:
         an obstacle enters an empty sector across the rim.
         """
         stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
-        match_distance: cython.double = obstacle_step + _SHAPE_CHANGE
+        match_distance = obstacle_step + _SHAPE_CHANGE
         is_gone: cython.bint
         match: cython.Py_ssize_t
         last_match: cython.Py_ssize_t = 0
@@ -712,7 +712,7 @@ class BlindZoneMemory:
         for k in range(self._sector_count):
             near_count: cython.Py_ssize_t = 0
             width: cython.Py_ssize_t = self._sector_width[k]
-            rim_width: cython.double = width * TURN / self._ray_count * self._radius  # m
+            rim_width = width * TURN / self._ray_count * self._radius  # m
             for i in range(self._sector_first[k], self._sector_first[k] + width):
                 near_count += self._was_near[wrapped_index(i, self._ray_count)]
             is_covered: cython.bint = 2 * near_count > width and rim_width > 0.5 * obstacle_step
@@ -735,8 +735,8 @@ class BlindZoneMemory:
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
         # rad by which an obstacle may have moved around the sensor between two scans
-        farthest_shift: cython.double = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
-        sideways_shift: cython.double = min(farthest_shift, _MAX_SHIFT)
+        farthest_shift = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
+        sideways_shift = min(farthest_shift, _MAX_SHIFT)
         # 1. Drops candidates that the robot has left behind, or that have expired (rule 4).
         is_robot_near: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
@@ -815,7 +815,7 @@ class BlindZoneMemory:
         old_empty_count: cython.Py_ssize_t = self._old_empty_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        is_turned: cython.bint = False
+        is_turned = False
         self._angle_total = 0
         if not old_empty_count:
             return 0
@@ -846,7 +846,7 @@ class BlindZoneMemory:
         for k in range(self._sector_count):
             first = self._sector_first[k]
             after_last = self._sector_first[k] + self._sector_width[k]
-            least_age: cython.double = INFINITY  # inf without a hidden obstacle in the sector
+            least_age = INFINITY  # inf without a hidden obstacle in the sector
             for i in range(first, after_last):
                 least_age = min(least_age, self._age_by_ray[wrapped_index(i, ray_count)])
             is_obstacle_hidden: cython.bint = least_age < INFINITY
@@ -894,7 +894,7 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         first: cython.Py_ssize_t = self._sector_first[k]
         after_last: cython.Py_ssize_t = first + self._sector_width[k]
-        nearest: cython.double = INFINITY
+        nearest = INFINITY
         for i in range(first, after_last):
             nearest = min(nearest, self._nearest_by_ray[wrapped_index(i, self._ray_count)])
         for i in range(first, after_last):

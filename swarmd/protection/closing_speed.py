@@ -51,9 +51,9 @@ def closing_cap(
         others: m/s, V, at which the obstacle approaches.
     """
     # The positive root of s^2 + 2 half_slope s = 2 b room_left; 0 without room left.
-    room_left: cython.double = room - others * (unseen + DECISION_PERIOD)
-    half_slope: cython.double = braking * DECISION_PERIOD + others
-    root: cython.double = sqrt(half_slope * half_slope + 2.0 * braking * at_least(room_left, 0.0))
+    room_left = room - others * (unseen + DECISION_PERIOD)
+    half_slope = braking * DECISION_PERIOD + others
+    root = sqrt(half_slope * half_slope + 2.0 * braking * at_least(room_left, 0.0))
     return at_least(root - half_slope, 0.0)
 
 
@@ -67,7 +67,7 @@ def wall_cap(
 
     `error_speed`: m/s at which the place of the wall may be wrong for each s of its age.
     """
-    cap: cython.double = closing_cap(room - WALL_MARGIN, braking, unseen, error_speed)
+    cap = closing_cap(room - WALL_MARGIN, braking, unseen, error_speed)
     if cap > WALL_SPEED:
         return cap
     cap = closing_cap(room, braking, unseen, error_speed)
@@ -86,9 +86,9 @@ def reciprocal_cap(
     V = 0, half of the room, and a reaction time of two ticks plus `unseen`. After barrier
     certificates that share the distance (Wang, Ames and Egerstedt, IEEE T-RO 2017).
     """
-    half_room: cython.double = 0.5 * at_least(room, 0.0)
-    half_slope: cython.double = braking * (2.0 * DECISION_PERIOD + unseen)  # as in `closing_cap`
-    root: cython.double = sqrt(half_slope * half_slope + 2.0 * braking * half_room)
+    half_room = 0.5 * at_least(room, 0.0)
+    half_slope = braking * (2.0 * DECISION_PERIOD + unseen)  # as in `closing_cap`
+    root = sqrt(half_slope * half_slope + 2.0 * braking * half_room)
     return at_least(root - half_slope, 0.0)
 
 
@@ -104,6 +104,6 @@ def closing_deceleration(
     angular speed. `slowing` in m/s2: the rate at which the linear speed can fall. `turning` in
     rad/s2: the rate at which the angular speed can fall.
     """
-    braking: cython.double = fabs(linear) * slowing
+    braking = fabs(linear) * slowing
     braking += fabs(lever) * turning
     return at_least(braking, MIN_BRAKING)

@@ -192,28 +192,28 @@ class PlacedPoints:
         count: cython.Py_ssize_t = chunk.count
         end: cython.Py_ssize_t = first + count
         row: cython.Py_ssize_t = rows.count
-        chunk_x: cython.p_double = chunk.x
-        chunk_y: cython.p_double = chunk.y
-        free: cython.p_double = chunk.free
-        age: cython.p_double = chunk.age
-        hidden: cython.p_double = chunk.hidden
-        chunk_normal_x: cython.p_double = chunk.normal_x
-        chunk_normal_y: cython.p_double = chunk.normal_y
-        gap: cython.p_double = chunk.gap
-        radius: cython.p_double = chunk.radius
-        placed_x: cython.p_double = checked(self.x, end)
-        placed_y: cython.p_double = checked(self.y, end)
-        placed_free: cython.p_double = checked(self.free, end)
-        placed_age: cython.p_double = checked(self.age, end)
-        placed_contact: cython.p_double = checked(self.contact, end)
-        placed_gap: cython.p_double = checked(self.gap, end)
-        placed_normal_x: cython.p_double = checked(self.normal_x, end)
-        placed_normal_y: cython.p_double = checked(self.normal_y, end)
-        placed_radius: cython.p_double = checked(self.radius, end)
-        others: cython.p_double = chunk.others
-        placed_others: cython.p_double = checked(self.others, end)
-        kind: cython.p_longlong = chunk.kind
-        placed_kind: cython.p_longlong = checked_indices(self.kind, end)
+        chunk_x = chunk.x
+        chunk_y = chunk.y
+        free = chunk.free
+        age = chunk.age
+        hidden = chunk.hidden
+        chunk_normal_x = chunk.normal_x
+        chunk_normal_y = chunk.normal_y
+        gap = chunk.gap
+        radius = chunk.radius
+        placed_x = checked(self.x, end)
+        placed_y = checked(self.y, end)
+        placed_free = checked(self.free, end)
+        placed_age = checked(self.age, end)
+        placed_contact = checked(self.contact, end)
+        placed_gap = checked(self.gap, end)
+        placed_normal_x = checked(self.normal_x, end)
+        placed_normal_y = checked(self.normal_y, end)
+        placed_radius = checked(self.radius, end)
+        others = chunk.others
+        placed_others = checked(self.others, end)
+        kind = chunk.kind
+        placed_kind = checked_indices(self.kind, end)
         for j in range(count):
             i = first + j
             placed_x[i] = chunk_x[j]
@@ -227,8 +227,8 @@ class PlacedPoints:
             placed_radius[i] = radius[j]
             placed_others[i] = others[j]
             placed_kind[i] = kind[j]
-        first_row: cython.p_longlong = checked_indices(self.first_row, end)
-        source: cython.p_longlong = checked_indices(rows.source, row + count)
+        first_row = checked_indices(self.first_row, end)
+        source = checked_indices(rows.source, row + count)
         for j in range(count):
             first_row[first + j] = row + j
             source[row + j] = first + j
@@ -267,7 +267,7 @@ def _wall_cap(
 
     `linear`, `lever`: as of `Constraints._add`. `gap`: m from the place to the point.
     """
-    braking: cython.double = closing_deceleration(
+    braking = closing_deceleration(
         linear, lever, assumptions.braking_linear, assumptions.braking_angular
     )
     return wall_cap(gap - chunk.free[j], braking, chunk.age[j], chunk.others[j])
@@ -284,9 +284,7 @@ def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> c
     j: cython.Py_ssize_t
     for j in range(chunk.count):
         if chunk.kind[j] != OTHER:
-            linear: cython.double = (
-                chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
-            )
+            linear = chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
             chunk.cap[j] = _wall_cap(chunk, j, linear, chunk.lever[j], chunk.gap[j], assumptions)
             chunk.hidden[j] = 0.0
 
@@ -312,11 +310,11 @@ def _set_corner_wall_caps(
     j: cython.Py_ssize_t
     for j in range(begin, end):
         if chunk.kind[j] != OTHER:
-            distance: cython.double = chunk.row_gap[j]
-            dx: cython.double = (chunk.x[j] - corner_x) / distance
-            dy: cython.double = (chunk.y[j] - corner_y) / distance
-            linear: cython.double = dx * axes.along_x + dy * axes.along_y
-            lever: cython.double = corner_x * dy - corner_y * dx
+            distance = chunk.row_gap[j]
+            dx = (chunk.x[j] - corner_x) / distance
+            dy = (chunk.y[j] - corner_y) / distance
+            linear = dx * axes.along_x + dy * axes.along_y
+            lever = corner_x * dy - corner_y * dx
             chunk.row_cap[j] = _wall_cap(chunk, j, linear, lever, distance, assumptions)
 
 
@@ -370,8 +368,8 @@ class ToldPlaces:
         """1 if a place is in a circle. A place or circle of NaN counts as in."""
         k: cython.Py_ssize_t
         for k in range(self.count):
-            dx: cython.double = x - self.x[k]
-            dy: cython.double = y - self.y[k]
+            dx = x - self.x[k]
+            dy = y - self.y[k]
             is_outside: cython.bint = sqrt(dx * dx + dy * dy) > self.reach[k]
             if not is_outside:
                 return 1
@@ -467,13 +465,13 @@ class Constraints:
         taken: cython.Py_ssize_t = 0  # returns that were examined so far
         placed_count: cython.Py_ssize_t = 0
         in_chunk: cython.Py_ssize_t
-        cos_yaw: cython.double = cos(frame.yaw)
-        sin_yaw: cython.double = sin(frame.yaw)
-        gaps: cython.p_double = checked(near.points.gap, count)
-        ages: cython.p_double = checked(near.points.age, count)
-        xs: cython.p_double = checked(near.points.x, count)
-        ys: cython.p_double = checked(near.points.y, count)
-        kinds: cython.p_longlong = checked_indices(near.points.kind, count)
+        cos_yaw = cos(frame.yaw)
+        sin_yaw = sin(frame.yaw)
+        gaps = checked(near.points.gap, count)
+        ages = checked(near.points.age, count)
+        xs = checked(near.points.x, count)
+        ys = checked(near.points.y, count)
+        kinds = checked_indices(near.points.kind, count)
         while taken < count:
             # 1. Transforms the next returns that may constrain the robot into the chunk. `begin`
             # has left out returns by the oldest ray. The obstacle of a younger ray has less time to
@@ -481,11 +479,11 @@ class Constraints:
             # not beyond any range.
             in_chunk = 0
             while taken < count and in_chunk < CHUNK:
-                ray_age: cython.double = age + ages[taken]
+                ray_age = age + ages[taken]
                 is_beyond: cython.bint = gaps[taken] >= assumptions.binding_range(ray_age)
                 if not is_beyond:
-                    x: cython.double = xs[taken]
-                    y: cython.double = ys[taken]
+                    x = xs[taken]
+                    y = ys[taken]
                     chunk.x[in_chunk] = frame.x + cos_yaw * x - sin_yaw * y
                     chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
                     chunk.free[in_chunk] = free
@@ -534,9 +532,9 @@ class Constraints:
         placed: PlacedPoints = self.placed
         for i in range(placed.contacts):
             self.rows.cap[placed.first_row[i]] = 0.0
-            nx: cython.double = cos_yaw * rays.x[i] - sin_yaw * rays.y[i]
-            ny: cython.double = sin_yaw * rays.x[i] + cos_yaw * rays.y[i]
-            lever: cython.double = placed.x[i] * ny - placed.y[i] * nx
+            nx = cos_yaw * rays.x[i] - sin_yaw * rays.y[i]
+            ny = sin_yaw * rays.x[i] + cos_yaw * rays.y[i]
+            lever = placed.x[i] * ny - placed.y[i] * nx
             self._add(nx * axes.along_x + ny * axes.along_y, lever, CREEP_SPEED, 0.0, i)
         return 0
 
@@ -565,7 +563,7 @@ class Constraints:
             moved: m that the outline may have moved since the newest odometry.
         """
         chunk: Chunk = self._chunk
-        free: cython.double = self._assumptions.margin + radius
+        free = self._assumptions.margin + radius
         chunk.count = 1
         chunk.x[0] = x
         chunk.y[0] = y
@@ -596,38 +594,38 @@ class Constraints:
         assumptions: Assumptions = self._assumptions
         count: cython.Py_ssize_t = chunk.count
         first_row: cython.Py_ssize_t = rows.count
-        nx: cython.p_double = chunk.normal_x
-        ny: cython.p_double = chunk.normal_y
-        lever: cython.p_double = chunk.lever
-        gap: cython.p_double = chunk.gap
-        free: cython.p_double = chunk.free
-        age: cython.p_double = chunk.age
-        cap: cython.p_double = chunk.cap
-        radius: cython.p_double = chunk.radius
-        chunk_row_x: cython.p_double = chunk.row_x
-        chunk_row_y: cython.p_double = chunk.row_y
-        along_x: cython.double = axes.along_x
-        along_y: cython.double = axes.along_y
-        limit: cython.double = axes.limit
-        angular_limit: cython.double = axes.angular_limit
-        slowing: cython.double = assumptions.braking_linear
-        turning: cython.double = assumptions.braking_angular
-        others: cython.p_double = chunk.others
+        nx = chunk.normal_x
+        ny = chunk.normal_y
+        lever = chunk.lever
+        gap = chunk.gap
+        free = chunk.free
+        age = chunk.age
+        cap = chunk.cap
+        radius = chunk.radius
+        chunk_row_x = chunk.row_x
+        chunk_row_y = chunk.row_y
+        along_x = axes.along_x
+        along_y = axes.along_y
+        limit = axes.limit
+        angular_limit = axes.angular_limit
+        slowing = assumptions.braking_linear
+        turning = assumptions.braking_angular
+        others = chunk.others
         # 1. Finds the nearest place of the outline for each point, and the constraint.
         self._outline.separate(chunk, blind)
         for j in range(count):
-            linear: cython.double = nx[j] * along_x + ny[j] * along_y
-            braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
+            linear = nx[j] * along_x + ny[j] * along_y
+            braking = closing_deceleration(linear, lever[j], slowing, turning)
             cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others[j])
             chunk_row_x[j] = linear * limit
             chunk_row_y[j] = lever[j] * angular_limit
         if assumptions.has_kinds:
             _set_wall_caps(chunk, axes, assumptions)
         # 2. Writes the constraints behind the rows so far.
-        row_x: cython.p_double = checked(rows.x, first_row + count)
-        row_y: cython.p_double = checked(rows.y, first_row + count)
-        row_cap: cython.p_double = checked(rows.cap, first_row + count)
-        row_gap: cython.p_double = checked(rows.gap, first_row + count)
+        row_x = checked(rows.x, first_row + count)
+        row_y = checked(rows.y, first_row + count)
+        row_cap = checked(rows.cap, first_row + count)
+        row_gap = checked(rows.gap, first_row + count)
         for j in range(count):
             row_x[first_row + j] = chunk_row_x[j]
             row_y[first_row + j] = chunk_row_y[j]
@@ -683,19 +681,19 @@ class Constraints:
         chunk: Chunk = self._chunk
         outline: Outline = self._outline
         count: cython.Py_ssize_t = chunk.count
-        nx: cython.p_double = chunk.normal_x
-        ny: cython.p_double = chunk.normal_y
-        cap: cython.p_double = chunk.cap
+        nx = chunk.normal_x
+        ny = chunk.normal_y
+        cap = chunk.cap
         # Four arrays that only `Outline.separate` needs, used again: for each point, how far the
         # foremost corner is in the side direction (m), its lever (m), and the side direction.
-        foremost: cython.p_double = chunk.nearest_square
-        lever: cython.p_double = chunk.greatest_height
-        side_x: cython.p_double = chunk.edge_x
-        side_y: cython.p_double = chunk.edge_y
+        foremost = chunk.nearest_square
+        lever = chunk.greatest_height
+        side_x = chunk.edge_x
+        side_y = chunk.edge_y
         while count > 0 and not (cap[count - 1] <= 0.0):
             count -= 1
         for side in range(2):
-            sine: cython.double = _side_sin if side == 0 else -_side_sin  # left, then right
+            sine = _side_sin if side == 0 else -_side_sin  # left, then right
             for j in range(count):
                 side_x[j] = _side_cos * nx[j] - sine * ny[j]
                 side_y[j] = sine * nx[j] + _side_cos * ny[j]
@@ -704,13 +702,13 @@ class Constraints:
             # For each point: the foremost corner in the side direction, and the lever of this
             # corner.
             for k in range(outline.edges):
-                corner_x: cython.double = outline.corner_x[k]
-                corner_y: cython.double = outline.corner_y[k]
+                corner_x = outline.corner_x[k]
+                corner_y = outline.corner_y[k]
                 for j in range(count):
-                    forward: cython.double = corner_x * side_x[j] + corner_y * side_y[j]
-                    corner_lever: cython.double = corner_x * side_y[j] - corner_y * side_x[j]
-                    previous_most: cython.double = foremost[j]
-                    previous_lever: cython.double = lever[j]
+                    forward = corner_x * side_x[j] + corner_y * side_y[j]
+                    corner_lever = corner_x * side_y[j] - corner_y * side_x[j]
+                    previous_most = foremost[j]
+                    previous_lever = lever[j]
                     lever[j] = corner_lever if forward > previous_most else previous_lever
                     foremost[j] = forward if forward > previous_most else previous_most
             self._add_side(first, count)
@@ -735,25 +733,25 @@ class Constraints:
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
-        reserve: cython.double = self._assumptions.side_reserve
-        gap: cython.p_double = chunk.gap
-        cap: cython.p_double = chunk.cap
+        reserve = self._assumptions.side_reserve
+        gap = chunk.gap
+        cap = chunk.cap
         # Where `_add_sides` has stored the levers and the side directions.
-        lever: cython.p_double = chunk.greatest_height
-        side_x: cython.p_double = chunk.edge_x
-        side_y: cython.p_double = chunk.edge_y
+        lever = chunk.greatest_height
+        side_x = chunk.edge_x
+        side_y = chunk.edge_y
         row: cython.Py_ssize_t = rows.count
-        row_x: cython.p_double = checked(rows.x, row + count)
-        row_y: cython.p_double = checked(rows.y, row + count)
-        row_cap: cython.p_double = checked(rows.cap, row + count)
-        row_gap: cython.p_double = checked(rows.gap, row + count)
-        source: cython.p_longlong = checked_indices(rows.source, row + count)
+        row_x = checked(rows.x, row + count)
+        row_y = checked(rows.y, row + count)
+        row_cap = checked(rows.cap, row + count)
+        row_gap = checked(rows.gap, row + count)
+        source = checked_indices(rows.source, row + count)
         for j in range(count):
             if cap[j] <= 0.0 and chunk.kind[j] == OTHER:
-                half_gap: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
+                half_gap = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
                 # The obstacle may have moved since the scan, so the time begins at the scan.
-                speed: cython.double = half_gap / (chunk.age[j] + DECISION_PERIOD) - reserve
-                linear: cython.double = side_x[j] * axes.along_x + side_y[j] * axes.along_y
+                speed = half_gap / (chunk.age[j] + DECISION_PERIOD) - reserve
+                linear = side_x[j] * axes.along_x + side_y[j] * axes.along_y
                 row_x[row] = linear * axes.limit
                 row_y[row] = lever[j] * axes.angular_limit
                 row_cap[row] = maximum(speed, CREEP_SPEED)
@@ -785,15 +783,15 @@ class Constraints:
         chunk: Chunk = self._chunk
         axes: SpeedAxes = self.axes
         touch: TouchSector = self.touch
-        reserve: cython.double = self._assumptions.side_reserve
+        reserve = self._assumptions.side_reserve
         if reserve <= 0.0:
             return 0  # this rule is a part of the reserve, which some platforms set to 0
-        others_speed: cython.double = self._assumptions.others_speed
-        slowing: cython.double = self._assumptions.braking_linear
+        others_speed = self._assumptions.others_speed
+        slowing = self._assumptions.braking_linear
         # m that an obstacle moves while the robot brakes from its highest speed
-        longest_approach: cython.double = others_speed * axes.limit / slowing
-        ahead_cap: cython.double = axes.limit
-        back_cap: cython.double = axes.limit
+        longest_approach = others_speed * axes.limit / slowing
+        ahead_cap = axes.limit
+        back_cap = axes.limit
         ahead_point: cython.Py_ssize_t = -1
         back_point: cython.Py_ssize_t = -1
         # 1. Finds the strictest limits below the limit of the platform. A point stays -1 without
@@ -801,11 +799,11 @@ class Constraints:
         for j in range(chunk.count):
             if chunk.kind[j] != OTHER:
                 continue  # such a wall does not approach
-            nx: cython.double = chunk.normal_x[j]
-            ny: cython.double = chunk.normal_y[j]
-            age: cython.double = chunk.age[j] + DECISION_PERIOD
+            nx = chunk.normal_x[j]
+            ny = chunk.normal_y[j]
+            age = chunk.age[j] + DECISION_PERIOD
             # m that the obstacle may still approach until its cap is 0
-            approach_room: cython.double = chunk.gap[j] - chunk.free[j] - others_speed * age
+            approach_room = chunk.gap[j] - chunk.free[j] - others_speed * age
             if not approach_room > 0.0:
                 continue  # the cap is 0 already: `_add_side` limits the corners
             if not approach_room < longest_approach:
@@ -815,16 +813,16 @@ class Constraints:
             # m/s that `_add_side` will allow in the side directions once the cap is 0. The gap less
             # the free distance is then others_speed * age. The hidden gap is subtracted, and the
             # corner may use half of the rest within `age`.
-            side_speed: cython.double = 0.5 * (others_speed - chunk.hidden[j] / age)
+            side_speed = 0.5 * (others_speed - chunk.hidden[j] / age)
             side_speed = maximum(side_speed - reserve, CREEP_SPEED)
             # m/s that the brake takes off until then
-            braked_speed: cython.double = slowing * approach_room / others_speed
+            braked_speed = slowing * approach_room / others_speed
             # The speed in a side direction as a share of the linear speed: the greater share of the
             # two side directions, for motion ahead and for motion back.
-            along: cython.double = _side_cos * (nx * axes.along_x + ny * axes.along_y)
-            aside: cython.double = _side_sin * fabs(nx * axes.along_y - ny * axes.along_x)
-            ahead_share: cython.double = aside + along
-            back_share: cython.double = aside - along
+            along = _side_cos * (nx * axes.along_x + ny * axes.along_y)
+            aside = _side_sin * fabs(nx * axes.along_y - ny * axes.along_x)
+            ahead_share = aside + along
+            back_share = aside - along
             if ahead_share > 0.0 and side_speed / ahead_share + braked_speed < ahead_cap:
                 ahead_cap = side_speed / ahead_share + braked_speed
                 ahead_point = j
@@ -833,7 +831,7 @@ class Constraints:
                 back_point = j
         # 2. Adds the strictest limit ahead, and the strictest limit back.
         if ahead_point >= 0:
-            gap: cython.double = chunk.gap[ahead_point] - chunk.radius[ahead_point]
+            gap = chunk.gap[ahead_point] - chunk.radius[ahead_point]
             self._add(1.0, 0.0, ahead_cap, gap, first + ahead_point)
         if back_point >= 0:
             gap = chunk.gap[back_point] - chunk.radius[back_point]
@@ -858,22 +856,22 @@ class Constraints:
         axes: SpeedAxes = self.axes
         assumptions: Assumptions = self._assumptions
         end: cython.Py_ssize_t = chunk.count
-        x: cython.p_double = chunk.x
-        y: cython.p_double = chunk.y
-        gap: cython.p_double = chunk.gap
-        free: cython.p_double = chunk.free
-        age: cython.p_double = chunk.age
-        new_x: cython.p_double = chunk.row_x
-        new_y: cython.p_double = chunk.row_y
-        new_cap: cython.p_double = chunk.row_cap
-        new_gap: cython.p_double = chunk.row_gap
-        along_x: cython.double = axes.along_x
-        along_y: cython.double = axes.along_y
-        limit: cython.double = axes.limit
-        angular_limit: cython.double = axes.angular_limit
-        slowing: cython.double = assumptions.braking_linear
-        turning: cython.double = assumptions.braking_angular
-        others: cython.p_double = chunk.others
+        x = chunk.x
+        y = chunk.y
+        gap = chunk.gap
+        free = chunk.free
+        age = chunk.age
+        new_x = chunk.row_x
+        new_y = chunk.row_y
+        new_cap = chunk.row_cap
+        new_gap = chunk.row_gap
+        along_x = axes.along_x
+        along_y = axes.along_y
+        limit = axes.limit
+        angular_limit = axes.angular_limit
+        slowing = assumptions.braking_linear
+        turning = assumptions.braking_angular
+        others = chunk.others
         # 1. Leaves out points at the end of the chunk that are not near: most gaps rise.
         while end > begin and not _is_near_corners(
             gap[end - 1], free[end - 1], age[end - 1], others[end - 1]
@@ -881,17 +879,17 @@ class Constraints:
             end -= 1
         # 2. For each corner: the unit vector to each point, and the cap in this direction.
         for k in range(outline.edges):
-            corner_x: cython.double = outline.corner_x[k]
-            corner_y: cython.double = outline.corner_y[k]
+            corner_x = outline.corner_x[k]
+            corner_y = outline.corner_y[k]
             for j in range(begin, end):
-                dx: cython.double = x[j] - corner_x
-                dy: cython.double = y[j] - corner_y
-                distance: cython.double = at_least(sqrt(dx * dx + dy * dy), _NEAREST)
+                dx = x[j] - corner_x
+                dy = y[j] - corner_y
+                distance = at_least(sqrt(dx * dx + dy * dy), _NEAREST)
                 dx /= distance
                 dy /= distance
-                linear: cython.double = dx * along_x + dy * along_y
-                lever: cython.double = corner_x * dy - corner_y * dx
-                braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
+                linear = dx * along_x + dy * along_y
+                lever = corner_x * dy - corner_y * dx
+                braking = closing_deceleration(linear, lever, slowing, turning)
                 new_cap[j] = closing_cap(distance - free[j], braking, age[j], others[j])
                 new_x[j] = linear * limit
                 new_y[j] = lever * angular_limit
@@ -914,25 +912,25 @@ class Constraints:
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
-        others: cython.p_double = chunk.others
-        gap: cython.p_double = chunk.gap
-        free: cython.p_double = chunk.free
-        age: cython.p_double = chunk.age
-        new_x: cython.p_double = chunk.row_x
-        new_y: cython.p_double = chunk.row_y
-        new_cap: cython.p_double = chunk.row_cap
-        new_gap: cython.p_double = chunk.row_gap
-        radius: cython.p_double = chunk.radius
+        others = chunk.others
+        gap = chunk.gap
+        free = chunk.free
+        age = chunk.age
+        new_x = chunk.row_x
+        new_y = chunk.row_y
+        new_cap = chunk.row_cap
+        new_gap = chunk.row_gap
+        radius = chunk.radius
         row: cython.Py_ssize_t = rows.count
         room: cython.Py_ssize_t = row + end - begin
-        row_x: cython.p_double = checked(rows.x, room)
-        row_y: cython.p_double = checked(rows.y, room)
-        row_cap: cython.p_double = checked(rows.cap, room)
-        row_gap: cython.p_double = checked(rows.gap, room)
-        source: cython.p_longlong = checked_indices(rows.source, room)
+        row_x = checked(rows.x, room)
+        row_y = checked(rows.y, room)
+        row_cap = checked(rows.cap, room)
+        row_gap = checked(rows.gap, room)
+        source = checked_indices(rows.source, room)
         for j in range(begin, end):
             # x and y of a constraint are from -1 to 1 for a command within the limits.
-            fastest: cython.double = fabs(new_x[j]) + fabs(new_y[j])
+            fastest = fabs(new_x[j]) + fabs(new_y[j])
             if new_cap[j] > fastest + _SLACK:
                 continue  # no command within the limits violates the constraint
             if _is_near_corners(gap[j], free[j], age[j], others[j]):
@@ -957,22 +955,20 @@ class Constraints:
         chunk: Chunk = self._chunk
         axes: SpeedAxes = self.axes
         assumptions: Assumptions = self._assumptions
-        lidar_x: cython.double = self._outline.lidar_x
-        lidar_y: cython.double = self._outline.lidar_y
+        lidar_x = self._outline.lidar_x
+        lidar_y = self._outline.lidar_y
         for j in range(chunk.count):
-            dx: cython.double = chunk.x[j] - lidar_x
-            dy: cython.double = chunk.y[j] - lidar_y
-            distance: cython.double = at_least(sqrt(dx * dx + dy * dy), _NEAREST)
+            dx = chunk.x[j] - lidar_x
+            dy = chunk.y[j] - lidar_y
+            distance = at_least(sqrt(dx * dx + dy * dy), _NEAREST)
             dx /= distance
             dy /= distance
-            linear: cython.double = dx * axes.along_x + dy * axes.along_y
-            lever: cython.double = lidar_x * dy - lidar_y * dx
-            braking: cython.double = closing_deceleration(
+            linear = dx * axes.along_x + dy * axes.along_y
+            lever = lidar_x * dy - lidar_y * dx
+            braking = closing_deceleration(
                 linear, lever, assumptions.braking_linear, assumptions.braking_angular
             )
-            cap: cython.double = reciprocal_cap(
-                distance - assumptions.keep_out, braking, chunk.age[j]
-            )
+            cap = reciprocal_cap(distance - assumptions.keep_out, braking, chunk.age[j])
             self._add(linear, lever, cap, chunk.gap[j] - chunk.radius[j], first + j)
 
     @cython.cfunc
@@ -991,7 +987,7 @@ class Constraints:
         axes: SpeedAxes = self.axes
         placed: PlacedPoints = self.placed
         touch: TouchSector = self.touch
-        corners: cython.double[:, ::1] = touch.corners
+        corners = touch.corners
         # 1. Raises the caps of the returns in the zone.
         for i in range(placed.seen):
             placed.in_touch_zone[i] = touch.holds(placed.normal_x[i], placed.normal_y[i])
@@ -1000,9 +996,9 @@ class Constraints:
                 rows.cap[i] = maximum(rows.cap[i], touch.speed)
         # 2. Limits each corner in each direction. Rows: direction (x, y), corner (x, y) in m.
         for i in range(len(corners)):
-            nx: cython.double = corners[i, 0]
-            ny: cython.double = corners[i, 1]
-            linear: cython.double = nx * axes.along_x + ny * axes.along_y
-            lever: cython.double = corners[i, 2] * ny - corners[i, 3] * nx
+            nx = corners[i, 0]
+            ny = corners[i, 1]
+            linear = nx * axes.along_x + ny * axes.along_y
+            lever = corners[i, 2] * ny - corners[i, 3] * nx
             # Without an obstacle: the gap inf keeps the constraint, and point 0, out of reports.
             self._add(linear, lever, touch.speed, INFINITY, 0)

@@ -50,10 +50,10 @@ class PlanarPose:
     @cython.exceptval(-1)
     def set_relative(self, pose: PlanarPose, base: PlanarPose) -> cython.int:
         """Set this pose to `pose` in the frame of `base`; the yaw is the plain difference."""
-        dx: cython.double = pose.x - base.x
-        dy: cython.double = pose.y - base.y
-        c: cython.double = cos(base.yaw)
-        s: cython.double = sin(base.yaw)
+        dx = pose.x - base.x
+        dy = pose.y - base.y
+        c = cos(base.yaw)
+        s = sin(base.yaw)
         self.x = c * dx + s * dy
         self.y = c * dy - s * dx
         self.yaw = pose.yaw - base.yaw
@@ -65,8 +65,8 @@ def _mean_speed(
     now: cython.double, wanted: cython.double, rate: cython.double, seconds: cython.double
 ) -> cython.double:
     """The mean speed over `seconds` on a ramp of `rate` from `now` to `wanted`."""
-    change: cython.double = wanted - now
-    ramp: cython.double = fabs(change) / rate
+    change = wanted - now
+    ramp = fabs(change) / rate
     if ramp >= seconds:
         return now + copysign(0.5 * rate * seconds, change)
     return now + change * (1.0 - 0.5 * ramp / seconds)
@@ -133,10 +133,10 @@ class DeadReckoning:
         if trail.count == 0:
             return into.set(0.0, 0.0, 0.0)
         newest: cython.Py_ssize_t = trail.place(0)
-        readings: cython.double[::1] = trail.readings
-        linear_braking: cython.double = self._assumptions.braking_linear
-        angular_braking: cython.double = self._assumptions.braking_angular
-        seconds: cython.double = odometry_age
+        readings = trail.readings
+        linear_braking = self._assumptions.braking_linear
+        angular_braking = self._assumptions.braking_angular
+        seconds = odometry_age
         if seconds > LONGEST_EXTRAPOLATION:
             seconds = LONGEST_EXTRAPOLATION
         seconds += REACTION
@@ -180,14 +180,14 @@ class CommandRange:
         clamped to what the lowest and the highest command give in this time. The call also ends the
         interval: later commands belong to the next two scans.
         """
-        slowest: cython.double = min(self._least, self._least_before)
-        fastest: cython.double = maximum(self._most, self._most_before)
+        slowest = min(self._least, self._least_before)
+        fastest = maximum(self._most, self._most_before)
         self._least_before = self._least
         self._least = 0.0
         self._most_before = self._most
         self._most = 0.0
-        least_way: cython.double = slowest * seconds
-        most_way: cython.double = fastest * seconds
+        least_way = slowest * seconds
+        most_way = fastest * seconds
         if not moved >= least_way:  # also for NaN
             return least_way
         return moved if moved <= most_way else most_way
@@ -247,14 +247,14 @@ class ScanMotion:
             ages: (n,) s, by how much each ray is older than the newest ray; empty: all are 0.
         """
         i: cython.Py_ssize_t
-        oldest_age: cython.double = 0.0
+        oldest_age = 0.0
 
         # 1. When the scan was measured.
         for i in range(len(ages)):
             if ages[i] > oldest_age:
                 oldest_age = ages[i]
-        latency: cython.double = newest_age + delay  # s from the newest ray to its arrival
-        measured_at: cython.double = now - latency - age
+        latency = newest_age + delay  # s from the newest ray to its arrival
+        measured_at = now - latency - age
         if age > 0.0 and measured_at < self.measured_at + _AGE_TOLERANCE:
             return False
 
@@ -267,7 +267,7 @@ class ScanMotion:
         # before. Finds it in the new frame: new readings are extrapolated back by their speed.
         reckoning: DeadReckoning = self._reckoning
         if self.resets != reckoning.resets:
-            longest_age: cython.double = self._assumptions.longest_scan_age
+            longest_age = self._assumptions.longest_scan_age
             reckoning.find_pose(odometry_age, latency + min(self.seconds, longest_age), self.pose)
 
         # 3. Where the scan was measured, and the motion since the scan before. `age` is left out:
@@ -288,15 +288,15 @@ class ScanMotion:
         the arc (the direction of the mean yaw), and each part is clamped to what the commands ahead
         and sideways explain. The turn is the measured turn.
         """
-        chord_angle: cython.double = 0.5 * self.moved.yaw  # rad, of the chord of the arc
-        cos_chord: cython.double = cos(chord_angle)
-        sin_chord: cython.double = sin(chord_angle)
-        x: cython.double = self.moved.x
-        y: cython.double = self.moved.y
+        chord_angle = 0.5 * self.moved.yaw  # rad, of the chord of the arc
+        cos_chord = cos(chord_angle)
+        sin_chord = sin(chord_angle)
+        x = self.moved.x
+        y = self.moved.y
         # A longer time between two scans holds the robot, so no command explains more.
-        seconds: cython.double = min(self.seconds, self._assumptions.longest_scan_age)
-        ahead: cython.double = self.ahead.explained(cos_chord * x + sin_chord * y, seconds)
-        left: cython.double = self.left.explained(cos_chord * y - sin_chord * x, seconds)
+        seconds = min(self.seconds, self._assumptions.longest_scan_age)
+        ahead = self.ahead.explained(cos_chord * x + sin_chord * y, seconds)
+        left = self.left.explained(cos_chord * y - sin_chord * x, seconds)
         return Pose(
             cos_chord * ahead - sin_chord * left,
             sin_chord * ahead + cos_chord * left,

@@ -98,12 +98,12 @@ class Envelope:
         self.prepare(axes)
         first: cython.Py_ssize_t = rows.count
         rows.all = first + ENVELOPE_ROWS
-        to_x: cython.p_double = checked(rows.x, rows.all)
-        to_y: cython.p_double = checked(rows.y, rows.all)
-        to_cap: cython.p_double = checked(rows.cap, rows.all)
-        x: cython.p_double = checked(self.row_x, ENVELOPE_ROWS)
-        y: cython.p_double = checked(self.row_y, ENVELOPE_ROWS)
-        cap: cython.p_double = checked(self.row_cap, ENVELOPE_ROWS)
+        to_x = checked(rows.x, rows.all)
+        to_y = checked(rows.y, rows.all)
+        to_cap = checked(rows.cap, rows.all)
+        x = checked(self.row_x, ENVELOPE_ROWS)
+        y = checked(self.row_y, ENVELOPE_ROWS)
+        cap = checked(self.row_cap, ENVELOPE_ROWS)
         for i in range(ENVELOPE_ROWS):
             to_x[first + i] = x[i]
             to_y[first + i] = y[i]
@@ -135,10 +135,10 @@ class Envelope:
         # 1. Vertices: each direction is a place on the border of the box of the limits. If a corner
         # is faster than `speed` there, the place moves inwards until no corner is faster.
         for i in range(ENVELOPE_ROWS):
-            fastest: cython.double = self.fastest_corner(
+            fastest = self.fastest_corner(
                 directions[i, 0] * axes.limit, directions[i, 1] * axes.angular_limit, axes
             )
-            scale: cython.double = self.speed / maximum(fastest, _SLOWEST)
+            scale = self.speed / maximum(fastest, _SLOWEST)
             if scale > 1.0:
                 scale = 1.0
             self.vertex_x[i] = directions[i, 0] * scale
@@ -147,11 +147,11 @@ class Envelope:
         # 2. Constraints: the outward unit normal of each side of the polygon.
         for i in range(ENVELOPE_ROWS):
             following = i + 1 if i + 1 < ENVELOPE_ROWS else 0
-            side_x: cython.double = self.vertex_x[following] - self.vertex_x[i]
-            side_y: cython.double = self.vertex_y[following] - self.vertex_y[i]
-            length: cython.double = hypot(side_y, -side_x)
-            normal_x: cython.double = side_y / length
-            normal_y: cython.double = -side_x / length
+            side_x = self.vertex_x[following] - self.vertex_x[i]
+            side_y = self.vertex_y[following] - self.vertex_y[i]
+            length = hypot(side_y, -side_x)
+            normal_x = side_y / length
+            normal_y = -side_x / length
             self.row_x[i] = normal_x
             self.row_y[i] = normal_y
             self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
@@ -164,10 +164,10 @@ class Envelope:
         """The m/s of the fastest corner of a base that moves at these speeds in m/s and rad/s."""
         k: cython.Py_ssize_t
         outline: Outline = self._outline
-        fastest: cython.double = 0.0
+        fastest = 0.0
         for k in range(outline.edges):
-            corner_vx: cython.double = linear * axes.along_x - angular * outline.corner_y[k]
-            corner_vy: cython.double = linear * axes.along_y + angular * outline.corner_x[k]
+            corner_vx = linear * axes.along_x - angular * outline.corner_y[k]
+            corner_vy = linear * axes.along_y + angular * outline.corner_x[k]
             fastest = maximum(fastest, hypot(corner_vx, corner_vy))
         return fastest
 
@@ -216,7 +216,7 @@ class Creeping:
         i: cython.Py_ssize_t
         self.cap = CREEP_SPEED
         for i in range(placed.seen):
-            allowed: cython.double = 0.5 * (placed.gap[i] - placed.contact[i])
+            allowed = 0.5 * (placed.gap[i] - placed.contact[i])
             allowed /= placed.age[i] + DECISION_PERIOD
             self.cap = min(self.cap, allowed)
 
@@ -243,8 +243,8 @@ class Creeping:
         rows: ConstraintRows = constraints.rows
         self.slow.prepare(constraints.axes)
         for i in range(0, ENVELOPE_ROWS, _LOCKED_STEP):
-            x: cython.double = LOCKED_SHARE * self.slow.vertex_x[i]
-            y: cython.double = LOCKED_SHARE * self.slow.vertex_y[i]
+            x = LOCKED_SHARE * self.slow.vertex_x[i]
+            y = LOCKED_SHARE * self.slow.vertex_y[i]
             if is_feasible(rows, x, y):
                 return 0
         return 1
@@ -333,11 +333,11 @@ class Creeping:
         rows: ConstraintRows = constraints.rows
         placed: PlacedPoints = constraints.placed
         for point in range(placed.contacts, placed.seen):
-            surface: cython.double = near.surface_gap[placed.near_index[point]]
+            surface = near.surface_gap[placed.near_index[point]]
             if surface == surface or not placed.gap[point] <= placed.contact[point]:
                 continue
             row: cython.Py_ssize_t = placed.first_row[point]
-            cap: cython.double = min((rows.gap[row] - SURFACE_GAP) / SURFACE_TIME, PART_SPEED)
+            cap = min((rows.gap[row] - SURFACE_GAP) / SURFACE_TIME, PART_SPEED)
             rows.cap[row] = maximum(rows.cap[row], cap)
 
     @cython.cfunc
@@ -347,8 +347,8 @@ class Creeping:
         i: cython.Py_ssize_t
         if len(self._kept_cap) < rows.count:
             self._kept_cap = doubles(len(rows.cap))
-        kept: cython.p_double = checked(self._kept_cap, rows.count)
-        cap: cython.p_double = checked(rows.cap, rows.count)
+        kept = checked(self._kept_cap, rows.count)
+        cap = checked(rows.cap, rows.count)
         for i in range(rows.count):
             kept[i] = cap[i]
 

@@ -232,7 +232,7 @@ class FeasibleSet:
 
         # 1. Predicts the pose at which the command takes effect, and the pose of the scan in the
         # predicted base frame. Without odometry (an age of NaN) both are 0.
-        odometry_age: cython.double = self.situation.odometry_age
+        odometry_age = self.situation.odometry_age
         has_odometry: cython.bint = odometry_age == odometry_age
         if not has_odometry:
             odometry_age = 0.0
@@ -241,18 +241,18 @@ class FeasibleSet:
 
         # 2. The distance that must stay free around each return. Odometry does not show the motion
         # after the extrapolation ends, nor the motion while the scan waited for its first use.
-        not_extrapolated: cython.double = maximum(odometry_age - LONGEST_EXTRAPOLATION, 0.0)
-        unknown_s: cython.double = not_extrapolated + self.motion.first_use_delay
-        odometry_error: cython.double = unknown_s * assumptions.surface_speed
-        free: cython.double = assumptions.margin + assumptions.unseen_extent + odometry_error
-        bare_free: cython.double = assumptions.margin + assumptions.foot + odometry_error
+        not_extrapolated = maximum(odometry_age - LONGEST_EXTRAPOLATION, 0.0)
+        unknown_s = not_extrapolated + self.motion.first_use_delay
+        odometry_error = unknown_s * assumptions.surface_speed
+        free = assumptions.margin + assumptions.unseen_extent + odometry_error
+        bare_free = assumptions.margin + assumptions.foot + odometry_error
         if near.has_bare_walls():
             self._place_told(odometry_age, not_extrapolated)
 
         # 3. Adds the constraints of returns, then of the touch zone (directions in which the robot
         # may touch), then of discs. `age`: of the newest ray when the command takes effect.
-        age: cython.double = self.situation.now - self.motion.measured_at + REACTION
-        binding_range: cython.double = assumptions.binding_range(age + self.motion.oldest)
+        age = self.situation.now - self.motion.measured_at + REACTION
+        binding_range = assumptions.binding_range(age + self.motion.oldest)
         constraints.begin(near, self.discs.count, binding_range)
         constraints.add_seen(near, self._frame, age, free, bare_free)
         if self.touch.is_granted:
@@ -270,7 +270,7 @@ class FeasibleSet:
                 self.creeping.usual.put(rows, constraints.axes)
 
         # 5. The robot may creep only where the scan shows all obstacles.
-        has_only_returns: cython.bint = not (self.touch.is_granted or self.discs.count)
+        has_only_returns = not (self.touch.is_granted or self.discs.count)
         self.creeping.is_active = False
         self.creeping.is_possible = assumptions.may_creep and near.is_near and has_only_returns
 
@@ -287,19 +287,19 @@ class FeasibleSet:
         k: cython.Py_ssize_t
         assumptions: Assumptions = self.assumptions
         told: ToldPlaces = self.constraints.told
-        table: cython.double[:, ::1] = self.discs.table
+        table = self.discs.table
         pose: PlanarPose = self._disc_pose
-        moved: cython.double = not_extrapolated * assumptions.surface_speed  # m, at most
+        moved = not_extrapolated * assumptions.surface_speed  # m, at most
         told.begin(len(table))
         for k in range(len(table)):
-            age: cython.double = table[k, DISC_AGE]
+            age = table[k, DISC_AGE]
             self.reckoning.find_pose(odometry_age, age, pose)
             pose.set_relative(pose, self._predicted)
-            cos_yaw: cython.double = cos(pose.yaw)
-            sin_yaw: cython.double = sin(pose.yaw)
-            x: cython.double = cos_yaw * table[k, DISC_X] - sin_yaw * table[k, DISC_Y]
-            y: cython.double = sin_yaw * table[k, DISC_X] + cos_yaw * table[k, DISC_Y]
-            reach: cython.double = table[k, DISC_RADIUS] + assumptions.unseen_extent + moved
+            cos_yaw = cos(pose.yaw)
+            sin_yaw = sin(pose.yaw)
+            x = cos_yaw * table[k, DISC_X] - sin_yaw * table[k, DISC_Y]
+            y = sin_yaw * table[k, DISC_X] + cos_yaw * table[k, DISC_Y]
+            reach = table[k, DISC_RADIUS] + assumptions.unseen_extent + moved
             reach += assumptions.others_speed * (age + REACTION)
             told.add(pose.x + x, pose.y + y, reach)
 
@@ -319,22 +319,22 @@ class FeasibleSet:
         """
         k: cython.Py_ssize_t
         discs: ObstacleDiscs = self.discs
-        table: cython.double[:, ::1] = discs.table
+        table = discs.table
         pose: PlanarPose = self._disc_pose
         # In `placed` the discs come behind the `seen` returns.
         first_disc: cython.Py_ssize_t = self.constraints.placed.seen
-        moved: cython.double = not_extrapolated * self.assumptions.surface_speed  # m, at most
+        moved = not_extrapolated * self.assumptions.surface_speed  # m, at most
         for k in range(discs.count):  # the discs near enough to constrain the robot
             disc: cython.Py_ssize_t = discs.binding[k]  # the row in `table`
-            disc_x: cython.double = table[disc, DISC_X]
-            disc_y: cython.double = table[disc, DISC_Y]
-            age: cython.double = table[disc, DISC_AGE]
+            disc_x = table[disc, DISC_X]
+            disc_y = table[disc, DISC_Y]
+            age = table[disc, DISC_AGE]
             self.reckoning.find_pose(odometry_age, age, pose)
             pose.set_relative(pose, self._predicted)
-            cos_yaw: cython.double = cos(pose.yaw)
-            sin_yaw: cython.double = sin(pose.yaw)
-            x: cython.double = cos_yaw * disc_x - sin_yaw * disc_y
-            y: cython.double = sin_yaw * disc_x + cos_yaw * disc_y
+            cos_yaw = cos(pose.yaw)
+            sin_yaw = sin(pose.yaw)
+            x = cos_yaw * disc_x - sin_yaw * disc_y
+            y = sin_yaw * disc_x + cos_yaw * disc_y
             self.constraints.add_disc(
                 first_disc + k,
                 pose.x + x,
@@ -359,7 +359,7 @@ class FeasibleSet:
         placed: PlacedPoints = self.constraints.placed
         # 1. Returns. A cap above 0 permits to close on the obstacle, for example in a touch zone.
         for i in range(0 if near.has_contact else placed.seen):
-            gap: cython.double = min(placed.gap[i], placed.scan_gap[i])
+            gap = min(placed.gap[i], placed.scan_gap[i])
             is_contact_forbidden: cython.bint = rows.cap[placed.first_row[i]] <= 0.0
             if gap <= placed.contact[i] and is_contact_forbidden:
                 near.has_contact = True
@@ -372,7 +372,7 @@ class FeasibleSet:
         # `free` holds the radius of the disc, and the margin. The margin is a reserve for the noise
         # of ranges, which a disc does not need, so the margin is subtracted.
         for i in range(placed.seen, placed.seen + placed.discs):
-            gap_to_disc: cython.double = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
+            gap_to_disc = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
             if gap_to_disc <= self.assumptions.others_speed * (placed.age[i] + DECISION_PERIOD):
                 return 1
         return 0

@@ -164,8 +164,8 @@ class _Axis:
         first: cython.Py_ssize_t = self._first
         count: cython.Py_ssize_t = self._end - first
         if self._end == len(self._stamps):
-            stamps: cython.double[::1] = self._stamps
-            speeds: cython.double[::1] = self._speeds
+            stamps = self._stamps
+            speeds = self._speeds
             if 2 * count > len(self._stamps):
                 self._stamps = doubles(4 * count)
                 self._speeds = doubles(4 * count)
@@ -190,7 +190,7 @@ class _Axis:
         """
         # 1. The command that the slow base follows now. If the period has grown, `response` may be
         # earlier than before, so the search goes back, too.
-        response: cython.double = stamp - DELAY - 2.0 * period
+        response = stamp - DELAY - 2.0 * period
         while self._held + 1 < self._end and self._stamps[self._held + 1] <= response:
             self._held += 1
         while self._held > self._first and self._stamps[self._held] > response:
@@ -199,8 +199,8 @@ class _Axis:
         while self._held > self._first and self._stamps[self._first + 1] <= stamp - WINDOW:
             self._first += 1
         # 3. The speed changes towards this command, by at most `step`.
-        step: cython.double = self._acceleration * period
-        change: cython.double = self._speeds[self._held] - self._slow_speed
+        step = self._acceleration * period
+        change = self._speeds[self._held] - self._slow_speed
         if change < -step:
             self._slow_speed += -step
         else:
@@ -218,21 +218,21 @@ class _Axis:
         self, period: cython.double, by_twist: cython.double, by_pose: cython.double
     ) -> cython.int:
         """Add a period to the demanded and the moved way, and set `blocked`; see `on_reading`."""
-        slow: cython.double = self._slow_speed
-        sign: cython.double = copysign(1.0, slow)
+        slow = self._slow_speed
+        sign = copysign(1.0, slow)
         # Of the two measured speeds, the one that is further in the demanded direction.
-        moved: cython.double = sign * max(sign * by_twist, sign * by_pose)
+        moved = sign * max(sign * by_twist, sign * by_pose)
         self._most_demanded += self._acceleration * period
         if sign * self._command < 0.0 or sign * moved < -self._least:
             self._most_demanded = 0.0
-        demanded: cython.double = sign * min(fabs(slow), fabs(self._command), self._most_demanded)
-        kept: cython.double = 1.0 - period / BLOCKED_TIME
+        demanded = sign * min(fabs(slow), fabs(self._command), self._most_demanded)
+        kept = 1.0 - period / BLOCKED_TIME
         self._demanded_way = kept * self._demanded_way + period * demanded
         # Motion against the demanded direction ends a command before, faster than the slow base.
         counts: cython.bint = demanded * moved > 0.0
         self._moved_way = kept * self._moved_way + (period * moved if counts else 0.0)
         sign = copysign(1.0, self._demanded_way)
-        needed: cython.double = _BLOCKED_SHARE * fabs(self._demanded_way)
+        needed = _BLOCKED_SHARE * fabs(self._demanded_way)
         is_demanded: cython.bint = needed >= _BLOCKED_SHARE * _LEAST_WAY
         # A base that is pushed back is not blocked: it does not stand.
         stands: cython.bint = fabs(moved) < self._least and fabs(self._moved_way) < needed
@@ -246,10 +246,10 @@ class _Axis:
 
         A jump of the pose is counted, and is no part of the ways.
         """
-        twist_step: cython.double = period * by_twist
-        pose_step: cython.double = period * by_pose
-        kept: cython.double = 1.0 - period / AGREE_TIME
-        jump: cython.double = self._tolerance * (1.0 + _BEYOND * period * period)
+        twist_step = period * by_twist
+        pose_step = period * by_pose
+        kept = 1.0 - period / AGREE_TIME
+        jump = self._tolerance * (1.0 + _BEYOND * period * period)
         self._jumps *= 1.0 - period / _JUMP_TIME
         if fabs(pose_step) > jump + fabs(twist_step):
             self._jumps += 1.0
@@ -300,9 +300,9 @@ class _Axis:
         self._move_slow_base(period, stamp)
         if stamp - self._begun_at >= WINDOW:
             self._sum_ways(period, by_twist, by_pose)
-        low: cython.double = self._slow_speed
-        high: cython.double = self._command
-        least: cython.double = self._least
+        low = self._slow_speed
+        high = self._command
+        least = self._least
         if low > high:
             low, high = high, low
         if low - least <= by_twist <= high + least or low - least <= by_pose <= high + least:
@@ -317,10 +317,10 @@ class _Axis:
             low = min(self._speeds[i], low)
             high = max(self._speeds[i], high)
         tolerance: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
-        pose_off: cython.double = max(low - by_pose, by_pose - high)
-        twist_off: cython.double = max(low - by_twist, by_twist - high)
-        measured: cython.double = by_pose if pose_off < twist_off else by_twist
-        is_outside: cython.bint = not low - tolerance <= measured <= high + tolerance
+        pose_off = max(low - by_pose, by_pose - high)
+        twist_off = max(low - by_twist, by_twist - high)
+        measured = by_pose if pose_off < twist_off else by_twist
+        is_outside = not low - tolerance <= measured <= high + tolerance
         # In the first WINDOW s the base may follow commands from before the comparison.
         if not is_outside or stamp - self._begun_at < WINDOW:
             self._follow()
@@ -414,12 +414,12 @@ class FollowingMonitor:
         x: cython.double = pose.x
         y: cython.double = pose.y
         yaw: cython.double = pose.yaw
-        had_last: cython.bint = self._has_last
+        had_last = self._has_last
         period: cython.double = stamp - self._stamp
         dx: cython.double = x - self._x
         dy: cython.double = y - self._y
-        turned: cython.double = remainder(yaw - self._yaw, TURN)
-        middle_yaw: cython.double = self._yaw + 0.5 * turned
+        turned = remainder(yaw - self._yaw, TURN)
+        middle_yaw = self._yaw + 0.5 * turned
         if had_last and period == 0.0:
             return
         self._has_last = True
@@ -428,7 +428,7 @@ class FollowingMonitor:
         self._y = y
         self._yaw = yaw
         # 1. Begins again after a gap in the readings, or a jump of the pose.
-        way: cython.double = sqrt(dx * dx + dy * dy)
+        way = sqrt(dx * dx + dy * dy)
         is_jump: cython.bint = (  # an estimator corrected the pose, or it was reset
             had_last and max(way, fabs(turned)) > _max_step + _max_speed * max(period, 0.0)
         )
@@ -447,13 +447,13 @@ class FollowingMonitor:
             return
 
         # 2. Compares each axis. Speeds by the pose are in the direction of the mean yaw.
-        cos_yaw: cython.double = cos(middle_yaw)
-        sin_yaw: cython.double = sin(middle_yaw)
+        cos_yaw = cos(middle_yaw)
+        sin_yaw = sin(middle_yaw)
         self._linear.on_reading(period, stamp, twist.linear, (cos_yaw * dx + sin_yaw * dy) / period)
         self._angular.on_reading(period, stamp, twist.angular, turned / period)
         self.text = self._linear.text or self._angular.text  # the first axis that does not follow
         if self._is_lateral:
-            lateral_m: cython.double = cos_yaw * dy - sin_yaw * dx
+            lateral_m = cos_yaw * dy - sin_yaw * dx
             self._lateral.on_reading(period, stamp, twist.lateral, lateral_m / period)
             self.text = self.text or self._lateral.text
         self.text = (

@@ -64,17 +64,17 @@ class LimitingRows:
         rows: ConstraintRows = self._constraints.rows
         placed: PlacedPoints = self._constraints.placed
         tight_count: cython.Py_ssize_t = 0
-        row_x: cython.p_double = checked(rows.x, rows.all)
-        row_y: cython.p_double = checked(rows.y, rows.all)
-        row_cap: cython.p_double = checked(rows.cap, rows.all)
-        row_gap: cython.p_double = checked(rows.gap, rows.all)
+        row_x = checked(rows.x, rows.all)
+        row_y = checked(rows.y, rows.all)
+        row_cap = checked(rows.cap, rows.all)
+        row_gap = checked(rows.gap, rows.all)
 
         # 1. Ranks the tight constraints that have an obstacle. The rows from `rows.count` on are of
         # the envelope, and have none. A robot at rest in a crowd has a hundred tight rows of cap 0.
         # So a row that `_rank` would put behind a full ranking is skipped first.
         self.count = 0
-        last_cap: cython.double = INFINITY  # cap and gap of the last row of a full ranking
-        last_gap: cython.double = INFINITY
+        last_cap = INFINITY  # cap and gap of the last row of a full ranking
+        last_gap = INFINITY
         for i in range(rows.all):
             if row_cap[i] > last_cap or (row_cap[i] == last_cap and row_gap[i] >= last_gap):
                 continue
@@ -108,13 +108,13 @@ class LimitingRows:
     ) -> LimitingObstacle:
         """The report of the obstacle of a constraint."""
         point: cython.Py_ssize_t = rows.source[row]
-        radius: cython.double = placed.radius[point]
-        x: cython.double = placed.x[point] - radius * placed.normal_x[point]
-        y: cython.double = placed.y[point] - radius * placed.normal_y[point]
-        bearing: cython.double = 0.0 if hypot(x, y) < _AT_AXLE else atan2(y, x)
-        gap: cython.double = self._outline.gap_of(x, y)
-        age: cython.double = maximum(placed.age[point] - REACTION, 0.0)
-        cost: cython.double = self._age_cost(rows, placed, row)
+        radius = placed.radius[point]
+        x = placed.x[point] - radius * placed.normal_x[point]
+        y = placed.y[point] - radius * placed.normal_y[point]
+        bearing = 0.0 if hypot(x, y) < _AT_AXLE else atan2(y, x)
+        gap = self._outline.gap_of(x, y)
+        age = maximum(placed.age[point] - REACTION, 0.0)
+        cost = self._age_cost(rows, placed, row)
         return LimitingObstacle(bearing, gap, rows.cap[row], age, cost)
 
     @cython.cfunc
@@ -127,7 +127,7 @@ class LimitingRows:
         0 for constraints that do not limit the closing speed, such as side constraints.
         """
         point: cython.Py_ssize_t = rows.source[row]
-        cap: cython.double = self._closing_cap(rows, placed, row, placed.age[point])
+        cap = self._closing_cap(rows, placed, row, placed.age[point])
         if row != placed.first_row[point] and cap != rows.cap[row]:
             return 0.0
         return maximum(self._closing_cap(rows, placed, row, REACTION) - rows.cap[row], 0.0)
@@ -145,9 +145,9 @@ class LimitingRows:
         assumptions: Assumptions = self._assumptions
         axes: SpeedAxes = self._constraints.axes
         point: cython.Py_ssize_t = rows.source[row]
-        others: cython.double = placed.others[point]
-        room: cython.double = rows.gap[row] + placed.radius[point] - placed.free[point]
-        braking: cython.double = closing_deceleration(
+        others = placed.others[point]
+        room = rows.gap[row] + placed.radius[point] - placed.free[point]
+        braking = closing_deceleration(
             rows.x[row] / axes.limit,
             rows.y[row] / axes.angular_limit,
             assumptions.braking_linear,
@@ -165,8 +165,8 @@ class LimitingRows:
         A constraint without a finite gap is left out. The ranking holds MAX_REPORTED constraints:
         if the ranking is full, its last constraint is dropped.
         """
-        cap: cython.double = rows.cap[row]
-        gap: cython.double = rows.gap[row]
+        cap = rows.cap[row]
+        gap = rows.gap[row]
         if not gap < INFINITY:
             return 0
         rank: cython.Py_ssize_t = self.count

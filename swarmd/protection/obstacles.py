@@ -213,7 +213,7 @@ class NearObstacles:
         self._bearings = view(bearings)
         if len(self._directions) < 2 * count:
             self._directions = doubles(2 * count)
-        directions: cython.p_double = checked(self._directions, 2 * count)
+        directions = checked(self._directions, 2 * count)
         for i in range(count):
             directions[2 * i] = NAN
 
@@ -221,7 +221,7 @@ class NearObstacles:
     @cython.exceptval(-1)
     def _find_direction(self, ray: cython.Py_ssize_t) -> cython.int:
         """Put the direction of a ray into `_directions`."""
-        bearing: cython.double = self._bearings[ray]
+        bearing = self._bearings[ray]
         self._directions[2 * ray] = cos(bearing)
         self._directions[2 * ray + 1] = sin(bearing)
 
@@ -243,16 +243,16 @@ class NearObstacles:
         """Set `min_gap` by a scan whose obstacles do not replace those of the last scan."""
         i: cython.Py_ssize_t
         outline: Outline = self._outline
-        nearest: cython.double = _least_of(ranges)
-        range_of_nearest: cython.double = outline.nearest_within(nearest, range_min)
-        smallest_gap: cython.double = INFINITY
+        nearest = _least_of(ranges)
+        range_of_nearest = outline.nearest_within(nearest, range_min)
+        smallest_gap = INFINITY
         for i in range(len(ranges)):
             if ranges[i] <= range_of_nearest:
-                measured_range: cython.double = range_min if ranges[i] < range_min else ranges[i]
+                measured_range = range_min if ranges[i] < range_min else ranges[i]
                 self._find_direction(i)
-                x: cython.double = outline.lidar_x + measured_range * self._directions[2 * i]
-                y: cython.double = outline.lidar_y + measured_range * self._directions[2 * i + 1]
-                gap: cython.double = outline.gap_of(x, y)
+                x = outline.lidar_x + measured_range * self._directions[2 * i]
+                y = outline.lidar_y + measured_range * self._directions[2 * i + 1]
+                gap = outline.gap_of(x, y)
                 if gap < smallest_gap:
                     smallest_gap = gap
         self._set_min_gap(nearest, smallest_gap)
@@ -323,24 +323,22 @@ class NearObstacles:
 
         # 3. Gaps in m up to which an obstacle matters: for the envelope, and for constraints.
         # `extra_age` in s: how much older than usual the oldest ray may be.
-        extra_age: cython.double = self._motion.extra_age
-        envelope_range: cython.double = (
+        extra_age = self._motion.extra_age
+        envelope_range = (
             self._assumptions.envelope_range + self._assumptions.others_speed * extra_age
         )
-        binding_range: cython.double = self._assumptions.binding_range(
+        binding_range = self._assumptions.binding_range(
             self._assumptions.longest_scan_age + extra_age
         )
         # m from the lidar: a return with a greater range has a gap greater than both, since the
         # whole outline lies within `outer` m of the lidar.
-        longest_range: cython.double = (
+        longest_range = (
             envelope_range if envelope_range > binding_range else binding_range
         ) + self._outline.outer
 
         # 4. Takes returns and hidden obstacles, and sorts them. Each contact has a ray.
-        least_gap: cython.double = self._take_returns(
-            ranges, range_min, ages, longest_range, binding_range
-        )
-        least_hidden_gap: cython.double = self._take_hidden(hidden, binding_range)
+        least_gap = self._take_returns(ranges, range_min, ages, longest_range, binding_range)
+        least_hidden_gap = self._take_hidden(hidden, binding_range)
         if least_hidden_gap < least_gap:
             least_gap = least_hidden_gap
         has_contacts: cython.bint = self.rays.count > 0
@@ -376,29 +374,29 @@ class NearObstacles:
         outline: Outline = self._outline
         rays: Points = self.rays
         unsorted: Points = self._unsorted
-        directions: cython.p_double = checked(self._directions, 2 * count)
-        near_x: cython.p_double = checked(unsorted.x, count)
-        near_y: cython.p_double = checked(unsorted.y, count)
-        near_gap: cython.p_double = checked(unsorted.gap, count)
-        near_age: cython.p_double = checked(unsorted.age, count)
-        near_kind: cython.p_longlong = checked_indices(unsorted.kind, count)
+        directions = checked(self._directions, 2 * count)
+        near_x = checked(unsorted.x, count)
+        near_y = checked(unsorted.y, count)
+        near_gap = checked(unsorted.gap, count)
+        near_age = checked(unsorted.age, count)
+        near_kind = checked_indices(unsorted.kind, count)
         layer: ReturnLayer | None = self._layer if self._assumptions.has_kinds else None
         near_count: cython.Py_ssize_t = 0
-        least_range: cython.double = _least_of(ranges)
+        least_range = _least_of(ranges)
         # m: the return nearest to the outline, which gives `min_gap`, has at most this range. In a
         # scan without near returns, this range may be above `longest_range`.
-        range_for_min_gap: cython.double = outline.nearest_within(least_range, range_min)
-        least_gap: cython.double = INFINITY  # of all returns
-        least_near_gap: cython.double = INFINITY  # of the returns up to `longest_range`
+        range_for_min_gap = outline.nearest_within(least_range, range_min)
+        least_gap = INFINITY  # of all returns
+        least_near_gap = INFINITY  # of the returns up to `longest_range`
         for i in range(count):
-            measured_range: cython.double = ranges[i]
+            measured_range = ranges[i]
             if not (measured_range <= longest_range or measured_range <= range_for_min_gap):
                 continue
             # A direction that no scan has needed so far is NaN.
             has_direction: cython.bint = directions[2 * i] == directions[2 * i]
             if not has_direction:
                 self._find_direction(i)
-            age: cython.double = ages[i] if has_ages else 0.0
+            age = ages[i] if has_ages else 0.0
             if measured_range == -INFINITY:
                 rays.add(directions[2 * i], directions[2 * i + 1], 0.0, age, OTHER)
                 continue
@@ -407,7 +405,7 @@ class NearObstacles:
             # stays, and the next return overwrites it.
             near_x[near_count] = outline.lidar_x + measured_range * directions[2 * i]
             near_y[near_count] = outline.lidar_y + measured_range * directions[2 * i + 1]
-            gap: cython.double = outline.gap_of(near_x[near_count], near_y[near_count])
+            gap = outline.gap_of(near_x[near_count], near_y[near_count])
             near_gap[near_count] = gap
             near_age[near_count] = age
             near_kind[near_count] = (
@@ -438,17 +436,17 @@ class NearObstacles:
         """
         i: cython.Py_ssize_t
         outline: Outline = self._outline
-        age: cython.double = self._motion.oldest
-        closest_gap: cython.double = INFINITY
+        age = self._motion.oldest
+        closest_gap = INFINITY
         for i in range(len(hidden)):
-            ray_x: cython.double = hidden[i, 0]
-            ray_y: cython.double = hidden[i, 1]
-            least_distance: cython.double = hidden[i, 2]
+            ray_x = hidden[i, 0]
+            ray_y = hidden[i, 1]
+            least_distance = hidden[i, 2]
             is_outside: cython.bint = least_distance > outline.along_ray(ray_x, ray_y)
             if is_outside:
-                x: cython.double = outline.lidar_x + least_distance * ray_x
-                y: cython.double = outline.lidar_y + least_distance * ray_y
-                gap: cython.double = outline.gap_of(x, y)
+                x = outline.lidar_x + least_distance * ray_x
+                y = outline.lidar_y + least_distance * ray_y
+                gap = outline.gap_of(x, y)
                 if gap < closest_gap:
                     closest_gap = gap
                 if gap <= binding_range:
@@ -471,9 +469,9 @@ class NearObstacles:
         unsorted: Points = self._unsorted
         self._sort(unsorted.count)
         for i in range(rays.count):
-            to_outline: cython.double = outline.along_ray(rays.x[i], rays.y[i])
-            x: cython.double = outline.lidar_x + to_outline * rays.x[i]
-            y: cython.double = outline.lidar_y + to_outline * rays.y[i]
+            to_outline = outline.along_ray(rays.x[i], rays.y[i])
+            x = outline.lidar_x + to_outline * rays.x[i]
+            y = outline.lidar_y + to_outline * rays.y[i]
             points.add(x, y, 0.0, rays.age[i], rays.kind[i])
         self.contacts = rays.count
         _take(unsorted.x, self._order, unsorted.count, points.x, rays.count)
@@ -525,13 +523,13 @@ class NearObstacles:
         middle: cython.Py_ssize_t
         end: cython.Py_ssize_t
         run_length: cython.Py_ssize_t = _FIRST_RUN
-        gaps: cython.p_double = checked(self._unsorted.gap, count)
-        order: cython.p_longlong = checked_indices(self._order, count)
-        spare: cython.p_longlong = checked_indices(self._spare, count)
+        gaps = checked(self._unsorted.gap, count)
+        order = checked_indices(self._order, count)
+        spare = checked_indices(self._spare, count)
 
         # 1. Sorts each run of `_FIRST_RUN` points by insertion.
         for left in range(count):
-            gap: cython.double = gaps[left]
+            gap = gaps[left]
             first = left - left % run_length
             right = left
             while right > first and gaps[order[right - 1]] > gap:
@@ -570,9 +568,9 @@ def _take(
 ) -> None:
     """Put the values at the first `count` indices of `order` into a buffer, from `begin` on."""
     i: cython.Py_ssize_t
-    index: cython.p_longlong = checked_indices(order, count)
-    given: cython.p_double = checked(values, count)
-    to: cython.p_double = checked(into, begin + count)
+    index = checked_indices(order, count)
+    given = checked(values, count)
+    to = checked(into, begin + count)
     for i in range(count):
         to[begin + i] = given[index[i]]
 
@@ -582,7 +580,7 @@ def _take(
 def _least_of(ranges: cython.const_double[::1]) -> cython.double:
     """The least range; inf without a return."""
     i: cython.Py_ssize_t
-    least: cython.double = INFINITY
+    least = INFINITY
     for i in range(len(ranges)):
         if ranges[i] < least:
             least = ranges[i]
@@ -621,13 +619,13 @@ class ObstacleDiscs:
         `radius` in m: how far the outline of the robot reaches from its axle.
         """
         i: cython.Py_ssize_t
-        table: cython.double[:, ::1] = self.table
-        approach_speed: cython.double = assumptions.others_speed + assumptions.top_surface_speed
+        table = self.table
+        approach_speed = assumptions.others_speed + assumptions.top_surface_speed
         self.count = 0
         for i in range(len(table)):
-            distance: cython.double = hypot(table[i, DISC_X], table[i, DISC_Y])
-            gap: cython.double = distance - table[i, DISC_RADIUS] - radius
-            age: cython.double = table[i, DISC_AGE] + REACTION
+            distance = hypot(table[i, DISC_X], table[i, DISC_Y])
+            gap = distance - table[i, DISC_RADIUS] - radius
+            age = table[i, DISC_AGE] + REACTION
             if not (gap > assumptions.fresh_binding_range + approach_speed * age):
                 self.binding[self.count] = i
                 self.count += 1

@@ -136,8 +136,8 @@ class Outline:
         """
         # A box, and a point that is not NaN: distances beyond front or rear, and a side.
         if self.is_box and x == x and y == y:
-            ahead: cython.double = x - self.front if x > self.front else self.rear - x
-            aside: cython.double = y - self.left if y > self.left else self.right - y
+            ahead = x - self.front if x > self.front else self.rear - x
+            aside = y - self.left if y > self.left else self.right - y
             ahead = ahead if ahead > 0.0 else 0.0
             aside = aside if aside > 0.0 else 0.0
             return sqrt(aside * aside + ahead * ahead)
@@ -149,21 +149,21 @@ class Outline:
         """The least distance in m to the edges that have the point on their outer side."""
         k: cython.Py_ssize_t
         edges: cython.Py_ssize_t = self.edges
-        least_square: cython.double = INFINITY
+        least_square = INFINITY
         # `beyond_end` in m: how far the point is beyond an end of the edge.
         for k in range(edges):
-            above_edge: cython.double = (
+            above_edge = (
                 self.axis_x[edges + k] * x + self.axis_y[edges + k] * y - self.origin[edges + k]
             )
             if above_edge <= 0.0:
                 continue
-            along_edge: cython.double = self.axis_x[k] * x + self.axis_y[k] * y - self.origin[k]
-            beyond_end: cython.double = 0.0
+            along_edge = self.axis_x[k] * x + self.axis_y[k] * y - self.origin[k]
+            beyond_end = 0.0
             if along_edge < 0.0:
                 beyond_end = along_edge
             elif along_edge > self.length[k]:
                 beyond_end = along_edge - self.length[k]
-            square: cython.double = beyond_end * beyond_end + above_edge * above_edge
+            square = beyond_end * beyond_end + above_edge * above_edge
             if square < least_square or square != square:  # a NaN of the point stays
                 least_square = square
         return 0.0 if least_square == INFINITY else sqrt(least_square)
@@ -181,53 +181,53 @@ class Outline:
         """
         self._find_nearest_edges(chunk)
         j: cython.Py_ssize_t
-        x: cython.p_double = chunk.x
-        y: cython.p_double = chunk.y
-        square: cython.p_double = chunk.nearest_square
-        height: cython.p_double = chunk.greatest_height
-        along_edge: cython.p_double = chunk.along_edge
-        above_edge: cython.p_double = chunk.above_edge
-        edge_x: cython.p_double = chunk.edge_x
-        edge_y: cython.p_double = chunk.edge_y
-        foot_x: cython.p_double = chunk.foot_x
-        foot_y: cython.p_double = chunk.foot_y
-        gaps: cython.p_double = chunk.gap
-        normals_x: cython.p_double = chunk.normal_x
-        normals_y: cython.p_double = chunk.normal_y
-        levers: cython.p_double = chunk.lever
-        hidden_gaps: cython.p_double = chunk.hidden
-        lidar_x: cython.double = self.lidar_x
-        lidar_y: cython.double = self.lidar_y
+        x = chunk.x
+        y = chunk.y
+        square = chunk.nearest_square
+        height = chunk.greatest_height
+        along_edge = chunk.along_edge
+        above_edge = chunk.above_edge
+        edge_x = chunk.edge_x
+        edge_y = chunk.edge_y
+        foot_x = chunk.foot_x
+        foot_y = chunk.foot_y
+        gaps = chunk.gap
+        normals_x = chunk.normal_x
+        normals_y = chunk.normal_y
+        levers = chunk.lever
+        hidden_gaps = chunk.hidden
+        lidar_x = self.lidar_x
+        lidar_y = self.lidar_y
         for j in range(chunk.count):
             # 1. The gap: 0 inside, NaN for a point that is NaN. (`&` is no branch, so the compiler
             # vectorises the loop.)
             is_number: cython.bint = square[j] == square[j]
             is_inside: cython.bint = (height[j] <= 0.0) & is_number
-            gap: cython.double = sqrt(square[j])
+            gap = sqrt(square[j])
             gap = 0.0 if is_inside else gap
 
             # 2. The direction. For a point on the outline: the normal of the edge.
             is_on_outline: cython.bint = gap < _ON_OUTLINE
-            inverse: cython.double = 1.0 / (1.0 if is_on_outline else gap)
-            along_share: cython.double = along_edge[j] * inverse
-            above_share: cython.double = above_edge[j] * inverse
+            inverse = 1.0 / (1.0 if is_on_outline else gap)
+            along_share = along_edge[j] * inverse
+            above_share = above_edge[j] * inverse
             along_share = 0.0 if is_on_outline else along_share
             above_share = 1.0 if is_on_outline else above_share
-            nx: cython.double = along_share * edge_x[j] + above_share * edge_y[j]
-            ny: cython.double = along_share * edge_y[j] - above_share * edge_x[j]
+            nx = along_share * edge_x[j] + above_share * edge_y[j]
+            ny = along_share * edge_y[j] - above_share * edge_x[j]
 
             # 3. The hidden gap: on the line in the direction from the outline to the point, the m
             # from the place where the line leaves the outline to the place where the line leaves
             # the blind zone. Both places are in m along the line, from the foot of the lidar on the
             # line. The line leaves the blind zone at half of the chord of the circle. The root is
             # NaN, and not used, if the line misses the circle.
-            ray_x: cython.double = x[j] - lidar_x
-            ray_y: cython.double = y[j] - lidar_y
-            lidar_off_line: cython.double = ray_x * ny - ray_y * nx
-            half_chord_square: cython.double = blind * blind - lidar_off_line * lidar_off_line
-            end_of_blind_zone: cython.double = sqrt(half_chord_square)
-            end_of_outline: cython.double = ray_x * nx + ray_y * ny - gap
-            hidden: cython.double = end_of_blind_zone - end_of_outline
+            ray_x = x[j] - lidar_x
+            ray_y = y[j] - lidar_y
+            lidar_off_line = ray_x * ny - ray_y * nx
+            half_chord_square = blind * blind - lidar_off_line * lidar_off_line
+            end_of_blind_zone = sqrt(half_chord_square)
+            end_of_outline = ray_x * nx + ray_y * ny - gap
+            hidden = end_of_blind_zone - end_of_outline
             hidden = hidden if (half_chord_square > 0.0) & (hidden > 0.0) else 0.0
 
             # 4. Stores the results.
@@ -325,11 +325,11 @@ class Outline:
     def along_ray(self, ray_x: cython.double, ray_y: cython.double) -> cython.double:
         """m from the lidar to the outline along a ray; 0 if the lidar is outside the outline."""
         k: cython.Py_ssize_t
-        least: cython.double = INFINITY
+        least = INFINITY
         for k in range(self.edges, 2 * self.edges):
-            approach: cython.double = ray_x * self.axis_x[k] + ray_y * self.axis_y[k]
+            approach = ray_x * self.axis_x[k] + ray_y * self.axis_y[k]
             if approach > _ALONG_EDGE:
-                height: cython.double = self.origin[k] - (
+                height = self.origin[k] - (
                     self.axis_x[k] * self.lidar_x + self.axis_y[k] * self.lidar_y
                 )
                 if height / approach < least:

@@ -56,7 +56,7 @@ class Room:
         assumptions: Assumptions = self._assumptions
         corners = self._outline.corners
         age: cython.double = 0.5 / self._scan.rate + self._scan.latency + REACTION
-        front: cython.double = float(corners[:, 0].max())
+        front = float(corners[:, 0].max())
         ahead: cython.double = _FARTHEST_AHEAD
         # The nearest obstacle ahead for which the robot may still drive at `speed`.
         for i in range(round(_FARTHEST_AHEAD / _STEP_AHEAD)):
@@ -78,9 +78,9 @@ class Room:
         `front` in m is the front of the outline; `age` in s is that of the scan.
         """
         assumptions: Assumptions = self._assumptions
-        room: cython.double = distance - front - assumptions.margin - assumptions.unseen_extent
-        braking: cython.double = assumptions.braking_linear
-        cap: cython.double = closing_cap(room, braking, age, assumptions.others_speed)
+        room = distance - front - assumptions.margin - assumptions.unseen_extent
+        braking = assumptions.braking_linear
+        cap = closing_cap(room, braking, age, assumptions.others_speed)
         if assumptions.has_keep_out():
             room = distance - self._outline.lidar_x - assumptions.keep_out
             cap = min(cap, reciprocal_cap(room, braking, age))
@@ -145,7 +145,7 @@ class Room:
         chunk: Chunk = Chunk()
         outline: Outline = self._outline
         corners = outline.corners[:, 0]
-        hidden: cython.double = 0.0
+        hidden = 0.0
         chunk.count = 1
         for x in np.linspace(corners.min(), corners.max(), _PLACES_BESIDE).tolist():
             for y in (-2.0 * outline.outer, 2.0 * outline.outer):

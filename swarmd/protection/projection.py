@@ -75,14 +75,14 @@ class Projection:
         i: cython.Py_ssize_t
         first: cython.Py_ssize_t = 0
         row_count: cython.Py_ssize_t = rows.all
-        row_x: cython.p_double = checked(rows.x, row_count)
-        row_y: cython.p_double = checked(rows.y, row_count)
-        row_cap: cython.p_double = checked(rows.cap, row_count)
-        excess: cython.p_double = self._excess
-        px: cython.double = self.x
-        py: cython.double = self.y
+        row_x = checked(rows.x, row_count)
+        row_y = checked(rows.y, row_count)
+        row_cap = checked(rows.cap, row_count)
+        excess = self._excess
+        px = self.x
+        py = self.y
         worst_row: cython.Py_ssize_t = -1
-        worst_excess: cython.double = TOLERANCE
+        worst_excess = TOLERANCE
         while first < row_count:
             # 1. The excess of each row of a chunk: the compiler vectorises this loop.
             count: cython.Py_ssize_t = min(CHUNK, row_count - first)
@@ -137,15 +137,15 @@ class Projection:
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
         # Corner 0 begins and corner 1 ends the present side of the polygon.
-        x0: cython.double = self._corner_x[self._sides - 1]
-        y0: cython.double = self._corner_y[self._sides - 1]
-        excess0: cython.double = a * x0 + b * y0 - cap
+        x0 = self._corner_x[self._sides - 1]
+        y0 = self._corner_y[self._sides - 1]
+        excess0 = a * x0 + b * y0 - cap
         for i in range(self._sides):
-            x1: cython.double = self._corner_x[i]
-            y1: cython.double = self._corner_y[i]
-            excess1: cython.double = a * x1 + b * y1 - cap
+            x1 = self._corner_x[i]
+            y1 = self._corner_y[i]
+            excess1 = a * x1 + b * y1 - cap
             if (excess0 > 0.0) != (excess1 > 0.0):  # the side crosses the line: add the crossing
-                fraction: cython.double = excess0 / (excess0 - excess1)
+                fraction = excess0 / (excess0 - excess1)
                 self._clipped_x[count] = x0 + fraction * (x1 - x0)
                 self._clipped_y[count] = y0 + fraction * (y1 - y0)
                 count += 1
@@ -175,36 +175,34 @@ class Projection:
         have shrunk to a line or a point; then no requested point is inside.
         """
         i: cython.Py_ssize_t
-        nearest_x: cython.double = 0.0
-        nearest_y: cython.double = 0.0
-        nearest_square: cython.double = INFINITY
-        is_inside: cython.bint = True
-        x0: cython.double = self._corner_x[self._sides - 1]
-        y0: cython.double = self._corner_y[self._sides - 1]
+        nearest_x = 0.0
+        nearest_y = 0.0
+        nearest_square = INFINITY
+        is_inside = True
+        x0 = self._corner_x[self._sides - 1]
+        y0 = self._corner_y[self._sides - 1]
         for i in range(self._sides):
-            x1: cython.double = self._corner_x[i]
-            y1: cython.double = self._corner_y[i]
-            side_x: cython.double = x1 - x0
-            side_y: cython.double = y1 - y0
-            px: cython.double = x - x0
-            py: cython.double = y - y0
+            x1 = self._corner_x[i]
+            y1 = self._corner_y[i]
+            side_x = x1 - x0
+            side_y = y1 - y0
+            px = x - x0
+            py = y - y0
 
             # 1. The point is inside if it is to the left of all sides (counter-clockwise corners).
             if side_x * py - side_y * px <= 0.0:
                 is_inside = False
 
             # 2. The nearest place on this side.
-            length_square: cython.double = side_x * side_x + side_y * side_y
-            fraction: cython.double = (
-                (px * side_x + py * side_y) / length_square if length_square > 0.0 else 0.0
-            )
+            length_square = side_x * side_x + side_y * side_y
+            fraction = (px * side_x + py * side_y) / length_square if length_square > 0.0 else 0.0
             if fraction < 0.0:
                 fraction = 0.0
             if fraction > 1.0:
                 fraction = 1.0
-            foot_x: cython.double = x0 + fraction * side_x
-            foot_y: cython.double = y0 + fraction * side_y
-            square: cython.double = (x - foot_x) * (x - foot_x) + (y - foot_y) * (y - foot_y)
+            foot_x = x0 + fraction * side_x
+            foot_y = y0 + fraction * side_y
+            square = (x - foot_x) * (x - foot_x) + (y - foot_y) * (y - foot_y)
             if square < nearest_square:
                 nearest_x = foot_x
                 nearest_y = foot_y
@@ -224,9 +222,9 @@ class Projection:
 def is_feasible(rows: ConstraintRows, x: cython.double, y: cython.double) -> cython.int:
     """1 if a point violates no constraint."""
     i: cython.Py_ssize_t
-    row_x: cython.p_double = checked(rows.x, rows.all)
-    row_y: cython.p_double = checked(rows.y, rows.all)
-    row_cap: cython.p_double = checked(rows.cap, rows.all)
+    row_x = checked(rows.x, rows.all)
+    row_y = checked(rows.y, rows.all)
+    row_cap = checked(rows.cap, rows.all)
     for i in range(rows.all):
         if not (row_x[i] * x + row_y[i] * y - row_cap[i] <= TOLERANCE):
             return 0

@@ -67,9 +67,9 @@ def _slowed(
 
     It changes at `rate`. NaN if `start` is NaN: such a stop is never clear.
     """
-    most: cython.double = min(seconds, DECISION_PERIOD) * rate
-    speed: cython.double = start + max(min(wanted - start, most), -most)
-    left: cython.double = fabs(speed) - max(seconds - DECISION_PERIOD, 0.0) * rate
+    most = min(seconds, DECISION_PERIOD) * rate
+    speed = start + max(min(wanted - start, most), -most)
+    left = fabs(speed) - max(seconds - DECISION_PERIOD, 0.0) * rate
     return 0.0 if left <= 0.0 else copysign(left, speed)
 
 
@@ -144,11 +144,11 @@ class StopMotion:
         )
         self.arc = _slowed(turn, to_turn, middle_s, turning) * step_s
         self.turned += self.arc
-        yaw: cython.double = self.heading + self.turned - 0.5 * self.arc
-        cos_yaw: cython.double = cos(yaw)
-        sin_yaw: cython.double = sin(yaw)
-        x: cython.double = cos_yaw * self.along_x - sin_yaw * self.along_y
-        y: cython.double = sin_yaw * self.along_x + cos_yaw * self.along_y
+        yaw = self.heading + self.turned - 0.5 * self.arc
+        cos_yaw = cos(yaw)
+        sin_yaw = sin(yaw)
+        x = cos_yaw * self.along_x - sin_yaw * self.along_y
+        y = sin_yaw * self.along_x + cos_yaw * self.along_y
         self.x += self.moved * x - self.aside * y
         self.y += self.moved * y + self.aside * x
         return 0
@@ -216,28 +216,28 @@ class StopPoints:
         """
         i: cython.Py_ssize_t
         placed: PlacedPoints = constraints.placed
-        is_granted: cython.bint = constraints.touch.is_granted
+        is_granted = constraints.touch.is_granted
         points: cython.Py_ssize_t = placed.seen + placed.discs
         if len(self.x) < points:
             self._allocate(points + points // 2)
-        free: cython.p_double = checked(placed.free, points)
-        age: cython.p_double = checked(placed.age, points)
-        gap: cython.p_double = checked(placed.gap, points)
-        to_gap: cython.p_double = checked(self.gap, points)
-        to_needed_gap: cython.p_double = checked(self.needed_gap, points)
-        others: cython.p_double = checked(placed.others, points)
-        to_others: cython.p_double = checked(self.others, points)
-        x: cython.p_double = checked(placed.x, points)
-        y: cython.p_double = checked(placed.y, points)
-        to_x: cython.p_double = checked(self.x, points)
-        to_y: cython.p_double = checked(self.y, points)
+        free = checked(placed.free, points)
+        age = checked(placed.age, points)
+        gap = checked(placed.gap, points)
+        to_gap = checked(self.gap, points)
+        to_needed_gap = checked(self.needed_gap, points)
+        others = checked(placed.others, points)
+        to_others = checked(self.others, points)
+        x = checked(placed.x, points)
+        y = checked(placed.y, points)
+        to_x = checked(self.x, points)
+        to_y = checked(self.y, points)
         count: cython.Py_ssize_t = 0
         for i in range(placed.contacts, points):
             is_return: cython.bint = i < placed.seen  # the other points are discs
             if is_granted and is_return and placed.in_touch_zone[i]:
                 continue
-            needed_gap: cython.double = free[i] + others[i] * age[i]
-            needed_gap_at_end: cython.double = needed_gap + others[i] * seconds
+            needed_gap = free[i] + others[i] * age[i]
+            needed_gap_at_end = needed_gap + others[i] * seconds
             if gap[i] <= needed_gap_at_end + travel:
                 to_x[count] = x[i]
                 to_y[count] = y[i]
@@ -301,14 +301,14 @@ class StopCheck:
         i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
         axes: SpeedAxes = self._constraints.axes
-        linear: cython.double = speeds.linear
-        angular: cython.double = speeds.angular
+        linear = speeds.linear
+        angular = speeds.angular
 
         # 1. Collects the points that the outline may touch before the robot stands.
-        linear_s: cython.double = fabs(linear) / assumptions.braking_linear
-        angular_s: cython.double = fabs(angular) / assumptions.braking_angular
-        seconds: cython.double = DECISION_PERIOD + (angular_s if angular_s > linear_s else linear_s)
-        travel: cython.double = (fabs(linear) + fabs(angular) * self._outline.radius) * seconds
+        linear_s = fabs(linear) / assumptions.braking_linear
+        angular_s = fabs(angular) / assumptions.braking_angular
+        seconds = DECISION_PERIOD + (angular_s if angular_s > linear_s else linear_s)
+        travel = (fabs(linear) + fabs(angular) * self._outline.radius) * seconds
         self._points.collect(self._constraints, seconds, travel)
         if self._points.count == 0:
             return 0
@@ -324,9 +324,9 @@ class StopCheck:
         speeds.linear = 0.0
         speeds.angular = 0.0
         for i in range(len(self._shares)):
-            reduced_linear: cython.double = self._shares[i, 0] * linear
-            reduced_angular: cython.double = self._shares[i, 1] * angular
-            x: cython.double = reduced_linear / axes.limit
+            reduced_linear = self._shares[i, 0] * linear
+            reduced_angular = self._shares[i, 1] * angular
+            x = reduced_linear / axes.limit
             if not is_feasible(self._constraints.rows, x, reduced_angular / axes.angular_limit):
                 continue
             if self._is_clear(reduced_linear, reduced_angular):
@@ -346,12 +346,12 @@ class StopCheck:
         """
         i: cython.Py_ssize_t
         brake: cython.Py_ssize_t
-        speed: cython.double = fabs(linear)
-        turn_rate: cython.double = fabs(angular)
+        speed = fabs(linear)
+        turn_rate = fabs(angular)
         count: cython.Py_ssize_t = self._points.count
-        gap: cython.p_double = checked(self._points.gap, count)
-        needed_gap: cython.p_double = checked(self._points.needed_gap, count)
-        others: cython.p_double = checked(self._points.others, count)
+        gap = checked(self._points.gap, count)
+        needed_gap = checked(self._points.needed_gap, count)
+        others = checked(self._points.others, count)
         for brake in range(_BRAKES):
             if (brake == _IDEAL_LINEAR and speed == 0.0) or (
                 brake == _IDEAL_ANGULAR and turn_rate == 0.0
@@ -359,15 +359,13 @@ class StopCheck:
                 continue  # an ideal brake of a speed of 0 gives the stop with both brakes
 
             # 1. Simulates the stop.
-            linear_s: cython.double = speed / self._assumptions.braking_linear
-            angular_s: cython.double = turn_rate / self._assumptions.braking_angular
+            linear_s = speed / self._assumptions.braking_linear
+            angular_s = turn_rate / self._assumptions.braking_angular
             linear_s = 0.0 if brake == _IDEAL_LINEAR else linear_s
             angular_s = 0.0 if brake == _IDEAL_ANGULAR else angular_s
-            stop_s: cython.double = DECISION_PERIOD + (
-                angular_s if angular_s > linear_s else linear_s
-            )
-            step_s: cython.double = stop_s / _STEPS
-            travel: cython.double = self._simulate(brake, linear, angular, step_s)
+            stop_s = DECISION_PERIOD + (angular_s if angular_s > linear_s else linear_s)
+            step_s = stop_s / _STEPS
+            travel = self._simulate(brake, linear, angular, step_s)
             if self._poses == 0:  # the outline is too slow to close on an obstacle
                 continue
 
@@ -409,16 +407,12 @@ class StopCheck:
         """
         j: cython.Py_ssize_t
         axes: SpeedAxes = self._constraints.axes
-        radius: cython.double = self._outline.radius
+        radius = self._outline.radius
         motion: StopMotion = self._motion
         assumptions: Assumptions = self._assumptions
-        linear_braking: cython.double = (
-            IDEAL_BRAKING if brake == _IDEAL_LINEAR else assumptions.braking_linear
-        )
-        turn_braking: cython.double = (
-            IDEAL_BRAKING if brake == _IDEAL_ANGULAR else assumptions.braking_angular
-        )
-        travel: cython.double = 0.0
+        linear_braking = IDEAL_BRAKING if brake == _IDEAL_LINEAR else assumptions.braking_linear
+        turn_braking = IDEAL_BRAKING if brake == _IDEAL_ANGULAR else assumptions.braking_angular
+        travel = 0.0
         motion.begin(axes.along_x, axes.along_y, 0.0)
         self._poses = 0
         for j in range(_STEPS):
@@ -448,8 +442,8 @@ class StopCheck:
 
             # 3. Is the step fast enough to matter? A speed of NaN is. A turn matters above
             # FAULT_SPEED (`_turns_outwards`), any motion above NEGLIGIBLE_SPEED (`_forbids`).
-            corner_turn: cython.double = fabs(self._stop_angular[j]) * radius
-            fastest_corner: cython.double = fabs(self._stop_linear[j]) + corner_turn
+            corner_turn = fabs(self._stop_angular[j]) * radius
+            fastest_corner = fabs(self._stop_linear[j]) + corner_turn
             self._stop_turns[j] = not (corner_turn + _ROUNDING <= FAULT_SPEED)
             if not (fastest_corner + _SPEED_ROUNDING <= NEGLIGIBLE_SPEED):
                 self._poses = j + 1
@@ -476,30 +470,30 @@ class StopCheck:
         j: cython.Py_ssize_t
         outline: Outline = self._outline
         points: StopPoints = self._points
-        gap: cython.double = points.gap[point]
-        needed_gap: cython.double = points.needed_gap[point]
-        others: cython.double = points.others[point]
-        point_x: cython.double = points.x[point]
-        point_y: cython.double = points.y[point]
-        margin: cython.double = self._assumptions.margin
-        safe_gap: cython.double = _safe_gap(needed_gap, others, step_s * _STEPS, travel)
+        gap = points.gap[point]
+        needed_gap = points.needed_gap[point]
+        others = points.others[point]
+        point_x = points.x[point]
+        point_y = points.y[point]
+        margin = self._assumptions.margin
+        safe_gap = _safe_gap(needed_gap, others, step_s * _STEPS, travel)
         if gap >= safe_gap:
             return 0
-        previous_gap: cython.double = gap
+        previous_gap = gap
         for j in range(self._poses):
             # 1. The gap at this step, with the point in the frame of the simulated pose.
-            dx: cython.double = point_x - self._stop_x[j]
-            dy: cython.double = point_y - self._stop_y[j]
-            cos_yaw: cython.double = self._stop_cos[j]
-            sin_yaw: cython.double = self._stop_sin[j]
-            x: cython.double = cos_yaw * dx + sin_yaw * dy
-            y: cython.double = cos_yaw * dy - sin_yaw * dx
-            present_gap: cython.double = outline.gap_of(x, y)
+            dx = point_x - self._stop_x[j]
+            dy = point_y - self._stop_y[j]
+            cos_yaw = self._stop_cos[j]
+            sin_yaw = self._stop_sin[j]
+            x = cos_yaw * dx + sin_yaw * dy
+            y = cos_yaw * dy - sin_yaw * dx
+            present_gap = outline.gap_of(x, y)
 
             # 2. The outline must not close on a point whose gap is too small. At the end of the
             # step the obstacle has moved for j + 1 steps. A gap of NaN is too small, and closes.
             is_free: cython.bint = present_gap >= needed_gap + others * (step_s * (j + 1.0))
-            is_closing: cython.bint = not (previous_gap - present_gap <= NEGLIGIBLE_SPEED * step_s)
+            is_closing = not (previous_gap - present_gap <= NEGLIGIBLE_SPEED * step_s)
             if is_closing and not is_free:
                 return 1
 
@@ -507,7 +501,7 @@ class StopCheck:
             # acts during the whole step, so the reach is that of the middle of the step, after
             # j + 0.5 steps. The reach excludes the margin, which is a reserve for noise.
             if self._stop_turns[j]:
-                reach: cython.double = needed_gap - margin + others * (step_s * (j + 0.5))
+                reach = needed_gap - margin + others * (step_s * (j + 0.5))
                 if present_gap < reach and self._turns_outwards(j, x, y, reach):
                     return 1
 

@@ -56,10 +56,10 @@ def find_surface_gaps(
     # 2. Each run, with the box around its returns.
     while begin < count:
         at: cython.Py_ssize_t = (start + begin) % count
-        low_x: cython.double = x[at]
-        high_x: cython.double = x[at]
-        low_y: cython.double = y[at]
-        high_y: cython.double = y[at]
+        low_x = x[at]
+        high_x = x[at]
+        low_y = y[at]
+        high_y = y[at]
         end: cython.Py_ssize_t = begin + 1
         while end < count:
             at = (start + end) % count
@@ -112,8 +112,8 @@ def _gap_of_mean(
     reach: cython.Py_ssize_t = min(most, MEAN_RAYS)
     total: cython.Py_ssize_t = 2 * reach + 1
     first: cython.Py_ssize_t = at - reach + count
-    sum_x: cython.double = 0.0
-    sum_y: cython.double = 0.0
+    sum_x = 0.0
+    sum_y = 0.0
     for i in range(total):
         sum_x += x[(first + i) % count]
         sum_y += y[(first + i) % count]

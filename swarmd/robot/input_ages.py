@@ -200,10 +200,10 @@ class InputAges:
 
         `_places`, and then `kin`, add the places that the base does not measure.
         """
-        past: cython.double = now - self._neighbors_at
+        past = now - self._neighbors_at
         if past > _NEIGHBOR_TIMEOUT:
             return ()
-        renewals: cython.double = floor(past / _AGE_UPDATE_PERIOD)
+        renewals = floor(past / _AGE_UPDATE_PERIOD)
         if renewals != self._renewals:
             self._renewals = renewals
             past = renewals * _AGE_UPDATE_PERIOD
@@ -267,7 +267,7 @@ class InputAges:
     @cython.ccall
     def hold_due_at(self, now: cython.double) -> float:
         """A time until which `hold` is None if no input arrives; one of the past if it is not."""
-        due: cython.double = INFINITY
+        due = INFINITY
         row: Hold
         for row in self.holds:
             if row.begins < due and now < row.until:
@@ -301,9 +301,9 @@ class InputAges:
         since the rays of a delayed scan are older than its arrival. If the running pattern permits
         a delay above the platform's bound `max_scan_delay`, only `max_scan_delay` is subtracted.
         """
-        delay: cython.double = self._added
+        delay = self._added
         is_permitted: cython.bint = delay <= self.permitted_delay
-        stale_at: cython.double = self._scan_at + self._stale_after
+        stale_at = self._scan_at + self._stale_after
         self.delay_hold.begins = -INFINITY if self._is_late and not is_permitted else INFINITY
         self.delay_hold.until = stale_at
         if is_permitted and delay > self._max_delay:

@@ -240,7 +240,7 @@ class PatternRun:
         running = self.running
         if self.loading is not None:
             return -INFINITY
-        soonest: cython.double = self.awaiting_since + _STEP_TIMEOUT
+        soonest = self.awaiting_since + _STEP_TIMEOUT
         if running is not None:
             soonest = min(soonest, running.requested_at + running.expiry, running.finish_at)
         return soonest
@@ -260,7 +260,7 @@ class PatternRun:
     def next_deadline(self, now: cython.double) -> float:
         """The next deadline after `now`; inf without one."""
         running = self.running
-        soonest: cython.double = later(self.awaiting_since + _STEP_TIMEOUT, now)
+        soonest = later(self.awaiting_since + _STEP_TIMEOUT, now)
         if running is not None:
             if self.awaiting_since == INFINITY and self.loading is None:
                 soonest = later(self.last_step + running.period, now)

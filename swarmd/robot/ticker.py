@@ -222,7 +222,7 @@ class Ticker:
         A hold is a present reason for which a running robot stands. Cython calls a method in C only
         if the call is written as `Class.method(object)`.
         """
-        now: cython.double = effects.now
+        now = effects.now
         hold = self._checked_hold(effects)
         self._quiet_until = -INFINITY
         self._hold = hold
@@ -232,7 +232,7 @@ class Ticker:
         host_command = self._host_command(effects)
         # A status is made only at a tick, so that replies to requests do not wait for it. The
         # exception is a new latch, which peers must learn at once.
-        may_publish: cython.bint = effects.is_tick or effects.is_latched
+        may_publish = effects.is_tick or effects.is_latched
         has_status: cython.bint = may_publish and self._must_publish(now)
         actions = self._settled = self._actions(effects, decision, host_command, has_status)
         return actions
@@ -240,7 +240,7 @@ class Ticker:
     @cython.cfunc
     def _checked_hold(self, effects: Effects) -> Reason | None:
         """The present hold, else None. Ends the run for a hazard, and acts on due deadlines."""
-        now: cython.double = effects.now
+        now = effects.now
         sensors = self._sensors
         running = self._run.running
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
@@ -263,7 +263,7 @@ class Ticker:
     def _host_command(self, effects: Effects) -> HostCommand | None:
         """The command of this event for the pattern host: the next step if no other is wanted."""
         run = self._run
-        now: cython.double = effects.now
+        now = effects.now
         if effects.host is not None or self._machine.state is not _RUNNING:
             return effects.host
         if run.running is None or not run.may_step(now, effects.is_new_scan):
@@ -334,7 +334,7 @@ class Ticker:
         """Set `_quiet_until` and `_due_at` for a time without events; no quiet ticks in a hold."""
         if self._hold is not None:
             return
-        due: cython.double = self._lifecycle_due_at()
+        due = self._lifecycle_due_at()
         if self._machine.state is _RUNNING:
             due = min(due, InputAges.hold_due_at(self._sensors, now))
         self._due_at = due - ROUNDING
@@ -452,7 +452,7 @@ class Ticker:
         Counts the deadlines of the pattern run, the run lease, the scans and the longest hold. All
         other deadlines wait for the next regular tick.
         """
-        soonest: cython.double = self._run.next_deadline(now)
+        soonest = self._run.next_deadline(now)
         if self._machine.state is _RUNNING:
             if self._kept_goals.lease_until is not None:
                 lease_ends = self._kept_goals.lease_ends

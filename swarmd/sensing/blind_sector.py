@@ -193,7 +193,7 @@ class BlindSectors:
         if bearings is not self._bearings_of_scan:
             self._set_bearings(bearings)
         self._find_returns(given)
-        has_changed: cython.bint = self._count_returns(now)
+        has_changed = self._count_returns(now)
         if odometry is not None:
             if self._scan_pose is None:
                 self._keep_scan(odometry.pose, now)
@@ -226,18 +226,18 @@ class BlindSectors:
         before = self._scan_pose or pose
         look = self._look_pose or pose
         yaw: cython.double = pose.yaw
-        turned: cython.double = remainder(yaw - before.yaw, TURN)
-        is_new: cython.bint = False
+        turned = remainder(yaw - before.yaw, TURN)
+        is_new = False
         # 1. Sectors that have lost their returns: mostly too few for a look.
         if not isnan(turned) and self._count_gone(turned) >= _least_sectors:
-            motion: cython.double = hypot(pose.x - before.x, pose.y - before.y)
+            motion = hypot(pose.x - before.x, pose.y - before.y)
             motion += _OTHERS_SPEED * (now - self._scan_at)
             shown = np.array([self._mean_before[k] for k in range(_SECTORS)])
             lost = lost_sectors(self._means, shown, turned, motion, self._range_min)
             is_new = self._mark(lost & self._has_rays, _LOST)
         self._keep_scan(pose, now)
         # 2. Sectors that have frozen since the last look.
-        way: cython.double = hypot(pose.x - look.x, pose.y - look.y)
+        way = hypot(pose.x - look.x, pose.y - look.y)
         has_turned: cython.bint = fabs(remainder(yaw - look.yaw, TURN)) >= _LOOK_TURN
         if fabs(turned) <= _STEADY_TURN and (way >= _LOOK_WAY or has_turned):
             if way < self._range_max:
@@ -265,7 +265,7 @@ class BlindSectors:
             if not isnan(self._mean[k]):
                 continue
             place: cython.Py_ssize_t = k + shift + _SECTORS
-            is_shown: cython.bint = not (
+            is_shown = not (
                 isnan(self._mean_before[(place - 1) % _SECTORS])
                 or isnan(self._mean_before[place % _SECTORS])
                 or isnan(self._mean_before[(place + 1) % _SECTORS])
@@ -362,13 +362,13 @@ class BlindSectors:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)
-        given: cython.p_double = checked(ranges, count)
-        sector: cython.p_longlong = checked_indices(self._sector, count)
+        given = checked(ranges, count)
+        sector = checked_indices(self._sector, count)
         for k in range(_SECTORS):
             self._hits[k] = 0
             self._sums[k] = 0.0
         for i in range(count):
-            distance: cython.double = given[i]
+            distance = given[i]
             is_return: cython.bint = (0.0 < distance <= self._range_max) or distance == -INFINITY
             is_return = is_return or (self._is_zero_near and distance == 0.0)
             self._is_return[i] = is_return
@@ -386,7 +386,7 @@ class BlindSectors:
         The ranges in which a sector is frozen are no returns.
         """
         k: cython.Py_ssize_t
-        has_cleared: cython.bint = False
+        has_cleared = False
         for k in range(_SECTORS):
             has_return: cython.bint = self._hits[k] > 0
             if self._kind[k] == _FROZEN and fabs(self._mean[k] - self._frozen[k]) <= EQUAL:
@@ -402,7 +402,7 @@ class BlindSectors:
     @cython.cfunc
     def _is_due(self, yaw: cython.double, now: cython.double) -> cython.bint:
         """Begin a comparison if the robot has turned by a sector since the last; True if begun."""
-        turned: cython.double = fabs(remainder(yaw - self._compared_yaw, TURN))
+        turned = fabs(remainder(yaw - self._compared_yaw, TURN))
         if now - self._compared_at < _COMPARE_PERIOD or turned < TURN / _SECTORS:
             return False
         self._compared_at = now
@@ -473,7 +473,7 @@ class BlindSectors:
         k: cython.Py_ssize_t
 
         # 1. Is an object seen in the direction, and is it the object that was seen last?
-        distance: cython.double = self._sums[d] / max(self._hits[d], 1)
+        distance = self._sums[d] / max(self._hits[d], 1)
         is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]  # has rays, and all return
         is_same: cython.bint = is_seen and (
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
@@ -526,7 +526,7 @@ class BlindSectors:
         d: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t
-        is_new: cython.bint = False
+        is_new = False
         for k in range(_SECTORS):
             count = 0
             for d in range(_SECTORS):

@@ -160,7 +160,7 @@ class ScanConditioner:
         # `_repeat_count`.
         ranges = np.array(scan.ranges, np.float64)  # a copy, which the steps below change
         values: cython.double[::1] = view_of(ranges)  # the same numbers as a buffer
-        measured_at: cython.double = now
+        measured_at = now
         if self._is_noisy and self._is_repeat(ranges, values, odometry):
             if self._repeat_count >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN

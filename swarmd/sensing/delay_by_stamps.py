@@ -97,7 +97,7 @@ class DelayByStamps:
         """Take in the stamp of a reading of odometry; True if its clock was set."""
         if stamp == self._stamp:
             return False
-        lag: cython.double = now - stamp
+        lag = now - stamp
         is_set: cython.bint = stamp < self._stamp or lag < self.offset - _CLOCK_JUMP < INFINITY
         self._stamp = stamp
         if is_set:
@@ -212,10 +212,10 @@ class DelayByStamps:
     def _delay(self) -> cython.double:
         """The third-greatest age of the last scans, and at least the age of the last scan."""
         # The three greatest ages so far.
-        first: cython.double = -INFINITY
-        second: cython.double = -INFINITY
-        third: cython.double = -INFINITY
-        age: cython.double = 0.0
+        first = -INFINITY
+        second = -INFINITY
+        third = -INFINITY
+        age = 0.0
         k: cython.Py_ssize_t
         for k in range(self._age_count):
             age = self._ages[(self._oldest + k) % _STAMPS]

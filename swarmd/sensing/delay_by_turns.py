@@ -138,7 +138,7 @@ class DelayByTurns:
 
     def check_indices(self) -> None:
         """ValueError unless its ranges are those of its rays, as `_correlation` reads them."""
-        ray: cython.double = fabs(self._ray_step)
+        ray = fabs(self._ray_step)
         lengths = len(self._relief), len(self._old_relief), 2 * self._rays
         is_even: cython.bint = ray == 0.0 or fabs(ray * self._rays - TURN) < _MISSED_STEPS * ray
         if self._rays < 0 or min(lengths) != max(lengths) or not is_even:
@@ -215,7 +215,7 @@ class DelayByTurns:
         `scan`: the conditioned scan. `arrival`: s, the arrival of the scan on the clock of
         odometry. `now`: s on the robot's clock.
         """
-        had_last: cython.bint = self._has_last
+        had_last = self._has_last
         self._has_last = False  # two scans in a row are a pair: a return in 1 or 2 breaks the row
 
         # 1. Without a changing rate of turn, or without even rays, no delay can be measured.
@@ -236,9 +236,9 @@ class DelayByTurns:
         is_first: cython.bint = not had_last or (saves_time and place_in_four == 0)
 
         # 3. Stores this scan. Skips a pair that is too far apart in time or place.
-        previous_arrival: cython.double = self._scan_at
-        previous_x: cython.double = self._x
-        previous_y: cython.double = self._y
+        previous_arrival = self._scan_at
+        previous_x = self._x
+        previous_y = self._y
         self._store_ranges(scan)
         self._scan_at = arrival
         self._has_last = True
@@ -256,14 +256,14 @@ class DelayByTurns:
         # 4. The turns that the candidates predict must differ, and be small enough to measure.
         self._predict_turns(previous_arrival, arrival)
         k: cython.Py_ssize_t
-        least: cython.double = INFINITY
-        most: cython.double = -INFINITY
+        least = INFINITY
+        most = -INFINITY
         for k in range(_CANDIDATES):
             least = min(least, self._turns[k])
             most = max(most, self._turns[k])
         if most - least < _MIN_TURN_SPREAD or max(-least, most) + _MARGIN > _MAX_SEARCHED:
             return
-        turn: cython.double = self._measured_turn(least - _MARGIN, most + _MARGIN)
+        turn = self._measured_turn(least - _MARGIN, most + _MARGIN)
         if not isnan(turn):
             self._add(turn)
             self.at = now
@@ -274,7 +274,6 @@ class DelayByTurns:
         k: cython.Py_ssize_t
         begin: cython.Py_ssize_t = self._end - 1
         end: cython.Py_ssize_t = self._end - 1
-        delay: cython.double
         for k in range(_CANDIDATES):
             delay = _DELAY_STEP * k
             while end > self._first and self._times[end] > at - delay:
@@ -315,10 +314,10 @@ class DelayByTurns:
         i: cython.Py_ssize_t
         return_count: cython.Py_ssize_t = 0
         mean: cython.double = 0.0
-        square_sum: cython.double = 0.0
+        square_sum = 0.0
         self._relief, self._old_relief = self._old_relief, self._relief
         self._old_norm = self._norm
-        relief: cython.double[::1] = self._relief
+        relief = self._relief
         for i in range(count):
             if range_min <= ranges[i] <= range_max:
                 mean += min(ranges[i], _MAX_RANGE)
@@ -334,10 +333,10 @@ class DelayByTurns:
     @cython.cfunc
     def _heading(self, k: cython.Py_ssize_t, at: cython.double) -> cython.double:
         """The heading at a time between heading k and the next heading, interpolated."""
-        before: cython.double = self._times[k]
+        before = self._times[k]
         if at <= before or k == self._end - 1:
             return self._yaws[k]
-        slope: cython.double = (self._yaws[k + 1] - self._yaws[k]) / (self._times[k + 1] - before)
+        slope = (self._yaws[k + 1] - self._yaws[k]) / (self._times[k + 1] - before)
         return slope * (at - before) + self._yaws[k]
 
     @cython.cfunc
@@ -348,18 +347,18 @@ class DelayByTurns:
         all returns by k rays to the right. NaN if the scene has too few features, or if the scans
         do not fit.
         """
-        least_norm: cython.double = _MIN_RELIEF * sqrt(self._rays)
+        least_norm = _MIN_RELIEF * sqrt(self._rays)
         if min(self._norm, self._old_norm) < least_norm:
             self.why = "it sees no features to tell a turn by"
             return NAN
 
         # 1. The shift in rays with the greatest correlation.
-        step: cython.double = fabs(self._ray_step)
+        step = fabs(self._ray_step)
         first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(low / step))
         last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / step))
         shift: cython.Py_ssize_t
         best: cython.Py_ssize_t = first
-        greatest: cython.double = -INFINITY
+        greatest = -INFINITY
         for shift in range(first, last + 1):
             correlation = self._correlation(shift)
             if correlation > greatest:
@@ -370,8 +369,8 @@ class DelayByTurns:
             return NAN
 
         # 2. The top of the parabola through the best shift and its two neighbours.
-        before: cython.double = self._correlation(best - 1)
-        after: cython.double = self._correlation(best + 1)
+        before = self._correlation(best - 1)
+        after = self._correlation(best + 1)
         return (best + 0.5 * (before - after) / (before - 2.0 * greatest + after)) * step
 
     @cython.cfunc
@@ -382,13 +381,13 @@ class DelayByTurns:
         first: cython.Py_ssize_t = shift if self._ray_step > 0.0 else -shift
         if first < 0:
             first += n
-        old: cython.double[::1] = self._old_relief
-        new: cython.double[::1] = self._relief
+        old = self._old_relief
+        new = self._relief
         i: cython.Py_ssize_t
-        a: cython.double = 0.0
-        b: cython.double = 0.0
-        c: cython.double = 0.0
-        d: cython.double = 0.0
+        a = 0.0
+        b = 0.0
+        c = 0.0
+        d = 0.0
         for i in range(0, n - 3, 4):  # four sums: a processor adds to them at the same time
             a += old[first + i] * new[i]
             b += old[first + i + 1] * new[i + 1]
@@ -430,9 +429,9 @@ class DelayByTurns:
         """
         # 1. The candidates, from `lowest` to `highest`, that fit nearly as well as the best.
         # `_weight` is the number of pairs, of which two are spent on fitting scale and delay.
-        variance: cython.double = self._errors[best] / (self._weight - 2.0)
+        variance = self._errors[best] / (self._weight - 2.0)
         variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
-        error_limit: cython.double = self._errors[best] + _SQUARED_DEVIATIONS * variance
+        error_limit = self._errors[best] + _SQUARED_DEVIATIONS * variance
         lowest: cython.Py_ssize_t = 0
         highest: cython.Py_ssize_t = _CANDIDATES - 1
         while self._errors[lowest] > error_limit:
@@ -447,11 +446,11 @@ class DelayByTurns:
         # best here: step 1 returns then. The curvature gives the standard deviation, which _ALIKE
         # widens.
         middle: cython.Py_ssize_t = max(best, 1)
-        error_before: cython.double = self._errors[middle - 1]
-        error_after: cython.double = self._errors[middle + 1]
-        curvature: cython.double = error_before - 2.0 * self._errors[middle] + error_after
+        error_before = self._errors[middle - 1]
+        error_after = self._errors[middle + 1]
+        curvature = error_before - 2.0 * self._errors[middle] + error_after
         if curvature > 0.0:
-            change: cython.double = 0.5 * _DELAY_STEP * (error_before - error_after) / curvature
+            change = 0.5 * _DELAY_STEP * (error_before - error_after) / curvature
             self.delay = max(_DELAY_STEP * middle + change, 0.0)
-            spread: cython.double = _ALIKE * _DELAY_STEP * sqrt(2.0 * variance / curvature)
+            spread = _ALIKE * _DELAY_STEP * sqrt(2.0 * variance / curvature)
             self.spread = max(spread, _MIN_DELAY_SPREAD)

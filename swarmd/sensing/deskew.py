@@ -248,8 +248,8 @@ class Deskewer:
             return None  # at rest, odometry does not reach back, or all rays have one age (span 0)
         # 1. The width in rad of the unmeasured sector; below 0 if the robot turns with the sensor.
         # The last row has the pose at the begin of the scan; the pose at its end has yaw 0.
-        yaw_at_begin: cython.double = history.path[path_rows - 1, 3]
-        unmeasured: cython.double = self._direction * yaw_at_begin
+        yaw_at_begin = history.path[path_rows - 1, 3]
+        unmeasured = self._direction * yaw_at_begin
         # A sector below half the angle between two rays lacks no ray.
         lacks_rays: cython.bint = unmeasured > 0.5 * self._spacing
         if lacks_rays and not self._can_fill(stamp, seconds):
@@ -327,7 +327,7 @@ class Deskewer:
         # `unmeasured` in the direction of the sweep. The sector has the bearings that this ray
         # leaves behind. A ray covers half the angle between two rays to each side of its bearing,
         # so the sector begins half this angle before `_oldest`.
-        start: cython.double = self._oldest - 0.5 * self._direction * self._spacing
+        start = self._oldest - 0.5 * self._direction * self._spacing
         self._sector_args[0] = start
         self._sector_args[1] = self._direction
         self._sector_args[2] = unmeasured

@@ -90,7 +90,7 @@ class OdometryHistory:
         trail: OdometryTrail = self.trail
         if trail.count == 0:
             return False
-        r: cython.double[::1] = trail.readings
+        r = trail.readings
         last: cython.Py_ssize_t = trail.place(0)
         pose = odometry.pose
         twist = odometry.twist
@@ -101,12 +101,10 @@ class OdometryHistory:
         lateral: cython.double = twist.lateral
         angular: cython.double = twist.angular
         seconds: cython.double = min(odometry.stamp - r[last], _MAX_GAP)
-        speed: cython.double = max(
-            hypot(linear, lateral), hypot(r[last + R_LINEAR], r[last + R_LATERAL])
-        )
-        rate: cython.double = max(fabs(angular), fabs(r[last + R_ANGULAR]))
-        way: cython.double = hypot(x - r[last + R_X], y - r[last + R_Y])
-        turn: cython.double = fabs(remainder(yaw - r[last + R_YAW], TURN))
+        speed = max(hypot(linear, lateral), hypot(r[last + R_LINEAR], r[last + R_LATERAL]))
+        rate = max(fabs(angular), fabs(r[last + R_ANGULAR]))
+        way = hypot(x - r[last + R_X], y - r[last + R_Y])
+        turn = fabs(remainder(yaw - r[last + R_YAW], TURN))
         return (
             way > _SHIFT_WAY + _TWIST_EXCESS * speed * seconds
             or turn > _SHIFT_TURN + _TWIST_EXCESS * rate * seconds
@@ -133,7 +131,7 @@ class OdometryHistory:
         trail: OdometryTrail = self.trail
         if seconds == 0.0 or not trail.covers(end - seconds):
             return 0
-        r: cython.double[::1] = trail.readings
+        r = trail.readings
         rows: cython.Py_ssize_t = 1
         i: cython.Py_ssize_t
         start: cython.Py_ssize_t
@@ -163,7 +161,7 @@ class OdometryHistory:
         y: cython.double,
         yaw: cython.double,
     ) -> cython.int:
-        p: cython.double[:, ::1] = self.path
+        p = self.path
         p[row, 0] = before
         p[row, 1] = x
         p[row, 2] = y
@@ -172,14 +170,14 @@ class OdometryHistory:
     @cython.cfunc
     def _makes_relative(self, rows: cython.Py_ssize_t) -> cython.bint:
         """Make the poses of the path relative to the first one; false if all are at rest."""
-        path: cython.double[:, ::1] = self.path
-        x: cython.double = path[0, 1]
-        y: cython.double = path[0, 2]
-        yaw: cython.double = path[0, 3]
-        cos_yaw: cython.double = cos(yaw)
-        sin_yaw: cython.double = sin(yaw)
-        turned: cython.double = 0.0
-        moves: cython.bint = False
+        path = self.path
+        x = path[0, 1]
+        y = path[0, 2]
+        yaw = path[0, 3]
+        cos_yaw = cos(yaw)
+        sin_yaw = sin(yaw)
+        turned = 0.0
+        moves = False
         i: cython.Py_ssize_t
         for i in range(rows):
             dx = path[i, 1] - x
@@ -197,14 +195,14 @@ class OdometryHistory:
         """Set `motion`: x, y, yaw of the pose at a stamp, relative to the pose at `end`."""
         trail: OdometryTrail = self.trail
         trail.set_pose(end)
-        x: cython.double = trail.x
-        y: cython.double = trail.y
-        yaw: cython.double = trail.yaw
+        x = trail.x
+        y = trail.y
+        yaw = trail.yaw
         trail.set_pose(stamp)
-        dx: cython.double = trail.x - x
-        dy: cython.double = trail.y - y
-        cos_yaw: cython.double = cos(yaw)
-        sin_yaw: cython.double = sin(yaw)
+        dx = trail.x - x
+        dy = trail.y - y
+        cos_yaw = cos(yaw)
+        sin_yaw = sin(yaw)
         self.motion[0] = cos_yaw * dx + sin_yaw * dy
         self.motion[1] = cos_yaw * dy - sin_yaw * dx
         self.motion[2] = trail.yaw - yaw

@@ -54,7 +54,7 @@ def _nearest_angle(
     `rising`: angles in [0, a full turn), of which the first `n` > 0 are in use and rise. `wanted`:
     rad, any angle. `hint`: an index at which the search begins, such as the last result.
     """
-    angle: cython.double = mod_turn(wanted)
+    angle = mod_turn(wanted)
     low: cython.Py_ssize_t = 0
     high: cython.Py_ssize_t = n
     middle: cython.Py_ssize_t
@@ -84,7 +84,7 @@ def _nearest_angle(
 @cython.exceptval(check=False)
 def _unwrapped(step: cython.double) -> cython.double:
     """A step between two angles in [-pi, pi], as numpy.unwrap: half a turn keeps its sign."""
-    wrapped_step: cython.double = wrap(step)
+    wrapped_step = wrap(step)
     return PI if wrapped_step == -PI and step > 0.0 else wrapped_step
 
 
@@ -186,7 +186,7 @@ class RayMemory:
 
         Takes over the `bearings` (n,) of the scan if they differ from those of the scan before.
         """
-        turned: cython.double = self._turn_of(yaw)
+        turned = self._turn_of(yaw)
         is_same: cython.bint = bearings is self._given  # mostly the same object
         if not is_same and self._ray_count and np.array_equal(bearings, np.asarray(self._bearings)):
             self._given = bearings
@@ -226,11 +226,11 @@ class RayMemory:
         i: cython.Py_ssize_t
         index: cython.Py_ssize_t
         unknown_count: cython.Py_ssize_t = 0
-        near_below: cython.double = self._near_below
-        known_ranges: cython.double[::1] = self._ranges
-        seen_at: cython.double[::1] = self._seen_at
-        is_zero: cython.uchar[::1] = self._is_zero
-        is_lost: cython.uchar[::1] = self._is_lost
+        near_below = self._near_below
+        known_ranges = self._ranges
+        seen_at = self._seen_at
+        is_zero = self._is_zero
+        is_lost = self._is_lost
         for i in range(len(ranges)):
             distance = ranges[i]
             if isnan(distance):
@@ -262,10 +262,10 @@ class RayMemory:
         """
         i: cython.Py_ssize_t
         far_count: cython.Py_ssize_t = 0
-        has_return: cython.bint = False
-        near_below: cython.double = self._near_below
-        range_max: cython.double = self._range_max
-        far_below: cython.double = _FAR_SHARE * self._range_max
+        has_return = False
+        near_below = self._near_below
+        range_max = self._range_max
+        far_below = _FAR_SHARE * self._range_max
         for i in range(len(raw)):
             distance = raw[i]
             if (0.0 < distance <= range_max) or distance == -INFINITY:
@@ -275,7 +275,7 @@ class RayMemory:
         if has_return:
             self.far_returns = far_count
             return False
-        min_far_count: cython.double = max(_BLIND_SHARE * len(raw), _BLIND_RETURNS)
+        min_far_count = max(_BLIND_SHARE * len(raw), _BLIND_RETURNS)
         return self.far_returns >= min_far_count
 
     @cython.cfunc
@@ -284,7 +284,7 @@ class RayMemory:
 
         The remainder counts in the next call. 0 if a yaw is unknown.
         """
-        turned: cython.double = wrap(yaw - self._yaw)
+        turned = wrap(yaw - self._yaw)
         if not isfinite(turned):
             self._yaw = yaw
             return 0.0
@@ -302,7 +302,7 @@ class RayMemory:
         """
         count: cython.Py_ssize_t = len(bearings)
         old_count: cython.Py_ssize_t = self._ray_count
-        old_rising: cython.double[::1] = self._rising
+        old_rising = self._rising
         i: cython.Py_ssize_t
         values = np.array(bearings, dtype=np.float64, order="C")
         angles: cython.double[::1] = view_of(values % TURN)
@@ -332,7 +332,7 @@ class RayMemory:
         """True if the rays cover a full turn, a ray at each `_step`."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = self._ray_count
-        step: cython.double = self._step
+        step = self._step
         if not fabs(count * step - TURN) < _MAX_TURN_ERROR * step:
             return False
         for i in range(count):
@@ -357,10 +357,10 @@ class RayMemory:
         """Give each ray the old memory of the ray that was nearest to it before the turn."""
         count: cython.Py_ssize_t = self._ray_count
         old_count: cython.Py_ssize_t = len(rising)
-        ranges: cython.double[::1] = self._ranges
-        seen_at: cython.double[::1] = self._seen_at
-        near_at: cython.double[::1] = self._near_at
-        too_far: cython.double = 2.0 * TURN / old_count
+        ranges = self._ranges
+        seen_at = self._seen_at
+        near_at = self._near_at
+        too_far = 2.0 * TURN / old_count
         place: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         source: cython.Py_ssize_t
@@ -381,10 +381,10 @@ class RayMemory:
     def _interpret_ranges(self, out: cython.double[::1]) -> cython.bint:
         """Each ray as +inf, -inf, NaN or a distance; true if zeros of an LDS are left."""
         i: cython.Py_ssize_t
-        range_min: cython.double = self._range_min
-        range_max: cython.double = self._range_max
-        is_zero: cython.uchar[::1] = self._is_zero
-        has_zeros: cython.bint = False
+        range_min = self._range_min
+        range_max = self._range_max
+        is_zero = self._is_zero
+        has_zeros = False
         for i in range(len(out)):
             value = out[i]
             is_zero[i] = value == 0.0
@@ -454,7 +454,7 @@ class RayMemory:
         """True if a ray within _NEAR_SECTOR had a near return within the last _NEAR_MEMORY s."""
         if not self._guesses_near:
             return False
-        since: cython.double = now - _NEAR_MEMORY
+        since = now - _NEAR_MEMORY
         direction: cython.Py_ssize_t
         step: cython.Py_ssize_t
         beside: cython.Py_ssize_t
@@ -476,7 +476,7 @@ class RayMemory:
         """
         if self._widest(INFINITY) <= self._max_gap:
             return now
-        before: cython.double = INFINITY
+        before = INFINITY
         i: cython.Py_ssize_t
         while True:
             latest = -INFINITY
@@ -499,7 +499,7 @@ class RayMemory:
             first += 1
         if first == n:
             return INFINITY
-        widest: cython.double = 0.0
+        widest = 0.0
         last: cython.Py_ssize_t = first
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
@@ -528,14 +528,14 @@ class RayMemory:
         # The last known ray: its index, angle and range. Angles are unwrapped: they rise or fall
         # over the whole turn. The sum of a bearing and `unwrap_shift` is an unwrapped angle.
         last: cython.Py_ssize_t = first
-        first_angle: cython.double = self._bearings[first]
-        last_angle: cython.double = first_angle
-        last_range: cython.double = ranges[first]
-        angle: cython.double = first_angle
-        unwrap_shift: cython.double = 0.0
+        first_angle = self._bearings[first]
+        last_angle = first_angle
+        last_range = ranges[first]
+        angle = first_angle
+        unwrap_shift = 0.0
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
-        is_filled: cython.bint = True
+        is_filled = True
 
         # Each known ray ends the unknown rays behind the last known ray.
         for k in range(first + 1, first + count):

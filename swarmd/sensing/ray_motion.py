@@ -20,7 +20,7 @@ def _moved_range(
     along: cython.double, across: cython.double, least: cython.double, most: cython.double
 ) -> cython.double:
     """The range of a return at `along` and `across` m from the sensor; -inf below `least`."""
-    distance: cython.double = min(sqrt(along * along + across * across), most)
+    distance = min(sqrt(along * along + across * across), most)
     return -INFINITY if distance < least else distance
 
 
@@ -73,10 +73,10 @@ def move_rays(
         limits: x and y of the sensor in the base frame, range_min and range_max; m.
         distances, angles: (n,) m and rad, the arrays to fill.
     """
-    offset_x: cython.double = limits[0]
-    offset_y: cython.double = limits[1]
-    range_min: cython.double = limits[2]
-    range_max: cython.double = limits[3]
+    offset_x = limits[0]
+    offset_y = limits[1]
+    range_min = limits[2]
+    range_max = limits[3]
     count: cython.Py_ssize_t = len(ranges)
     last_row: cython.Py_ssize_t = row_count - 1
     row: cython.Py_ssize_t = 1
@@ -84,24 +84,24 @@ def move_rays(
     # The segment of the path in which the ray was measured, from row `row - 1`, the newer end, to
     # row `row`, the older end: the ages of both ends (s before the end of the path), x, y and turn
     # at the newer end, and their change to the older end.
-    newer_age: cython.double = INFINITY
-    older_age: cython.double = -INFINITY
-    newer_x: cython.double = 0.0
-    newer_y: cython.double = 0.0
-    newer_turn: cython.double = 0.0
-    x_change: cython.double = 0.0
-    y_change: cython.double = 0.0
-    turn_change: cython.double = 0.0
+    newer_age = INFINITY
+    older_age = -INFINITY
+    newer_x = 0.0
+    newer_y = 0.0
+    newer_turn = 0.0
+    x_change = 0.0
+    y_change = 0.0
+    turn_change = 0.0
     # The pose at the present age, used again for rays of the same age: many sensors give a whole
     # sector the same age. `fraction`: place within the segment.
-    age: cython.double = NAN
-    has_pose: cython.bint = False
-    fraction: cython.double = 0.0
-    turn: cython.double = 0.0
-    x: cython.double = 0.0
-    y: cython.double = 0.0
-    cos_turn: cython.double = 1.0
-    sin_turn: cython.double = 0.0
+    age = NAN
+    has_pose = False
+    fraction = 0.0
+    turn = 0.0
+    x = 0.0
+    y = 0.0
+    cos_turn = 1.0
+    sin_turn = 0.0
     for i in range(count):
         distance = ranges[i]
         # 1. The turn of the pose at the age of the ray.
@@ -175,25 +175,25 @@ def rays_in_sector(
         limits: x and y of the sensor in the base frame, range_min and range_max; m.
         distances, angles, kept_ages: (n,) m, rad, s; the arrays to fill.
     """
-    x: cython.double = motion[0]
-    y: cython.double = motion[1]
-    turn: cython.double = motion[2]
-    start: cython.double = sector[0]
-    direction: cython.double = sector[1]
-    width: cython.double = sector[2]
-    offset_x: cython.double = limits[0]
-    offset_y: cython.double = limits[1]
-    range_min: cython.double = limits[2]
-    range_max: cython.double = limits[3]
+    x = motion[0]
+    y = motion[1]
+    turn = motion[2]
+    start = sector[0]
+    direction = sector[1]
+    width = sector[2]
+    offset_x = limits[0]
+    offset_y = limits[1]
+    range_min = limits[2]
+    range_max = limits[3]
     # 1. The motion of the sensor: of the base, plus the turn of the sensor's offset.
-    cos_turn: cython.double = cos(turn)
-    sin_turn: cython.double = sin(turn)
+    cos_turn = cos(turn)
+    sin_turn = sin(turn)
     x += (cos_turn - 1.0) * offset_x - sin_turn * offset_y
     y += sin_turn * offset_x + (cos_turn - 1.0) * offset_y
     # 2. The motion changes the direction of a return by at most `max_change` rad, since a return is
     # at least range_min away.
-    max_change: cython.double = PI
-    sensor_motion: cython.double = sqrt(x * x + y * y)
+    max_change = PI
+    sensor_motion = sqrt(x * x + y * y)
     if sensor_motion < _LEAST_SHARE * range_min:
         max_change = asin(sensor_motion / range_min) + _ROUNDING
     n: cython.Py_ssize_t = len(ranges)

@@ -72,19 +72,19 @@ class ScanDelay:
 
     def on_scan(self, scan: Scan, now: cython.double) -> None:
         """Take in a raw scan that arrived at `now` and is valid."""
-        offset: cython.double = self._stamps.offset
+        offset = self._stamps.offset
         if self._stamps.goes_back(scan.stamp, now):
             self._restart()
-        stamps: cython.double = self._stamps.take(scan, now)
+        stamps = self._stamps.take(scan, now)
         turns: DelayByTurns = self._turns
         if offset < INFINITY:
             turns.compare(scan, now - offset, now)
-        added: cython.double = stamps - self._latency
+        added = stamps - self._latency
         if self._stamps.is_restarting:
             added = max(added, self._added_before)
-        known: cython.double = max(self._latency, stamps) + _TOLERANCE
+        known = max(self._latency, stamps) + _TOLERANCE
         if turns.delay - _CERTAIN * turns.spread > known:  # false of NaN: there is no figure
-            upper: cython.double = turns.delay + turns.spread - self._latency
+            upper = turns.delay + turns.spread - self._latency
             if upper > self._bound and now - turns.at > _EXPIRES:
                 turns.forget()  # a robot that is held cannot turn to measure anew
             else:

@@ -26,7 +26,7 @@ def nearest(
     layout: ScanLayout | None = layout_of(scan)
     if layout is None:
         return None
-    ranges: cython.const_double[::1] = layout.known
+    ranges = layout.known
     n: cython.Py_ssize_t = layout.n
     least: cython.double = scan.range_min
     lowest: cython.double = INFINITY
@@ -93,10 +93,10 @@ def _store_nearest_rays(
     Sets `lowest`, the range of this ray, which is at least `range_min` m, and `nearest_ray`, its
     index. A sector without a return up to `within` has the range inf.
     """
-    ranges: cython.const_double[::1] = layout.known
+    ranges = layout.known
     ray_count: cython.Py_ssize_t = layout.n
-    lowest: cython.double[::1] = layout.lowest
-    is_seen: cython.bint = False
+    lowest = layout.lowest
+    is_seen = False
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     for k in range(count):
@@ -118,8 +118,8 @@ def _store_nearest_rays(
 @cython.cfunc
 def _store_local_minima(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
     """Store a point for each sector that is nearer than both neighbours; the number of points."""
-    lowest: cython.double[::1] = layout.lowest
-    before: cython.double = lowest[count - 1]
+    lowest = layout.lowest
+    before = lowest[count - 1]
     point_count: cython.Py_ssize_t = 0
     k: cython.Py_ssize_t
     for k in range(count):
@@ -134,8 +134,8 @@ def _store_local_minima(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.
 @cython.cfunc
 def _store_nearest_sectors(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
     """Store a point for each sector as near as the nearest sector; the number of points."""
-    lowest: cython.double[::1] = layout.lowest
-    least: cython.double = INFINITY
+    lowest = layout.lowest
+    least = INFINITY
     point_count: cython.Py_ssize_t = 0
     k: cython.Py_ssize_t
     for k in range(count):
@@ -176,11 +176,11 @@ def clusters(
 
     # Measures each object with a return, once around from the ray behind the last ray of an object.
     ray_count: cython.Py_ssize_t = layout.n
-    ranges: cython.double[::1] = layout.work
-    is_last: cython.uchar[::1] = layout.is_last
+    ranges = layout.work
+    is_last = layout.is_last
     first: cython.Py_ssize_t = _store_last_rays(layout, jump)
     last: cython.Py_ssize_t = first + ray_count - 1
-    lowest: cython.double = INFINITY
+    lowest = INFINITY
     objects: list[tuple[Any, ...]] = []
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
@@ -205,10 +205,10 @@ def _store_ranges(
 
     The range is _UNSEEN for a ray without a return up to `within`, and at least `range_min` m.
     """
-    known_ranges: cython.const_double[::1] = layout.known
-    order: cython.longlong[::1] = layout.order
+    known_ranges = layout.known
+    order = layout.order
     ranges: cython.double[::1] = layout.work
-    is_seen: cython.bint = False
+    is_seen = False
     count: cython.Py_ssize_t = layout.n
     i: cython.Py_ssize_t
     for i in range(count):
@@ -231,10 +231,10 @@ def _store_last_rays(layout: ScanLayout, jump: cython.double) -> cython.Py_ssize
     The next ray is too far away from the last ray of an object: in angle (`is_apart`), or in range.
     Without a last ray all rays are a single object, which may begin at any ray: the result is 1.
     """
-    ranges: cython.double[::1] = layout.work
-    slopes: cython.double[::1] = layout.slopes
-    is_apart: cython.uchar[::1] = layout.is_apart
-    is_last: cython.uchar[::1] = layout.is_last
+    ranges = layout.work
+    slopes = layout.slopes
+    is_apart = layout.is_apart
+    is_last = layout.is_last
     count: cython.Py_ssize_t = layout.n
     first: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
@@ -259,12 +259,12 @@ def _object(
     n: cython.Py_ssize_t = layout.n
     begin: cython.Py_ssize_t = first % n
     end: cython.Py_ssize_t = last % n
-    start: cython.double = layout.rising[begin] + (TURN if first >= n else 0.0)
-    stop: cython.double = layout.rising[end] + (TURN if last >= n else 0.0)
-    near: cython.double = layout.work[begin]
-    far: cython.double = layout.work[end]
-    spread: cython.double = stop - start
-    chord: cython.double = hypot(near - far, 2.0 * sqrt(near * far) * sin(0.5 * spread))
+    start = layout.rising[begin] + (TURN if first >= n else 0.0)
+    stop = layout.rising[end] + (TURN if last >= n else 0.0)
+    near = layout.work[begin]
+    far = layout.work[end]
+    spread = stop - start
+    chord = hypot(near - far, 2.0 * sqrt(near * far) * sin(0.5 * spread))
     return (
         lowest,
         wrap(start + 0.5 * spread),

@@ -88,11 +88,11 @@ class ScanLayout:
         """Take other bearings; IndexError if they are more than the layout has room for."""
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
-        given: cython.p_double = checked(self.given, n)
-        wrapped: cython.p_double = checked(self.wrapped, n)
+        given = checked(self.given, n)
+        wrapped = checked(self.wrapped, n)
         self.n = n
         for i in range(n):
-            angle: cython.double = bearings[i]
+            angle = bearings[i]
             if not isfinite(angle):
                 raise ValueError(f"bearing {i} of a scan is {angle}; expected a finite angle")
             given[i] = angle
@@ -115,8 +115,8 @@ class ScanLayout:
         if grazing == self.grazing:
             return
         i: cython.Py_ssize_t
-        slope: cython.double = tan(grazing)
-        max_step: cython.double = min(_MAX_STEPS * self.spacing, 0.5 * PI)
+        slope = tan(grazing)
+        max_step = min(_MAX_STEPS * self.spacing, 0.5 * PI)
         for i in range(self.n):
             self.slopes[i] = self.steps[i] / slope if slope else INFINITY
             self.is_apart[i] = self.steps[i] >= max_step
@@ -150,7 +150,7 @@ class ScanLayout:
             self.point = view_of(self.points)
             self.lowest = scratch(count)
             self.nearest_ray = np.empty(count, np.intp).data
-        share: cython.double = count / TURN
+        share = count / TURN
         i: cython.Py_ssize_t
         sector: cython.longlong
         for i in range(self.n):

@@ -29,11 +29,11 @@ def _squared_distance(
     edges: cython.double[:, ::1], i: cython.Py_ssize_t, x: cython.double, y: cython.double
 ) -> cython.double:
     """The squared distance of a place to edge `i`."""
-    along_x: cython.double = edges[i, 2] - edges[i, 0]
-    along_y: cython.double = edges[i, 3] - edges[i, 1]
-    dx: cython.double = x - edges[i, 0]
-    dy: cython.double = y - edges[i, 1]
-    part: cython.double = (dx * along_x + dy * along_y) / (along_x * along_x + along_y * along_y)
+    along_x = edges[i, 2] - edges[i, 0]
+    along_y = edges[i, 3] - edges[i, 1]
+    dx = x - edges[i, 0]
+    dy = y - edges[i, 1]
+    part = (dx * along_x + dy * along_y) / (along_x * along_x + along_y * along_y)
     part = 0.0 if part < 0.0 else (1.0 if part > 1.0 else part)
     dx -= part * along_x
     dy -= part * along_y
@@ -45,8 +45,8 @@ def _squared_distance(
 def _permits(edges: cython.double[:, ::1], x: cython.double, y: cython.double) -> cython.bint:
     """True within the outer polygon and outside all others: even-odd rule."""
     i: cython.Py_ssize_t
-    polygon: cython.double = 0.0
-    is_within: cython.bint = False
+    polygon = 0.0
+    is_within = False
     for i in range(len(edges)):
         if edges[i, 4] != polygon:
             if is_within != (polygon == 0.0):
@@ -79,12 +79,12 @@ def _clearance(
     `count` rows are the edges that may be the nearest.
     """
     i: cython.Py_ssize_t
-    least: cython.double = INFINITY
+    least = INFINITY
     for i in range(count):
-        squared: cython.double = _squared_distance(near, i, x, y)
+        squared = _squared_distance(near, i, x, y)
         if squared < least:
             least = squared
-    away: cython.double = sqrt(least)
+    away = sqrt(least)
     return (away if _permits(edges, x, y) else -away) - radius
 
 
@@ -113,12 +113,12 @@ def _nearby(
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     count: cython.Py_ssize_t = 0
-    least: cython.double = INFINITY
+    least = INFINITY
     found = np.empty((len(edges), 5))
     near: cython.double[:, ::1] = view(found)
     for i in range(len(edges)):
         least = min(least, _squared_distance(edges, i, x, y))
-    most: cython.double = sqrt(least) + 2.0 * way + _PLACE_ROUNDING
+    most = sqrt(least) + 2.0 * way + _PLACE_ROUNDING
     for i in range(len(edges)):
         if _squared_distance(edges, i, x, y) <= most * most:
             for j in range(5):
@@ -205,13 +205,11 @@ class _Stops:
         - Inwards: the clearance has not fallen since the step before, and has risen since the begin
           by `off` at least.
         """
-        top_speed: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
-        top_turn: cython.double = max(fabs(turn), fabs(to_turn))
-        step: cython.double = (
-            DECISION_PERIOD + max(top_speed / braking, top_turn / turning)
-        ) / _FENCE_STEPS
-        way: cython.double = 0.0
-        last_room: cython.double = self.present  # m, the clearance at the step before
+        top_speed = max(hypot(ahead, left), hypot(to_ahead, to_left))
+        top_turn = max(fabs(turn), fabs(to_turn))
+        step = (DECISION_PERIOD + max(top_speed / braking, top_turn / turning)) / _FENCE_STEPS
+        way = 0.0
+        last_room = self.present  # m, the clearance at the step before
         motion: StopMotion = self.motion
         motion.begin(1.0, 0.0, self.yaw)
         i: cython.Py_ssize_t
@@ -229,10 +227,10 @@ class _Stops:
                 braking,
                 turning,
             )
-            moved: cython.double = hypot(motion.moved, motion.aside)
+            moved = hypot(motion.moved, motion.aside)
             way += moved
             # 2. The circle must be clear, or come inwards.
-            room: cython.double = _clearance(
+            room = _clearance(
                 self.edges,
                 self.near,
                 self.count,
@@ -240,11 +238,11 @@ class _Stops:
                 self.y + motion.y,
                 self.radius,
             )
-            off: cython.double = self.turn_error * way
+            off = self.turn_error * way
             is_clear: cython.bint = room >= self.need + off + 0.5 * moved
             has_fallen: cython.bint = room < last_room - _PLACE_ROUNDING
-            has_risen: cython.bint = not room < self.present + off - _PLACE_ROUNDING
-            comes_inwards: cython.bint = has_risen and not has_fallen
+            has_risen = not room < self.present + off - _PLACE_ROUNDING
+            comes_inwards = has_risen and not has_fallen
             if not (is_clear or comes_inwards):
                 return False
             last_room = room
@@ -279,11 +277,11 @@ def nearest_permitted(
     """
     table: cython.double[:, ::1] = view(edges)
     given: cython.double[:, ::1] = view(shares)
-    ahead: cython.double = request[0]
-    left: cython.double = request[1]
-    turn: cython.double = request[2]
-    linear_size: cython.double = sizes[0]
-    turn_size: cython.double = sizes[1]
+    ahead = request[0]
+    left = request[1]
+    turn = request[2]
+    linear_size = sizes[0]
+    turn_size = sizes[1]
     stops: _Stops = _Stops()
     stops.motion = StopMotion()
     stops.speed_ahead, stops.speed_left, stops.speed_turn = speeds
@@ -292,9 +290,9 @@ def nearest_permitted(
     stops.x, stops.y, stops.yaw = pose
     stops.radius, stops.present, stops.need, stops.turn_error = room
     # 1. The edges within the way of the longest stop.
-    top_speed: cython.double = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
-    top_turn: cython.double = max(fabs(turn), fabs(stops.speed_turn))
-    longest_s: cython.double = max(top_speed / stops.braking, top_turn / stops.turning)
+    top_speed = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
+    top_turn = max(fabs(turn), fabs(stops.speed_turn))
+    longest_s = max(top_speed / stops.braking, top_turn / stops.turning)
     stops.near, stops.count = _nearby(
         table, stops.x, stops.y, top_speed * (DECISION_PERIOD + longest_s)
     )
@@ -302,12 +300,12 @@ def nearest_permitted(
         return len(given)
     # 2. The nearest permitted share.
     best: cython.Py_ssize_t = -1
-    least: cython.double = INFINITY
+    least = INFINITY
     i: cython.Py_ssize_t
     for i in range(len(given)):
         share: cython.double = given[i, 0]
         turn_share: cython.double = given[i, 1]
-        off: cython.double = hypot((1.0 - share) * linear_size, (1.0 - turn_share) * turn_size)
+        off = hypot((1.0 - share) * linear_size, (1.0 - turn_share) * turn_size)
         if off < least and stops.permits(ahead * share, left * share, turn * turn_share):
             best = i
             least = off

@@ -139,7 +139,7 @@ class BareReturns:
         """
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
-        is_any: cython.bint = False
+        is_any = False
         self._rays = len(ranges)
         self._borrowed = borrowed
         if len(self._state) < self._rays:
@@ -180,7 +180,7 @@ class BareReturns:
         i: cython.Py_ssize_t
         outline: Outline = self._outline
         for i in range(self._rays):
-            distance: cython.double = ranges[i]
+            distance = ranges[i]
             is_filled: cython.bint = len(filled) > 0 and filled[i] != 0.0
             is_of_revolution: cython.bint = len(ages) == 0 or ages[i] <= oldest
             self._x[i] = outline.lidar_x + distance * directions[2 * i]
@@ -212,7 +212,7 @@ class BareReturns:
         # whole turn is one sector.
         begin: cython.Py_ssize_t = first if first < own else 0
         last: cython.Py_ssize_t = begin
-        angle: cython.double = 0.0 if first < own else INFINITY
+        angle = 0.0 if first < own else INFINITY
         for k in range(begin + 1, begin + own + 1):
             i: cython.Py_ssize_t = self._own_ray(k)
             angle += _between(directions, self._own_ray(k - 1), i)
@@ -268,10 +268,8 @@ class BareReturns:
     ) -> cython.int:
         """Set `_hides_from` of a ray in a sector of `angle` rad."""
         self._is_open[ray] = angle >= _WIDE_SECTOR
-        least: cython.double = _PART / angle if angle > 0.0 else INFINITY
-        outline: cython.double = self._outline.along_ray(
-            directions[2 * ray], directions[2 * ray + 1]
-        )
+        least = _PART / angle if angle > 0.0 else INFINITY
+        outline = self._outline.along_ray(directions[2 * ray], directions[2 * ray + 1])
         self._hides_from[ray] = outline if outline > least else least
         return 0
 
@@ -285,7 +283,7 @@ class BareReturns:
             self._is_member[i] = 0
             self._is_candidate[i] = 0
         for k in range(run.length + 1):
-            along: cython.double = runs.along(run, k)
+            along = runs.along(run, k)
             ray: cython.Py_ssize_t = runs.ray[runs.return_of(run, k)]
             is_on_line: cython.bint = along == along  # NaN for a return off the line
             if is_on_line and self._state[ray] == _RETURN:
@@ -301,8 +299,8 @@ class BareReturns:
         self, run: Run, runs: StraightRuns, x: cython.double, y: cython.double
     ) -> cython.double:
         """m by which a place lies before the line of a run, seen from the lidar; < 0: behind."""
-        side: cython.double = run.ux * (runs.lidar_y - run.y) - run.uy * (runs.lidar_x - run.x)
-        height: cython.double = run.ux * (y - run.y) - run.uy * (x - run.x)
+        side = run.ux * (runs.lidar_y - run.y) - run.uy * (runs.lidar_x - run.x)
+        height = run.ux * (y - run.y) - run.uy * (x - run.x)
         return height if side >= 0.0 else -height
 
     @cython.cfunc
@@ -321,8 +319,8 @@ class BareReturns:
         steps: cython.Py_ssize_t = last - first if last >= first else last - first + own
         count: cython.Py_ssize_t = 0  # members of the present stretch
         lost: cython.Py_ssize_t = 0  # sectors of unmeasured rays in it
-        is_lost: cython.bint = False  # the ray before was not measured
-        is_any: cython.bint = False
+        is_lost = False  # the ray before was not measured
+        is_any = False
         for k in range(steps + 1):
             i: cython.Py_ssize_t = self._own_ray(first + k)
             if self._state[i] == _UNMEASURED:
@@ -331,9 +329,7 @@ class BareReturns:
             is_next: cython.bint = False
             if self._is_member[i] and count:
                 before: cython.Py_ssize_t = self._stretch[count - 1]
-                spacing: cython.double = hypot(
-                    self._x[i] - self._x[before], self._y[i] - self._y[before]
-                )
+                spacing = hypot(self._x[i] - self._x[before], self._y[i] - self._y[before])
                 is_next = spacing < _PART
             if not is_next:  # ends the stretch before this ray
                 if self._take_stretch(count, lost, kinds):
@@ -363,7 +359,7 @@ class BareReturns:
             return 0
         first: cython.Py_ssize_t = self._stretch[0]
         last: cython.Py_ssize_t = self._stretch[count - 1]
-        length: cython.double = fabs(self._along[last] - self._along[first])
+        length = fabs(self._along[last] - self._along[first])
         if not (length >= self._length and length >= self.longest_heard):
             return 0
         if not self._is_flat(count):
@@ -380,26 +376,26 @@ class BareReturns:
         if count < _LEAST_MEMBERS:
             return 0
         k: cython.Py_ssize_t
-        mean: cython.double = 0.0
+        mean = 0.0
         for k in range(count):
             mean += self._along[self._stretch[k]]
         mean /= count
-        variance: cython.double = 0.0
-        third: cython.double = 0.0
+        variance = 0.0
+        third = 0.0
         for k in range(count):
-            off: cython.double = self._along[self._stretch[k]] - mean
+            off = self._along[self._stretch[k]] - mean
             variance += off * off
             third += off * off * off
         variance /= count
         third /= count
         if not variance > 0.0:
             return 0
-        covariance: cython.double = 0.0
-        square: cython.double = 0.0
+        covariance = 0.0
+        square = 0.0
         for k in range(count):
             off = self._along[self._stretch[k]] - mean
             # The square of the place, less what a shift and a turn of the line explain.
-            bend: cython.double = off * off - off * third / variance - variance
+            bend = off * off - off * third / variance - variance
             covariance += bend * self._across[self._stretch[k]]
             square += bend * bend
         # The radius is 1 / (2 * covariance / square).
@@ -410,7 +406,7 @@ class BareReturns:
     def _mark_candidates(self, count: cython.Py_ssize_t, kinds: cython.longlong[::1]) -> cython.int:
         """Mark the members of a stretch of the kind WALL whose neighbour rays are members, too."""
         k: cython.Py_ssize_t
-        is_any: cython.bint = False
+        is_any = False
         for k in range(1, count - 1):
             i: cython.Py_ssize_t = self._stretch[k]
             number: cython.Py_ssize_t = i - self._borrowed
@@ -433,19 +429,19 @@ class BareReturns:
         Another body may stand in the shadow of a return, between it and the wall.
         """
         i: cython.Py_ssize_t
-        shadow_end: cython.double = REACH + self._extent
+        shadow_end = REACH + self._extent
         for i in range(self._rays):
             if self._is_member[i]:
                 continue
             if self._state[i] == _TOO_CLOSE:
-                ray_x: cython.double = directions[2 * i]
-                ray_y: cython.double = directions[2 * i + 1]
-                outline: cython.double = self._outline.along_ray(ray_x, ray_y)
-                farthest: cython.double = outline if outline > self._range_min else self._range_min
+                ray_x = directions[2 * i]
+                ray_y = directions[2 * i + 1]
+                outline = self._outline.along_ray(ray_x, ray_y)
+                farthest = outline if outline > self._range_min else self._range_min
                 self._deny_along(run, runs, ray_x, ray_y, 0.0, farthest)
                 continue
-            x: cython.double = self._x[i]
-            y: cython.double = self._y[i]
+            x = self._x[i]
+            y = self._y[i]
             is_finite: cython.bint = x - x == 0.0 and y - y == 0.0
             if not is_finite:
                 continue
@@ -453,7 +449,7 @@ class BareReturns:
             is_filled_wall: cython.bint = not is_measured and runs.is_on_line(run, x, y) != 0
             if not is_filled_wall:
                 self._deny_beside(run, runs, x, y)
-                distance: cython.double = hypot(x - runs.lidar_x, y - runs.lidar_y)
+                distance = hypot(x - runs.lidar_x, y - runs.lidar_y)
                 self._deny_along(
                     run, runs, directions[2 * i], directions[2 * i + 1], distance, shadow_end
                 )
@@ -470,8 +466,8 @@ class BareReturns:
         """
         i: cython.Py_ssize_t
         for i in range(len(hidden)):
-            least: cython.double = hidden[i, 2]
-            farthest: cython.double = least if least > self._range_min else self._range_min
+            least = hidden[i, 2]
+            farthest = least if least > self._range_min else self._range_min
             self._deny_along(run, runs, hidden[i, 0], hidden[i, 1], least, farthest)
         return 0
 
@@ -486,20 +482,20 @@ class BareReturns:
         run: else no robot would find a bare wall in the open.
         """
         i: cython.Py_ssize_t
-        farthest: cython.double = REACH + self._extent
+        farthest = REACH + self._extent
         for i in range(self._rays):
             is_measured: cython.bint = self._state[i] == _RETURN or self._state[i] == _TOO_CLOSE
             if is_measured or not self._hides_from[i] < farthest:
                 continue
-            ray_x: cython.double = directions[2 * i]
-            ray_y: cython.double = directions[2 * i + 1]
+            ray_x = directions[2 * i]
+            ray_y = directions[2 * i + 1]
             if not self._is_open[i]:
                 self._deny_along(run, runs, ray_x, ray_y, self._hides_from[i], farthest)
                 continue
-            sine: cython.double = -self._rise(run, runs, ray_x, ray_y)
+            sine = -self._rise(run, runs, ray_x, ray_y)
             if sine * farthest > self._lidar_height:  # else it meets the line far away, or never
-                crossing: cython.double = self._lidar_height / sine
-                place: cython.double = self._place(run, runs, ray_x, ray_y, crossing)
+                crossing = self._lidar_height / sine
+                place = self._place(run, runs, ray_x, ray_y, crossing)
                 self._deny(place - self._extent, place + self._extent)
         return 0
 
@@ -510,8 +506,8 @@ class BareReturns:
         self, run: Run, runs: StraightRuns, ray_x: cython.double, ray_y: cython.double
     ) -> cython.double:
         """The sine of the angle by which a ray leads away from the line of a run."""
-        side: cython.double = run.ux * (runs.lidar_y - run.y) - run.uy * (runs.lidar_x - run.x)
-        rise: cython.double = run.ux * ray_y - run.uy * ray_x
+        side = run.ux * (runs.lidar_y - run.y) - run.uy * (runs.lidar_x - run.x)
+        rise = run.ux * ray_y - run.uy * ray_x
         return rise if side >= 0.0 else -rise
 
     @cython.cfunc
@@ -530,13 +526,13 @@ class BareReturns:
         `least`, `farthest`: m from the lidar. Only what lies before the line of the run counts.
         """
         # 1. The part whose height above the line is from 0 to `_extent`.
-        extent: cython.double = self._extent
-        rise: cython.double = self._rise(run, runs, ray_x, ray_y)
-        begin: cython.double = least
-        end: cython.double = farthest
+        extent = self._extent
+        rise = self._rise(run, runs, ray_x, ray_y)
+        begin = least
+        end = farthest
         if fabs(rise) > _PARALLEL_RAY:
-            at_line: cython.double = -self._lidar_height / rise
-            at_extent: cython.double = (extent - self._lidar_height) / rise
+            at_line = -self._lidar_height / rise
+            at_extent = (extent - self._lidar_height) / rise
             if rise < 0.0:
                 begin = at_extent if at_extent > begin else begin
                 end = at_line if at_line < end else end
@@ -549,22 +545,22 @@ class BareReturns:
         # 2. The places along the line that are within `_extent` of this part. Beside an end of the
         # part with the height h these are sqrt(extent^2 - h^2) to both sides. Beside its middle,
         # the line and the ray, which leads along `cosine`, are `_extent` apart.
-        first: cython.double = INFINITY
-        last: cython.double = -INFINITY
+        first = INFINITY
+        last = -INFINITY
         k: cython.Py_ssize_t
-        cosine: cython.double = run.ux * ray_x + run.uy * ray_y
+        cosine = run.ux * ray_x + run.uy * ray_y
         for k in range(3):
-            distance: cython.double = begin if k == 0 else end
+            distance = begin if k == 0 else end
             if k == 2:  # the foot of the perpendicular with the height extent * |cosine|
                 if fabs(rise) <= _PARALLEL_RAY:
                     continue
                 distance = (extent * fabs(cosine) - self._lidar_height) / rise
                 if not begin < distance < end:
                     continue
-            height: cython.double = self._lidar_height + distance * rise
-            square: cython.double = extent * extent - height * height
-            half: cython.double = sqrt(square) if square > 0.0 else 0.0
-            place: cython.double = self._place(run, runs, ray_x, ray_y, distance)
+            height = self._lidar_height + distance * rise
+            square = extent * extent - height * height
+            half = sqrt(square) if square > 0.0 else 0.0
+            place = self._place(run, runs, ray_x, ray_y, distance)
             first = place - half if place - half < first else first
             last = place + half if place + half > last else last
         return self._deny(first, last)
@@ -581,8 +577,8 @@ class BareReturns:
         distance: cython.double,
     ) -> cython.double:
         """m along the line of a run, of the place on a ray at a distance from the lidar."""
-        x: cython.double = runs.lidar_x + distance * ray_x - run.x
-        y: cython.double = runs.lidar_y + distance * ray_y - run.y
+        x = runs.lidar_x + distance * ray_x - run.x
+        y = runs.lidar_y + distance * ray_y - run.y
         return run.ux * x + run.uy * y
 
     @cython.cfunc
@@ -594,12 +590,12 @@ class BareReturns:
 
         The lidar sees the near side of a head, and a part may extend `_extent` beyond its far side.
         """
-        height: cython.double = self._height(run, runs, x, y)
-        reach: cython.double = self._extent + _HEAD
+        height = self._height(run, runs, x, y)
+        reach = self._extent + _HEAD
         if not fabs(height) <= reach:
             return 0
-        half: cython.double = sqrt(reach * reach - height * height)
-        place: cython.double = run.ux * (x - run.x) + run.uy * (y - run.y)
+        half = sqrt(reach * reach - height * height)
+        place = run.ux * (x - run.x) + run.uy * (y - run.y)
         return self._deny(place - half, place + half)
 
     @cython.cfunc

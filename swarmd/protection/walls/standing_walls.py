@@ -92,9 +92,9 @@ class Wall:
 @cython.exceptval(-3)
 def _bin_at(wall: Wall, run: Run, along: cython.double) -> cython.Py_ssize_t:
     """The bin of a wall beside the place `along` m on a run; -2 or _BINS: beyond the bins."""
-    dx: cython.double = run.x + along * run.ux - wall.here_x
-    dy: cython.double = run.y + along * run.uy - wall.here_y
-    place: cython.double = wall.here_ux * dx + wall.here_uy * dy
+    dx = run.x + along * run.ux - wall.here_x
+    dy = run.y + along * run.uy - wall.here_y
+    place = wall.here_ux * dx + wall.here_uy * dy
     place = place / _BIN + 0.5 * _BINS
     if place >= _BINS:
         return _BINS
@@ -239,13 +239,13 @@ class StandingWalls(ReturnLayer):
         """Place the walls in the base frame of the scan; none of their bins is covered yet."""
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        c: cython.double = cos(motion.pose.yaw)
-        s: cython.double = sin(motion.pose.yaw)
+        c = cos(motion.pose.yaw)
+        s = sin(motion.pose.yaw)
         for i in range(self._wall_count):
             wall: Wall = self._walls[i]
             self._centre_bins(wall)
-            dx: cython.double = wall.x - motion.pose.x
-            dy: cython.double = wall.y - motion.pose.y
+            dx = wall.x - motion.pose.x
+            dy = wall.y - motion.pose.y
             wall.here_x = c * dx + s * dy
             wall.here_y = c * dy - s * dx
             dx = wall.ux
@@ -265,7 +265,7 @@ class StandingWalls(ReturnLayer):
         along which the robot drives would soon lie beyond the last bin.
         """
         k: cython.Py_ssize_t
-        off_middle: cython.double = 0.5 * (wall.low + wall.high - _BINS)
+        off_middle = 0.5 * (wall.low + wall.high - _BINS)
         shift: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(off_middle))
         if -(_BINS // 8) <= shift <= _BINS // 8:
             return 0
@@ -286,28 +286,28 @@ class StandingWalls(ReturnLayer):
         Sets `_overlap_first` and `_overlap_last`, the ends of the part, and `_off_first` and
         `_off_last`, how far the line of the wall is from the run at both ends.
         """
-        ux: cython.double = wall.here_ux
-        uy: cython.double = wall.here_uy
-        cosine: cython.double = ux * run.ux + uy * run.uy
-        sine: cython.double = ux * run.uy - uy * run.ux
+        ux = wall.here_ux
+        uy = wall.here_uy
+        cosine = ux * run.ux + uy * run.uy
+        sine = ux * run.uy - uy * run.ux
         if not fabs(sine) <= _PARALLEL:
             return 0
         # 1. The ends of the covered bins in m along the run, cut off at the ends of the run.
-        dx: cython.double = wall.here_x - run.x
-        dy: cython.double = wall.here_y - run.y
-        middle: cython.double = dx * run.ux + dy * run.uy
-        direction: cython.double = 1.0 if cosine >= 0.0 else -1.0
-        low: cython.double = _BIN * (wall.low - 0.5 * _BINS)
-        high: cython.double = _BIN * (wall.high + 1.0 - 0.5 * _BINS)
-        first: cython.double = middle + direction * (low if direction > 0.0 else high)
-        last: cython.double = middle + direction * (high if direction > 0.0 else low)
+        dx = wall.here_x - run.x
+        dy = wall.here_y - run.y
+        middle = dx * run.ux + dy * run.uy
+        direction = 1.0 if cosine >= 0.0 else -1.0
+        low = _BIN * (wall.low - 0.5 * _BINS)
+        high = _BIN * (wall.high + 1.0 - 0.5 * _BINS)
+        first = middle + direction * (low if direction > 0.0 else high)
+        last = middle + direction * (high if direction > 0.0 else low)
         first = first if first > run.begin else run.begin
         last = last if last < run.end else run.end
         if not last > first:
             return 0
         # 2. How far the line is from the point of the run at 0 m. The distance changes along the
         # run by the sine of the angle between run and line.
-        off: cython.double = uy * dx - ux * dy
+        off = uy * dx - ux * dy
         self._overlap_first = first
         self._overlap_last = last
         self._off_first = off + sine * first
@@ -339,10 +339,10 @@ class StandingWalls(ReturnLayer):
         The error is that of the place `along` m on a run: the farther the place is from the robot,
         the more an error of the turn moves the place.
         """
-        way: cython.double = self._way - wall.way
-        turn: cython.double = self._turn - wall.turn
-        x: cython.double = run.x + along * run.ux
-        y: cython.double = run.y + along * run.uy
+        way = self._way - wall.way
+        turn = self._turn - wall.turn
+        x = run.x + along * run.ux
+        y = run.y + along * run.uy
         return _odometry_share * (way + turn * hypot(x, y))
 
     @cython.cfunc
@@ -359,7 +359,7 @@ class StandingWalls(ReturnLayer):
         No return is marked unless `is_on_wall`: the run is long, or meets a standing return of a
         long run at a corner.
         """
-        now: cython.double = motion.measured_at
+        now = motion.measured_at
         self._cover_bins(wall, run, now)
         if is_on_wall:
             self._mark_standing(wall, run, now)
@@ -379,9 +379,9 @@ class StandingWalls(ReturnLayer):
         """Cover the bins of a wall between returns of a run that are at most SPACING apart."""
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = run.length + 1
-        before: cython.double = -INFINITY  # m along the run, of the return before
+        before = -INFINITY  # m along the run, of the return before
         for k in range(count):
-            along: cython.double = self._runs.along(run, k)
+            along = self._runs.along(run, k)
             is_on_line: cython.bint = along == along  # NaN for a return off the line
             if is_on_line:
                 is_near: cython.bint = fabs(along - before) <= SPACING
@@ -398,7 +398,7 @@ class StandingWalls(ReturnLayer):
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = run.length + 1
         for k in range(count):
-            along: cython.double = self._runs.along(run, k)
+            along = self._runs.along(run, k)
             is_on_line: cython.bint = along == along  # NaN for a return off the line
             if not is_on_line:
                 continue
@@ -412,10 +412,10 @@ class StandingWalls(ReturnLayer):
     @cython.exceptval(-1)
     def _move_line(self, wall: Wall, run: Run, motion: ScanMotion) -> cython.int:
         """Move the line of a wall to that of a run; the bins keep their places."""
-        dx: cython.double = wall.here_x - run.x
-        dy: cython.double = wall.here_y - run.y
-        middle: cython.double = run.ux * dx + run.uy * dy
-        cosine: cython.double = wall.here_ux * run.ux + wall.here_uy * run.uy
+        dx = wall.here_x - run.x
+        dy = wall.here_y - run.y
+        middle = run.ux * dx + run.uy * dy
+        cosine = wall.here_ux * run.ux + wall.here_uy * run.uy
         return self._set_line(wall, run, middle, 1.0 if cosine >= 0.0 else -1.0, motion)
 
     @cython.cfunc
@@ -438,7 +438,7 @@ class StandingWalls(ReturnLayer):
         if low > high:
             low, high = high, low
         for k in range(low if low > 0 else 0, high + 1 if high < _BINS else _BINS):
-            since: cython.double = wall.bins[k]
+            since = wall.bins[k]
             wall.next_bins[k] = since if since < INFINITY else now
 
     @cython.cfunc
@@ -472,12 +472,12 @@ class StandingWalls(ReturnLayer):
         `along`: m along the run, where the middle of the bins is. `direction`: 1 if the wall has
         the direction of the run, -1 if the wall has the opposite direction.
         """
-        c: cython.double = cos(motion.pose.yaw)
-        s: cython.double = sin(motion.pose.yaw)
-        ux: cython.double = run.ux
-        uy: cython.double = run.uy
-        x: cython.double = run.x + along * ux
-        y: cython.double = run.y + along * uy
+        c = cos(motion.pose.yaw)
+        s = sin(motion.pose.yaw)
+        ux = run.ux
+        uy = run.uy
+        x = run.x + along * ux
+        y = run.y + along * uy
         wall.x = motion.pose.x + c * x - s * y
         wall.y = motion.pose.y + s * x + c * y
         wall.ux = direction * (c * ux - s * uy)
@@ -529,8 +529,8 @@ class StandingWalls(ReturnLayer):
         """Add a wall whose bins have been covered since this scan."""
         k: cython.Py_ssize_t
         wall: Wall = self._walls[self._wall_count]
-        half: cython.double = 0.5 * (run.end - run.begin)
-        bins: cython.double = floor(half / _BIN) + 1.0
+        half = 0.5 * (run.end - run.begin)
+        bins = floor(half / _BIN) + 1.0
         covered: cython.Py_ssize_t = _BINS // 2  # on each side of the middle
         if bins <= covered:
             covered = cython.cast(cython.Py_ssize_t, bins)
@@ -566,11 +566,11 @@ class StandingWalls(ReturnLayer):
             was_examined: cython.bint = scans_elsewhere >= _SHOWN_TWICE
             if wall.is_seen or was_examined:
                 continue
-            seconds: cython.double = motion.measured_at - wall.confirmed
+            seconds = motion.measured_at - wall.confirmed
             if not seconds > 0.0 or not self._may_judge(wall):
                 continue
             # 2. The wall is elsewhere if a run lies within the m that a wall can have moved.
-            farthest: cython.double = _still + _FASTEST_WALL * seconds
+            farthest = _still + _FASTEST_WALL * seconds
             was_elsewhere: cython.bint = scans_elsewhere > 0
             is_elsewhere: cython.bint = self._moved_by(wall, was_elsewhere, farthest) < farthest
             if not is_elsewhere:
@@ -580,9 +580,9 @@ class StandingWalls(ReturnLayer):
             wall.moves = scans_elsewhere + 1
             if wall.moves < _SHOWN_TWICE:
                 continue
-            distance: cython.double = self._moved_away_by(wall, farthest)
+            distance = self._moved_away_by(wall, farthest)
             if distance < farthest:
-                stood: cython.double = wall.confirmed - wall.since
+                stood = wall.confirmed - wall.since
                 self.moved = MovedWall(stood, distance, distance / seconds)
 
     @cython.cfunc
@@ -594,9 +594,9 @@ class StandingWalls(ReturnLayer):
         Wrong odometry shows all walls elsewhere. Odometry is right if a wall stands in this scan,
         or if the robot has not moved by odometry since the line of the wall was measured.
         """
-        stood: cython.double = wall.confirmed - wall.since
-        way: cython.double = self._way - wall.way
-        turn: cython.double = self._turn - wall.turn
+        stood = wall.confirmed - wall.since
+        way = self._way - wall.way
+        turn = self._turn - wall.turn
         is_robot_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
         is_odometry_right: cython.bint = self.has_kinds or is_robot_at_rest
         may_judge: cython.bint = stood >= self._seconds and is_odometry_right
@@ -614,12 +614,12 @@ class StandingWalls(ReturnLayer):
         new wall.
         """
         j: cython.Py_ssize_t
-        least: cython.double = farthest
+        least = farthest
         for j in range(self._runs.count):
             run: Run = self._runs.runs[j]
             if run.owner >= 0 and not was_elsewhere:
                 continue
-            off: cython.double = self._distance(wall, run)
+            off = self._distance(wall, run)
             if off < least:
                 least = off
         return least
@@ -633,14 +633,14 @@ class StandingWalls(ReturnLayer):
         wall, and shows nothing. A wall that has come nearer hides its old place.
         """
         j: cython.Py_ssize_t
-        least: cython.double = farthest
+        least = farthest
         for j in range(self._runs.count):
             run: Run = self._runs.runs[j]
             is_known: cython.bint = False
             if run.owner >= 0:
                 other: Wall = self._walls[run.owner]
                 is_known = other.since <= wall.confirmed
-            off: cython.double = self._distance(wall, run)
+            off = self._distance(wall, run)
             if not is_known and off < least and self._is_seen_through(wall, run):
                 least = off
         return least
@@ -656,11 +656,11 @@ class StandingWalls(ReturnLayer):
         """
         if not self._overlap(wall, run) or self._is_still(wall, run):
             return INFINITY
-        off_before: cython.double = wall.off
-        off: cython.double = fabs(self._off_first - off_before)
-        last_off: cython.double = fabs(self._off_last - off_before)
+        off_before = wall.off
+        off = fabs(self._off_first - off_before)
+        last_off = fabs(self._off_last - off_before)
         off = last_off if last_off > off else off
-        overlap: cython.double = self._overlap_last - self._overlap_first
+        overlap = self._overlap_last - self._overlap_first
         return off if overlap >= 0.5 * self._length else INFINITY
 
     @cython.cfunc
@@ -674,29 +674,29 @@ class StandingWalls(ReturnLayer):
         k: cython.Py_ssize_t
         b: cython.Py_ssize_t
         count: cython.Py_ssize_t = run.length + 1
-        ux: cython.double = wall.here_ux
-        uy: cython.double = wall.here_uy
-        from_x: cython.double = self._runs.lidar_x - wall.here_x
-        from_y: cython.double = self._runs.lidar_y - wall.here_y
-        before: cython.double = ux * from_y - uy * from_x  # m from the line to the lidar
+        ux = wall.here_ux
+        uy = wall.here_uy
+        from_x = self._runs.lidar_x - wall.here_x
+        from_y = self._runs.lidar_y - wall.here_y
+        before = ux * from_y - uy * from_x  # m from the line to the lidar
         least_bin: cython.Py_ssize_t = _BINS
         greatest_bin: cython.Py_ssize_t = -1
         for k in range(count):
-            along: cython.double = self._runs.along(run, k)
+            along = self._runs.along(run, k)
             place: cython.Py_ssize_t = self._runs.return_of(run, k)
-            x: cython.double = self._runs.x[place] - wall.here_x
-            y: cython.double = self._runs.y[place] - wall.here_y
-            behind: cython.double = ux * y - uy * x
+            x = self._runs.x[place] - wall.here_x
+            y = self._runs.y[place] - wall.here_y
+            behind = ux * y - uy * x
             is_on_line: cython.bint = along == along  # NaN for a return off the line of the run
             is_other_side: cython.bint = before * behind < 0.0
             if not is_on_line or not is_other_side:
                 continue
             if fabs(behind) < _MOVED + self._odometry_error(wall, run, along):
                 continue
-            share: cython.double = before / (before - behind)
-            cross_x: cython.double = from_x + share * (x - from_x)
-            cross_y: cython.double = from_y + share * (y - from_y)
-            crossing: cython.double = (ux * cross_x + uy * cross_y) / _BIN + 0.5 * _BINS
+            share = before / (before - behind)
+            cross_x = from_x + share * (x - from_x)
+            cross_y = from_y + share * (y - from_y)
+            crossing = (ux * cross_x + uy * cross_y) / _BIN + 0.5 * _BINS
             if not _EDGE <= crossing < _BINS - _EDGE:
                 continue
             bin_of_wall: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(crossing))

@@ -150,13 +150,13 @@ class StraightRuns:
         """
         k: cython.Py_ssize_t
         on_line: cython.Py_ssize_t = 0
-        places: cython.double[::1] = self._places
+        places = self._places
         # 1. The returns on the line, and the sums of the powers of their places along the line.
-        first: cython.double = 0.0
-        second: cython.double = 0.0
-        third: cython.double = 0.0
+        first = 0.0
+        second = 0.0
+        third = 0.0
         for k in range(run.length + 1):
-            place: cython.double = self.along(run, k)
+            place = self.along(run, k)
             is_on_line: cython.bint = place == place  # NaN for a return off the line
             if is_on_line:
                 places[2 * on_line] = place
@@ -167,21 +167,19 @@ class StraightRuns:
                 on_line += 1
         if on_line < _FEWEST:
             return 0
-        mean: cython.double = first / on_line
-        variance: cython.double = second / on_line - mean * mean
-        third_moment: cython.double = third / on_line - mean * (3.0 * variance + mean * mean)
+        mean = first / on_line
+        variance = second / on_line - mean * mean
+        third_moment = third / on_line - mean * (3.0 * variance + mean * mean)
         if not variance > 0.0:
             return 0
         # 2. The coefficient of the square, by least squares: covariance / square. `bend` is the
         # square of the place, less what a shift and a turn of the line explain.
-        covariance: cython.double = 0.0
-        square: cython.double = 0.0
+        covariance = 0.0
+        square = 0.0
         for k in range(on_line):
-            off_mean: cython.double = places[2 * k] - mean
-            across: cython.double = places[2 * k + 1]
-            bend: cython.double = (
-                off_mean * off_mean - off_mean * third_moment / variance - variance
-            )
+            off_mean = places[2 * k] - mean
+            across = places[2 * k + 1]
+            bend = off_mean * off_mean - off_mean * third_moment / variance - variance
             covariance += bend * across
             square += bend * bend
         # 3. The radius is 1 / (2 * coefficient). The comparison has no division by 0.
@@ -204,7 +202,7 @@ class StraightRuns:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t = 0
         has_ages: cython.bint = len(ages) > 0
-        is_cut: cython.bint = False
+        is_cut = False
         passing: cython.Py_ssize_t = 0  # rays that pass through since the return before
         for i in range(_SUMS):
             self._sums[i] = 0.0
@@ -212,15 +210,15 @@ class StraightRuns:
             is_of_revolution: cython.bint = not has_ages or ages[i] <= self.oldest
             if not is_of_revolution:
                 continue
-            distance: cython.double = ranges[i]
+            distance = ranges[i]
             if not distance <= REACH:  # the ray passes through
                 is_cut = True
                 passing += 1
                 continue
             if not distance > 0.0:  # -inf: too close to measure
                 continue
-            x: cython.double = self.lidar_x + distance * directions[2 * i]
-            y: cython.double = self.lidar_y + distance * directions[2 * i + 1]
+            x = self.lidar_x + distance * directions[2 * i]
+            y = self.lidar_y + distance * directions[2 * i + 1]
             self.x[k] = x
             self.y[k] = y
             self.ray[k] = i
@@ -262,7 +260,7 @@ class StraightRuns:
     @cython.exceptval(-1)
     def _add_to_sums(self, k: cython.Py_ssize_t, x: cython.double, y: cython.double) -> cython.int:
         """Set the sums over the returns up to return `k`, whose place is (x, y) in m."""
-        sums: cython.double[::1] = self._sums
+        sums = self._sums
         before: cython.Py_ssize_t = _SUMS * k
         to: cython.Py_ssize_t = before + _SUMS
         sums[to + _SUM_COUNT] = sums[before + _SUM_COUNT] + 1.0
@@ -293,8 +291,8 @@ class StraightRuns:
         self, distance: cython.double, a: cython.Py_ssize_t, b: cython.Py_ssize_t
     ) -> cython.int:
         """1 if two returns are at most `distance` m apart."""
-        dx: cython.double = self.x[b] - self.x[a]
-        dy: cython.double = self.y[b] - self.y[a]
+        dx = self.x[b] - self.x[a]
+        dy = self.y[b] - self.y[a]
         return dx * dx + dy * dy <= distance * distance
 
     @cython.cfunc
@@ -305,7 +303,7 @@ class StraightRuns:
         A part whose farthest return from the chord is more than _STRAIGHT m off is split there.
         """
         k: cython.Py_ssize_t
-        stack: cython.longlong[::1] = self._stack
+        stack = self._stack
         top: cython.Py_ssize_t = 2
         stack[0] = begin
         stack[1] = end
@@ -316,15 +314,15 @@ class StraightRuns:
             if last - first + 1 < _FEWEST:
                 continue
             # 1. The return that is farthest from the chord.
-            x: cython.double = self.x[first]
-            y: cython.double = self.y[first]
-            dx: cython.double = self.x[last] - x
-            dy: cython.double = self.y[last] - y
-            length: cython.double = hypot(dx, dy)
+            x = self.x[first]
+            y = self.y[first]
+            dx = self.x[last] - x
+            dy = self.y[last] - y
+            length = hypot(dx, dy)
             farthest: cython.Py_ssize_t = first
-            most: cython.double = 0.0
+            most = 0.0
             for k in range(first + 1, last):
-                off: cython.double = fabs(dx * (self.y[k] - y) - dy * (self.x[k] - x))
+                off = fabs(dx * (self.y[k] - y) - dy * (self.x[k] - x))
                 if off > most:
                     most = off
                     farthest = k
@@ -362,29 +360,29 @@ class StraightRuns:
         run is rough if its returns are too far off this line.
         """
         # 1. The covariance of the returns.
-        n: cython.double = run.sums[_SUM_COUNT]
-        x: cython.double = run.sums[_SUM_X] / n
-        y: cython.double = run.sums[_SUM_Y] / n
-        xx: cython.double = run.sums[_SUM_XX] / n - x * x
-        xy: cython.double = run.sums[_SUM_XY] / n - x * y
-        yy: cython.double = run.sums[_SUM_YY] / n - y * y
+        n = run.sums[_SUM_COUNT]
+        x = run.sums[_SUM_X] / n
+        y = run.sums[_SUM_Y] / n
+        xx = run.sums[_SUM_XX] / n - x * x
+        xy = run.sums[_SUM_XY] / n - x * y
+        yy = run.sums[_SUM_YY] / n - y * y
         # 2. The lesser eigenvalue of the covariance: the mean square of the distances to the line.
-        half: cython.double = 0.5 * (xx - yy)
-        root: cython.double = sqrt(half * half + xy * xy)
-        lesser: cython.double = 0.5 * (xx + yy) - root
+        half = 0.5 * (xx - yy)
+        root = sqrt(half * half + xy * xy)
+        lesser = 0.5 * (xx + yy) - root
         if not lesser <= _ROUGH * _ROUGH:
             return 0
         # 3. The direction of the line: the eigenvector of the greater eigenvalue. There are two
         # formulas for this vector. Each is exact where both numbers that it adds have one sign.
-        ux: cython.double = half + root if half >= 0.0 else xy
-        uy: cython.double = xy if half >= 0.0 else root - half
-        length: cython.double = hypot(ux, uy)
+        ux = half + root if half >= 0.0 else xy
+        uy = xy if half >= 0.0 else root - half
+        length = hypot(ux, uy)
         if not length > 0.0:
             return 0
         # 4. The unit vector of this direction, towards the last return.
         first: cython.Py_ssize_t = run.first
         last: cython.Py_ssize_t = self.return_of(run, run.length)
-        along: cython.double = ux * (self.x[last] - self.x[first])
+        along = ux * (self.x[last] - self.x[first])
         along += uy * (self.y[last] - self.y[first])
         length = -length if along < 0.0 else length  # a negative length reverses the vector
         ux = ux / length
@@ -434,11 +432,11 @@ class StraightRuns:
         # 1. The distance from the last return of `run` to the first return of `after`: at most
         # SPACING m along the line. The distance is negative if the runs overlap: if the robot turns
         # with the lidar, the last run of the scan overlaps the first run.
-        dx: cython.double = self.x[first] - self.x[last]
-        dy: cython.double = self.y[first] - self.y[last]
-        along: cython.double = run.ux * dx + run.uy * dy
-        across: cython.double = run.ux * dy - run.uy * dx
-        most_overlap: cython.double = run.begin - run.end
+        dx = self.x[first] - self.x[last]
+        dy = self.y[first] - self.y[last]
+        along = run.ux * dx + run.uy * dy
+        across = run.ux * dy - run.uy * dx
+        most_overlap = run.begin - run.end
         if not (most_overlap <= along <= SPACING and fabs(across) <= 2.0 * _STRAIGHT):
             return 0
         # 2. No ray between the two runs may pass through the line. The first return follows the
@@ -506,11 +504,11 @@ class StraightRuns:
     @cython.exceptval(-1.0, check=True)
     def _before(self, run: Run, place: cython.Py_ssize_t) -> cython.double:
         """m by which a return lies before the line of a run, seen from the lidar; < 0: behind."""
-        nx: cython.double = -run.uy
-        ny: cython.double = run.ux
-        x: cython.double = run.x
-        y: cython.double = run.y
-        off: cython.double = nx * (self.x[place] - x) + ny * (self.y[place] - y)
+        nx = -run.uy
+        ny = run.ux
+        x = run.x
+        y = run.y
+        off = nx * (self.x[place] - x) + ny * (self.y[place] - y)
         return off if nx * (self.lidar_x - x) + ny * (self.lidar_y - y) >= 0.0 else -off
 
     @cython.cfunc
@@ -527,5 +525,5 @@ class StraightRuns:
     @cython.exceptval(-1)
     def is_on_line(self, run: Run, x: cython.double, y: cython.double) -> cython.int:
         """1 if a place is so near the line of a run that a return there stands with the run."""
-        across: cython.double = run.ux * (y - run.y) - run.uy * (x - run.x)
+        across = run.ux * (y - run.y) - run.uy * (x - run.x)
         return fabs(across) <= _ON_LINE
