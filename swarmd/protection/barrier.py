@@ -80,7 +80,7 @@ class Barrier:
     _scan: ScanSpec
     # Cython sets an attribute without a value to None, and so does CPython (cython_shadow.py).
     _hidden: BlindZoneMemory | None  # None if the lidar reports near returns
-    _walls: StandingWalls  # None unless walls are assumed to stand
+    _walls: StandingWalls | None  # None: walls are not assumed to stand
     _feasible: FeasibleSet
     _projection: Projection
     _stop: StopCheck

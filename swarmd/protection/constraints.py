@@ -684,12 +684,10 @@ class Constraints:
         nx = chunk.normal_x
         ny = chunk.normal_y
         cap = chunk.cap
-        # Four arrays that only `Outline.separate` needs, used again: for each point, how far the
-        # foremost corner is in the side direction (m), its lever (m), and the side direction.
-        foremost = chunk.nearest_square
-        lever = chunk.greatest_height
-        side_x = chunk.edge_x
-        side_y = chunk.edge_y
+        foremost = chunk.foremost
+        lever = chunk.side_lever
+        side_x = chunk.side_x
+        side_y = chunk.side_y
         while count > 0 and not (cap[count - 1] <= 0.0):
             count -= 1
         for side in range(2):
@@ -736,10 +734,9 @@ class Constraints:
         reserve = self._assumptions.side_reserve
         gap = chunk.gap
         cap = chunk.cap
-        # Where `_add_sides` has stored the levers and the side directions.
-        lever = chunk.greatest_height
-        side_x = chunk.edge_x
-        side_y = chunk.edge_y
+        lever = chunk.side_lever
+        side_x = chunk.side_x
+        side_y = chunk.side_y
         row: cython.Py_ssize_t = rows.count
         row_x = checked(rows.x, row + count)
         row_y = checked(rows.y, row + count)

@@ -54,8 +54,7 @@ class Chunk:
     hidden: cython.double[64]
     # The cap in m/s on the speed at which the nearest place closes on each point.
     cap: cython.double[64]
-    # Results so far in loops over edges and corners; see `_find_nearest_edges`. constraints.py
-    # uses these arrays again for side constraints.
+    # Results so far in loops over edges; see `_find_nearest_edges`.
     nearest_square: cython.double[64]
     greatest_height: cython.double[64]
     edge_number: cython.double[64]
@@ -65,6 +64,12 @@ class Chunk:
     edge_y: cython.double[64]
     foot_x: cython.double[64]
     foot_y: cython.double[64]
+    # For the side constraints of constraints.py: the unit vector of a side direction, how far in m
+    # the foremost corner is in this direction, and the lever in m of this corner.
+    side_x: cython.double[64]
+    side_y: cython.double[64]
+    foremost: cython.double[64]
+    side_lever: cython.double[64]
     # A constraint of each point, before those that bind are chosen.
     row_x: cython.double[64]
     row_y: cython.double[64]

@@ -112,7 +112,7 @@ class StandingWalls(ReturnLayer):
     _seconds: cython.double
     _period: cython.double  # s of a revolution of the lidar
     _runs: StraightRuns  # of the last scan
-    _bare: BareReturns  # None unless `walls_stand` has a `foot`
+    _bare: BareReturns | None  # None: `walls_stand` has no `foot`
     _walls: list[Wall]  # _WALLS, of which the first `_wall_count` are in use
     _wall_count: cython.Py_ssize_t
     # What `_overlap` has found: the ends of the part of a run beside a wall in m along the run, and
