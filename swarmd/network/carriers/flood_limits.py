@@ -147,11 +147,11 @@ class FloodLimits:
         sender = self._place(source, now)
         if sender is not self._strangers:
             self._get_to_know(sender, now)
-        owners = (sender,)
+        owners = [sender]
         if sender is not self._strangers and not sender.is_known:
             is_usual = kind not in URGENT
             if not (is_usual and _is_within_own(sender, weight, now)):
-                owners = (sender, self._strangers)
+                owners.append(self._strangers)
         for owner in owners:
             budget = owner.urgent if kind in URGENT else owner.usual
             if not budget.take(weight, now):
