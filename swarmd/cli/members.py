@@ -25,7 +25,7 @@ from swarmd.texts.keys import (
     own_remedy,
     permit_warning,
 )
-from swarmd.texts.members import HEADER, WIDE, health, row, wide_cells
+from swarmd.texts.members import BY_DATAGRAMS, HEADER, WIDE, health, heard_row, row, wide_cells
 from swarmd.texts.status import sections_with_events
 from swarmd.texts.values import printable
 from swarmd.texts.why import why
@@ -42,8 +42,13 @@ if TYPE_CHECKING:
     is_flag=True,
     help="All columns, whole reports. To watch: `swarmctl view`.",
 )
+@click.option(
+    "--quick",
+    is_flag=True,
+    help="States by datagrams alone, without a link to each robot: for many robots.",
+)
 @common_options
-def members(options: CommonOptions, wide: bool) -> None:
+def members(options: CommonOptions, wide: bool, quick: bool) -> None:
     """Print the robots of the swarm and their states.
 
     Failed robots stay listed until they return or `members forget NAME` removes them. REPORT is cut
@@ -51,9 +56,12 @@ def members(options: CommonOptions, wide: bool) -> None:
     """
     if click.get_current_context().invoked_subcommand is not None:
         return
+    if wide and quick:
+        raise click.UsageError("--wide needs the status of each robot, which --quick does not ask")
     with options.operator(needs_file=False) as operator:
-        view = known_members(options, operator)
-        notes = (*health(view), *_secured(operator.identity), *operator.trust_notes())
+        view = known_members(options, operator, dials=not quick)
+        limits = (BY_DATAGRAMS,) if quick else ()
+        notes = (*limits, *health(view), *_secured(operator.identity), *operator.trust_notes())
         listed = list(view.members.values())
         if options.is_json:
             content = {
@@ -66,7 +74,7 @@ def members(options: CommonOptions, wide: bool) -> None:
             }
             print_json("Members", content)
         else:
-            rows = [row(member) for member in listed]
+            rows = [heard_row(member) if quick else row(member) for member in listed]
             if wide:  # further columns before the last column, REPORT
                 wide_header = (*HEADER[:-1], *WIDE, HEADER[-1])
                 wide_rows = [

@@ -44,14 +44,15 @@ def known_members(
     *,
     is_request_next: bool = False,
     needs_status: bool = True,
+    dials: bool = True,
 ) -> MembersView:
     """Query all members, and tell the user which robots are missing; returns the members.
 
     `is_request_next`: half of the time is left for a request. `needs_status` False: a robot has
-    also answered if its beacon was heard.
+    also answered if its beacon was heard. `dials` False: by datagrams alone, without statuses.
     """
     session = session_of(options, operator)
-    return session.look(is_request_next=is_request_next, needs_status=needs_status)
+    return session.look(is_request_next=is_request_next, needs_status=needs_status, dials=dials)
 
 
 @dataclass(frozen=True, slots=True)

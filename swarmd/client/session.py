@@ -43,12 +43,15 @@ class Session:
     began: float = field(default_factory=boottime)
     is_owned: Callable[[], bool] = is_program_on
 
-    def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
+    def look(
+        self, *, is_request_next: bool = False, needs_status: bool = True, dials: bool = True
+    ) -> MembersView:
         """Query all members (a look), and tell the user which robots are missing.
 
         Returns once all expected robots have answered, or after the session's `timeout`.
         `is_request_next`: the look ends after half of `timeout`, so that `time_left` is left for a
         request. `needs_status` False: a robot has also answered if its beacon was heard.
+        `dials` False: by datagrams alone, without statuses.
 
         NetworkError if no daemon was reached; the text names the swarms that were heard. SwarmError
         if a request is next, and its caller no longer waits.
@@ -56,7 +59,9 @@ class Session:
         timeout = self.timeout
         if timeout is not None and is_request_next:
             timeout /= 2.0
-        view = self.operator.members(timeout=timeout, needs_status=needs_status)
+        view = self.operator.members(
+            timeout=timeout, needs_status=needs_status and dials, dials=dials
+        )
         self.tell_notices()
         remember(self.operator.settings, view)
         if not view.members:

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
 HEADER = ("NAME", "STATE", "REASON", "PATTERN", "PROTECTION", "SEEN", "REPORT")
 WIDE = ("GEN", "SCAN", "LOOP99", "CPU", "VERSION", "LABELS", "GOAL")
+BY_DATAGRAMS = (
+    "by datagrams alone: reasons, patterns, protection, reports, faults and emergency stops were"
+    " not asked; without --quick they are"
+)
 _NOW = 1.0  # figures that are newer than this are `now`, in s
 
 
@@ -63,6 +67,14 @@ def row(member: SeenMember) -> tuple[str, ...]:
         _seen(member),
         NOTHING,
     )
+
+
+def heard_row(member: SeenMember) -> tuple[str, ...]:
+    """The cells of a member of a look by datagrams alone: STATE is that of its last beacon."""
+    cells = row(member)
+    if member.contact is not Contact.NO_ANSWER:
+        return cells
+    return (cells[0], member.state or NOTHING, *cells[2:])
 
 
 def wide_cells(member: SeenMember) -> tuple[str, ...]:
@@ -119,7 +131,8 @@ def _missing(view: MembersView, alive: Iterable[SeenMember]) -> Iterator[str]:
         gone = [m for m in view.members.values() if m.presence is presence]
         if gone:
             yield f"{presence}: " + ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
-    silent = [m for m in alive if m.contact is Contact.NO_ANSWER]
+    # A robot in `answered` without a status was asked by datagrams alone, and has answered.
+    silent = [m for m in alive if m.contact is Contact.NO_ANSWER and m.robot not in view.answered]
     if silent:
         heard = (f"{m.robot} (heard {seconds(m.age)} ago, {m.state})" for m in silent)
         yield f"alive, but no answer: {', '.join(heard)}"

@@ -33,7 +33,7 @@ class Slow:
     def __exit__(self, *_: object) -> None:
         """Nothing is open."""
 
-    def members(self, *, timeout: float, needs_status: bool) -> MembersView:
+    def members(self, *, timeout: float, needs_status: bool, dials: bool = True) -> MembersView:
         self.waits.append(timeout)
         seen = SeenMember(
             robot="a",

@@ -10,13 +10,17 @@ from swarmd.network.carriers.flood_limits import (
     EXCESS,
     KNOWN_TIME,
     MAX_BLOCK_TIME,
+    MAX_BLOCKED,
     MAX_SOURCES,
+    MAX_THINNED,
     MIN_SHARE,
     RATE,
     FloodLimits,
     FloodRules,
 )
+from swarmd.network.carriers.packet_filter import swarm_filter
 from swarmd.network.datagram import Address, Kind
+from swarmd.network.members.membership import MAX_MEMBERS
 
 LOUD, QUIET = ("10.0.0.66", 7440), ("10.0.0.5", 7440)
 
@@ -137,13 +141,45 @@ def test_many_robots_that_start_at_once_are_no_flood() -> None:
     assert limits.rules(2.0) == FloodRules()
 
 
+def test_a_thousand_robots_that_tell_kin_are_heard_whole() -> None:
+    limits = FloodLimits()
+    for second in range(6):  # until each is known, and longer: a beacon, and kin at 5 Hz
+        for part in range(6):
+            for number in range(1000):
+                kind = Kind.KIN if part else Kind.BEACON
+                limits.admits(forged(number), kind, second + part / 6 + number / 6000)
+    assert limits.dropped == {}
+    assert limits.rules(6.0) == FloodRules()
+    now = 6.0
+    for number in range(20_000):  # a flood beside them shuts out none of them
+        limits.admits(forged(2**20 + number), Kind.BEACON, now)
+    rules = limits.rules(now)
+    assert rules.only_known
+    assert set(rules.known) == {forged(number) for number in range(1000)}
+    assert all(limits.admits(forged(number), Kind.KIN, now) for number in range(1000))
+
+
+def test_the_table_has_a_place_for_each_member_and_its_filter_fits_the_kernel() -> None:
+    assert MAX_SOURCES >= MAX_MEMBERS
+    sources = tuple(forged(number) for number in range(MAX_SOURCES))
+    rules = FloodRules(
+        blocked=sources[:MAX_BLOCKED],
+        thinned=tuple((source, 0.5) for source in sources[:MAX_THINNED]),
+        share=0.5,
+        only_known=True,
+        known=sources,
+    )
+    program = swarm_filter(bytes(8), rules, is_ipv6=False)
+    assert len(program) // 8 <= 4096  # BPF_MAXINSNS of linux/bpf_common.h
+
+
 def forged(number: int) -> Address:
     return f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}", 9
 
 
 def test_the_rules_are_bounded() -> None:
     limits = FloodLimits()
-    for number in range(MAX_SOURCES):
+    for number in range(100):
         source = (f"10.0.{number}.1", 7440)
         say(limits, source, int(BURST) + EXCESS, 0.0)
         say(limits, source, int(BURST) + EXCESS, 0.0, Kind.STOP)

@@ -204,7 +204,9 @@ class FedOperator:
         """Each robot hears the next one."""
         return frozenset(itertools.pairwise(self._swarm.names))
 
-    def members(self, *, timeout: float | None = None, needs_status: bool = True) -> MembersView:
+    def members(
+        self, *, timeout: float | None = None, needs_status: bool = True, dials: bool = True
+    ) -> MembersView:
         swarm = self._swarm
         found = {name: swarm.member(name)[0] for name in swarm.names}
         return MembersView(found, answered=frozenset(set(found) - swarm.silent))

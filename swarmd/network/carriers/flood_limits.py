@@ -10,6 +10,9 @@ Urgent datagrams are stops, acks and latches (`URGENT`).
 3. Each datagram of a new source (stranger) also counts in a budget that all new sources share. A
    flood from forged addresses exceeds this shared budget. Then for some seconds the filter passes
    all datagrams of known sources, and of new sources only a share of the urgent datagrams.
+4. After its first datagram a new source may send STRANGER_RATE datagrams a second, not urgent ones,
+   that do not count in the shared budget. Otherwise a robot that starts among 1,000 robots would
+   take all of them for one flood, and would never get to know them.
 
 A process that gets little CPU time reads only a part of a flood. So each datagram that is read
 counts with a weight: the number of arrived datagrams divided by the number of read datagrams.
@@ -32,13 +35,18 @@ RATE = 400.0
 BURST = 400.0
 URGENT_RATE = 800.0  # a robot that relays a stop also hands on the acks of other robots
 STRANGERS_RATE = 2000.0  # datagrams a second of all new sources together
+# Datagrams a second of one new source beside `STRANGERS_RATE`: a beacon, five of kin and four
+# messages of a chatting pattern. So MAX_SOURCES forged addresses pass at most 10,880 a second.
+STRANGER_RATE = 10.0
 EXCESS = 400  # datagrams beyond the budget within a second that make a flood
 # s of a block; doubled with each repeated flood
 BLOCK_TIME = 5.0
 MAX_BLOCK_TIME = 60.0
 KNOWN_TIME = 3.0  # s of datagrams after which a source is known
 IDLE_TIME = 5.0  # s of silence after which a source is forgotten
-MAX_SOURCES = 256
+# Sources with budgets of their own: MAX_MEMBERS robots, and 64 operators. Some 2 kB each. The
+# kernel's program for all of them has 3,700 of the 4,096 instructions that a filter may have.
+MAX_SOURCES = 1088
 # places in the kernel's filter
 MAX_BLOCKED = 64
 MAX_THINNED = 8
@@ -111,6 +119,7 @@ class _Source(Struct):
     is_known: bool = False
     usual: _Budget = field(default_factory=lambda: _Budget(RATE, BURST))
     urgent: _Budget = field(default_factory=lambda: _Budget(URGENT_RATE, BURST))
+    own: TokenBucket | None = None  # for rule 4; None before the first datagram, and once known
 
 
 class FloodLimits:
@@ -138,8 +147,11 @@ class FloodLimits:
         sender = self._place(source, now)
         if sender is not self._strangers:
             self._get_to_know(sender, now)
-        is_new = sender is not self._strangers and not sender.is_known
-        owners = (sender, self._strangers) if is_new else (sender,)
+        owners = [sender]
+        if sender is not self._strangers and not sender.is_known:
+            is_usual = kind not in URGENT
+            if not (is_usual and _is_within_own(sender, weight, now)):
+                owners.append(self._strangers)
         for owner in owners:
             budget = owner.urgent if kind in URGENT else owner.usual
             if not budget.take(weight, now):
@@ -156,11 +168,14 @@ class FloodLimits:
         if now - sender.last > IDLE_TIME:
             sender.first = now
             sender.is_known = False
+            sender.own = None
         strangers = self._strangers
         if now < max(strangers.usual.blocked_until, strangers.urgent.blocked_until):
             sender.first = now
         sender.last = now
         sender.is_known |= now - sender.first >= KNOWN_TIME
+        if sender.is_known:
+            sender.own = None
 
     def rules(self, now: float) -> FloodRules:
         """The rules for the kernel, which stay the same object until they change."""
@@ -216,6 +231,14 @@ class FloodLimits:
             return self._strangers
         known = self._sources[source] = _Source(now, now)
         return known
+
+
+def _is_within_own(stranger: _Source, weight: float, now: float) -> bool:
+    """True if a datagram is within the STRANGER_RATE of a new source; the first one never is."""
+    if stranger.own is None:
+        stranger.own = TokenBucket(STRANGER_RATE, STRANGER_RATE)
+        return False
+    return stranger.own.take(weight, now)
 
 
 def _name(kind: int) -> str:

@@ -439,7 +439,11 @@ class Membership:
 
     def last_heard(self, robot: str) -> Life | None:
         """The life of a robot that was heard last, and did not leave."""
-        return max(self.lives(robot).values(), key=lambda life: life.heard, default=None)
+        known = self._robots.get(robot)
+        if known is None:
+            return None
+        present = (life for life in known.lives.values() if life.left is None)
+        return max(present, key=lambda life: life.heard, default=None)
 
     def holders(self, robot: str) -> frozenset[str]:
         """The living instances of a robot when it was heard last; several hold one id."""

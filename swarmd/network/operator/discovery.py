@@ -208,6 +208,24 @@ class Discovery:
         return frozenset(self._known_since.keys() | self._roster)
 
     @property
+    def roster(self) -> frozenset[str]:
+        """The robots that are expected in any case: by this operator, or by a robot's settings."""
+        return frozenset(self._roster)
+
+    def left(self, now: float) -> frozenset[str]:
+        """The robots that have left, as `result` shows them.
+
+        A stop asks at each arrival: a robot that is heard costs no look at the reports on it.
+        """
+        not_heard = (robot for robot in self._known_since if not self._is_fresh(robot, now))
+        members = ((robot, self._member(robot, now)) for robot in not_heard)
+        return frozenset(
+            robot
+            for robot, member in members
+            if member is not None and member.presence is Presence.LEFT
+        )
+
+    @property
     def of_other_version(self) -> frozenset[str]:
         """The robots whose beacons show another version of requests."""
         return frozenset(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 
 from msgspec import Struct
 
@@ -33,6 +34,7 @@ class PeerReport(Struct, frozen=True):
     address: Address | None = None  # the address of the reported robot
 
 
+@lru_cache(maxsize=2048)  # each robot is in the list of each other robot
 def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
     """The address of a robot in the report of another robot; None if the address is not valid.
 

@@ -45,7 +45,13 @@ class MemberSearch:
         self._loops = loops
 
     def look(
-        self, discovery: Discovery, timeout: float | None, cap: float, *, needs_status: bool
+        self,
+        discovery: Discovery,
+        timeout: float | None,
+        cap: float,
+        *,
+        needs_status: bool,
+        dials: bool,
     ) -> MembersView:
         """Query all members (a look) until the look is complete; returns the members.
 
@@ -53,7 +59,8 @@ class MemberSearch:
         `discovery.is_complete` decides when the look is complete. An incomplete look ends after
         `timeout` s. With `timeout` None an incomplete look ends once a longer wait is of no use
         (`discovery.is_over`), and after `cap` s at the latest. `needs_status` False: statuses are
-        asked for only after STATUS_DELAY.
+        asked for only after STATUS_DELAY. `dials` False: no robot is dialled and no status
+        is asked, so `needs_status` must be False.
         """
         now = discovery.started
         solicit_timer = RepeatTimer(now, SOLICIT_PACE)
@@ -75,7 +82,7 @@ class MemberSearch:
                 else:
                     ends_incomplete = over_timer.is_due(now) and discovery.is_over(now)
             self._loops.turn(now, pause)
-            if is_complete:
+            if is_complete and dials:
                 # The caller sends requests next, and needs links to all robots. Robots that wait to
                 # be dialled together are dialled before the return; this may sleep.
                 now = self._dial_last_robots(discovery, now)
@@ -84,11 +91,13 @@ class MemberSearch:
                     return discovery.result(now)
             if solicit_timer.is_due(now):
                 self._datagrams.solicit(discovery, now)
-            dial_due_in = self._sessions.dial(discovery, now)
-            if now >= ask_status_at and status_timer.is_due(now):
+            dial_due_in = self._sessions.dial(discovery, now) if dials else math.inf
+            if now >= ask_status_at and status_timer.is_due(now) and dials:
                 self._ask_members(discovery)
             to_end_check = OVER_PERIOD if deadline is None else deadline - now
-            timers_due_in = min(solicit_timer.pause(now), status_timer.pause(now))
+            timers_due_in = solicit_timer.pause(now)
+            if dials:
+                timers_due_in = min(timers_due_in, status_timer.pause(now))
             pause = min(timers_due_in, to_end_check, dial_due_in)
             self._arrivals.wait(count, pause)
 

@@ -236,23 +236,29 @@ class Operator(Closing):
         timeout: float | None = None,
         cap: float = math.inf,
         needs_status: bool = True,
+        dials: bool = True,
     ) -> MembersView:
         """Query all members (a look); returns once all expected robots have answered.
 
         The look ends after `timeout` s at the latest; with `timeout` None, after a time that
         follows from the round trip, and after `cap` s at the latest. `needs_status` False: a beacon
         is an answer, too. A beacon shows the epoch (count of the robot's changes), and a request
-        needs nothing else. If robots are missing and a robot has shown a newer roster, this method
-        takes the roster and looks again.
+        needs nothing else. `dials` False: by datagrams alone, with `needs_status` False; a
+        request that follows has no links. If robots are missing and a robot has shown a newer
+        roster, this method takes the roster and looks again.
         """
-        view = self._look(timeout, cap, needs_status=needs_status)
+        view = self._look(timeout, cap, needs_status=needs_status, dials=dials)
         if view.missing and self.update_roster():
-            view = self._look(timeout, cap, needs_status=needs_status)
+            view = self._look(timeout, cap, needs_status=needs_status, dials=dials)
         return view
 
-    def _look(self, timeout: float | None, cap: float, *, needs_status: bool) -> MembersView:
+    def _look(
+        self, timeout: float | None, cap: float, *, needs_status: bool, dials: bool
+    ) -> MembersView:
         discovery = self._new_discovery(boottime(), needs_status=needs_status)
-        self._last_view = self._search.look(discovery, timeout, cap, needs_status=needs_status)
+        self._last_view = self._search.look(
+            discovery, timeout, cap, needs_status=needs_status, dials=dials
+        )
         return self._last_view
 
     def seen(self) -> MembersView:

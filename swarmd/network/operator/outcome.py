@@ -165,6 +165,10 @@ class Acks:
         # A direct ack "at rest" needs no word of another robot.
         return bool(ack.via) and (ack.robot, instance) in self._direct_at_rest
 
+    def has_reply(self, robot: str) -> bool:
+        """True if a reply of the robot has come, from any instance."""
+        return bool(self._replies.get(robot))
+
     def lacks(self, robot: str, instances: Collection[str]) -> bool:
         """True if no reply of the robot has come, or if one of several `instances` sent none."""
         answered = self._replies.get(robot, {}).keys()

@@ -11,7 +11,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 
 from msgspec.structs import replace
 
-from swarmd.core.messages import Presence
 from swarmd.network.datagram import Ack, Address, Stop
 from swarmd.network.operator.discovery import Discovery
 from swarmd.network.operator.outcome import Acks, Outcome
@@ -115,24 +114,30 @@ class PendingStop:
 
     def lacking(self, now: float) -> tuple[str, ...]:
         """The expected robots that have not acked, or whose ack says that the base still moves."""
-        silent = set(self.silent(now))
         expected = sorted(self._expected(now))
+        silent = set(self._silent_of(expected))
         for name in expected:
-            self.acks.forget_ended(name, self._discovery.holders(name))
+            if self.acks.is_moving(name):
+                self.acks.forget_ended(name, self._discovery.holders(name))
         return tuple(name for name in expected if name in silent or self.acks.is_moving(name))
 
     def silent(self, now: float) -> tuple[str, ...]:
         """The expected robots without an ack; if two daemons hold an id, both must ack."""
+        return self._silent_of(sorted(self._expected(now)))
+
+    def _silent_of(self, expected: Iterable[str]) -> tuple[str, ...]:
+        # The holders of an id take long to find, and matter only once the robot has acked.
         return tuple(
             name
-            for name in sorted(self._expected(now))
-            if self.acks.lacks(name, self._discovery.holders(name))
+            for name in expected
+            if not self.acks.has_reply(name) or self.acks.lacks(name, self._discovery.holders(name))
         )
 
     def is_done(self, now: float) -> bool:
         """True once the membership is known and every expected robot has acked and rests."""
-        is_known = self._discovery.has_all_lists(now) and bool(self._expected(now))
-        return is_known and not self.lacking(now)
+        if not self._expected(now) or self.lacking(now):
+            return False
+        return self._discovery.has_all_lists(now)  # takes the time of N**2 reports
 
     def is_over(self, now: float) -> bool:
         """True once the stop need not be repeated longer for robots that lack an ack."""
@@ -163,9 +168,8 @@ class PendingStop:
         even then. A farewell may be forged: a robot that another robot lists as alive must ack,
         too. Failed robots must ack, since a robot that cannot be reached may move.
         """
-        view = self._discovery.result(now)
-        left = {name for name, member in view.members.items() if member.presence is Presence.LEFT}
-        excused = left - view.roster - self._discovery.doubted
+        left = self._discovery.left(now)
+        excused = left - self._discovery.roster - self._discovery.doubted if left else left
         return self.selected() - excused
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from swarmd.core.clock import boottime
-from swarmd.network.datagram import Ack
+from swarmd.network.datagram import Ack, Address, Stop
 from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import Discovery
 from swarmd.network.operator.operator_datagrams import OperatorDatagrams
@@ -104,16 +104,19 @@ class StopSender:
                     is_over = _is_over(pending, now, until, until_all=until_all)
                     if is_over or is_ended() or pending.is_done(now):
                         break
-                    progress.take(pending, now)
+                    if until_all:
+                        progress.take(pending, now)
                     targets = pending.selected()
                     new_targets = targets - known_targets
                     known_targets = targets
                     # A repeat goes to all targets (None); between two repeats, to new targets only.
                     is_repeat_due = stop_timer.is_due(now)
-                    stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
-                if is_repeat_due or new_targets:
-                    for stop_part, addresses in stops:
-                        self._datagrams.send(stop_part, addresses, is_to_all=is_repeat_due)
+                    stops: tuple[tuple[Stop, tuple[Address, ...]], ...] = ()
+                    if is_repeat_due or new_targets:
+                        names = None if is_repeat_due else new_targets
+                        stops = tuple(pending.datagrams(now, names))
+                for stop_part, addresses in stops:
+                    self._datagrams.send(stop_part, addresses, is_to_all=is_repeat_due)
                 self._rosters.begin()  # if a robot shows a newer roster, a thread takes this roster
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)

@@ -16,6 +16,7 @@ from swarmd.network.datagram import Beacon, Solicit, pack, tag_of, unpack
 from swarmd.network.operator.exit_codes import PARTIAL
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
+from swarmd.texts.members import health, heard_row
 from tests.network.conftest import Robots
 from tests.support.swarmctl import fork_command
 
@@ -27,6 +28,18 @@ def test_members_come_with_their_own_status(settings: NetworkSettings, robots: R
     assert view.alive == ("a", "b", "c")
     assert view.answered == {"a", "b", "c"}
     assert view.epochs(["b"]) == {"b": Epoch(instance=swarm["b"].instance, revision=0)}
+
+
+def test_a_look_by_datagrams_dials_nobody(settings: NetworkSettings, robots: Robots) -> None:
+    robots("a", "b")
+    with Operator(settings) as operator:
+        view = operator.members(needs_status=False, dials=False)
+        assert not operator._sessions.is_open
+    assert view.answered == {"a", "b"}
+    assert not view.missing
+    a = view.members["a"]
+    assert (a.status, heard_row(a)[1]) == (None, a.state)
+    assert "no answer" not in " ".join(health(view))
 
 
 def test_robots_that_join_are_dialled_by_an_operator_that_stays(

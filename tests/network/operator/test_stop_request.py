@@ -10,6 +10,7 @@ import pytest
 from swarmd.core.messages import Code, Presence
 from swarmd.core.refusal import Refusal
 from swarmd.network.datagram import MAX_MS, Ack, Flag, Stop, pack, tag_of
+from swarmd.network.operator.discovery import Discovery
 from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT
 from swarmd.network.operator.stop_request import STOP_CAP, STOP_WAIT, PendingStop
 from tests.network.operator.discovery_rig import Rig, heard, life
@@ -52,6 +53,22 @@ def test_it_is_done_when_all_have_acked(rig: Rig) -> None:
     assert pending.is_done(0.02)
     outcome = pending.outcome(0.02)
     assert (outcome.exit_code, outcome.reached) == (0, 2)
+
+
+def test_a_turn_of_a_stop_makes_no_view_of_all_robots(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def result(self: Discovery, now: float) -> None:
+        raise AssertionError("a view takes ms, and each datagram that arrives begins a turn")
+
+    monkeypatch.setattr(Discovery, "result", result)
+    pending = make(rig)
+    assert pending.is_over(STOP_WAIT / 2) is False
+    assert pending.is_done(0.02) is False
+    assert pending.lacking(0.02) == pending.silent(0.02) == ("a", "b")
+    ((_, addresses),) = pending.datagrams(0.02)
+    assert len(addresses) == 2
+    assert pending.outcome(0.02).missing == ("a", "b")
 
 
 def test_a_robot_that_does_not_rest_yet_is_waited_for_and_never_counts(rig: Rig) -> None:
