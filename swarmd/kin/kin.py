@@ -39,7 +39,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import astuple, replace
 
 from swarmd.core import cython_shadow as cython
-from swarmd.core.angles import TURN, angle_between, wrap
+from swarmd.core.angles import PI, TURN, angle_between, wrap
 from swarmd.core.buffers import doubles, view
 from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, isnan, rint, sin
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
@@ -67,6 +67,8 @@ _MOST_PEERS = cython.declare(cython.Py_ssize_t, 24)
 _MOST_TRACKS = cython.declare(cython.Py_ssize_t, 24)
 # directions, of each of which it is known how far the rays of a scan are free
 _SECTORS = cython.declare(cython.Py_ssize_t, 72)
+# rad before the end of a sector, where rounding may count a bearing to the next
+_EDGE = cython.declare(cython.double, 1e-9)
 _MOST_HYPOTHESES = 8  # of one peer
 # places of a track that are kept: 3 s at 5 Hz
 _MEMORY = cython.declare(cython.Py_ssize_t, 16)
@@ -394,11 +396,19 @@ class Kin:
             i: cython.Py_ssize_t
             for i in range(_SECTORS):
                 free[i] = INFINITY
+            sector: cython.Py_ssize_t = 0
+            least: cython.double = INFINITY  # bearings from here on, and below `most`, are in it
+            most: cython.double = -INFINITY
             for i in range(len(ranges)):
                 distance_of_ray: cython.double = ranges[i]
-                if distance_of_ray > _LONGEST:  # most rays
+                if distance_of_ray > _LONGEST:
                     continue
-                sector: cython.Py_ssize_t = _sector_of(bearings[i])
+                ray: cython.double = bearings[i]
+                if not least <= ray < most:
+                    sector = _sector_of(ray)
+                    # Of a bearing beyond half a turn the next may be in another sector.
+                    least = ray if fabs(ray) < PI else INFINITY
+                    most = (sector + 1) * (TURN / _SECTORS) - PI - _EDGE
                 if not distance_of_ray >= free[sector]:
                     # Nothing is known of the direction of a ray without a number.
                     free[sector] = 0.0 if isnan(distance_of_ray) else distance_of_ray
@@ -804,9 +814,7 @@ class Kin:
         return 0
 
     @cython.cfunc
-    def _agree(
-        self, peer: _Peer, gap: cython.double, told_count: cython.Py_ssize_t
-    ) -> cython.int:
+    def _agree(self, peer: _Peer, gap: cython.double, told_count: cython.Py_ssize_t) -> cython.int:
         """Lower the pose of a peer that does not tell a third robot which it must see.
 
         Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third

@@ -26,7 +26,15 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
-from swarmd.core.buffers import doubles, indices, view, view_of, wrapped_index
+from swarmd.core.buffers import (
+    checked,
+    checked_indices,
+    doubles,
+    indices,
+    view,
+    view_of,
+    wrapped_index,
+)
 from swarmd.core.cython_shadow import (
     INFINITY,
     NAN,
@@ -596,35 +604,13 @@ class Tracker:
         return 0
 
     @cython.cfunc
-    def _are_farther(
-        self,
-        i: cython.Py_ssize_t,
-        j: cython.Py_ssize_t,
-        step: cython.double,
-        distance: cython.double,
-    ) -> cython.bint:
-        """True if the places of two returns are farther apart than a distance in m.
-
-        `step`: rad between both. With the law of cosines, of which two terms of the series bound
-        the cosine from both sides, ranges and step decide nearly always as the places would.
-        """
-        bound: cython.double = distance * distance
-        near: cython.double = self._returns.ranges[i]
-        far: cython.double = self._returns.ranges[j]
-        across: cython.double = near * far * step * step
-        most: cython.double = (far - near) * (far - near) + across
-        least: cython.double = most - across * step * step / 12.0
-        size: cython.double = fabs(self._lidar_x) + fabs(self._lidar_y) + fabs(self._lidar_yaw)
-        if size < _MAX_EXACT:
-            if most < bound * (1.0 - _EXACT):
-                return False
-            if least > bound * (1.0 + _EXACT):
-                return True
+    def _squared_distance(self, i: cython.Py_ssize_t, j: cython.Py_ssize_t) -> cython.double:
+        """The square of the distance in m between the places of two returns."""
         self._place(i)
         self._place(j)
         dx: cython.double = self._x[j] - self._x[i]
         dy: cython.double = self._y[j] - self._y[i]
-        return dx * dx + dy * dy > bound
+        return dx * dx + dy * dy
 
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         """Make the arrays of places, runs and walls for `count` rays."""
@@ -645,9 +631,21 @@ class Tracker:
         that faces the lidar at a grazing angle. Returns lie all around, so there are as many runs
         as cuts. Without a cut (0), all returns are of a single surface.
 
+        The distance is that of places, for which most returns need no place: ranges and the step
+        between two bearings bound its square from both sides (law of cosines; 1 - cos step lies
+        between two and one terms of its series), and so nearly always decide as the places would.
+
         Sets `_is_gap`, and the first and last return of each run (`_run_first`, `_run_last`).
         """
         count: cython.Py_ssize_t = self._returns.count
+        ranges: cython.p_double = checked(self._returns.ranges, count)
+        bearings: cython.p_double = checked(self._returns.bearings, count)
+        is_gap: cython.p_longlong = checked_indices(self._is_gap, count)
+        size: cython.double = fabs(self._lidar_x) + fabs(self._lidar_y) + fabs(self._lidar_yaw)
+        is_exact: cython.bint = size < _MAX_EXACT
+        # Shares of the squared bound below and above which the places are not asked.
+        surely_near: cython.double = 1.0 - _EXACT if is_exact else 0.0
+        surely_far: cython.double = 1.0 + _EXACT if is_exact else INFINITY
         cuts: cython.Py_ssize_t = 0
         first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
@@ -655,13 +653,21 @@ class Tracker:
         max_step: cython.double = _MAX_LOST_STEPS * self._spacing
         for i in range(count):
             j = i + 1 if i + 1 < count else 0
-            step: cython.double = self._returns.bearings[j] - self._returns.bearings[i]
+            step: cython.double = bearings[j] - bearings[i]
             if j == 0:
                 step -= floor(step / TURN) * TURN
-            near: cython.double = min(self._returns.ranges[i], self._returns.ranges[j])
-            max_distance: cython.double = _MAX_STEP + near * step / _GRAZING
-            self._is_gap[i] = step > max_step
-            if self._is_gap[i] or self._are_farther(i, j, step, max_distance):
+            is_cut: cython.bint = step > max_step
+            is_gap[i] = is_cut
+            if not is_cut:
+                near: cython.double = min(ranges[i], ranges[j])
+                max_distance: cython.double = _MAX_STEP + near * step / _GRAZING
+                bound: cython.double = max_distance * max_distance
+                across: cython.double = ranges[i] * ranges[j] * step * step
+                most: cython.double = (ranges[j] - ranges[i]) * (ranges[j] - ranges[i]) + across
+                if not most < bound * surely_near:
+                    least: cython.double = most - across * step * step / 12.0
+                    is_cut = least > bound * surely_far or self._squared_distance(i, j) > bound
+            if is_cut:
                 self._run_first[cuts] = first
                 self._run_last[cuts] = i
                 first = i + 1
@@ -706,11 +712,7 @@ class Tracker:
             j: cython.Py_ssize_t = self._run_first[index + 2]
             near: cython.double = min(self._returns.ranges[i], self._returns.ranges[j])
             max_distance: cython.double = _MAX_STEP + 2.0 * near * self._spacing / _GRAZING
-            self._place(i)
-            self._place(j)
-            dx: cython.double = self._x[i] - self._x[j]
-            dy: cython.double = self._y[i] - self._y[j]
-            if dx * dx + dy * dy > max_distance * max_distance:
+            if self._squared_distance(j, i) > max_distance * max_distance:
                 break
             index += 2
         return index
