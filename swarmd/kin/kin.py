@@ -230,7 +230,7 @@ class _Peer:
     row: cython.Py_ssize_t  # of the neighbors that `complete` took last
     known: Neighbor | None  # what stood there
     is_plain: cython.bint  # without a place of its own: distance, bearing and heading are None
-    in_reach: object  # of `known`
+    in_reach: cython.bint  # of `known`
 
     def __init__(self, id: str) -> None:
         self.id = id
@@ -617,8 +617,8 @@ class Kin:
             peer.expect(best, now)
         dx: cython.double = peer.x - self._trail.x
         dy: cython.double = peer.y - self._trail.y
-        bearing: object = None if peer.is_plain else known.bearing
-        heading: object = None if peer.is_plain else known.heading
+        bearing = None if peer.is_plain else known.bearing
+        heading = None if peer.is_plain else known.heading
         if bearing is None:
             bearing = wrap(atan2(dy, dx) - self._trail.yaw)
         if heading is None:
