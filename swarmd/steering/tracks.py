@@ -26,15 +26,7 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
-from swarmd.core.buffers import (
-    checked,
-    checked_indices,
-    doubles,
-    indices,
-    view,
-    view_of,
-    wrapped_index,
-)
+from swarmd.core.buffers import doubles, indices, view, view_of, wrapped_index
 from swarmd.core.cython_shadow import (
     INFINITY,
     NAN,
@@ -638,9 +630,9 @@ class Tracker:
         Sets `_is_gap`, and the first and last return of each run (`_run_first`, `_run_last`).
         """
         count: cython.Py_ssize_t = self._returns.count
-        ranges: cython.p_double = checked(self._returns.ranges, count)
-        bearings: cython.p_double = checked(self._returns.bearings, count)
-        is_gap: cython.p_longlong = checked_indices(self._is_gap, count)
+        ranges: cython.double[::1] = self._returns.ranges
+        bearings: cython.double[::1] = self._returns.bearings
+        is_gap: cython.longlong[::1] = self._is_gap
         size: cython.double = fabs(self._lidar_x) + fabs(self._lidar_y) + fabs(self._lidar_yaw)
         is_exact: cython.bint = size < _MAX_EXACT
         # Shares of the squared bound below and above which the places are not asked.
