@@ -35,7 +35,6 @@ from swarmd.core.errors import CodecError
 from swarmd.core.messages import Body, Latch
 from swarmd.core.pin import is_pinned, processor
 from swarmd.core.values import Array, Value
-from swarmd.kin.make import hear_many
 from swarmd.kit.behavior import Pattern
 from swarmd.make_robot import make_robot
 from swarmd.pattern_host.loader import PatternLoader
@@ -485,7 +484,8 @@ class Lockstep:
             robots = [None if shell is None else shell.robot for shell in shells]
             if isinstance(message, events.KinInput):
                 kins = ticker.kin_many(robots, message, now)
-                hear_many(kins, message.robot, message.told, now)
+                if kins:  # one call for all, as in `message_many`
+                    kins[0].hear_many(kins, message.robot, message.told, now)
             else:
                 ticker.message_many(robots, message, now)
         received = self._new_latches

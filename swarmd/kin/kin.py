@@ -36,10 +36,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msgspec.structs import replace
+from msgspec.structs import astuple, replace
 
 from swarmd.core import cython_shadow as cython
-from swarmd.core.angles import TURN, angle_between, wrap
+from swarmd.core.angles import PI, TURN, angle_between, wrap
 from swarmd.core.buffers import doubles, view
 from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, isnan, rint, sin
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
@@ -56,10 +56,9 @@ if TYPE_CHECKING:
 # C names
 _MOST_NUMBER = cython.declare(cython.double, 1e12)  # m, rad or s in a message
 _unit = cython.declare(cython.double, UNIT)
-_pack_object = cython.declare(object, OBJECT.pack)
-_unpack_objects = cython.declare(object, OBJECT.iter_unpack)
 _object_size = cython.declare(cython.Py_ssize_t, OBJECT.size)
 _most_objects = cython.declare(cython.Py_ssize_t, MOST_OBJECTS)
+_HIGHEST = cython.declare(cython.longlong, 1 << 15)  # bit of a number of 16 bits, its sign
 _Neighbor = cython.declare(object, Neighbor)
 _Told = cython.declare(object, Told)
 NO_ROBOT = ""
@@ -68,6 +67,8 @@ _MOST_PEERS = cython.declare(cython.Py_ssize_t, 24)
 _MOST_TRACKS = cython.declare(cython.Py_ssize_t, 24)
 # directions, of each of which it is known how far the rays of a scan are free
 _SECTORS = cython.declare(cython.Py_ssize_t, 72)
+# rad before the end of a sector, where rounding may count a bearing to the next
+_EDGE = cython.declare(cython.double, 1e-9)
 _MOST_HYPOTHESES = 8  # of one peer
 # places of a track that are kept: 3 s at 5 Hz
 _MEMORY = cython.declare(cython.Py_ssize_t, 16)
@@ -108,6 +109,8 @@ _FADE = cython.declare(cython.double, 0.2)  # 1/s, while nothing shows the peer
 _REACH = cython.declare(cython.double, 2.2)  # m: what is not hidden is surely tracked
 _FREE_REACH = cython.declare(cython.double, 3.2)  # m within which a ray without a return is free
 _SEEN_MOST = cython.declare(cython.double, 0.25)  # m by which a ray passes a place it has crossed
+# m, the greatest distance of which it is asked whether rays are longer
+_LONGEST = cython.declare(cython.double, _FREE_REACH + _SEEN_MOST)
 _AGREED = cython.declare(cython.double, 1.8)  # m within which a peer surely tells a third robot
 _EARLIER = cython.declare(cython.double, 2.0)  # s: a peer confirmed so much earlier keeps a track
 # Standing tracks.
@@ -194,6 +197,7 @@ class _Track:
 class _Peer:
     """What is known of one peer. `x`, `y`, `yaw`: what `expect` has found."""
 
+    id: str
     x: cython.double
     y: cython.double
     yaw: cython.double
@@ -224,8 +228,12 @@ class _Peer:
     since: cython.double  # s, when it was confirmed
     track: _Track | None  # that shows the peer in the last scan
     row: cython.Py_ssize_t  # of the neighbors that `complete` took last
+    known: Neighbor | None  # what stood there
+    is_plain: cython.bint  # without a place of its own: distance, bearing and heading are None
+    in_reach: cython.bint  # of `known`
 
-    def __init__(self) -> None:
+    def __init__(self, id: str) -> None:
+        self.id = id
         self.resets = -1
         self.hypotheses = []
         self.stamp = -INFINITY
@@ -265,9 +273,14 @@ class _Peer:
             self.began_y = self.told_y
 
     @cython.cfunc
+    def seconds_ahead(self, now: cython.double) -> cython.double:
+        """The s from the newest message for which the pose moves on at the told speed."""
+        return min(max(now - self.time, 0.0), _MOST_AHEAD)
+
+    @cython.cfunc
     def expect(self, pose: Hypothesis, now: cython.double) -> cython.int:
         """Set the pose to that of a hypothesis, moved on at the told speed."""
-        seconds: cython.double = min(max(now - self.time, 0.0), _MOST_AHEAD)
+        seconds: cython.double = self.seconds_ahead(now)
         c: cython.double = cos(pose.yaw + 0.5 * self.turn * seconds)
         s: cython.double = sin(pose.yaw + 0.5 * self.turn * seconds)
         self.x = pose.x + (c * self.ahead - s * self.left) * seconds
@@ -295,6 +308,7 @@ class Kin:
     _seen_at: cython.double  # s, of the last scan
     _free: cython.double[::1]  # of each direction from -pi on, m to the nearest return
     _peers: dict[str, _Peer]
+    _heard: list[_Peer]  # the same peers in the same order, which loops read faster
     _forgot_at: cython.double  # s, when silent peers were forgotten last
     _told_at: cython.double  # s, of the last message, and the pose in it
     _told_x: cython.double
@@ -314,6 +328,7 @@ class Kin:
         self._trail = OdometryTrail()
         self._tracks = []
         self._peers = {}
+        self._heard = []
         self._seen_at = -INFINITY
         self._told_at = -INFINITY
         self._free = doubles(_SECTORS)
@@ -331,7 +346,7 @@ class Kin:
         if taken == ANEW:
             self._resets += 1
             self._tracks = []
-            for peer in self._peers.values():
+            for peer in self._heard:
                 peer.hypotheses = []
                 peer.best = None
         self._shift = odometry.stamp - now
@@ -369,7 +384,10 @@ class Kin:
 
     @cython.cfunc
     def _is_free(self, bearing: cython.double, distance: cython.double) -> cython.bint:
-        """True if the rays of the last scan in a direction are longer than a distance."""
+        """True if the rays of the last scan in a direction are longer than a distance.
+
+        `distance`: at most _LONGEST m.
+        """
         free: cython.double[::1] = self._free
         if self._scan is not None:
             ranges: cython.const_double[::1] = view(self._scan.ranges)
@@ -378,9 +396,19 @@ class Kin:
             i: cython.Py_ssize_t
             for i in range(_SECTORS):
                 free[i] = INFINITY
+            sector: cython.Py_ssize_t = 0
+            least: cython.double = INFINITY  # bearings from here on, and below `most`, are in it
+            most: cython.double = -INFINITY
             for i in range(len(ranges)):
-                sector: cython.Py_ssize_t = _sector_of(bearings[i])
                 distance_of_ray: cython.double = ranges[i]
+                if distance_of_ray > _LONGEST:
+                    continue
+                ray: cython.double = bearings[i]
+                if not least <= ray < most:
+                    sector = _sector_of(ray)
+                    # Of a bearing beyond half a turn the next may be in another sector.
+                    least = ray if fabs(ray) < PI else INFINITY
+                    most = (sector + 1) * (TURN / _SECTORS) - PI - _EDGE
                 if not distance_of_ray >= free[sector]:
                     # Nothing is known of the direction of a ray without a number.
                     free[sector] = 0.0 if isnan(distance_of_ray) else distance_of_ray
@@ -417,13 +445,22 @@ class Kin:
             points[count] = length(dx, dy)
             points[count + 1] = wrap(atan2(dy, dx) - self._yaw)
             count += 2
-        objects = bytearray()
-        for _ in range(min(count // 2, _most_objects)):
+        most: cython.Py_ssize_t = min(count // 2, _most_objects)
+        objects = bytearray(_object_size * most)
+        n: cython.Py_ssize_t
+        for n in range(most):
             k = 0
             for i in range(2, count, 2):
                 if points[i] < points[k]:
                     k = i
-            objects += _pack_object(min(_units(points[k]), 0xFFFF), _units(points[k + 1]))
+            # As OBJECT packs them, which takes five times as long.
+            distance: cython.longlong = min(_units(points[k]), 0xFFFF)
+            bearing: cython.longlong = _units(points[k + 1])
+            start: cython.Py_ssize_t = _object_size * n
+            objects[start] = distance >> 8
+            objects[start + 1] = distance & 0xFF
+            objects[start + 2] = (bearing >> 8) & 0xFF
+            objects[start + 3] = bearing & 0xFF
             points[k] = INFINITY
         return _Told(
             self._resets,
@@ -446,17 +483,21 @@ class Kin:
                 self._forget_silent(now)
             if len(self._peers) >= _MOST_PEERS:
                 return
-            peer = self._peers[id] = _Peer()
+            peer = _Peer(id)
+            self._peers[id] = peer
+            self._heard.append(peer)
         # Of a crowd each peer is compared less often, so that kin takes no longer.
         period: cython.double = _COMPARED * max(1.0, len(self._peers) / _FEW)
         # Only comparisons use the poses of a peer if none is confirmed.
         if now - peer.heard_at < period and peer.best is None:
             return
-        # Integers of Python become doubles six times faster by way of integers of C.
-        stamp_ms: cython.longlong = told.stamp
-        x_mm: cython.longlong = told.x
-        y_mm: cython.longlong = told.y
-        yaw_mrad: cython.longlong = told.yaw
+        # All fields in one call, which takes as long as two of them each by itself. Integers of
+        # Python become doubles six times faster by way of integers of C.
+        resets, told_stamp, told_x, told_y, told_yaw, told_objects, _ = astuple(told)
+        stamp_ms: cython.longlong = told_stamp
+        x_mm: cython.longlong = told_x
+        y_mm: cython.longlong = told_y
+        yaw_mrad: cython.longlong = told_yaw
         stamp: cython.double = stamp_ms * _unit
         x: cython.double = x_mm * _unit
         y: cython.double = y_mm * _unit
@@ -469,7 +510,7 @@ class Kin:
         dx: cython.double = x - peer.told_x
         dy: cython.double = y - peer.told_y
         turn: cython.double = wrap(yaw - peer.told_yaw)
-        if told.resets == peer.resets and 0.0 < gap < _SILENCE and not is_jump(dx, dy, turn, gap):
+        if resets == peer.resets and 0.0 < gap < _SILENCE and not is_jump(dx, dy, turn, gap):
             c: cython.double = cos(peer.told_yaw)
             s: cython.double = sin(peer.told_yaw)
             ahead: cython.double = c * dx + s * dy
@@ -485,7 +526,7 @@ class Kin:
             peer.left = 0.0
             peer.turn = 0.0
             peer.began_at = -INFINITY
-        peer.resets = told.resets
+        peer.resets = resets
         peer.stamp = stamp
         peer.heard_at = now
         peer.time = time
@@ -498,16 +539,23 @@ class Kin:
         peer.follow()
         gap = time - peer.compared_at
         if gap >= period - _EARLY:
-            self._compare(id, told, peer, min(gap, _MOST_GAP))
+            self._compare(told_objects, peer, min(gap, _MOST_GAP))
             peer.compared_at = time
+
+    @staticmethod
+    def hear_many(kins: list[Kin], id: str, told: Told, now: cython.double) -> None:
+        """Hand the message of a peer to each of the robots that hear it at one time."""
+        kin: Kin
+        for kin in kins:
+            kin.hear(id, told, now)
 
     def names(self, now: cython.double) -> dict[int, str | None]:
         """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""
         named: dict[int, str] = {}
         peer: _Peer
-        for id, peer in self._peers.items():
+        for peer in self._heard:
             if peer.track is not None and peer.best is not None:
-                named[peer.track.id] = id
+                named[peer.track.id] = peer.id
         track: _Track
         found: dict[int, str | None] = {}
         for track in self._tracks:
@@ -527,44 +575,59 @@ class Kin:
         completed: list[Neighbor] = list(neighbors)
         count: cython.Py_ssize_t = len(completed)
         peer: _Peer
-        for id, peer in self._peers.items():
+        for peer in self._heard:
             best: Hypothesis | None = peer.confirmed(now)
             if best is None:
                 continue
-            if peer.row >= count or completed[peer.row].id != id:
-                ids = [one.id for one in completed]
-                peer.row = ids.index(id) if id in ids else count
+            if peer.row >= count or completed[peer.row] is not peer.known:
+                self._find_row(peer, completed)
             if peer.row < count:
                 completed[peer.row] = self._completed(completed[peer.row], peer, best, now)
         return tuple(completed)
 
     @cython.cfunc
+    def _find_row(self, peer: _Peer, neighbors: list[Neighbor]) -> cython.int:
+        """Find a peer among the neighbors; mostly the same neighbor is asked for many times."""
+        count: cython.Py_ssize_t = len(neighbors)
+        if peer.row >= count or neighbors[peer.row].id != peer.id:
+            ids = [one.id for one in neighbors]
+            peer.row = ids.index(peer.id) if peer.id in ids else count
+        if peer.row < count:
+            known = neighbors[peer.row]
+            peer.known = known
+            peer.in_reach = known.in_reach
+            peer.is_plain = (
+                known.distance is None and known.bearing is None and known.heading is None
+            )
+        return 0
+
+    @cython.cfunc
     def _completed(
         self, known: Neighbor, peer: _Peer, best: Hypothesis, now: cython.double
     ) -> Neighbor:
-        peer.expect(best, now)
         seen_at: cython.double = best.seen_at
+        yaw: cython.double = best.yaw + peer.turn * peer.seconds_ahead(now)
         track: _Track | None = peer.track
+        is_there: cython.bint = False
         if track is not None:
-            x, y, is_there = track.place_at(self._seen_at)
-            if is_there:
-                seen_at = self._seen_at
-                peer.x = x
-                peer.y = y
+            peer.x, peer.y, is_there = track.place_at(self._seen_at)
+        if is_there:
+            seen_at = self._seen_at
+        else:
+            peer.expect(best, now)
         dx: cython.double = peer.x - self._trail.x
         dy: cython.double = peer.y - self._trail.y
-        distance = known.distance
-        bearing = known.bearing
-        heading = known.heading
+        bearing = None if peer.is_plain else known.bearing
+        heading = None if peer.is_plain else known.heading
         if bearing is None:
             bearing = wrap(atan2(dy, dx) - self._trail.yaw)
         if heading is None:
-            heading = wrap(peer.yaw - self._trail.yaw)
-        if distance is not None:
+            heading = wrap(yaw - self._trail.yaw)
+        if not peer.is_plain and known.distance is not None:
             return replace(known, bearing=bearing, heading=heading)
         age: cython.double = max(now - seen_at, 0.0)
         error: cython.double = 2.0 * best.sd()
-        return _Neighbor(known.id, age, length(dx, dy), bearing, heading, known.in_reach, error)
+        return _Neighbor(peer.id, age, length(dx, dy), bearing, heading, peer.in_reach, error)
 
     @cython.cfunc
     def _set_own(self, time: cython.double) -> cython.int:
@@ -579,9 +642,13 @@ class Kin:
     def _forget_silent(self, now: cython.double) -> cython.int:
         self._forgot_at = now
         peer: _Peer
-        for id, peer in list(self._peers.items()):
+        heard = self._heard
+        self._heard = []
+        for peer in heard:
             if now - peer.heard_at > _SILENCE:
-                del self._peers[id]
+                del self._peers[peer.id]
+            else:
+                self._heard.append(peer)
 
     @cython.cfunc
     def _move(
@@ -596,8 +663,11 @@ class Kin:
             one.drift(own_way, own_turn, length(one.x - self._x, one.y - self._y))
 
     @cython.cfunc
-    def _compare(self, id: str, told: Told, peer: _Peer, gap: cython.double) -> cython.int:
-        """Compare the poses of a peer with the tracks, and with what it tells; begin new poses."""
+    def _compare(self, packed: bytes, peer: _Peer, gap: cython.double) -> cython.int:
+        """Compare the poses of a peer with the tracks, and with what it tells; begin new poses.
+
+        `packed`: the objects of the message.
+        """
         places: cython.double[::1] = self._places
         objects: cython.double[::1] = self._objects
         track: _Track
@@ -615,11 +685,13 @@ class Kin:
                 places[i + 1] = y
                 places[i + 2] = length(x - self._x, y - self._y)
                 i += POINT
-        packed: bytes = told.objects
-        whole = len(packed) - len(packed) % _object_size
-        distance_mm: cython.longlong
-        bearing_mrad: cython.longlong
-        for distance_mm, bearing_mrad in _unpack_objects(packed[:whole]):
+        for n in range(len(packed) // _object_size):
+            # As OBJECT unpacks them, which takes five times as long.
+            m = _object_size * n
+            distance_mm: cython.longlong = (packed[m] << 8) + packed[m + 1]
+            bearing_mrad: cython.longlong = (packed[m + 2] << 8) + packed[m + 3]
+            if bearing_mrad >= _HIGHEST:
+                bearing_mrad -= 2 * _HIGHEST
             distance: cython.double = _unit * distance_mm
             bearing: cython.double = _unit * bearing_mrad
             objects[k] = distance * cos(bearing)
@@ -640,7 +712,7 @@ class Kin:
                     yaw: cython.double = to_own - atan2(objects[k + 1], objects[k])
                     self._begin(peer, places[i], places[i + 1], yaw, max(places[i + 2], 0.3))
         self._rank(peer)
-        self._agree(id, peer, gap, told_count)
+        self._agree(peer, gap, told_count)
 
     @cython.cfunc
     def _judge(
@@ -742,9 +814,7 @@ class Kin:
         return 0
 
     @cython.cfunc
-    def _agree(
-        self, id: str, peer: _Peer, gap: cython.double, told_count: cython.Py_ssize_t
-    ) -> cython.int:
+    def _agree(self, peer: _Peer, gap: cython.double, told_count: cython.Py_ssize_t) -> cython.int:
         """Lower the pose of a peer that does not tell a third robot which it must see.
 
         Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third
@@ -756,9 +826,9 @@ class Kin:
         c: cython.double = cos(best.yaw)
         s: cython.double = sin(best.yaw)
         other: _Peer
-        for name, other in self._peers.items():
+        for other in self._heard:
             third: Hypothesis | None = other.confirmed(peer.heard_at)
-            if name == id or third is None or third.score < best.score:
+            if other is peer or third is None or third.score < best.score:
                 continue
             if peer.heard_at - other.heard_at > _MOST_GAP:  # it may be elsewhere by now
                 continue
@@ -799,7 +869,7 @@ class Kin:
         peer: _Peer
         other: _Peer
         track: _Track
-        for id, peer in self._peers.items():
+        for peer in self._heard:
             peer.track = None
             best: Hypothesis | None = peer.confirmed(now)
             if best is None:
@@ -809,7 +879,7 @@ class Kin:
                 x, y, _ = track.place_at(self._seen_at)
                 far: cython.double = best.fits(x - peer.x, y - peer.y)
                 if far < INFINITY and not track.is_other(peer):
-                    claims.append((far, id, track.id, peer, track))
+                    claims.append((far, peer.id, track.id, peer, track))
         claims.sort()
         taken: dict[int, _Peer] = {}
         for _, _, number, peer, track in claims:
@@ -833,7 +903,7 @@ class Kin:
         if now - track.still_since < _STILL_TIME or self._way - track.still_way < _OWN_WAY:
             return False
         peer: _Peer
-        for peer in self._peers.values():
+        for peer in self._heard:
             best: Hypothesis | None = peer.confirmed(now)
             if best is not None:
                 peer.expect(best, now)
@@ -860,10 +930,3 @@ def _units(number: cython.double) -> cython.longlong:
     """A number of m, rad or s as in a message; 0 if it is too great, or none."""
     is_small: cython.bint = fabs(number) < _MOST_NUMBER
     return cython.cast(cython.longlong, rint((number if is_small else 0.0) / _unit))
-
-
-def hear_many(kins: list[Kin], id: str, told: Told, now: cython.double) -> None:
-    """Hand the message of a peer to each of the robots that hear it at one time."""
-    kin: Kin
-    for kin in kins:
-        kin.hear(id, told, now)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from swarmd.core.told import Told
     from swarmd.kin.kin import Kin
 
 
@@ -17,10 +16,3 @@ class KinMaker:
         from swarmd.kin.kin import Kin  # 11 ms of a start
 
         return Kin(middle, resets)
-
-
-def hear_many(kins: list[Kin], id: str, told: Told, now: float) -> None:
-    """Hand the message of a peer to each of the robots that hear it at one time."""
-    from swarmd.kin.kin import hear_many  # loaded with the first `Kin`
-
-    hear_many(kins, id, told, now)

@@ -29,11 +29,13 @@ from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles, indices, view, view_of, wrapped_index
 from swarmd.core.cython_shadow import (
     INFINITY,
+    NAN,
     atan2,
     cos,
     fabs,
     floor,
     hypot,
+    isnan,
     sin,
     sqrt,
 )
@@ -46,6 +48,9 @@ REACH = cython.declare(cython.double, 2.5)
 """m from the lidar beyond which no object is tracked."""
 # m between neighbouring returns of one surface that faces the lidar
 _MAX_STEP = cython.declare(cython.double, 0.06)
+# m and rad of odometry, below which places by odometry keep a distance to within a millionth of it
+_MAX_EXACT = cython.declare(cython.double, 1e5)
+_EXACT = cython.declare(cython.double, 1e-6)
 _MAX_LOST_STEPS = 4.5  # angular steps between two returns of one surface at most: rays may be lost
 # m, visible part of a new object: a thinner cluster counts as standing
 _MIN_WIDTH = cython.declare(cython.double, 0.03)
@@ -414,11 +419,12 @@ class Tracker:
     _wall_x: cython.double[::1]
     _wall_y: cython.double[::1]
     _wall_count: cython.Py_ssize_t
-    # The returns of the scan by bearing; of each its place, and whether a gap in the bearings
-    # follows.
+    # The returns of the scan by bearing; of each its place (NaN: not computed yet, see `_place`),
+    # and whether a gap in the bearings follows.
     _returns: ScanReturns
-    _lidar_x: cython.double
+    _lidar_x: cython.double  # the pose of the lidar by odometry when the scan was measured
     _lidar_y: cython.double
+    _lidar_yaw: cython.double
     _x: cython.double[::1]
     _y: cython.double[::1]
     _is_gap: cython.longlong[::1]
@@ -561,7 +567,7 @@ class Tracker:
     def _take_returns(
         self, scan: Scan, base_x: cython.double, base_y: cython.double, yaw: cython.double
     ) -> cython.int:
-        """Store the returns of a scan, sorted by bearing, with their places by odometry.
+        """Store the returns of a scan, sorted by bearing; `_place` sets their places by odometry.
 
         `base_x`, `base_y`, `yaw`: the pose of the base when the scan was measured. Sets the arrays
         of returns, and makes the arrays of places, runs and walls long enough.
@@ -570,20 +576,33 @@ class Tracker:
         returns.take(scan)
         if len(self._x) < len(returns.ranges):
             self._make_room(len(returns.ranges))
-        lidar_x: cython.double = base_x + cos(yaw) * self._offset_x - sin(yaw) * self._offset_y
-        lidar_y: cython.double = base_y + sin(yaw) * self._offset_x + cos(yaw) * self._offset_y
-        self._lidar_x = lidar_x
-        self._lidar_y = lidar_y
-        ranges: cython.double[::1] = returns.ranges
-        bearings: cython.double[::1] = returns.bearings
+        self._lidar_x = base_x + cos(yaw) * self._offset_x - sin(yaw) * self._offset_y
+        self._lidar_y = base_y + sin(yaw) * self._offset_x + cos(yaw) * self._offset_y
+        self._lidar_yaw = yaw
         x: cython.double[::1] = self._x
-        y: cython.double[::1] = self._y
         k: cython.Py_ssize_t
         for k in range(returns.count):
-            angle: cython.double = bearings[k] + yaw
-            x[k] = lidar_x + ranges[k] * cos(angle)
-            y[k] = lidar_y + ranges[k] * sin(angle)
+            x[k] = NAN
         return 0
+
+    @cython.cfunc
+    def _place(self, k: cython.Py_ssize_t) -> cython.int:
+        """Set the place of return `k`, unless it is set: most returns need no sine and cosine."""
+        if isnan(self._x[k]):
+            distance: cython.double = self._returns.ranges[k]
+            angle: cython.double = self._returns.bearings[k] + self._lidar_yaw
+            self._x[k] = self._lidar_x + distance * cos(angle)
+            self._y[k] = self._lidar_y + distance * sin(angle)
+        return 0
+
+    @cython.cfunc
+    def _squared_distance(self, i: cython.Py_ssize_t, j: cython.Py_ssize_t) -> cython.double:
+        """The square of the distance in m between the places of two returns."""
+        self._place(i)
+        self._place(j)
+        dx: cython.double = self._x[j] - self._x[i]
+        dy: cython.double = self._y[j] - self._y[i]
+        return dx * dx + dy * dy
 
     def _make_room(self, count: cython.Py_ssize_t) -> None:
         """Make the arrays of places, runs and walls for `count` rays."""
@@ -604,9 +623,21 @@ class Tracker:
         that faces the lidar at a grazing angle. Returns lie all around, so there are as many runs
         as cuts. Without a cut (0), all returns are of a single surface.
 
+        The distance is that of places, for which most returns need no place: ranges and the step
+        between two bearings bound its square from both sides (law of cosines; 1 - cos step lies
+        between two and one terms of its series), and so nearly always decide as the places would.
+
         Sets `_is_gap`, and the first and last return of each run (`_run_first`, `_run_last`).
         """
         count: cython.Py_ssize_t = self._returns.count
+        ranges: cython.double[::1] = self._returns.ranges
+        bearings: cython.double[::1] = self._returns.bearings
+        is_gap: cython.longlong[::1] = self._is_gap
+        size: cython.double = fabs(self._lidar_x) + fabs(self._lidar_y) + fabs(self._lidar_yaw)
+        is_exact: cython.bint = size < _MAX_EXACT
+        # Shares of the squared bound below and above which the places are not asked.
+        surely_near: cython.double = 1.0 - _EXACT if is_exact else 0.0
+        surely_far: cython.double = 1.0 + _EXACT if is_exact else INFINITY
         cuts: cython.Py_ssize_t = 0
         first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
@@ -614,15 +645,21 @@ class Tracker:
         max_step: cython.double = _MAX_LOST_STEPS * self._spacing
         for i in range(count):
             j = i + 1 if i + 1 < count else 0
-            step: cython.double = self._returns.bearings[j] - self._returns.bearings[i]
+            step: cython.double = bearings[j] - bearings[i]
             if j == 0:
                 step -= floor(step / TURN) * TURN
-            near: cython.double = min(self._returns.ranges[i], self._returns.ranges[j])
-            max_distance: cython.double = _MAX_STEP + near * step / _GRAZING
-            dx: cython.double = self._x[j] - self._x[i]
-            dy: cython.double = self._y[j] - self._y[i]
-            self._is_gap[i] = step > max_step
-            if self._is_gap[i] or dx * dx + dy * dy > max_distance * max_distance:
+            is_cut: cython.bint = step > max_step
+            is_gap[i] = is_cut
+            if not is_cut:
+                near: cython.double = min(ranges[i], ranges[j])
+                max_distance: cython.double = _MAX_STEP + near * step / _GRAZING
+                bound: cython.double = max_distance * max_distance
+                across: cython.double = ranges[i] * ranges[j] * step * step
+                most: cython.double = (ranges[j] - ranges[i]) * (ranges[j] - ranges[i]) + across
+                if not most < bound * surely_near:
+                    least: cython.double = most - across * step * step / 12.0
+                    is_cut = least > bound * surely_far or self._squared_distance(i, j) > bound
+            if is_cut:
                 self._run_first[cuts] = first
                 self._run_last[cuts] = i
                 first = i + 1
@@ -642,6 +679,7 @@ class Tracker:
         end: cython.Py_ssize_t
         if runs == 0:
             for i in range(0, n, 10):
+                self._place(i)
                 self._add_wall(self._x[i], self._y[i])
             return clusters
         index: cython.Py_ssize_t = 0
@@ -666,9 +704,7 @@ class Tracker:
             j: cython.Py_ssize_t = self._run_first[index + 2]
             near: cython.double = min(self._returns.ranges[i], self._returns.ranges[j])
             max_distance: cython.double = _MAX_STEP + 2.0 * near * self._spacing / _GRAZING
-            dx: cython.double = self._x[i] - self._x[j]
-            dy: cython.double = self._y[i] - self._y[j]
-            if dx * dx + dy * dy > max_distance * max_distance:
+            if self._squared_distance(j, i) > max_distance * max_distance:
                 break
             index += 2
         return index
@@ -712,6 +748,8 @@ class Tracker:
         # 2. A surface too wide for an object.
         first: cython.Py_ssize_t = (self._run_first[index] + return_count) % return_count
         last: cython.Py_ssize_t = self._run_last[end]
+        self._place(first)
+        self._place(last)
         chord: cython.double = hypot(self._x[first] - self._x[last], self._y[first] - self._y[last])
         if chord > self._widest or farthest - nearest > self._widest:
             return self._add_wall_sectors(index, end)
@@ -752,6 +790,7 @@ class Tracker:
         for k in range(index, end + 1, 2):
             for i in range(self._run_first[k], self._run_last[k] + 1):
                 ray = i if i >= 0 else i + self._returns.count
+                self._place(ray)
                 x = x + self._x[ray]
                 y = y + self._y[ray]
                 distance = distance + self._returns.ranges[ray]
@@ -809,6 +848,7 @@ class Tracker:
     def _add_near_wall(self, i: cython.Py_ssize_t) -> cython.int:
         """Add the place of return `i` of a wall if it is within REACH; -1: no return."""
         if i >= 0 and self._returns.ranges[i] <= REACH:
+            self._place(i)
             return self._add_wall(self._x[i], self._y[i])
         return 0
 

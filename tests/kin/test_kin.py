@@ -84,6 +84,8 @@ class World:
     loss: float = 0.0
     relay: Relay = lambda id, told, time: [(id, told)]
     silent: frozenset[str] = frozenset()
+    hidden: frozenset[str] = frozenset()  # robots of which nobody sees a track
+    scan: Callable[[World, str], Scan] = lambda world, id: FREE
     time: float = 0.0
 
     def __post_init__(self) -> None:
@@ -112,9 +114,9 @@ class World:
                 tracks: list[Any] = []
                 for index, body in enumerate(self.bodies):
                     x, y, _ = seen_from(own, (*self.place(index), 0.0))
-                    if body != id and math.hypot(x, y) < 3.5:
+                    if body != id and body not in self.hidden and math.hypot(x, y) < 3.5:
                         tracks.append(Seen(index, x, y))
-                kin.observe(tracks, FREE, self.now(id))
+                kin.observe(tracks, self.scan(self, id), self.now(id))
             for id, kin in self.kins.items():
                 told = kin.tell(self.now(id), True)
                 if told is None:
@@ -162,6 +164,31 @@ def test_names_robots_and_says_where_they_are() -> None:
             assert peer.bearing == pytest.approx(math.atan2(y, x), abs=0.02)
             assert math.remainder(peer.heading - heading, math.tau) == pytest.approx(0, abs=0.1)
             assert peer.age == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("first", [-3.14, 0.7], ids=["as they turn", "from the right ahead"])
+@pytest.mark.parametrize(("near", "aside", "is_kept"), [(0.2, 3.3, True), (3.3, 0.2, False)])
+def test_rays_that_cross_the_place_of_a_peer_end_its_pose(
+    near: float, aside: float, is_kept: bool, first: float
+) -> None:
+    """`near`: m of the rays within 10 degrees of a peer without a track; `aside`: of the others."""
+    bearings = np.remainder(first + np.arange(360) * math.tau / 360 + math.pi, math.tau) - math.pi
+
+    def scan(world: World, id: str) -> Scan:
+        ranges = np.full(360, aside)
+        if "b" in world.hidden and id != "b":
+            x, y, _ = seen_from(world.paths[id](world.time), world.paths["b"](world.time))
+            off = np.remainder(bearings - math.atan2(y, x) + math.pi, math.tau) - math.pi
+            ranges[np.abs(off) < math.radians(10.0)] = near
+        return Scan(0, 0.0, ranges, bearings, 0.1, 3.5)
+
+    world = World(scan=scan)
+    world.run(20.0)
+    assert world.names("a")["b"] == "b"
+    world.hidden = frozenset({"b"})
+    world.run(5.0)
+    (one,) = world.kins["a"].complete((Neighbor("b", 0.0),), world.now("a"))
+    assert (one.distance is not None) == is_kept
 
 
 def test_a_viewer_that_asks_changes_no_later_answer() -> None:
@@ -368,12 +395,13 @@ def test_random_histories_keep_one_peer_a_track_and_one_track_a_peer(seed: int) 
     world.run(16.0, check)
 
 
-def test_a_message_has_the_eight_nearest_objects() -> None:
+@pytest.mark.parametrize("side", [1, -1], ids=["left", "right"])
+def test_a_message_has_the_eight_nearest_objects(side: int) -> None:
     kin = Kin(middle=-0.1, resets=7)
     kin.on_odometry(Odometry(1.0, Pose(2.0, 1.0, math.pi / 6), Twist(0.0, 0.0)), 1.0)
     objects: list[Any] = []
     for k in range(11, -1, -1):  # 0.1 m and 0.1 rad further each
-        far, bearing = 1.1 + 0.1 * k, 0.1 * k
+        far, bearing = 1.1 + 0.1 * k, 0.1 * k * side
         objects.append(Seen(k, far * math.cos(bearing) - 0.1, far * math.sin(bearing)))
     kin.observe(objects, FREE, 1.0)
     told = kin.tell(1.0, True)
@@ -381,7 +409,7 @@ def test_a_message_has_the_eight_nearest_objects() -> None:
     assert (told.x, told.y, told.yaw) == (1913, 950, 524)  # the middle lies behind the axle
     assert (told.stamp, told.resets, told.asks) == (1000, 7, True)
     seen = list(struct.iter_unpack(">Hh", told.objects))
-    assert seen == [(1100 + 100 * k, 100 * k) for k in range(8)]
+    assert seen == [(1100 + 100 * k, 100 * k * side) for k in range(8)]
 
 
 def test_a_robot_tells_five_times_a_second_while_it_moves_and_once_at_rest() -> None:

@@ -235,6 +235,35 @@ def test_the_order_of_the_rays_changes_nothing(order: str) -> None:
     assert len(seen.tracks) == 1
 
 
+class FarFromStart(Watch):
+    """The same way, begun so far away that each cut of a scan is found by places."""
+
+    def odometry(self) -> Odometry:
+        pose = self.pose()
+        return Odometry(self.now, Pose(pose.x + 2e5, pose.y, pose.yaw), self.own)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3])
+def test_ranges_cut_a_scan_as_places_do(lost: float) -> None:
+    discs: list[tuple[Way, float]] = [
+        (crossing, 0.1),
+        (lambda t: (0.9, 0.4 - 0.1 * t), 0.15),
+        (lambda t: (1.2, 0.05 * t), 0.1),
+        (lambda t: (-0.7, -0.4), 0.2),
+    ]
+    made = [
+        kind(discs, own=Twist(0.05, 0.8), noise=0.02, lost=lost) for kind in (Watch, FarFromStart)
+    ]
+    most = 0
+    for _ in range(25):
+        near, far = (watch.run(0.2) for watch in made)
+        assert np.allclose(numbers_of(near.tracks), numbers_of(far.tracks), rtol=0.0, atol=1e-6)
+        assert near.walls.shape == far.walls.shape
+        assert np.allclose(near.walls, far.walls, rtol=0.0, atol=1e-6)
+        most = max(most, len(near.tracks))
+    assert most >= 4
+
+
 @compares_forms
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 @pytest.mark.parametrize("own", [Twist(0.2), Twist(0.05, 0.8)], ids=["drives", "turns"])

@@ -125,3 +125,33 @@ def test_attraction_gathers_among_pillars_as_without_them(visibility: str) -> No
     if visibility == "real":
         assert linked["by kin"] >= linked["by width, no pillars"] - 2
     assert linked["at rest"] == 0
+
+
+PLACINGS: dict[str, list[tuple[float, float]]] = {
+    "none": [],
+    "scattered": [(-2.1, 1.2), (-1.2, -1.4), (0.2, 0.6), (1.5, -0.9), (2.3, 1.3)],
+    "row": [(-2.4, 0.0), (-1.2, 0.0), (0.0, 0.0), (1.2, 0.0), (2.4, 0.0)],
+    "corners and middle": [(-2.4, -1.5), (-2.4, 1.5), (2.4, -1.5), (2.4, 1.5), (0.0, 0.0)],
+    "cluster": [(0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)],
+    "diagonal": [(-2.2, -1.5), (-1.1, -0.75), (0.0, 0.0), (1.1, 0.75), (2.2, 1.5)],
+    "two pairs and one": [(-1.8, -0.8), (-1.2, -0.8), (1.2, 0.8), (1.8, 0.8), (0.0, -1.4)],
+}
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("placing", PLACINGS)
+def test_attraction_by_kin_in_other_placings(placing: str) -> None:
+    """The table of placings of docs/evidence/kin.md; seeds of which none chose anything."""
+    largest = {}
+    for way, changes in {"width": {}, "kin": BY_KIN, "at rest": AT_REST}.items():
+        sets: dict[str, Any] = {"lidar_visibility": "real", **ARENA, **changes}
+        if PLACINGS[placing]:
+            sets["arena.poles"] = [{"at": [*at], "radius": 0.15} for at in PLACINGS[placing]]
+        results = simulate("paper_exp1_hardware_free", range(8100, 8120), set=sets, traces=False)
+        clusters = results.metric("largest_cluster", results.runs[0].variant.name)
+        largest[way] = float(np.mean(clusters))
+        linked = int((clusters >= 6).sum())
+        print(f"{placing}, {way}: {linked} of {len(clusters)}, mean {largest[way]:.2f}")
+    assert largest["at rest"] < 2.0
+    if placing in ("none", "scattered", "row", "two pairs and one"):
+        assert largest["kin"] > largest["width"]
