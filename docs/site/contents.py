@@ -19,7 +19,9 @@ CONTENTS = {
     "Robots": _inside(
         "docs", "acceptance", "installation", "field", "security", "robots/README", "ros"
     ),
-    "Safety and evidence": _inside("docs", "safety", "evidence/README"),
+    "Safety and evidence": _inside(
+        "docs", "safety", "failures", "mixed_swarms", "walls", "evidence/README"
+    ),
     "Reference and changes": ["docs/reference/README", "CONTRIBUTING", "CHANGELOG"],
 }
 """The captions of the start page, with their pages."""
@@ -44,6 +46,7 @@ INNER = {
         *_inside(
             "docs/evidence", "safety", "beside", "barrier", "avoidance", "kin", "sensing", "goals"
         ),
+        *_inside("docs/evidence", "assumptions", "motion"),
         *_inside("docs/evidence", "faults", "network", "security", "simulation", "mutants"),
         *("docs/paper", "docs/ros_faults", "benchmarks/README"),
         "ARCHITECTURE",
