@@ -11,10 +11,18 @@ def _inside(folder: str, *pages: str) -> list[str]:
 
 CONTENTS = {
     "Begin": ["README", *_inside("docs", "tutorial/README", "five_robots", "glossary")],
-    "Behaviours": ["patterns/README", *_inside("docs", "patterns", "missions", "learning")],
+    "Behaviours": ["patterns/README", *_inside("docs", "patterns", "push", "missions", "learning")],
     "Experiments": _inside("docs", "experiments", "tuning", "figures", "from_ros2swarm"),
     "Operating": _inside(
-        "docs", "operating", "watching", "recording", "python", "zenoh", "configuration", "trouble"
+        "docs",
+        "operating",
+        "watching",
+        "recording",
+        "python",
+        "zenoh",
+        "configuration",
+        "trouble",
+        "problems",
     ),
     "Robots": _inside(
         "docs", "acceptance", "installation", "field", "security", "robots/README", "ros"
