@@ -148,7 +148,7 @@ evidence: $(VENV)/tools
 night: kernels
 	@$(BIN)/python -m studies.night $(ARGS)
 
-# Every sequence up to a length, judged by the rules of docs/safety.md; the same command resumes.
+# Every sequence up to a length, judged by the rules of docs/evidence/motion.md; the same command resumes.
 # ARGS="robot events --depth 5" goes further, for some CPU-hours.
 sequences: kernels
 	@$(BIN)/python -m tests.sequences $(ARGS)

@@ -11,15 +11,25 @@ def _inside(folder: str, *pages: str) -> list[str]:
 
 CONTENTS = {
     "Begin": ["README", *_inside("docs", "tutorial/README", "five_robots", "glossary")],
-    "Behaviours": ["patterns/README", *_inside("docs", "patterns", "missions", "learning")],
+    "Behaviours": ["patterns/README", *_inside("docs", "patterns", "push", "missions", "learning")],
     "Experiments": _inside("docs", "experiments", "tuning", "figures", "from_ros2swarm"),
     "Operating": _inside(
-        "docs", "operating", "watching", "recording", "python", "zenoh", "configuration", "trouble"
+        "docs",
+        "operating",
+        "watching",
+        "recording",
+        "python",
+        "zenoh",
+        "configuration",
+        "trouble",
+        "problems",
     ),
     "Robots": _inside(
         "docs", "acceptance", "installation", "field", "security", "robots/README", "ros"
     ),
-    "Safety and evidence": _inside("docs", "safety", "evidence/README"),
+    "Safety and evidence": _inside(
+        "docs", "safety", "failures", "mixed_swarms", "walls", "evidence/README"
+    ),
     "Reference and changes": ["docs/reference/README", "CONTRIBUTING", "CHANGELOG"],
 }
 """The captions of the start page, with their pages."""
@@ -44,6 +54,7 @@ INNER = {
         *_inside(
             "docs/evidence", "safety", "beside", "barrier", "avoidance", "kin", "sensing", "goals"
         ),
+        *_inside("docs/evidence", "assumptions", "motion"),
         *_inside("docs/evidence", "faults", "network", "security", "simulation", "mutants"),
         *("docs/paper", "docs/ros_faults", "benchmarks/README"),
         "ARCHITECTURE",

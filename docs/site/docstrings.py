@@ -6,6 +6,7 @@ The source files are parsed, and no module is imported.
 from __future__ import annotations
 
 import ast
+import copy
 import inspect
 import re
 import textwrap
@@ -17,6 +18,7 @@ from pathlib import Path
 _ROOT = Path(__file__).resolve().parents[2]
 _WIDTH = 96  # characters of a line of a signature
 _MARKUP = re.compile(r"([<*\[\]$]|(?<!\w)_|_(?!\w))")  # `_` within a word is none
+_C_TYPES = {"cython.double": "float", "cython.bint": "bool", "cython.Py_ssize_t": "int"}
 _Definition = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -148,7 +150,11 @@ def _class(node: ast.ClassDef) -> str:
 
 
 def _function(node: ast.FunctionDef | ast.AsyncFunctionDef) -> str:
-    """The decorators and the signature; a long signature has a line for each parameter."""
+    """The decorators and the signature; a long signature has a line for each parameter.
+
+    A function of a kernel shows the types that a caller in Python passes.
+    """
+    node = _PlainTypes().visit(copy.deepcopy(node))
     word = "async def" if isinstance(node, ast.AsyncFunctionDef) else "def"
     returned = f" -> {ast.unparse(node.returns)}" if node.returns else ""
     line = f"{word} {node.name}({ast.unparse(node.args)}){returned}"
@@ -176,8 +182,18 @@ def _parameters(text: str) -> Iterator[str]:
     yield text[begin:].strip()
 
 
+class _PlainTypes(ast.NodeTransformer):
+    """Puts the Python type in place of each C type that Cython names."""
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        if ast.unparse(node) in _C_TYPES:
+            return ast.Name(_C_TYPES[ast.unparse(node)])
+        return node
+
+
 def _decorators(node: _Definition) -> list[str]:
-    return [f"@{ast.unparse(decorator)}" for decorator in node.decorator_list]
+    texts = map(ast.unparse, node.decorator_list)
+    return [f"@{text}" for text in texts if not text.startswith("cython.")]
 
 
 def _target(node: ast.stmt) -> str:

@@ -126,7 +126,7 @@ def judge_part_b(rig: Rig, folder: Path) -> None:
         one.answer("n")  # B9: the base has no stop button
         one.end()
     found = read_record(folder).verdicts
-    # A Burger keeps its last velocity: nothing reaches it without its bridge (docs/safety.md).
+    # A Burger keeps its last velocity: nothing reaches it without its bridge (docs/failures.md).
     assert found["B8"].result is Result.FAIL
     assert "drove on" in found["B8"].reason
     passed = {name for name, verdict in found.items() if verdict.result is Result.PASS}

@@ -19,7 +19,7 @@ def watched(*looks: float) -> InputWatch:
 @pytest.mark.parametrize(
     ("looks", "read_at", "done_at", "is_fresh"),
     [
-        # The reader looked at most a second ago (docs/safety.md), and the command is done soon.
+        # The reader looked at most a second ago (docs/evidence/motion.md), and it is done soon.
         ((0.0, 0.25, 0.5), 0.6, 0.7, True),
         ((0.0,), 1.0, 1.0, True),
         # The reader was frozen for 30 s, and the command was in its input.

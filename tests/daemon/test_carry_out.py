@@ -79,7 +79,7 @@ async def test_zero_goes_first_then_the_latch_to_the_disk_then_the_ack(
 
 
 async def test_the_end_of_a_goal_is_on_disk_before_a_stop_is_acked(tmp_path: Path) -> None:
-    """Else a robot that restarts would run the goal again (docs/safety.md, `later_run`)."""
+    """A robot that restarts would run the goal again (docs/evidence/motion.md, `later_run`)."""
     daemon = Watched(tmp_path)
     acked: asyncio.Future[GoalRecord] = asyncio.get_running_loop().create_future()
     file = tmp_path / "order" / "tb3-01" / "goal"
@@ -97,7 +97,7 @@ async def test_the_end_of_a_goal_is_on_disk_before_a_stop_is_acked(tmp_path: Pat
 
 @pytest.mark.parametrize("has_crashed", [False, True])
 async def test_each_way_to_end_commands_zero(tmp_path: Path, has_crashed: bool) -> None:
-    """The daemon raises: the robot gets zero (docs/safety.md). A crash says no farewell."""
+    """The daemon raises: the robot gets zero (docs/failures.md). A crash says no farewell."""
     daemon = Watched(tmp_path)
     if has_crashed:
         context = {"exception": ZeroDivisionError("on purpose"), "message": "a test"}

@@ -157,7 +157,7 @@ def test_a_run_that_was_issued_before_a_change_is_refused() -> None:
 
 
 def test_a_stop_ends_a_run_that_was_called_before_it() -> None:
-    """docs/safety.md: a run by a ROS service counts from the age that is known of it."""
+    """docs/evidence/motion.md: a run by a ROS service counts from the age that is known of it."""
     rig = Rig(idle())
     rig.advance(5.0)
     assert rig.reply("run", age=2.0).code is Code.APPLIED

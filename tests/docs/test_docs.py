@@ -77,7 +77,7 @@ CODE_WORD = re.compile(r"`([^`\n]+)`|^\| ([\w, ]+) \|", re.MULTILINE)
 # Where the keys of each file stand: pages below docs.
 KEY_PAGES: dict[type[Struct], tuple[str, ...]] = {
     **dict.fromkeys(FILES, ("configuration.md",)),
-    PlatformFile: ("configuration.md", "safety.md", "reference/platforms.md"),
+    PlatformFile: ("configuration.md", "walls.md", "mixed_swarms.md", "reference/platforms.md"),
     **dict.fromkeys((ScenarioFile, Realism), ("configuration.md", "reference/scenarios.md")),
     **dict.fromkeys((RmwOptions, Ros1Options), ("configuration.md", "ros.md")),
     MissionFile: ("missions.md",),
@@ -509,7 +509,7 @@ def test_each_key_stands_in_its_page(file: type[Struct]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "page"), [({*HazardKind}, "safety.md"), ({*Reason}, "trouble.md")]
+    ("names", "page"), [({*HazardKind}, "failures.md"), ({*Reason}, "trouble.md")]
 )
 def test_each_hazard_and_reason_stands_in_its_page(names: set[str], page: str) -> None:
     assert names - words_of(page) == set()

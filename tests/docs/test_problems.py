@@ -1,4 +1,4 @@
-"""Problems that others report (docs/trouble.md): their cheap commands end as the page says.
+"""Problems that others report (docs/problems.md): their cheap commands end as the page says.
 
 test_docs.py parses all of them.
 """
@@ -16,8 +16,7 @@ from click.testing import CliRunner
 from swarmd.core.errors import ConfigError
 from swarmd.sim.cli.exp import exp
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs/trouble.md").read_text()
-PAGE = PAGE.partition("\n## Problems that others report\n")[2]
+PAGE = (Path(__file__).resolve().parents[2] / "docs/problems.md").read_text()
 
 
 def command(start: str) -> list[str]:

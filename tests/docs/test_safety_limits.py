@@ -1,4 +1,4 @@
-"""The limits of docs/safety.md and docs/configuration.md are those of the code."""
+"""The limits of the pages on safety and of docs/configuration.md are those of the code."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from swarmd.robot.hazard_holds import CLEAR_TIME
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT
 
 DOCS = Path(__file__).parents[2] / "docs"
-TEXTS = [(DOCS / name).read_text() for name in ("safety.md", "configuration.md")]
+PAGES = ("failures.md", "mixed_swarms.md", "evidence/assumptions.md", "configuration.md")
+TEXTS = [(DOCS / name).read_text() for name in PAGES]
 PAGE = re.sub(r"\s+", " ", " ".join(TEXTS))
 LIMITS = {
     "after 2 s, as with any hold, the run ends": (timeouts.MAX_HOLD_TIME, 2.0),

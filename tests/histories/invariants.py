@@ -760,7 +760,7 @@ def no_exception() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Rule:
-    """A row of `RULES`. `sentence`: for people, in docs/safety.md.
+    """A row of `RULES`. `sentence`: for people, in docs/evidence/motion.md.
 
     `functions`: those that judge histories; empty: only sequences (`tests/sequences`) are judged.
     `histories`: how many random histories were judged, for the page.

@@ -416,7 +416,7 @@ def test_a_robot_joins_no_goal_whose_run_would_be_over(age: float, joins: bool) 
 
 @pytest.mark.parametrize("is_reset", [True, False])
 def test_a_robot_that_was_reset_while_it_ran_joins_no_earlier_goal(is_reset: bool) -> None:
-    """Rule `old_goal` of docs/safety.md."""
+    """Rule `old_goal` of docs/evidence/motion.md."""
     harness = ready()
     harness.ask("run", pattern="forward", seconds=6.0)
     harness.advance(5.0)

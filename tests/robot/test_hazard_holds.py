@@ -21,7 +21,7 @@ from tests.support.stub_patterns import PATTERNS, idle, standing_state, started
 
 BUMP = Hazard(HazardKind.BUMP, "front left")
 LIFTED = Hazard(HazardKind.LIFTED)
-# From the table of hazards in docs/safety.md.
+# From the table of hazards in docs/failures.md.
 PASSING = ("bump", "cliff", "stall", "not_heard")
 ENDING = ("wheel_drop", "lifted")
 CLEAR_TIME = 0.5  # s

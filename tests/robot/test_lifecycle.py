@@ -140,7 +140,7 @@ def test_a_stall_leaves_an_idle_robot_idle_and_is_an_event() -> None:
 
 
 def test_what_an_earlier_load_or_run_says_late_starts_nothing_and_moves_nothing() -> None:
-    """Rule `late`: no late report of the pattern host starts motion (docs/safety.md)."""
+    """Rule `late`: no late report of the pattern host starts motion (docs/evidence/motion.md)."""
     harness = started()
     earlier = harness.status.generation
     harness.is_hung = True

@@ -443,7 +443,7 @@ def test_a_robot_has_stopped_once_odometry_shows_that_its_base_rests(
 
 @pytest.mark.parametrize("moves", [Twist(0.2), Twist(0.0, 0.5), Twist(0.0, 0.0, 0.2)])
 def test_a_base_that_was_moved_in_any_direction_has_time_to_respond(moves: Twist) -> None:
-    """At rest is what was measured after the last command to move (docs/safety.md, `answer`)."""
+    """At rest is what was measured after the last command to move (`answer` of motion.md)."""
 
     class Moving(MovementPattern[Params]):
         def drive(self, inputs: Inputs) -> Twist:
@@ -1129,7 +1129,7 @@ STATED = ("age", "issued_at")
 def test_a_start_of_more_than_five_seconds_is_refused(
     verb: str, fields: dict[str, Any], stated: str
 ) -> None:
-    """docs/safety.md: 5 s beside what the request declares, with the age in the answer."""
+    """docs/evidence/motion.md: 5 s beside what the request declares, with the age in the answer."""
     harness = at_rest(verb)
     harness.advance(20.0)
 
@@ -1207,7 +1207,7 @@ STAND = Goal(generation=1, issuer="bob", id="g1")
 
 
 def test_a_goal_to_stand_of_an_operator_counts_as_a_stop() -> None:
-    """The robot knows a stop by a standing goal (docs/safety.md)."""
+    """The robot knows a stop by a standing goal (docs/evidence/motion.md)."""
     harness = RobotHarness(patterns=PATTERNS)
     harness.advance(5.0)
     harness.applied("goal", goal=STAND, operator="bob", age=2.0)

@@ -9,7 +9,7 @@ from swarmd.robot import state
 from swarmd.robot.state import TRANSITIONS, StateMachine, Trigger
 
 STATES = "idle running stopped estopped faulted"
-# By hand, from the docstring of swarmd/robot/state.py and "What fails" of docs/safety.md.
+# By hand, from the docstring of swarmd/robot/state.py and "What fails" of docs/failures.md.
 WANTED = {
     "run": "running running running estopped faulted",
     "finish": "idle idle stopped estopped faulted",

@@ -263,7 +263,7 @@ def test_a_command_expires_a_microsecond_before_its_time_is_over(
 
 
 def test_a_robot_wakes_just_after_its_scan_has_become_stale() -> None:
-    """A scan of 5 Hz counts for 3.5 periods, which are 0.7 s (docs/safety.md)."""
+    """A scan of 5 Hz counts for 3.5 periods, which are 0.7 s (docs/failures.md)."""
     harness = started()
     harness.scan(empty_scan(PLATFORM, 100, harness.now))
     wake_at = harness.robot.wake_at(harness.now + 0.65)

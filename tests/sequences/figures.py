@@ -1,4 +1,4 @@
-"""What the searches have seen, for the table of docs/safety.md: `figures.json`.
+"""What the searches have seen, for the table of docs/evidence/motion.md: `figures.json`.
 
 `python -m tests.sequences robot --figures` writes the file again; `make reference` then writes the
 table.

@@ -2,7 +2,7 @@
 
 A judge watches what the robot does and answers, and what happens to its base. The wanted values
 come from `Facts`, which the world writes down itself; of the robot a judge reads only what everyone
-sees: commands, answers, state, latches. The delays are those of docs/safety.md.
+sees: commands, answers, state, latches. The delays are those of docs/evidence/motion.md.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ NEW = "new"
 ANNA, BOB = ("anna", "desk", 700.0), ("bob", "laptop", 90_000.0)
 """Operators: name, clock, and s by which this clock is ahead of that of the robot."""
 ENDS_RUN = ("wheel_drop", "lifted")
-"""By the table of docs/safety.md, Hazards: what ends a run at once."""
+"""By the table of docs/failures.md, Hazards: what ends a run at once."""
 HAZARDS = ("bump", "cliff", "stall", "not_heard", *ENDS_RUN)
 
 

@@ -13,7 +13,7 @@
 6. With `without_pose: hold` of the fence, the robot is held while it has no usable pose, and once
    the pose in use is older than the timeout (`until`).
 
-docs/safety.md has the rates of drift that are found.
+docs/evidence/assumptions.md has the rates of drift that are found.
 
 Pure. Units: m, rad, s on the robot's clock.
 """

@@ -26,7 +26,7 @@ Rays that an earlier scan filled, rays of an earlier revolution, and rays that w
 the scan before were not measured.
 
 Not known here: what lies below or above the scan plane and has no part in it, and a part narrower
-than _PART whose returns are lost. docs/safety.md names both.
+than _PART whose returns are lost. docs/walls.md names both.
 
 Part of the unit of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
 """

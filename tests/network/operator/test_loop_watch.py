@@ -42,7 +42,7 @@ def test_a_gap_beyond_the_wait_is_a_standstill(
     assert watch.turn(turn, pause) == pytest.approx(stood)
     assert watch.stood(99.0) == pytest.approx(stood)
     assert watch.stood(turn) == 0.0  # an order of later
-    assert MAX_GAP == 1.0  # docs/safety.md
+    assert MAX_GAP == 1.0  # docs/evidence/motion.md
 
 
 def test_loops_count_as_work_and_pauses_between_them_do_not() -> None:

@@ -85,7 +85,7 @@ def test_a_request_declares_the_time_for_which_its_operator_worked(
 
 
 def test_no_start_is_sent_after_a_standstill(settings: NetworkSettings, robots: Robots) -> None:
-    """docs/safety.md: a gap of more than 1 s in the loop of its program ends a start."""
+    """docs/evidence/motion.md: a gap of more than 1 s in the loop of its program ends a start."""
     swarm = robots("a")
     with Operator(settings) as operator:
         targets = operator.members().epochs(["a"])

@@ -3,7 +3,7 @@
 A robot stands before a scene, and its lidar measures all rays at once. A return is *at fault* if it
 is bare although a body in the scan plane is within `unseen_extent` of it. Each test has a control:
 the same scene without the body, in which returns there are bare. The wanted values are those of the
-five conditions in docs/safety.md. The clock is an argument.
+five conditions in docs/walls.md. The clock is an argument.
 """
 
 from __future__ import annotations
