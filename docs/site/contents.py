@@ -43,7 +43,7 @@ INNER = {
         f"patterns/{page.parent.name}/page" for page in sorted(_ROOT.glob("patterns/*/page.md"))
     ],
     "docs/experiments": ["docs/benchmark_suite"],
-    "docs/from_ros2swarm": ["docs/from_argos"],
+    "docs/from_ros2swarm": ["docs/from_argos", "docs/ros2_nodes"],
     "docs/python": ["docs/agents", "AGENTS"],
     "docs/robots/README": [
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
