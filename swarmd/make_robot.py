@@ -1,11 +1,12 @@
 """Makes a `Robot` with its steering and kin; each shell does it here: daemon, replay and lockstep.
 
-The robot itself imports neither of both (`swarmd/robot/steers.py`), since they may be wrong.
+The robot itself imports neither of both (`swarmd/robot/steering_interface.py`), since they may be
+wrong.
 """
 
 from __future__ import annotations
 
-from swarmd.kin.make import KinMaker
+from swarmd.kin.kin_maker import KinMaker
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotIdentity
 

@@ -27,9 +27,7 @@ CONTENTS = {
     "Robots": _inside(
         "docs", "acceptance", "installation", "field", "security", "robots/README", "ros"
     ),
-    "Safety and evidence": _inside(
-        "docs", "safety", "failures", "mixed_swarms", "walls", "evidence/README"
-    ),
+    "Safety and evidence": _inside("docs", "safety", "failures", "evidence/README"),
     "Reference and changes": ["docs/reference/README", "CONTRIBUTING", "CHANGELOG"],
 }
 """The captions of the start page, with their pages."""
@@ -44,6 +42,7 @@ INNER = {
     ],
     "docs/experiments": ["docs/benchmark_suite"],
     "docs/from_ros2swarm": ["docs/from_argos", "docs/ros2_nodes"],
+    "docs/safety": ["docs/mixed_swarms", "docs/walls"],
     "docs/python": ["docs/agents", "AGENTS"],
     "docs/robots/README": [
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),

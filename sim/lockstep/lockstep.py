@@ -485,7 +485,7 @@ class Lockstep:
             if isinstance(message, events.KinInput):
                 kins = ticker.kin_many(robots, message, now)
                 if kins:  # one call for all, as in `message_many`
-                    kins[0].hear_many(kins, message.robot, message.told, now)
+                    kins[0].on_message_many(kins, message.robot, message.message, now)
             else:
                 ticker.message_many(robots, message, now)
         received = self._new_latches

@@ -125,8 +125,8 @@ class RobotShell:
         if actions.messages:
             for name, value in actions.messages.items():
                 outputs.send_message(self.row, name, value, now)
-        if actions.told is not None:
-            outputs.send(row, "kin", KinInput(self.robot.id, actions.told), now)
+        if actions.kin_message is not None:
+            outputs.send(row, "kin", KinInput(self.robot.id, actions.kin_message), now)
         if actions.has_status:
             outputs.publish_latches(self.row, self.robot.aged_latches(now))
         if actions.replies:

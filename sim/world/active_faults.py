@@ -22,7 +22,7 @@ and value of any type. Of messages that arrive at one instant, those of lower ra
 
 
 @dataclass(slots=True)
-class Faults:
+class ActiveFaults:
     """The faults that are on, of robots `ids` with `platforms` in the order of rows."""
 
     ids: Sequence[str]

@@ -13,7 +13,7 @@ from msgspec import Meta, Struct, structs
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import KIN, PLACES_BY_POSE, Array, Neighbor, Platform
-from swarmd.sim.world.active_faults import Faults, Flight
+from swarmd.sim.world.active_faults import ActiveFaults, Flight
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.exchanged_poses import ExchangedPoses
@@ -124,7 +124,7 @@ class Radio:
         self._in_flight: DelayQueue[tuple[list[int], int, str, Any]] = DelayQueue()
         self._all_others: dict[int, tuple[Neighbor, ...]] = {}
         self._all_rows: dict[int, Indices] = {}  # of the others
-        self.faults = Faults(ids, seed)
+        self.faults = ActiveFaults(ids, seed)
         """Without any; the caller may set those of its world."""
 
     def measure_poses(self, rows: Iterable[int], poses: Array, now: float) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
 from swarmd.sim.world import base, bodies
-from swarmd.sim.world.active_faults import Faults
+from swarmd.sim.world.active_faults import ActiveFaults
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.batteries import charge, has_battery
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
@@ -88,7 +88,7 @@ class World:
         self.time = 0.0
         """Simulated time in s."""
         self.fields = tuple(fields)
-        self.faults = Faults(self.ids, seed, self.platforms, self.dt, bodies.value)
+        self.faults = ActiveFaults(self.ids, seed, self.platforms, self.dt, bodies.value)
         # Each part needs the parts before it.
         self._begin_bodies(robots, starts)
         self._items = Items(items, arena, self.platforms, seed)

@@ -21,8 +21,8 @@ from swarmd.core.errors import CodecError
 from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Body, Latch, Reason
-from swarmd.core.told import Told
 from swarmd.core.values import (
     MAX_DETECTIONS,
     Array,
@@ -144,7 +144,7 @@ class KinInput(Struct, frozen=True, array_like=True, tag="kin"):
     """A peer told its motion and what it sees."""
 
     robot: Name
-    told: Told
+    message: KinMessage
 
 
 class LatchesInput(Struct, frozen=True, array_like=True, tag="latches"):

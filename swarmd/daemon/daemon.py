@@ -704,8 +704,8 @@ class Daemon:
             self._gripper.grip(actions.grip)
         for channel, value in actions.messages.items():
             self._send_message(channel, value)
-        if actions.told is not None:
-            self._network.publish_told(actions.told)
+        if actions.kin_message is not None:
+            self._network.publish_kin_message(actions.kin_message)
         if actions.has_status:
             self._network.publish("status", lambda: encode(self._status()))
             self._viewer_feed.show_status(self._status)

@@ -32,8 +32,8 @@ from swarmd.core.events import (
     PlaceInput,
 )
 from swarmd.core.goal import Goal
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Body, Member, Presence, Reply
-from swarmd.core.told import Told
 from swarmd.core.values import SharedPose
 from swarmd.daemon.connection import NetworkConnection
 from swarmd.daemon.datagram_guard import DatagramGuard
@@ -375,9 +375,9 @@ class Network:
         if place is not None:
             self._send(place, None)
 
-    def publish_told(self, told: Told) -> None:
+    def publish_kin_message(self, message: KinMessage) -> None:
         """Tell all robots the own motion, and what this robot sees."""
-        report = None if self._peer is None else self._peer.kin_report(told)
+        report = None if self._peer is None else self._peer.kin_report(message)
         if report is not None:
             self._send(report, None)
 
@@ -592,7 +592,7 @@ class Network:
         for place in actions.places:
             self._owner.on_input(PlaceInput(place))
         for report in actions.kin:
-            self._owner.on_input(KinInput(report.robot, report.told))
+            self._owner.on_input(KinInput(report.robot, report.message))
 
     def _take_message(self, message: Message) -> None:
         try:

@@ -1,7 +1,8 @@
 """Kin: which tracked object is which peer, from the scans and the odometry of robots alone. Pure.
 
-Robots tell each other their odometry and the narrow objects that they see (`core/told.py`). For
-each peer there are up to _MOST_HYPOTHESES poses in the frame of the own odometry (`hypothesis.py`):
+Robots tell each other their odometry and the narrow objects that they see
+(`core/kin_message.py`). For each peer there are up to _MOST_HYPOTHESES poses in the frame of the
+own odometry (`hypothesis.py`):
 
 1. *Mutual sight* begins one: the peer tells an object at the distance at which the own robot tracks
    one. Both bearings give the yaw between the frames. (Mutual localisation by range and bearing
@@ -42,8 +43,8 @@ from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, angle_between, wrap
 from swarmd.core.buffers import doubles, view
 from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, isnan, rint, sin
+from swarmd.core.kin_message import MOST_OBJECTS, OBJECT, UNIT, KinMessage
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
-from swarmd.core.told import MOST_OBJECTS, OBJECT, UNIT, Told
 from swarmd.core.values import Neighbor
 from swarmd.kin.hypothesis import POINT, Hypothesis, begun, length
 
@@ -60,7 +61,7 @@ _object_size = cython.declare(cython.Py_ssize_t, OBJECT.size)
 _most_objects = cython.declare(cython.Py_ssize_t, MOST_OBJECTS)
 _HIGHEST = cython.declare(cython.longlong, 1 << 15)  # bit of a number of 16 bits, its sign
 _Neighbor = cython.declare(object, Neighbor)
-_Told = cython.declare(object, Told)
+_KinMessage = cython.declare(object, KinMessage)
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
 _MOST_PEERS = cython.declare(cython.Py_ssize_t, 24)
@@ -414,7 +415,7 @@ class Kin:
                     free[sector] = 0.0 if isnan(distance_of_ray) else distance_of_ray
         return free[_sector_of(bearing)] > distance
 
-    def tell(self, now: cython.double, asks: cython.bint) -> Told | None:
+    def next_message(self, now: cython.double, asks: cython.bint) -> KinMessage | None:
         """The message of this robot, after `observe`; None if it is not due yet.
 
         `asks`: this robot runs a pattern that needs the places of its peers.
@@ -462,7 +463,7 @@ class Kin:
             objects[start + 2] = (bearing >> 8) & 0xFF
             objects[start + 3] = bearing & 0xFF
             points[k] = INFINITY
-        return _Told(
+        return _KinMessage(
             self._resets,
             _units(now),
             _units(self._x),
@@ -473,7 +474,7 @@ class Kin:
         )
 
     @cython.ccall
-    def hear(self, id: str, told: Told, now: cython.double) -> None:
+    def on_message(self, id: str, message: KinMessage, now: cython.double) -> None:
         """Take in the message of the peer `id`."""
         if self._trail.count == 0:
             return
@@ -493,7 +494,7 @@ class Kin:
             return
         # All fields in one call, which takes as long as two of them each by itself. Integers of
         # Python become doubles six times faster by way of integers of C.
-        resets, told_stamp, told_x, told_y, told_yaw, told_objects, _ = astuple(told)
+        resets, told_stamp, told_x, told_y, told_yaw, told_objects, _ = astuple(message)
         stamp_ms: cython.longlong = told_stamp
         x_mm: cython.longlong = told_x
         y_mm: cython.longlong = told_y
@@ -543,11 +544,11 @@ class Kin:
             peer.compared_at = time
 
     @staticmethod
-    def hear_many(kins: list[Kin], id: str, told: Told, now: cython.double) -> None:
+    def on_message_many(kins: list[Kin], id: str, message: KinMessage, now: cython.double) -> None:
         """Hand the message of a peer to each of the robots that hear it at one time."""
         kin: Kin
         for kin in kins:
-            kin.hear(id, told, now)
+            kin.on_message(id, message, now)
 
     def names(self, now: cython.double) -> dict[int, str | None]:
         """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""

@@ -30,9 +30,9 @@ from swarmd.core.bounds import MAX_SECONDS, Line, Name, Seconds, Word
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_GOAL
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Body, Latch, Presence, State
 from swarmd.core.record import Digest, RecordKind
-from swarmd.core.told import Told
 
 MAGIC = b"SWMD"
 TAG_BYTES = 8
@@ -333,7 +333,7 @@ class KinReport(_Datagram, frozen=True, kw_only=True):
 
     robot: RobotId
     instance: Bytes6
-    told: Told
+    message: KinMessage
 
 
 class ClockQuery(_Datagram, frozen=True, kw_only=True):

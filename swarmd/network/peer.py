@@ -18,9 +18,9 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal, HeldGoal, encode_goal
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Body, Latch, Presence, State
 from swarmd.core.record import RecordKind
-from swarmd.core.told import Told
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.datagram import (
     PRESENCES,
@@ -367,11 +367,11 @@ class Peer:
         """The datagram of the own pose, measured `age` s ago; None if it is not due yet."""
         return None if self._claim is not None else self._places.place(pose, age, now)
 
-    def kin_report(self, told: Told) -> KinReport | None:
+    def kin_report(self, message: KinMessage) -> KinReport | None:
         """The datagram of the own motion; None while this robot claims its id."""
         if self._claim is not None:
             return None
-        return KinReport(robot=self.robot, instance=self._instance, told=told)
+        return KinReport(robot=self.robot, instance=self._instance, message=message)
 
     def clock_queries(self, now: float) -> list[tuple[Datagram, Address | None]]:
         """Questions for the clocks of peers, if they are due: call it while a recording is made."""

@@ -11,8 +11,8 @@ from msgspec import Struct
 
 from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Reply
-from swarmd.core.told import Told
 from swarmd.core.values import Twist, Value
 from swarmd.protection.decision import Decision
 from swarmd.robot.latches import LatchRecord
@@ -32,8 +32,8 @@ class Actions(Struct, frozen=True, eq=False):
     2. Write `latches` and `goals` to disk.
     3. Send `trial` and `host` to the pattern host. A trial runs new code in a process of its own
        and leaves the running pattern alone.
-    4. Publish `messages`, `told`, the status if `has_status`, and `replies`. A reply may answer an
-       earlier request: a run is answered after its pattern has been loaded.
+    4. Publish `messages`, `kin_message`, the status if `has_status`, and `replies`. A reply may
+       answer an earlier request: a run is answered after its pattern has been loaded.
     """
 
     twist: Twist  # the safe command
@@ -53,4 +53,4 @@ class Actions(Struct, frozen=True, eq=False):
     failed_code: FailedCode | None = None
     ended: str = ""  # state and reason after the end of a run; empty if no run ended
     grip: bool | None = None  # True closes the gripper, False opens it, None: no change
-    told: Told | None = None  # what peers must know for kin
+    kin_message: KinMessage | None = None  # what peers must know for kin

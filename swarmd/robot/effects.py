@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
+    from swarmd.core.kin_message import KinMessage
     from swarmd.core.messages import Reply
-    from swarmd.core.told import Told
     from swarmd.core.values import Value
     from swarmd.robot.actions import FailedCode
 
@@ -50,7 +50,7 @@ class Effects:
     failed_code: FailedCode | None = cython.declare(object, visibility="public")
     ended: str = cython.declare(object, visibility="public")
     grip: bool | None = cython.declare(object, visibility="public")
-    told: Told | None = cython.declare(object, visibility="public")
+    kin_message: KinMessage | None = cython.declare(object, visibility="public")
 
     def __init__(self, now: cython.double) -> None:
         self.now = now

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from collections import deque
     from collections.abc import Mapping
 
+    from swarmd.core.kin_message import KinMessage
     from swarmd.core.neighbor_places import NeighborPlaces
-    from swarmd.core.told import Told
     from swarmd.core.values import Detection, Odometry, Pose, Scan
     from swarmd.protection.decision import PoseAnchors
     from swarmd.robot.peers import Peers
     from swarmd.robot.sensors import RangeRing
-    from swarmd.robot.steers import MakeKin, NamesPeers
+    from swarmd.robot.steering_interface import MakeKin, NamesPeers
     from swarmd.sensing.conditioning import ScanConditioner
     from swarmd.sensing.odometry_history import OdometryHistory
     from swarmd.sensing.scan_delay import ScanDelay
@@ -180,12 +180,12 @@ class InputAges:
                 self.kin.on_odometry(odometry, now)
 
     @cython.ccall
-    def on_kin(self, robot: str, told: Told, now: cython.double) -> None:
+    def on_kin(self, robot: str, message: KinMessage, now: cython.double) -> None:
         """Take in the motion of a peer and what it sees; ignored without a use for it."""
-        if told.asks:
+        if message.asks:
             InputAges.ask_kin(self, now)
         if self.kin is not None:
-            self.kin.hear(robot, told, now)
+            self.kin.on_message(robot, message, now)
 
     @cython.ccall
     def ask_kin(self, now: cython.double) -> None:

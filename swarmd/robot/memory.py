@@ -44,7 +44,7 @@ from swarmd.core.values import Array
 from swarmd.robot.robot import HANDLERS, Robot
 from swarmd.robot.setup import RobotSetup
 
-FORMAT = 3
+FORMAT = 4
 MAX_BYTES = 1 << 22
 """Size of a memory before compression."""
 MAX_RATIO = 100
@@ -71,7 +71,7 @@ _VALUES = frozenset(
             "pattern_manifest",
             "record",
             "refusal",
-            "told",
+            "kin_message",
             "token_bucket",
             "values",
             "verbs",

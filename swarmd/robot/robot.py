@@ -17,6 +17,7 @@ from swarmd.core import events
 from swarmd.core.events import Input
 from swarmd.core.goal import GoalRecord, HeldGoal, digest_of
 from swarmd.core.host_messages import TrialDone
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import (
     MAX_TRACKS,
@@ -31,7 +32,6 @@ from swarmd.core.messages import (
     Status,
     Tracks,
 )
-from swarmd.core.told import Told
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
 from swarmd.protection.compatibility import Accepts, longest_diagonal
 from swarmd.protection.decision import Decision, DecisionContext
@@ -52,7 +52,7 @@ from swarmd.robot.timeouts import STATUS_PERIOD
 
 if TYPE_CHECKING:
     from swarmd.robot.effects import Effects
-    from swarmd.robot.steers import MakeKin, MakeSteering
+    from swarmd.robot.steering_interface import MakeKin, MakeSteering
 
 
 def _settled(
@@ -410,7 +410,7 @@ class Robot(Ticker):
         """The latest conditioned scan."""
         return self._sensors.scan
 
-    def _share(self, context: DecisionContext, asks: bool) -> Told | None:
+    def _share(self, context: DecisionContext, asks: bool) -> KinMessage | None:
         """Name the tracks after a new scan; the message to peers that is due, or None.
 
         `asks`: the running pattern needs the places of peers.
@@ -428,7 +428,7 @@ class Robot(Ticker):
             return None
         tracks = steering.tracks(context) or ()
         kin.observe(tracks, scan, now)
-        return kin.tell(now, asks)
+        return kin.next_message(now, asks)
 
     def _log_protection(self, now: float) -> None:
         events = self._protection.events
@@ -533,7 +533,7 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.DriverInput: Robot._on_driver,
     events.MessageInput: Robot._on_message,
     events.PeersInput: Robot._on_peers,
-    events.KinInput: lambda robot, one, now: robot._sensors.on_kin(one.robot, one.told, now),
+    events.KinInput: lambda robot, one, now: robot._sensors.on_kin(one.robot, one.message, now),
     events.PlaceInput: lambda robot, one, now: robot._sensors.on_place(one.place, now),
     # Pattern host, operators and peers
     events.LatchesInput: _settled(

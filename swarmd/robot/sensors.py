@@ -42,7 +42,7 @@ from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.input_ages import InputAges
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
-from swarmd.robot.steers import MakeKin
+from swarmd.robot.steering_interface import MakeKin
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.sensing.deskew import Deskewer

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from swarmd.robot.requests import RequestHandler
     from swarmd.robot.sensors import Sensors
     from swarmd.robot.state import Lifecycle, StateMachine
-    from swarmd.robot.steers import Steers
+    from swarmd.robot.steering_interface import Steers
 
 _MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
 _STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
@@ -308,7 +308,7 @@ class Ticker:
         failed_code = effects.failed_code
         ended = effects.ended
         grip = effects.grip
-        told = effects.told
+        kin_message = effects.kin_message
         return _Actions(
             twist,
             decision,
@@ -326,7 +326,7 @@ class Ticker:
             failed_code,
             ended,
             grip,
-            told,
+            kin_message,
         )
 
     @cython.cfunc
@@ -383,7 +383,7 @@ class Ticker:
             running = self._run.running
             asks: cython.bint = running is not None and running.needs_places
             if asks or sensors.kin is not None:
-                effects.told = self._share(context, asks)  # type: ignore[attr-defined]  # of Robot
+                effects.kin_message = self._share(context, asks)  # type: ignore[attr-defined]  # of Robot
         return self._settled_after(effects)
 
     @cython.cfunc
@@ -515,7 +515,7 @@ def kin_many(robots: list[Any], one: KinInput, now: cython.double) -> list[Any]:
 
     As `InputAges.on_kin`, but the caller hands the message over.
     """
-    asks: cython.bint = one.told.asks
+    asks: cython.bint = one.message.asks
     hearing: list[Any] = []
     robot: Ticker
     for robot in robots:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from swarmd.core.told import Told
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.kin.kin import NO_ROBOT, Kin
 
@@ -21,7 +21,7 @@ PERIOD = 0.2
 FREE = Scan(0, 0.0, np.empty(0), np.empty(0), 0.1, 3.5)
 HOUR = 3600.0
 Path = Callable[[float], tuple[float, float, float]]
-Relay = Callable[[str, Told, float], Iterable[tuple[str, Told]]]
+Relay = Callable[[str, KinMessage, float], Iterable[tuple[str, KinMessage]]]
 PILLARS = [(1.5, 0.4), (-1.2, -1.0), (0.2, 1.9)]
 
 
@@ -118,13 +118,13 @@ class World:
                         tracks.append(Seen(index, x, y))
                 kin.observe(tracks, self.scan(self, id), self.now(id))
             for id, kin in self.kins.items():
-                told = kin.tell(self.now(id), True)
+                told = kin.next_message(self.now(id), True)
                 if told is None:
                     continue
                 for other, listener in self.kins.items():
                     if other != id and id not in self.silent and self.rng.random() >= self.loss:
                         for name, one in self.relay(id, told, self.time):
-                            listener.hear(name, one, self.now(other))
+                            listener.on_message(name, one, self.now(other))
             check()
 
     def names(self, id: str) -> dict[str, str | None]:
@@ -293,7 +293,7 @@ def test_half_of_the_messages_suffice() -> None:
 
 
 def test_a_liar_that_copies_all_of_a_peer_takes_no_name_that_is_known() -> None:
-    def relay(id: str, told: Told, time: float) -> list[tuple[str, Told]]:
+    def relay(id: str, told: KinMessage, time: float) -> list[tuple[str, KinMessage]]:
         return [(id, told), ("liar", told)] if id == "b" and time > 20.0 else [(id, told)]
 
     world = World(relay=relay)
@@ -305,7 +305,7 @@ def test_a_liar_that_copies_all_of_a_peer_takes_no_name_that_is_known() -> None:
 
 
 def test_a_liar_from_the_start_makes_its_victim_unknown_until_it_is_silent() -> None:
-    def relay(id: str, told: Told, time: float) -> list[tuple[str, Told]]:
+    def relay(id: str, told: KinMessage, time: float) -> list[tuple[str, KinMessage]]:
         return [(id, told), ("liar", told)] if id == "b" and time < 20.0 else [(id, told)]
 
     world = World(relay=relay)
@@ -318,7 +318,7 @@ def test_a_liar_from_the_start_makes_its_victim_unknown_until_it_is_silent() -> 
 
 
 def test_a_liar_that_copies_a_path_alone_is_never_named() -> None:
-    def relay(id: str, told: Told, time: float) -> list[tuple[str, Told]]:
+    def relay(id: str, told: KinMessage, time: float) -> list[tuple[str, KinMessage]]:
         copy = ("liar", changed(told, objects=b""))
         return [copy, (id, told)] if id == "b" else [(id, told)]
 
@@ -369,7 +369,7 @@ def test_random_histories_keep_one_peer_a_track_and_one_track_a_peer(seed: int) 
     rng = random.Random(seed)
     paths = WALKERS | {"d": circle(-0.2, -1.6, 0.3, 0.6)}
 
-    def relay(id: str, told: Told, time: float) -> list[tuple[str, Told]]:
+    def relay(id: str, told: KinMessage, time: float) -> list[tuple[str, KinMessage]]:
         """Garbles, copies and repeats at random."""
         sent = [(id, told)]
         if rng.random() < 0.1:
@@ -404,7 +404,7 @@ def test_a_message_has_the_eight_nearest_objects(side: int) -> None:
         far, bearing = 1.1 + 0.1 * k, 0.1 * k * side
         objects.append(Seen(k, far * math.cos(bearing) - 0.1, far * math.sin(bearing)))
     kin.observe(objects, FREE, 1.0)
-    told = kin.tell(1.0, True)
+    told = kin.next_message(1.0, True)
     assert told is not None
     assert (told.x, told.y, told.yaw) == (1913, 950, 524)  # the middle lies behind the axle
     assert (told.stamp, told.resets, told.asks) == (1000, 7, True)
@@ -420,7 +420,7 @@ def test_a_robot_tells_five_times_a_second_while_it_moves_and_once_at_rest() -> 
         way = min(0.2 * now, 1.0)
         kin.on_odometry(Odometry(now, Pose(way, 0.0, 0.0), Twist(0.0, 0.0)), now)
         kin.observe([], FREE, now)
-        if kin.tell(now, False) is not None:
+        if kin.next_message(now, False) is not None:
             told.append(now)
     assert [round(now, 1) for now in told[:26]] == [round(0.2 * k, 1) for k in range(26)]
     assert [round(now, 1) for now in told[26:]] == [6.0, 7.0, 8.0, 9.0]
@@ -431,7 +431,7 @@ def test_a_robot_whose_odometry_no_message_can_hold_tells_nothing(far: float) ->
     kin = Kin()
     kin.on_odometry(Odometry(0.0, Pose(far, 0.0, 0.0), Twist()), 0.0)
     kin.observe([Seen(1, 1.0, 0.0)], FREE, 0.0)
-    assert kin.tell(0.0, True) is None
+    assert kin.next_message(0.0, True) is None
 
 
 @pytest.mark.parametrize("far", [math.nan, math.inf, 1e300])
@@ -439,5 +439,5 @@ def test_a_track_that_no_message_can_hold_is_told_in_bounds(far: float) -> None:
     kin = Kin()
     kin.on_odometry(Odometry(0.0, Pose(), Twist()), 0.0)
     kin.observe([Seen(1, far, 0.0)], FREE, 0.0)
-    told = kin.tell(0.0, True)
+    told = kin.next_message(0.0, True)
     assert told is None or len(told.objects) == 4

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.told import Told
+from swarmd.core.kin_message import KinMessage
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.support.kin_judge import Counts, play, record
 
@@ -47,7 +47,7 @@ class Row(NamedTuple):
     more: Mapping[str, Any] = MappingProxyType({})
     size: float = 6.0
     pair: frozenset[int] = frozenset()
-    change: Callable[[Told], Told] = lambda told: told
+    change: Callable[[KinMessage], KinMessage] = lambda told: told
     named: float = 0.6  # at least
     right: float = 0.97
 

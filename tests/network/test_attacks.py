@@ -7,8 +7,8 @@ from typing import get_args
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Latch, Presence, State
-from swarmd.core.told import Told
 from swarmd.core.values import Pose, SharedPose
 from swarmd.network.datagram import (
     Ack,
@@ -97,7 +97,7 @@ FORGED: dict[str, Datagram] = {
         digest=b"123456",
         held={"l": Latch(issuer="anna", scope="swarm")},
     ),
-    "kin": KinReport(robot="r2", instance=b"ghosts", told=Told(7, 1000, 0, 0, 0)),
+    "kin": KinReport(robot="r2", instance=b"ghosts", message=KinMessage(7, 1000, 0, 0, 0)),
     "message": Message(robot="r2", instance=b"ghosts", sequence=1, channel="a/b", payload=b"x"),
     "ack": Ack(id="s", robot="r2", instance=b"ghosts", revision=1, code="applied"),
     "member list": MemberList(
@@ -299,12 +299,12 @@ def test_replayed_messages_and_places_are_not_taken(network: VirtualNetwork) -> 
 def test_replayed_kin_reports_are_not_taken(network: VirtualNetwork) -> None:
     r1, r2 = network.robots["r1"], network.robots["r2"]
     for number in range(5):
-        told = Told(7, round(1000.0 * network.now), number, 0, 0)
+        told = KinMessage(7, round(1000.0 * network.now), number, 0, 0)
         report = r2.peer.kin_report(told)
         assert report is not None
         network._send("r2", r2.address, report, None)
         network.run(0.2)
-    assert [report.told.x for report in r1.kin] == [0, 1, 2, 3, 4]
+    assert [report.message.x for report in r1.kin] == [0, 1, 2, 3, 4]
     for raw in recorded(network, KinReport, "r2"):
         network.inject(raw, r2.address, "r1")
         network.run(0.1)
@@ -316,7 +316,7 @@ def test_a_place_between_two_kin_reports_is_no_replay(network: VirtualNetwork) -
     r1, r2 = network.robots["r1"], network.robots["r2"]
     pose = SharedPose(0.0, Pose(1.0, 2.0, 0.5), error=0.05, yaw_error=0.1, frame="mocap")
     for _ in range(20):
-        report = r2.peer.kin_report(Told(7, round(1000.0 * network.now) - 50, 0, 0, 0))
+        report = r2.peer.kin_report(KinMessage(7, round(1000.0 * network.now) - 50, 0, 0, 0))
         for sent in (r2.peer.place(pose, 0.1, network.now), report):
             assert sent is not None
             network._send("r2", r2.address, sent, None)

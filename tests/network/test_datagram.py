@@ -8,8 +8,8 @@ from msgspec import structs
 from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Body
-from swarmd.core.told import Told
 from swarmd.network import datagram
 from swarmd.network.datagram import (
     ANY_SWARM,
@@ -176,14 +176,14 @@ def test_a_place_has_at_most_sixty_bytes_and_is_read_back() -> None:
             unpack(TAG, body(Kind.PLACE, *head, *wrong))
 
 
-TOLD = Told(7, 10**9, -3_500, 12_000, -3_142, b"\x04\xb0\x06\x23" * 8, True)
+TOLD = KinMessage(7, 10**9, -3_500, 12_000, -3_142, b"\x04\xb0\x06\x23" * 8, True)
 
 
 def test_a_kin_report_has_at_most_90_bytes_and_is_read_back() -> None:
     """The sizes of docs/evidence/network.md."""
-    report = datagram.KinReport(robot="tb3-01", instance=b"abcdef", told=TOLD)
+    report = datagram.KinReport(robot="tb3-01", instance=b"abcdef", message=TOLD)
     assert len(pack(TAG, report)) <= 90
-    assert len(pack(TAG, replace(report, told=replace(TOLD, objects=b"")))) <= 55
+    assert len(pack(TAG, replace(report, message=replace(TOLD, objects=b"")))) <= 55
     assert unpack(TAG, pack(TAG, report)) == report
 
 
@@ -216,7 +216,7 @@ def test_a_kin_report_beyond_its_bounds_is_refused(wrong: tuple[object, ...]) ->
 def test_a_kin_report_of_a_later_version_is_read() -> None:
     later = (*structs.astuple(TOLD), "new")
     read = unpack(TAG, body(Kind.KIN, "r1", b"abcdef", later, 5))
-    assert read == datagram.KinReport(robot="r1", instance=b"abcdef", told=TOLD)
+    assert read == datagram.KinReport(robot="r1", instance=b"abcdef", message=TOLD)
 
 
 def test_places_without_and_with_a_heading_are_read_by_both_versions() -> None:

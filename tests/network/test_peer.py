@@ -9,8 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.goal import Goal
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Latch, Presence, State
-from swarmd.core.told import Told
 from swarmd.core.values import Pose, SharedPose
 from swarmd.network.datagram import (
     Ack,
@@ -592,7 +592,7 @@ def test_an_answer_that_was_not_asked_for_is_no_clock() -> None:
 def test_kin_reports_of_strangers_earlier_lives_and_the_own_id_are_ignored() -> None:
     network = VirtualNetwork(2)
     one, two = network.robots["r1"], network.robots["r2"]
-    report = one.peer.kin_report(Told(7, 1000, 0, 0, 0))
+    report = one.peer.kin_report(KinMessage(7, 1000, 0, 0, 0))
     assert report is not None
     for body, count in (
         (report, 1),
@@ -603,4 +603,4 @@ def test_kin_reports_of_strangers_earlier_lives_and_the_own_id_are_ignored() -> 
         effects = two.peer.on_datagram(body, one.address, network.now, two.summary)
         assert len(effects.kin) == count
     new = VirtualNetwork(1, joined=False)
-    assert new.robots["r1"].peer.kin_report(report.told) is None  # it claims its id
+    assert new.robots["r1"].peer.kin_report(report.message) is None  # it claims its id

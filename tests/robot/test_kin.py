@@ -19,7 +19,7 @@ from swarmd.core.events import (
     decode_input,
     encode_input,
 )
-from swarmd.core.told import Told
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.values import Inputs, Neighbor, Outputs, PeerPlace, Pose, SharedPose, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
@@ -57,7 +57,7 @@ class Story:
     """
 
     platform: str = "waffle_pi"
-    told: list[tuple[float, Told]] = field(default_factory=list)
+    told: list[tuple[float, KinMessage]] = field(default_factory=list)
     inputs: list[tuple[float, bytes]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -73,8 +73,8 @@ class Story:
     def _take(self, robot: Robot, input: Input, now: float) -> Actions | None:
         self.inputs.append((now, encode_input(input)))
         actions = robot.step(input, now)
-        if actions is not None and actions.told is not None:
-            self.told.append((now, actions.told))
+        if actions is not None and actions.kin_message is not None:
+            self.told.append((now, actions.kin_message))
         return actions
 
     def discs(self, now: float) -> list[Disc]:
@@ -107,7 +107,7 @@ class Story:
             objects = struct.pack(">Hh", round(1000 * math.hypot(ox, oy)), round(1000 * bearing))
             turn = round(1000 * math.remainder(yaw, math.tau))
             stamp = round(1000 * harness.now) - 900_000
-            told = Told(1, stamp, round(1000 * x), round(1000 * y), turn, objects, asks)
+            told = KinMessage(1, stamp, round(1000 * x), round(1000 * y), turn, objects, asks)
             harness.step(KinInput("b", told))
 
     def neighbors(self) -> dict[str, Neighbor]:
@@ -206,7 +206,7 @@ def test_a_recalled_robot_goes_on_with_its_names() -> None:
     assert story.neighbors()["b"].distance is not None
     other = memory.recall(memory.remember(robot), robot.identity.setup)
     assert other._sensors.neighbors(now) == robot._sensors.neighbors(now)
-    told = KinInput("b", Told(1, round(1000 * now) - 899_800, 0, 0, 0))
+    told = KinInput("b", KinMessage(1, round(1000 * now) - 899_800, 0, 0, 0))
     for one in (robot, other):
         one.step(told, now + 0.2)
     assert other._sensors.neighbors(now + 0.3) == robot._sensors.neighbors(now + 0.3)

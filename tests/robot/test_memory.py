@@ -185,7 +185,7 @@ def test_other_bytes_are_refused_at_once_and_run_nothing(
 
 def test_a_memory_of_an_older_format_is_named(harness: RobotHarness) -> None:
     data = zlib.compress(pickle.dumps([1, 2], pickle.HIGHEST_PROTOCOL))
-    with pytest.raises(CodecError, match="format 1; expected 3"):
+    with pytest.raises(CodecError, match="format 1; expected 4"):
         recall(data, harness.robot.identity.setup)
 
 

@@ -23,8 +23,8 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import Loaded, Step, Stepped
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Reason, State
-from swarmd.core.told import Told
 from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import RunRequest
 from swarmd.robot.actions import Actions
@@ -354,7 +354,7 @@ def test_each_receiver_of_a_message_gets_it_and_who_is_none_is_skipped() -> None
 @pytest.mark.parametrize("asks", [True, False])
 def test_who_hears_a_peer_that_asks_for_places_names_peers(asks: bool) -> None:
     harness = idle()
-    told = KinInput("r02", Told(1, 0, 0, 0, 0, b"", asks))
+    told = KinInput("r02", KinMessage(1, 0, 0, 0, 0, b"", asks))
     hearing = FORMS[1].kin_many([None, harness.robot], told, harness.now)
     assert len(hearing) == asks
     assert (harness.robot._sensors.kin is not None) is asks

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from swarmd.core.told import Told
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.values import Array, Neighbor, Odometry, Scan
 from swarmd.kin.kin import NO_ROBOT, Kin
 from swarmd.protection.decision import DecisionContext
@@ -114,7 +114,7 @@ def play(
     counts: Counts,
     seed: int,
     make: Callable[[float], Kin] = Kin,
-    change: Callable[[Told], Told] = lambda told: told,
+    change: Callable[[KinMessage], KinMessage] = lambda told: told,
     counted: Callable[[int, int], bool] = lambda viewer, seen: True,
 ) -> list[Kin]:
     """Play a record, and add to `counts`.
@@ -126,7 +126,7 @@ def play(
     rng = np.random.default_rng(seed)
     trackers = [Tracker(platform) for _ in range(n)]
     kins = [make(MIDDLE) for _ in made.ids]
-    air: list[tuple[float, int, int, int, Told]] = []
+    air: list[tuple[float, int, int, int, KinMessage]] = []
     for instant, truth in enumerate(made.truth):
         for row in range(n):
             poll = made.polls[row][instant]
@@ -151,7 +151,7 @@ def play(
             )
             tracks = [(track.id, track.x, track.y) for track in around.tracks]
             kins[row].observe(around.tracks, poll.scan, poll.now + clock)
-            told = kins[row].tell(poll.now + clock, True)
+            told = kins[row].next_message(poll.now + clock, True)
             for other in range(n):
                 if other != row and told is not None and rng.random() >= _LOSS:
                     heapq.heappush(air, (poll.now + _DELAY, len(air), row, other, change(told)))
@@ -160,7 +160,7 @@ def play(
         now = made.polls[0][instant].now
         while air and air[0][0] <= now:
             _, _, row, other, told = heapq.heappop(air)
-            kins[other].hear(made.ids[row], told, now + _HOUR * other)
+            kins[other].on_message(made.ids[row], told, now + _HOUR * other)
     return kins
 
 

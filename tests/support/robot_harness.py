@@ -44,7 +44,7 @@ from swarmd.core.verbs import (
     VERBS,
     Request,
 )
-from swarmd.kin.make import KinMaker
+from swarmd.kin.kin_maker import KinMaker
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.pattern_host.executor import PatternExecutor

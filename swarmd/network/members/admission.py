@@ -144,7 +144,7 @@ class Admission:
             case Place():
                 return self.freshness.is_later(body.robot, body.instance, Place, body.sent)
             case KinReport():
-                sent = body.told.stamp
+                sent = body.message.stamp
                 return self.freshness.is_later(body.robot, body.instance, KinReport, sent)
             case Latches():  # must be those of the sender's newest beacon
                 return membership.latches_of(body.robot, body.instance) == body.digest

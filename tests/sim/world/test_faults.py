@@ -18,7 +18,7 @@ from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.active_faults import Faults
+from swarmd.sim.world.active_faults import ActiveFaults
 from swarmd.sim.world.bodies import value
 from swarmd.sim.world.faults import KINDS, PLACES, fault_of
 
@@ -39,9 +39,9 @@ def burger() -> Platform:
     return load_platform("burger")
 
 
-def faults(*given: dict[str, Any], rows: Sequence[int] = (0,), begin: float = 0.0) -> Faults:
+def faults(*given: dict[str, Any], rows: Sequence[int] = (0,), begin: float = 0.0) -> ActiveFaults:
     """The faults of robots a and b; each is on for `rows`."""
-    made = Faults(("a", "b"), 3, (burger(), burger()), STEP, value)
+    made = ActiveFaults(("a", "b"), 3, (burger(), burger()), STEP, value)
     for one in given:
         made.begin(fault_of(one, "here"), rows, begin)
     return made
@@ -152,7 +152,7 @@ def test_a_dead_wheel_makes_the_base_turn_about_it(side: str, sign: float) -> No
     assert (linear, angular) == pytest.approx((0.1, sign * 0.2 / 0.16))
 
 
-def driven(fault: dict[str, Any]) -> tuple[list[Odometry], Faults]:
+def driven(fault: dict[str, Any]) -> tuple[list[Odometry], ActiveFaults]:
     """The readings of a robot that drives 0.1 m ahead, ten times, in 1 s."""
     made = faults(fault)
     readings = [

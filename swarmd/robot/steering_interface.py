@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
+from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Reason
-from swarmd.core.told import Told
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist
 from swarmd.protection.decision import (
     NO_PERMIT,
@@ -70,10 +70,10 @@ class NamesPeers(Protocol):
     def observe(self, tracks: Iterable[MovingObject], scan: Scan, now: float) -> None:
         """Take in a scan and the tracks after it."""
 
-    def tell(self, now: float, asks: bool) -> Told | None:
+    def next_message(self, now: float, asks: bool) -> KinMessage | None:
         """The message to peers that is due."""
 
-    def hear(self, id: str, told: Told, now: float) -> None:
+    def on_message(self, id: str, message: KinMessage, now: float) -> None:
         """Take in the message of a peer."""
 
     def names(self, now: float) -> Mapping[int, str | None]:

@@ -24,7 +24,7 @@ Coordinate = Annotated[int, Meta(ge=-_MOST, le=_MOST)]
 Angle = Annotated[int, Meta(ge=-3142, le=3142)]
 
 
-class Told(Struct, frozen=True, array_like=True):
+class KinMessage(Struct, frozen=True, array_like=True):
     """A message of one robot, some 20 bytes and 4 for each object.
 
     - `resets`: marks the frame of the odometry; another number is another frame.
