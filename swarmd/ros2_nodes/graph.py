@@ -441,6 +441,8 @@ class Graph:
             raise PluginError(
                 f"{owner.name}: calls rclpy.spin in a callback; spin once, in main()"
             ) from None
+        except NotCarriedOver as error:
+            raise PluginError(f"{owner.name}: {error}") from error
         except (Ended, PluginError, MemoryError):
             raise
         except Exception as error:  # a node may raise anything

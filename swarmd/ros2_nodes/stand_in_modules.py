@@ -10,6 +10,7 @@ import os
 import random
 import threading
 import time as real_time
+import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
@@ -35,6 +36,8 @@ REFUSED_MODULES: Mapping[str, str] = {
     "multiprocessing": "a pattern starts no process",
     "asyncio": "a pattern has one loop; use timers and callbacks",
     "concurrent": "a pattern has one thread; use timers and callbacks",
+    "_thread": "a pattern has one thread; use timers and callbacks",
+    "secrets": "its numbers come from outside of the run; use `random`",
     "signal": "a pattern handles no signals",
     "select": "a pattern has no network",
     "requests": "a pattern has no network",
@@ -349,12 +352,16 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
 
 
 def python_modules(side: RobotSide, chance: Chance) -> dict[str, ModuleType]:
-    """Stand-ins for `time`, `datetime`, `threading`, `random` and `os`, by name."""
+    """Stand-ins for `time`, `datetime`, `threading`, `random`, `uuid` and `os`, by name."""
     return {
         "time": _time(side),
         "datetime": _datetime(side),
         "threading": _threading(side.graph),
-        "random": _module("random", **{**_public(random), "seed": chance.seed}),
+        "random": _random(side.graph, chance),
+        "uuid": _module(
+            "uuid",
+            **{**_public(uuid), "uuid1": lambda *_, **__: chance.uuid(), "uuid4": chance.uuid},
+        ),
         "os": _os(side.graph),
         "os.path": os.path,
         "tf_transformations": _transformations(),
@@ -363,6 +370,16 @@ def python_modules(side: RobotSide, chance: Chance) -> dict[str, ModuleType]:
 
 def _public(module: ModuleType) -> dict[str, Any]:
     return {name: value for name, value in vars(module).items() if not name.startswith("__")}
+
+
+def _random(graph: Graph, chance: Chance) -> ModuleType:
+    text = "random: its numbers come from outside of the run; use random.Random()"
+    replaced = {
+        "seed": chance.seed,
+        "Random": chance.python_class(),
+        "SystemRandom": _refused_class("random.SystemRandom", text, graph),
+    }
+    return _module("random", **{**_public(random), **replaced})
 
 
 def _time(side: RobotSide) -> ModuleType:
