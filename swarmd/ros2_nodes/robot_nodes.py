@@ -153,6 +153,9 @@ class RobotNodes:
             name = "main"
         else:
             module_name, _, name = entry.run.partition(":")
+            if not all(word.isidentifier() for word in module_name.split(".")):
+                # A slash would lead out of `path`, to files that nobody compares or pushes.
+                raise ConfigError(f"run: {module_name!r} is no name of a module")
             module = self._modules.load(module_name)
             if not hasattr(module, "__own__"):
                 raise ConfigError(f"run: {module_name} is no module below `path`")
