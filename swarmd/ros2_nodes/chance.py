@@ -59,6 +59,16 @@ class Chance:
         """What a node calls as `random.seed`."""
         _seed(self._drawn() if a is None else a, version)
 
+    def generator_class(self) -> type[random.Random]:
+        """What a node calls as `random.Random`: without a seed it is seeded from `rng`."""
+        drawn = self._drawn
+
+        class Random(random.Random):
+            def seed(self, a: Any = None, version: int = 2) -> None:
+                super().seed(drawn() if a is None else a, version)
+
+        return Random
+
     def _seed_of_numpy(self, seed: Any = None) -> None:
         _seed_numpy(self._drawn() if seed is None else seed)
 

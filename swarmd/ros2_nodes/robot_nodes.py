@@ -6,6 +6,7 @@ import inspect
 from pathlib import Path
 from typing import Any
 
+from msgspec import convert, to_builtins
 from numpy.random import Generator
 
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
@@ -16,6 +17,7 @@ from swarmd.ros2_nodes.launch_file import (
     LaunchFile,
     Names,
     NodeEntry,
+    Topics,
     parameters_of,
     read_launch_file,
 )
@@ -65,7 +67,12 @@ class RobotNodes:
         self._chance = Chance(rng)
         self._modules = self._made_modules(types)
         self._namespace = self._names(self.launch.namespace).rstrip("/") or "/"
-        self._topics = RobotTopics(self.launch.topics, self.graph, platform, self._resolved)
+        self._topics = RobotTopics(
+            convert(self._names.of_values(to_builtins(self.launch.topics)), Topics),
+            self.graph,
+            platform,
+            self._resolved,
+        )
         self._shared = SharedTopics(
             self.graph, [self._resolved(self._names(topic)) for topic in self.launch.shared]
         )

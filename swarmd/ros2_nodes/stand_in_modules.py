@@ -354,7 +354,10 @@ def python_modules(side: RobotSide, chance: Chance) -> dict[str, ModuleType]:
         "time": _time(side),
         "datetime": _datetime(side),
         "threading": _threading(side.graph),
-        "random": _module("random", **{**_public(random), "seed": chance.seed}),
+        "random": _module(
+            "random",
+            **{**_public(random), "seed": chance.seed, "Random": chance.generator_class()},
+        ),
         "os": _os(side.graph),
         "os.path": os.path,
         "tf_transformations": _transformations(),
