@@ -65,8 +65,8 @@ class Chance:
         """What a node calls as `random.seed`."""
         _seed(self._drawn() if a is None else a, version)
 
-    def python_class(self) -> type[random.Random]:
-        """`random.Random` for the nodes: without a seed it is seeded from the run."""
+    def generator_class(self) -> type[random.Random]:
+        """What a node calls as `random.Random`: without a seed it is seeded from `rng`."""
         drawn = self._drawn
 
         class Random(random.Random):

@@ -430,6 +430,7 @@ class Graph:
                 f"{owner.name}: more than {MAX_CALLBACKS} callbacks in one step; does a callback"
                 " publish on the topic that calls it?"
             )
+        was_leaving = self.is_leaving
         try:
             result = callback(*args)
             if hasattr(result, "__await__"):
@@ -437,21 +438,26 @@ class Graph:
         except SystemExit as error:
             raise Ended(f"{owner.name} has ended itself: sys.exit({error.code!r})") from None
         except Spun:
-            self.is_leaving = False
-            raise PluginError(
-                f"{owner.name}: calls rclpy.spin in a callback; spin once, in main()"
-            ) from None
+            self._refuse_spin(owner)
         except NotCarriedOver as error:
             raise PluginError(f"{owner.name}: {error}") from error
         except (Ended, PluginError, MemoryError):
             raise
         except Exception as error:  # a node may raise anything
             raise PluginError(f"{owner.name}: {self._refusal_or(error)}") from error
+        if self.is_leaving and not was_leaving:  # a bare `except` of the callback has caught Spun
+            self._refuse_spin(owner)
         if self.refused:
             raise PluginError(f"{owner.name}: {self.refused}")
         if self.is_down:
             raise Ended(f"{owner.name} has ended itself: rclpy.shutdown()")
         return result
+
+    def _refuse_spin(self, owner: Owner) -> NoReturn:
+        self.is_leaving = False
+        raise PluginError(
+            f"{owner.name}: calls rclpy.spin in a callback; spin once, in main()"
+        ) from None
 
     def _refusal_or(self, error: Exception) -> str:
         if isinstance(error, SwarmError):

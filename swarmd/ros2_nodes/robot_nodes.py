@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from msgspec import convert, to_builtins
 from numpy.random import Generator
 
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
@@ -19,6 +20,7 @@ from swarmd.ros2_nodes.launch_file import (
     LaunchFile,
     Names,
     NodeEntry,
+    Topics,
     parameters_of,
     read_launch_file,
 )
@@ -68,7 +70,12 @@ class RobotNodes:
         self._chance = Chance(rng)
         self.modules: list[NodeModules] = []  # of each entry
         self._namespace = self._names(self.launch.namespace).rstrip("/") or "/"
-        self._topics = RobotTopics(self.launch.topics, self.graph, platform, self._resolved)
+        self._topics = RobotTopics(
+            convert(self._names.of_values(to_builtins(self.launch.topics)), Topics),
+            self.graph,
+            platform,
+            self._resolved,
+        )
         self._shared = SharedTopics(
             self.graph, [self._resolved(self._names(topic)) for topic in self.launch.shared]
         )
@@ -175,6 +182,9 @@ class RobotNodes:
                 return None
         else:
             module_name, _, name = entry.run.partition(":")
+            if not all(word.isidentifier() for word in module_name.split(".")):
+                # A slash would lead out of `path`, to files that nobody compares or pushes.
+                raise ConfigError(f"run: {module_name!r} is no name of a module")
             module = modules.load(module_name)
             if not hasattr(module, "__own__"):
                 raise ConfigError(f"run: {module_name} is no module below `path`")

@@ -376,7 +376,7 @@ def _random(graph: Graph, chance: Chance) -> ModuleType:
     text = "random: its numbers come from outside of the run; use random.Random()"
     replaced = {
         "seed": chance.seed,
-        "Random": chance.python_class(),
+        "Random": chance.generator_class(),
         "SystemRandom": _refused_class("random.SystemRandom", text, graph),
     }
     return _module("random", **{**_public(random), **replaced})
@@ -396,7 +396,11 @@ def _time(side: RobotSide) -> ModuleType:
     for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
         clocks[name] = seconds
         clocks[f"{name}_ns"] = nanoseconds
+    clocks["clock_gettime"] = lambda _: seconds()
+    clocks["clock_gettime_ns"] = lambda _: nanoseconds()
     members = {**_public(real_time), **clocks, "sleep": sleep}
+    members["ctime"] = lambda at=None: real_time.asctime(members["gmtime"](at))
+    members["asctime"] = lambda at=None: real_time.asctime(at or members["gmtime"]())
     members["localtime"] = lambda at=None: real_time.gmtime(seconds() if at is None else at)
     members["gmtime"] = members["localtime"]
     members["strftime"] = lambda form, at=None: real_time.strftime(form, at or members["gmtime"]())

@@ -58,6 +58,7 @@ def fault(folder: Path, text: str) -> str:
         ("", "input()", "input"),
         ("import _thread\n", "_thread.start_new_thread(print, ())", "_thread.start_new_thread"),
         ("import importlib\n", "importlib.import_module('time').sleep(1)", "time.sleep"),
+        ("import importlib\n", "importlib.import_module('/etc/x')", "ModuleNotFoundError"),
         ("import sys\n", "sys.modules['time'].sleep(1)", "time.sleep"),
         ("import secrets\n", "secrets.token_hex()", "secrets.token_hex"),
         ("import random\n", "random.SystemRandom()", "random.SystemRandom"),
@@ -162,6 +163,23 @@ def test_a_node_that_raises_is_named_with_its_error(
     line = fault(tmp_path, body(*lines))
     assert line.startswith("one: ")
     assert named in line
+
+
+def test_a_spin_in_a_callback_that_the_node_catches_does_not_mute_it(tmp_path: Path) -> None:
+    """Else what it publishes later, a stop among it, would have no effect."""
+    text = body("try:", "    rclpy.spin(self)", "except:", "    pass")
+    assert "rclpy.spin in a callback" in fault(tmp_path, text)
+
+
+def test_a_module_lies_below_the_launch_file(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    base = tmp_path / "base"
+    for folder in (elsewhere, base):
+        folder.mkdir()
+    (elsewhere / "one.py").write_text(f"from rclpy.node import Node\n{NODE}        pass\n")
+    for name in (f"{elsewhere}/one", "../elsewhere/one", "", "."):
+        with pytest.raises(PluginError, match="no name of a module"):
+            launched(base, f"nodes: [{{run: '{name}:One'}}]")
 
 
 def test_a_node_that_floods_itself_is_stopped(tmp_path: Path) -> None:

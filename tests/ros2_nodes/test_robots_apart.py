@@ -279,3 +279,15 @@ def test_another_seed_gives_other_bits(tmp_path: Path) -> None:
     first, again, other = (simulate_run(scenario_of(data), seed) for seed in (4, 4, 5))
     same_bits(first, again)
     assert first.pose.tobytes() != other.pose.tobytes()
+
+
+def test_each_clock_of_time_is_that_of_the_robot(tmp_path: Path) -> None:
+    text = """
+import time
+class One(Node):
+    def __init__(self):
+        super().__init__("one")
+        assert time.clock_gettime(time.CLOCK_MONOTONIC) == time.clock_gettime_ns(1) == 0
+        assert time.ctime() == time.asctime() == "Thu Jan  1 00:00:00 1970"
+"""
+    node_with(tmp_path, text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import sys
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,36 @@ def test_a_command_counts_for_its_time(nodes: Path) -> None:
     assert [one.twist for one in outputs] == [None, drive, drive, Twist()]
     for_ever = launched(nodes, "nodes: [{run: 'one:One'}]\ntopics: {hold: 0}")
     assert steps(for_ever, times)[-1].twist == drive
+
+
+def test_a_topic_of_commands_may_have_the_name_of_the_robot(nodes: Path) -> None:
+    launch = """
+nodes: [{run: timer_driver.py, remap: {cmd_vel: '/tb3_01/drive'}}]
+topics: {command: '/{robot}/drive'}
+"""
+    robot = launched(nodes, launch, "tb3-01")
+    assert steps(robot, [0.0, 0.3])[-1].twist == Twist(0.1, 1.0)
+
+
+def test_a_generator_without_a_seed_draws_from_the_run(nodes: Path) -> None:
+    chance = (
+        "import random\n"
+        "from geometry_msgs.msg import Twist\n"
+        "from rclpy.node import Node\n"
+        "class One(Node):\n"
+        "    def __init__(self):\n"
+        "        super().__init__('one')\n"
+        "        twist = Twist()\n"
+        "        twist.angular.z = random.Random().random()\n"
+        "        twist.linear.x = random.Random(7).random()\n"
+        "        self.create_publisher(Twist, 'cmd_vel', 1).publish(twist)\n"
+    )
+    twists = [
+        steps(node_with(nodes, chance, seed=seed), [0.0, 0.1])[-1].twist for seed in (1, 1, 2)
+    ]
+    assert twists[0] == twists[1] != twists[2]
+    assert twists[0] is not None
+    assert twists[0].linear == random.Random(7).random()
 
 
 def test_a_follower_turns_to_the_wall_by_its_parameters(nodes: Path) -> None:
