@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 import numpy as np
 
@@ -148,6 +148,19 @@ def _module(name: str, **members: Any) -> ModuleType:
 # rclpy
 
 
+class _Block:
+    """What `with` begins, and shuts down at its end."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.shutdown()
+
+    def shutdown(self, *_: Any, **__: Any) -> Any:
+        """End it."""
+
+
 @dataclass
 class _Spinning:
     """`rclpy.spin` and its kin; `is_starting`: a script's `main()` runs."""
@@ -189,7 +202,7 @@ class _Spinning:
 def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
     spinning = _Spinning(side)
 
-    class Executor:
+    class Executor(_Block):
         """Any executor: one thread."""
 
         def __init__(self, *_: Any, **__: Any) -> None:
@@ -232,7 +245,7 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         def __init__(self, *_: Any, **__: Any) -> None:
             pass
 
-    class Context:
+    class Context(_Block):
         """A context without effect."""
 
         def __init__(self, *_: Any, **__: Any) -> None:
@@ -255,7 +268,10 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         made: Node = robot_node(node_name, **options)
         return made
 
-    def init(*_: Any, **__: Any) -> None:
+    def init(*_: Any, **__: Any) -> Context:
+        return Context()
+
+    def set_logger_level(*_: Any, **__: Any) -> None:
         pass
 
     def get_logger(name: str) -> logger.Logger:
@@ -290,7 +306,12 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
     no_shutdown = type("ExternalShutdownException", (Exception,), {})
     clock_types = {"ClockType": ros_time.ClockType}
     parts: dict[str, dict[str, Any]] = {
-        "node": {"Node": robot_node},
+        "node": {
+            "Node": robot_node,
+            **dict.fromkeys(("Publisher", "Subscription", "Timer", "Service", "Client"), object),
+            "Parameter": parameters.Parameter,
+            "QoSProfile": qos.QoSProfile,
+        },
         "qos": {"QoSProfile": qos.QoSProfile, **policies, **qos.profiles()},
         "parameter": {
             "Parameter": parameters.Parameter,
@@ -307,7 +328,7 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         "logging": {
             "get_logger": get_logger,
             "LoggingSeverity": logger.LoggingSeverity,
-            "set_logger_level": init,
+            "set_logger_level": set_logger_level,
         },
         "executors": {**executors, "ExternalShutdownException": no_shutdown},
         "callback_groups": groups,

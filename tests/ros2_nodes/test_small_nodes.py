@@ -57,10 +57,27 @@ IDLE = "import rclpy\nfrom rclpy.node import Node\n"
         "import argparse, sys\ndef main():\n    argparse.ArgumentParser().parse_args()\n"
         "    assert sys.argv == ['deep/one.py']\n    rclpy.spin(Node('one'))\n",
         "import helper\ndef main():\n    rclpy.spin(Node(helper.NAME))\n",
+        "from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor\n"
+        "def main(args=None):\n    try:\n        with rclpy.init(args=args):\n"
+        "            node = Node('one')\n            rclpy.spin(node)\n"
+        "    except (KeyboardInterrupt, ExternalShutdownException):\n        pass\n",
+        "from rclpy.executors import SingleThreadedExecutor\nfrom rclpy.node import Publisher\n"
+        "def main():\n    with rclpy.init() as context, Node('one', context=context) as node:\n"
+        "        with SingleThreadedExecutor() as executor:\n"
+        "            executor.add_node(node)\n            executor.spin()\n",
         "import os, sys\nsys.path.append(os.path.join(os.path.dirname(__file__), '..', 'more'))\n"
         "import beside\nrclpy.spin(Node(beside.NAME))\n",
     ],
-    ids=["guard", "no-guard", "bare-except", "arguments", "helper-beside", "sys-path"],
+    ids=[
+        "guard",
+        "no-guard",
+        "bare-except",
+        "arguments",
+        "helper-beside",
+        "with-init",
+        "with-all",
+        "sys-path",
+    ],
 )
 def test_a_script_runs_as_it_does_by_itself(tmp_path: Path, text: str) -> None:
     before = (list(sys.path), list(sys.argv))
