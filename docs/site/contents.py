@@ -11,7 +11,7 @@ def _inside(folder: str, *pages: str) -> list[str]:
 
 CONTENTS = {
     "Begin": ["README", *_inside("docs", "tutorial/README", "five_robots", "glossary")],
-    "Behaviours": ["patterns/README", *_inside("docs", "patterns", "push", "missions", "learning")],
+    "Behaviours": ["patterns/README", *_inside("docs", "patterns", "missions", "learning")],
     "Experiments": _inside("docs", "experiments", "tuning", "figures", "from_ros2swarm"),
     "Operating": _inside(
         "docs",
@@ -22,12 +22,11 @@ CONTENTS = {
         "zenoh",
         "configuration",
         "trouble",
-        "problems",
     ),
     "Robots": _inside(
         "docs", "acceptance", "installation", "field", "security", "robots/README", "ros"
     ),
-    "Safety and evidence": _inside("docs", "safety", "failures", "evidence/README"),
+    "Safety and evidence": _inside("docs", "safety", "evidence/README"),
     "Reference and changes": ["docs/reference/README", "CONTRIBUTING", "CHANGELOG"],
 }
 """The captions of the start page, with their pages."""
@@ -42,7 +41,9 @@ INNER = {
     ],
     "docs/experiments": ["docs/benchmark_suite"],
     "docs/from_ros2swarm": ["docs/from_argos", "docs/ros2_nodes"],
-    "docs/safety": ["docs/mixed_swarms", "docs/walls"],
+    "docs/patterns": ["docs/push"],
+    "docs/trouble": ["docs/problems"],
+    "docs/safety": ["docs/failures", "docs/mixed_swarms", "docs/walls"],
     "docs/python": ["docs/agents", "AGENTS"],
     "docs/robots/README": [
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),

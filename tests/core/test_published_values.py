@@ -80,7 +80,8 @@ def send(pending, discovery, *rest, **options):
     raise Sent(next(iter(pending.datagrams(boottime())))[0])
 operator = Stub(
     _check_role=str, name="anna", _numbered=lambda stop: (stop, None), _stops=Stub(send=send),
-    _new_discovery=lambda now: Stub(known=frozenset(), result=lambda now: MembersView({}),
+    _new_discovery=lambda now: Stub(known=frozenset(), left=lambda now: frozenset(),
+    result=lambda now: MembersView({}),
     doubted=frozenset(), holders=lambda name: ()),
 )
 try:

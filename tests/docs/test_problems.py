@@ -47,9 +47,9 @@ def test_robots_that_cannot_see_each_other_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("section", re.findall(r"^### (.+)$", PAGE, re.MULTILINE))
+@pytest.mark.parametrize("section", re.findall(r"^## (.+)$", PAGE, re.MULTILINE))
 def test_each_problem_names_its_source_and_has_a_command_with_output(section: str) -> None:
-    body = PAGE.partition(f"### {section}\n")[2].partition("\n### ")[0]
+    body = PAGE.partition(f"## {section}\n")[2].partition("\n## ")[0]
     assert re.search(r"\([\w-]+/[\w-]+#\d+\)", body)
     assert re.search(
         r"^```\n(?:swarmctl|make) .+?^```\n(?:<!-- example -->\n)?```text\n",
