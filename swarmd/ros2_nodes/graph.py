@@ -439,6 +439,8 @@ class Graph:
             raise Ended(f"{owner.name} has ended itself: sys.exit({error.code!r})") from None
         except Spun:
             self._refuse_spin(owner)
+        except NotCarriedOver as error:
+            raise PluginError(f"{owner.name}: {error}") from error
         except (Ended, PluginError, MemoryError):
             raise
         except Exception as error:  # a node may raise anything

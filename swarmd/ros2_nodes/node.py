@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from swarmd.ros2_nodes.graph import Client, Graph, Owner, Publisher, Service, Subscription, Timer
 from swarmd.ros2_nodes.launch_file import is_for
@@ -361,6 +361,13 @@ class Node:
                 node for node in self._robot_side.nodes if node is not self
             ]
         return True
+
+    def __enter__(self) -> Self:
+        """Begin a block at whose end the node is taken off."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.destroy_node()
 
     def destroy_publisher(self, publisher: Publisher) -> bool:
         """Publish no more."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -60,12 +63,12 @@ class RobotNodes:
         types = MessageClasses(self._files, self._folders)
         self.graph = Graph(types, self._on_published)
         time, duration = time_classes(types.kind)
-        clock = Clock(lambda: self.graph.now, time)
+        clock = Clock(lambda: self.graph.now, time, self.graph.refuse)
         self._lines = LogLines(robot, self.launch.log_level)
         setup = NodeSetup("", "", [], {})
         self._side = RobotSide(self.graph, clock, time, duration, self._log, setup)
         self._chance = Chance(rng)
-        self._modules = self._made_modules(types)
+        self.modules: list[NodeModules] = []  # of each entry
         self._namespace = self._names(self.launch.namespace).rstrip("/") or "/"
         self._topics = RobotTopics(
             convert(self._names.of_values(to_builtins(self.launch.topics)), Topics),
@@ -115,15 +118,15 @@ class RobotNodes:
 
     # The start
 
-    def _made_modules(self, types: MessageClasses) -> NodeModules:
-        stand_ins = StandIns(self._side, types, self._files)
+    def _made_modules(self, entry: NodeEntry) -> NodeModules:
+        stand_ins = StandIns(self._side, self.graph.types, self._files)
         stand_ins.add(python_modules(self._side, self._chance))
         replaced = builtins_of(self._side, self._files)
         if self.launch.one_element_arrays:
             numbers, math = one_element_arrays()
             replaced |= numbers
             stand_ins.add({"math": math})
-        return NodeModules(self._files, self._folders, stand_ins, replaced)
+        return NodeModules(self._files, self._folders, stand_ins, replaced, [entry.run])
 
     def _start(self, entry: NodeEntry) -> None:
         namespace = self._names(entry.namespace)
@@ -136,8 +139,11 @@ class RobotNodes:
             {self._names(old): self._names(new) for old, new in entry.remap.items()},
         )
         count = len(self._side.nodes)
+        modules = self._made_modules(entry)
+        self.modules.append(modules)
         try:
-            self._run_entry(entry)
+            with _arguments([entry.run]):
+                self._run_entry(entry, modules)
         except Ended as ended:
             raise PluginError(f"{entry.run}: {ended} before its first callback") from None
         except SwarmError as error:
@@ -154,16 +160,32 @@ class RobotNodes:
         self.graph.begin_step()
         self.graph.run_queue()
 
-    def _run_entry(self, entry: NodeEntry) -> None:
+    def _run_entry(self, entry: NodeEntry, modules: NodeModules) -> None:
+        """Run an entry up to where it spins."""
+        try:
+            started = self._called(entry, modules)
+            # A bare `except:` around `rclpy.spin` has caught what leaves main().
+            has_spun = self.graph.is_leaving
+        except Spun:  # the end of a main(), or of a constructor that spins itself
+            return
+        finally:
+            self.graph.is_leaving = False
+        if not isinstance(started, type) and not has_spun:
+            raise ConfigError("main() has returned; expected it to end in rclpy.spin(node)")
+
+    def _called(self, entry: NodeEntry, modules: NodeModules) -> Any:
+        """Call the class or function of an entry; returns what was called."""
         if entry.run.endswith(".py"):
-            module = self._modules.run_script(script_path(self._files, entry.run))
+            module = modules.run_script(script_path(self._files, entry.run))
             name = "main"
+            if self.graph.is_leaving:
+                return None
         else:
             module_name, _, name = entry.run.partition(":")
             if not all(word.isidentifier() for word in module_name.split(".")):
                 # A slash would lead out of `path`, to files that nobody compares or pushes.
                 raise ConfigError(f"run: {module_name!r} is no name of a module")
-            module = self._modules.load(module_name)
+            module = modules.load(module_name)
             if not hasattr(module, "__own__"):
                 raise ConfigError(f"run: {module_name} is no module below `path`")
         started: Any = getattr(module, name or "main", None)
@@ -173,14 +195,8 @@ class RobotNodes:
             )
         is_node = isinstance(started, type) and issubclass(started, Node)
         takes_args = not is_node and bool(inspect.signature(started).parameters)
-        try:
-            started(None) if takes_args else started()
-        except Spun:  # the end of a main(), or of a constructor that spins itself
-            return
-        finally:
-            self.graph.is_leaving = False
-        if not is_node:
-            raise ConfigError("main() has returned; expected it to end in rclpy.spin(node)")
+        started(None) if takes_args else started()
+        return started
 
     def _publish_start(self, launch: LaunchFile) -> None:
         for one in launch.start:
@@ -203,6 +219,17 @@ class RobotNodes:
 
     def _log(self, severity: str, name: str, text: str) -> None:
         self._lines.write(self.graph.now, severity, name, text)
+
+
+@contextmanager
+def _arguments(argv: list[str]) -> Iterator[None]:
+    """A block in which `sys.argv` is that of a process of its own, for `argparse`."""
+    real = sys.argv
+    sys.argv = argv
+    try:
+        yield
+    finally:
+        sys.argv = real
 
 
 def _full_type(name: str) -> str:

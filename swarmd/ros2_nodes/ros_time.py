@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import IntEnum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 S_TO_NS = 1_000_000_000
 
@@ -133,11 +133,22 @@ def _stamp(kind: type, nanoseconds: int) -> Any:
 class Clock:
     """A clock that shows the robot's time; `seconds` gives it."""
 
-    def __init__(self, seconds: Callable[[], float], time: type[Time]) -> None:
+    def __init__(
+        self, seconds: Callable[[], float], time: type[Time], refuse: Callable[[str], NoReturn]
+    ) -> None:
         self._seconds = seconds
         self._time = time
+        self._refuse = refuse
         self.clock_type = ClockType.ROS_TIME
 
     def now(self) -> Time:
         """The time of the present callback."""
         return self._time(nanoseconds=round(self._seconds() * S_TO_NS))
+
+    def sleep_for(self, *_: Any, **__: Any) -> NoReturn:
+        """Refused: a callback never waits."""
+        self._refuse("Clock.sleep_for: a callback never waits; use a timer (`create_timer`)")
+
+    def sleep_until(self, *_: Any, **__: Any) -> NoReturn:
+        """Refused: a callback never waits."""
+        self._refuse("Clock.sleep_until: a callback never waits; use a timer (`create_timer`)")

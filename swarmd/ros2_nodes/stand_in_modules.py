@@ -10,12 +10,13 @@ import os
 import random
 import threading
 import time as real_time
+import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 import numpy as np
 
@@ -35,6 +36,8 @@ REFUSED_MODULES: Mapping[str, str] = {
     "multiprocessing": "a pattern starts no process",
     "asyncio": "a pattern has one loop; use timers and callbacks",
     "concurrent": "a pattern has one thread; use timers and callbacks",
+    "_thread": "a pattern has one thread; use timers and callbacks",
+    "secrets": "its numbers come from outside of the run; use `random`",
     "signal": "a pattern handles no signals",
     "select": "a pattern has no network",
     "requests": "a pattern has no network",
@@ -145,6 +148,19 @@ def _module(name: str, **members: Any) -> ModuleType:
 # rclpy
 
 
+class _Block:
+    """What `with` begins, and shuts down at its end."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.shutdown()
+
+    def shutdown(self, *_: Any, **__: Any) -> Any:
+        """End it."""
+
+
 @dataclass
 class _Spinning:
     """`rclpy.spin` and its kin; `is_starting`: a script's `main()` runs."""
@@ -186,7 +202,7 @@ class _Spinning:
 def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
     spinning = _Spinning(side)
 
-    class Executor:
+    class Executor(_Block):
         """Any executor: one thread."""
 
         def __init__(self, *_: Any, **__: Any) -> None:
@@ -229,7 +245,7 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         def __init__(self, *_: Any, **__: Any) -> None:
             pass
 
-    class Context:
+    class Context(_Block):
         """A context without effect."""
 
         def __init__(self, *_: Any, **__: Any) -> None:
@@ -252,7 +268,10 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         made: Node = robot_node(node_name, **options)
         return made
 
-    def init(*_: Any, **__: Any) -> None:
+    def init(*_: Any, **__: Any) -> Context:
+        return Context()
+
+    def set_logger_level(*_: Any, **__: Any) -> None:
         pass
 
     def get_logger(name: str) -> logger.Logger:
@@ -287,7 +306,12 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
     no_shutdown = type("ExternalShutdownException", (Exception,), {})
     clock_types = {"ClockType": ros_time.ClockType}
     parts: dict[str, dict[str, Any]] = {
-        "node": {"Node": robot_node},
+        "node": {
+            "Node": robot_node,
+            **dict.fromkeys(("Publisher", "Subscription", "Timer", "Service", "Client"), object),
+            "Parameter": parameters.Parameter,
+            "QoSProfile": qos.QoSProfile,
+        },
         "qos": {"QoSProfile": qos.QoSProfile, **policies, **qos.profiles()},
         "parameter": {
             "Parameter": parameters.Parameter,
@@ -304,7 +328,7 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         "logging": {
             "get_logger": get_logger,
             "LoggingSeverity": logger.LoggingSeverity,
-            "set_logger_level": init,
+            "set_logger_level": set_logger_level,
         },
         "executors": {**executors, "ExternalShutdownException": no_shutdown},
         "callback_groups": groups,
@@ -349,14 +373,15 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
 
 
 def python_modules(side: RobotSide, chance: Chance) -> dict[str, ModuleType]:
-    """Stand-ins for `time`, `datetime`, `threading`, `random` and `os`, by name."""
+    """Stand-ins for `time`, `datetime`, `threading`, `random`, `uuid` and `os`, by name."""
     return {
         "time": _time(side),
         "datetime": _datetime(side),
         "threading": _threading(side.graph),
-        "random": _module(
-            "random",
-            **{**_public(random), "seed": chance.seed, "Random": chance.generator_class()},
+        "random": _random(side.graph, chance),
+        "uuid": _module(
+            "uuid",
+            **{**_public(uuid), "uuid1": lambda *_, **__: chance.uuid(), "uuid4": chance.uuid},
         ),
         "os": _os(side.graph),
         "os.path": os.path,
@@ -366,6 +391,16 @@ def python_modules(side: RobotSide, chance: Chance) -> dict[str, ModuleType]:
 
 def _public(module: ModuleType) -> dict[str, Any]:
     return {name: value for name, value in vars(module).items() if not name.startswith("__")}
+
+
+def _random(graph: Graph, chance: Chance) -> ModuleType:
+    text = "random: its numbers come from outside of the run; use random.Random()"
+    replaced = {
+        "seed": chance.seed,
+        "Random": chance.generator_class(),
+        "SystemRandom": _refused_class("random.SystemRandom", text, graph),
+    }
+    return _module("random", **{**_public(random), **replaced})
 
 
 def _time(side: RobotSide) -> ModuleType:

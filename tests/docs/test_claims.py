@@ -81,6 +81,9 @@ QUOTED = {
     "[{0} of {1} runs](docs/paper.md#hardware) of our attraction": (
         PAPER, "hardware_free, body, settling", "six linked at 120 s"
     ),
+    "[{0} of {1}](docs/ros2_nodes.md#ros2swarm) of ROS2swarm's own attraction node": (
+        "docs/ros2_nodes.md", "their own node", "six linked at 120 s"
+    ),
     "[{0} of {1}](docs/paper.md#hardware) of our rewrite": (
         PAPER, "hardware_free, body, original", "six linked at 120 s"
     ),

@@ -28,7 +28,7 @@ class One(Node):
 
 def seen(robot: RobotNodes) -> list[Any]:
     """What the node's module has noted."""
-    found: list[Any] = robot._modules.load("one").__dict__["seen"]
+    found: list[Any] = robot.modules[0].load("one").__dict__["seen"]
     return found
 
 

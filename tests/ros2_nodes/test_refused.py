@@ -56,6 +56,13 @@ def fault(folder: Path, text: str) -> str:
         ("", "open('/tmp/swarmd_x', 'w')", "open"),
         ("", "open('/etc/hostname')", "open"),
         ("", "input()", "input"),
+        ("import _thread\n", "_thread.start_new_thread(print, ())", "_thread.start_new_thread"),
+        ("import importlib\n", "importlib.import_module('time').sleep(1)", "time.sleep"),
+        ("import importlib\n", "importlib.import_module('/etc/x')", "ModuleNotFoundError"),
+        ("import sys\n", "sys.modules['time'].sleep(1)", "time.sleep"),
+        ("import secrets\n", "secrets.token_hex()", "secrets.token_hex"),
+        ("import random\n", "random.SystemRandom()", "random.SystemRandom"),
+        ("", "self.get_clock().sleep_for(None)", "sleep_for"),
         ("", "rclpy.spin_once(self)", "spin_once"),
         ("", "rclpy.spin(self)", "rclpy.spin"),
         ("from rclpy.action import ActionClient\n", "ActionClient(self, 1, 'x')", "ActionClient"),
@@ -63,7 +70,9 @@ def fault(folder: Path, text: str) -> str:
     ],
 )
 def test_a_call_is_refused_by_its_name(tmp_path: Path, begin: str, line: str, named: str) -> None:
-    assert named in fault(tmp_path, body(line, begin=begin))
+    text = fault(tmp_path, body(line, begin=begin))
+    assert text.startswith("one: ")
+    assert named in text
 
 
 def test_a_refusal_that_a_node_catches_is_one_all_the_same(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ class One(Node):
 
 
 def draws(robot: Any) -> list[tuple[float, ...]]:
-    found: list[tuple[float, ...]] = robot._modules.load("one").__dict__["draws"]
+    found: list[tuple[float, ...]] = robot.modules[0].load("one").__dict__["draws"]
     return found
 
 
@@ -68,6 +68,91 @@ def test_a_seed_of_no_number_is_drawn_from_the_run(tmp_path: Path) -> None:
     assert first == second
 
 
+UNSEEDED = """
+import random
+import uuid
+import numpy
+draws = []
+class One(Node):
+    def __init__(self):
+        super().__init__("one")
+        self.create_timer(0.1, self.draw)
+    def draw(self):
+        own = random.Random()
+        draws.append((
+            own.random(), (own.seed(), own.random())[1], numpy.random.RandomState().rand(),
+            numpy.random.Generator(numpy.random.PCG64()).random(),
+            numpy.random.Generator(numpy.random.Philox()).random(),
+            numpy.random.SeedSequence().entropy, str(uuid.uuid4()), str(uuid.uuid1()),
+        ))
+"""
+
+
+def test_a_generator_without_a_seed_is_seeded_from_the_run(tmp_path: Path) -> None:
+    """Else two runs of one seed differ, and nobody is told."""
+    found = []
+    for seed in (3, 3, 4):
+        robot = node_with(tmp_path, UNSEEDED, seed=seed)
+        steps(robot, [0.0, 0.1, 0.2])
+        found.append(draws(robot))
+    first, again, other = found
+    assert first == again
+    assert not {*sum(first, ())} & {*sum(other, ())}
+    assert len({*sum(first, ())}) == 16
+
+
+def test_a_generator_with_a_seed_is_that_of_numpy(tmp_path: Path) -> None:
+    text = (
+        "import numpy, random\n"
+        "draws = [numpy.random.RandomState(7).rand(),"
+        " numpy.random.Generator(numpy.random.Philox(key=7)).random(), random.Random(7).random()]\n"
+        "class One(Node):\n    def __init__(self):\n        super().__init__('one')\n"
+    )
+    wanted: list[object] = [
+        np.random.RandomState(7).rand(),
+        np.random.Generator(np.random.Philox(key=7)).random(),
+        random.Random(7).random(),
+    ]
+    assert list(draws(node_with(tmp_path, text))) == wanted
+
+
+def test_two_nodes_of_a_robot_share_no_module(tmp_path: Path) -> None:
+    """On a robot each has a process of its own."""
+    text = (
+        "class One(Node):\n    total = 0\n    def __init__(self):\n"
+        "        super().__init__('one')\n        One.total += 1\n"
+        "        wanted = self.declare_parameter('wanted', '').value\n"
+        "        assert (One.total, self.get_name()) == (1, wanted)\n"
+    )
+    (tmp_path / "one.py").write_text(f"from rclpy.node import Node\n{text}")
+    entries = ", ".join(
+        f"{{run: 'one:One', name: {n}, parameters: [{{wanted: {n}}}]}}" for n in "ab"
+    )
+    robot = launched(tmp_path, f"nodes: [{entries}]")
+    assert steps(robot, [0.0])[-1].report == {"nodes": 2}
+
+
+@pytest.mark.parametrize(
+    ("begin", "kind"),
+    [("", "'ClassVar[int]'"), ("from __future__ import annotations\n", "ClassVar[int]")],
+)
+def test_a_node_has_data_classes(tmp_path: Path, begin: str, kind: str) -> None:
+    """They look for their module in `sys.modules`, where those of nodes are not."""
+    (tmp_path / "kinds.py").write_text(
+        f"{begin}from dataclasses import dataclass\nfrom typing import ClassVar\n"
+        f"@dataclass\nclass Kind:\n    x: int = 0\n    count: {kind} = 3\n"
+    )
+    text = (
+        "import sys\nfrom kinds import Kind\n"
+        "class One(Node):\n    def __init__(self):\n        super().__init__('one')\n"
+        "        assert repr(Kind(2)) == 'Kind(x=2)'\n"
+        "        assert sys.modules['kinds'].Kind is Kind\n"
+        "        assert 'kinds.no' not in sys.modules\n"
+    )
+    node_with(tmp_path, text)
+    assert "kinds" not in sys.modules
+
+
 SHARED = """
 import helper
 import package.inner
@@ -96,7 +181,7 @@ def test_each_robot_imports_the_modules_anew(tmp_path: Path) -> None:
     written(tmp_path, FILES)
     before = {*sys.modules}
     first, second = (node_with(tmp_path, SHARED, robot) for robot in ("a-1", "a-2"))
-    assert first._modules.load("helper") is not second._modules.load("helper")
+    assert first.modules[0].load("helper") is not second.modules[0].load("helper")
     assert not {"helper", "package", "one", "rclpy", "geometry_msgs"} & ({*sys.modules} - before)
 
 

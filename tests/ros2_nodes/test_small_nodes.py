@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,59 @@ def test_a_constructor_may_spin_itself(nodes: Path) -> None:
         "        rclpy.spin(self)\n"
     )
     assert steps(node_with(nodes, text), [0.0, 0.1])[-1].twist == Twist()
+
+
+IDLE = "import rclpy\nfrom rclpy.node import Node\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "if __name__ == '__main__':\n    rclpy.init()\n    rclpy.spin(Node('one'))\n",
+        "rclpy.init()\nrclpy.spin(Node('one'))\n",
+        "def main():\n    node = Node('one')\n    try:\n        rclpy.spin(node)\n"
+        "    except:\n        pass\n    node.destroy_node()\n    rclpy.shutdown()\n",
+        "import argparse, sys\ndef main():\n    argparse.ArgumentParser().parse_args()\n"
+        "    assert sys.argv == ['deep/one.py']\n    rclpy.spin(Node('one'))\n",
+        "import helper\ndef main():\n    rclpy.spin(Node(helper.NAME))\n",
+        "from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor\n"
+        "def main(args=None):\n    try:\n        with rclpy.init(args=args):\n"
+        "            node = Node('one')\n            rclpy.spin(node)\n"
+        "    except (KeyboardInterrupt, ExternalShutdownException):\n        pass\n",
+        "from rclpy.executors import SingleThreadedExecutor\nfrom rclpy.node import Publisher\n"
+        "def main():\n    with rclpy.init() as context, Node('one', context=context) as node:\n"
+        "        with SingleThreadedExecutor() as executor:\n"
+        "            executor.add_node(node)\n            executor.spin()\n",
+        "import os, sys\nsys.path.append(os.path.join(os.path.dirname(__file__), '..', 'more'))\n"
+        "import beside\nrclpy.spin(Node(beside.NAME))\n",
+    ],
+    ids=[
+        "guard",
+        "no-guard",
+        "bare-except",
+        "arguments",
+        "helper-beside",
+        "with-init",
+        "with-all",
+        "sys-path",
+    ],
+)
+def test_a_script_runs_as_it_does_by_itself(tmp_path: Path, text: str) -> None:
+    before = (list(sys.path), list(sys.argv))
+    helper = "NAME = 'one'\n"
+    written(
+        tmp_path,
+        {"deep/one.py": IDLE + text, "deep/helper.py": helper, "more/beside.py": helper},
+    )
+    robot = launched(tmp_path, "nodes: [{run: deep/one.py}]")
+    assert steps(robot, [0.0, 0.1])[-1].report == {"nodes": 1}
+    assert (sys.path, sys.argv) == before
+    assert not {"helper", "beside"} & {*sys.modules}
+
+
+def test_a_class_may_hold_a_node_instead_of_being_one(tmp_path: Path) -> None:
+    text = "class One:\n    def __init__(self):\n        self.node = rclpy.create_node('inner')\n"
+    assert steps(node_with(tmp_path, text), [0.0])[-1].report == {"nodes": 1}
 
 
 def test_two_robots_of_a_process_share_no_class_attribute(nodes: Path) -> None:
