@@ -29,7 +29,7 @@ def swarmctl(*words: str) -> list[str]:
 
 def start(robot: str, swarm: str, folder: Path) -> Process:
     """A daemon that is tied to this process."""
-    command = [sys.executable, "-m", "swarmd.cli.daemon", "--id", robot, "--swarm", swarm]
+    command = [sys.executable, "-m", "swarmd.operator.cli.daemon", "--id", robot, "--swarm", swarm]
     command += ["--state-dir", str(folder), "--die-with-parent", str(os.getpid())]
     return subprocess.Popen(command, stderr=subprocess.DEVNULL)
 

@@ -34,17 +34,17 @@ from swarmd.core.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, 
 from swarmd.core.verbs import RunRequest
 from swarmd.driver_api.hw_codec import decode_scan, encode_scan
 from swarmd.pattern_host.wire import decode_command, encode_command
-from swarmd.protection.decision import NO_PERMIT, DecisionContext, Permit
-from swarmd.protection.settings import Mode
+from swarmd.robot.protection.decision import NO_PERMIT, DecisionContext, Permit
+from swarmd.robot.protection.settings import Mode
 from swarmd.robot.robot import Robot
+from swarmd.robot.sensing.conditioning import ScanConditioner
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.setup import RobotSetup
-from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.robot.steering.steering import Steering
 from swarmd.settings.settings import load_platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.realism import REALISTIC
 from swarmd.sim.world.world import World
-from swarmd.steering.steering import Steering
 from swarmd.testing.scans import Disc, scan_of
 from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode

@@ -82,9 +82,9 @@ def _record(swarm: Swarm, action: Literal["start", "stop"]) -> None:
 
 def _role(pid: int) -> str:
     command = Path(f"/proc/{pid}/cmdline").read_bytes()
-    if b"swarmd.recording.process" in command:
+    if b"swarmd.daemon.recording.process" in command:
         return "recorder"
-    return "daemon" if b"swarmd.cli.daemon" in command else "host"
+    return "daemon" if b"swarmd.operator.cli.daemon" in command else "host"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -17,9 +17,9 @@ from typing import Any, Self
 
 from swarmd.core.messages import Status
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
 from swarmd.settings.yamlfile import text_of
 from swarmd.sim.live.fleet import end_processes
 
@@ -155,7 +155,7 @@ class Swarm:
         }
         config.write_text(text_of(settings))
         tie = ["--die-with-parent", str(os.getpid())]
-        start = "from swarmd.cli.entry import swarmd; swarmd()"
+        start = "from swarmd.operator.cli.entry import swarmd; swarmd()"
         return ["-c", start, "--config", str(config), *tie]
 
     def _spawn(self, name: str, arguments: Sequence[str], stdout: int | None = None) -> Process:

@@ -31,11 +31,11 @@ from swarmd.core.events import (
 )
 from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Platform, Twist, Value
+from swarmd.daemon.recording import messages
+from swarmd.daemon.recording.inputs import InputReader
+from swarmd.daemon.recording.reader import RecordedFile, read_file
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Sink
-from swarmd.recording import messages
-from swarmd.recording.inputs import InputReader
-from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.settings.layered import Layered
 
 log = logging.getLogger(__name__)

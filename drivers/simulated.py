@@ -17,7 +17,7 @@ from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink, TakeLate, ZeroSenderSpec
-from swarmd.network.carriers.robot_link import (
+from swarmd.link.carriers.robot_link import (
     Connection,
     Frame,
     Hello,
@@ -25,10 +25,10 @@ from swarmd.network.carriers.robot_link import (
     dial,
     read_endpoint,
 )
-from swarmd.network.settings import Endpoint
-from swarmd.protection.footprint import Footprint
-from swarmd.sensing.scan_content import ENOUGH_SCANS, ScanContent
-from swarmd.sensing.scan_delay_finding import scan_delay_finding
+from swarmd.link.settings import Endpoint
+from swarmd.robot.protection.footprint import Footprint
+from swarmd.robot.sensing.scan_content import ENOUGH_SCANS, ScanContent
+from swarmd.robot.sensing.scan_delay_finding import scan_delay_finding
 from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"

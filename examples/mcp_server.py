@@ -20,8 +20,8 @@ from mcp.server.mcpserver import MCPServer
 import swarmd
 
 if TYPE_CHECKING:
-    from swarmd.client.swarm import Swarm
-    from swarmd.network.operator.outcome import Outcome
+    from swarmd.operator.client.swarm import Swarm
+    from swarmd.operator.session.outcome import Outcome
 
 LEASE = 10.0
 """Seconds after which robots stop if this server has ended, as it does with its client."""

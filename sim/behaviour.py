@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.avoided import WayState
-from swarmd.protection.decision import Decision
+from swarmd.robot.protection.decision import Decision
 from swarmd.sim.trace import Trace
 
 RUN_DIGITS = 12

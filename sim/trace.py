@@ -18,7 +18,7 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import open_regular, whole_file
 from swarmd.core.messages import DecisionSummary, Status
 from swarmd.core.values import Array, Platform, Scalar
-from swarmd.protection.decision import Decision
+from swarmd.robot.protection.decision import Decision
 
 ARENA = -1
 """The index of walls, fixed boxes and poles in a contact."""

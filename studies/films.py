@@ -14,12 +14,12 @@ from typing import Any
 from studies.outcomes.catalog import MODULES
 from studies.safety import beside
 from swarmd.core.errors import unknown
+from swarmd.operator.texts.values import megabytes
 from swarmd.sim.film.film import FilmSettings, make_film
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.view.trace_source import RecordedRun
-from swarmd.texts.values import megabytes
 
 FIGURES = ("demo", "beside_wall")
 """The films of pages of docs/, not of a pattern."""

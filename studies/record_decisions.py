@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Platform, Scan, TouchZone, Twist
-from swarmd.protection.decision import DecisionContext, ModeDecision
-from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.modes import is_barrier, make_mode
+from swarmd.robot.protection.decision import DecisionContext, ModeDecision
+from swarmd.robot.protection.footprint import ScanGeometry
+from swarmd.robot.protection.modes import is_barrier, make_mode
 from swarmd.sim.lockstep.lockstep import Lockstep
 from tests.support import decision_corpus as corpus
 
 if TYPE_CHECKING:
-    from swarmd.protection.barrier import Barrier
+    from swarmd.robot.protection.barrier import Barrier
 
 SCENES = (
     Scene("ram", "burger"),

@@ -7,13 +7,15 @@ A public name is imported when it is first used: the daemon and each verb of swa
 
 from typing import TYPE_CHECKING
 
+from swarmd.core.former_names import install_former_names
 from swarmd.core.kernels import install_finder
 
 install_finder()
+install_former_names()
 
 # Each public name, and the module that has it.
 _PUBLIC = {
-    "connect": "swarmd.client.connect",
+    "connect": "swarmd.operator.client.connect",
     "demo": "swarmd.sim.live.simulated_swarm",
     "env": "swarmd.sim.learning.environment",
     "load_results": "swarmd.sim.experiments.results",
@@ -21,7 +23,7 @@ _PUBLIC = {
 }
 
 if TYPE_CHECKING:  # the same names, for type checkers
-    from swarmd.client.connect import connect as connect
+    from swarmd.operator.client.connect import connect as connect
     from swarmd.sim.experiments.results import load_results as load_results
     from swarmd.sim.experiments.simulate import simulate as simulate
     from swarmd.sim.learning.environment import env as env

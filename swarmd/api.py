@@ -71,8 +71,13 @@ from swarmd.kit.voting_pattern import (
     VotingPattern,
     WindowLength,
 )
-from swarmd.sensing.potential_field import FieldKind, FieldResult, field_twist, potential_field
-from swarmd.sensing.rays import (
+from swarmd.robot.sensing.potential_field import (
+    FieldKind,
+    FieldResult,
+    field_twist,
+    potential_field,
+)
+from swarmd.robot.sensing.rays import (
     Gap,
     Ray,
     RayClusters,

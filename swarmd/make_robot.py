@@ -6,7 +6,7 @@ wrong.
 
 from __future__ import annotations
 
-from swarmd.kin.kin_maker import KinMaker
+from swarmd.robot.kin.kin_maker import KinMaker
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotIdentity
 
@@ -20,7 +20,7 @@ def make_robot(
 
     `now`: s on the robot's clock. `earlier`: the records of earlier daemon processes.
     """
-    from swarmd.steering.steering import Steering  # 12 ms of a start
+    from swarmd.robot.steering.steering import Steering  # 12 ms of a start
 
     return Robot(
         identity.robot,

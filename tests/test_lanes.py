@@ -185,9 +185,9 @@ def test_each_door_has_one_smoke_test() -> None:
     ]
     assert sorted(marked) == [
         "drivers/test_daemons.py",
+        "operator/view/test_page_socket.py",
         "sim/cli/test_classroom.py",
         "swarm/test_record.py",
         "swarm/test_rosters.py",
         "swarm/test_verbs.py",
-        "view/test_page_socket.py",
     ]

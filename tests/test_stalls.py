@@ -22,7 +22,7 @@ pytestmark = pytest.mark.integration
 TREE = """
 import subprocess, sys
 wait = "import time; time.sleep(600)"
-for words in ([], ["swarmd.cli" + ".daemon"], ["swarmd.sim.live.server"]):
+for words in ([], ["swarmd.operator.cli" + ".daemon"], ["swarmd.sim.live.server"]):
     subprocess.Popen([sys.executable, "-c", wait, *words])
 subprocess.Popen(["sleep", "600"])
 print(flush=True)

@@ -26,10 +26,6 @@ import msgspec
 import zenoh
 from docstrings import module, prose
 
-from swarmd.cli.daemon import swarmd
-from swarmd.cli.plugin_check import describe_patterns
-from swarmd.cli.swarmctl import VERBS as COMMANDS
-from swarmd.cli.swarmctl import cli
 from swarmd.core.errors import ConfigError
 from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
 from swarmd.core.keys import CONTROL, SHARED, STATE, build
@@ -56,14 +52,24 @@ from swarmd.drivers.ros.options import RmwOptions, Ros1Options, RosOptions, Topi
 from swarmd.drivers.simulated import SimulatedOptions
 from swarmd.kit.behavior import Context
 from swarmd.kit.touch_config import TouchSection
-from swarmd.network.access import robot_access
-from swarmd.network.members.neighbor_settings import NeighborSettings
-from swarmd.protection.compatibility import assumed_speed, body_of, sees
-from swarmd.protection.fence.fence_settings import FenceSettings
-from swarmd.protection.modes import make_mode, narrowest_passage
-from swarmd.protection.set_down import set_down
-from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
-from swarmd.security.roster import Roster
+from swarmd.link.access import robot_access
+from swarmd.link.keys.roster import Roster
+from swarmd.link.members.neighbor_settings import NeighborSettings
+from swarmd.operator.cli.daemon import swarmd
+from swarmd.operator.cli.plugin_check import describe_patterns
+from swarmd.operator.cli.swarmctl import VERBS as COMMANDS
+from swarmd.operator.cli.swarmctl import cli
+from swarmd.operator.texts.values import centimetres, short_number
+from swarmd.operator.texts.why import SENTENCES
+from swarmd.robot.protection.compatibility import assumed_speed, body_of, sees
+from swarmd.robot.protection.fence.fence_settings import FenceSettings
+from swarmd.robot.protection.modes import make_mode, narrowest_passage
+from swarmd.robot.protection.set_down import set_down
+from swarmd.robot.protection.settings import (
+    BarrierSettings,
+    PotentialFieldSettings,
+    StopZoneSettings,
+)
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import (
     PlatformFile,
@@ -102,8 +108,6 @@ from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
 from swarmd.sim.world.scalar_fields import Field
-from swarmd.texts.values import centimetres, short_number
-from swarmd.texts.why import SENTENCES
 from tests.histories.invariants import RULES
 from tests.sequences.figures import read_figures
 
@@ -700,13 +704,13 @@ def experiments() -> Iterator[str]:
 
 def python() -> Iterator[str]:
     """The live client."""
-    yield from module("swarmd.client.connect", ["connect", "Connection"])
-    yield from module("swarmd.client.swarm", ["Swarm"])
-    yield from module("swarmd.client.async_swarm", ["AsyncSwarm"])
-    yield from module("swarmd.client.members", ["Members", "Description"])
-    yield from module("swarmd.client.states", ["RobotState"])
-    yield from module("swarmd.client.event_feed", ["EventLine"])
-    yield from module("swarmd.network.operator.outcome", ["Outcome"])
+    yield from module("swarmd.operator.client.connect", ["connect", "Connection"])
+    yield from module("swarmd.operator.client.swarm", ["Swarm"])
+    yield from module("swarmd.operator.client.async_swarm", ["AsyncSwarm"])
+    yield from module("swarmd.operator.client.members", ["Members", "Description"])
+    yield from module("swarmd.operator.client.states", ["RobotState"])
+    yield from module("swarmd.operator.client.event_feed", ["EventLine"])
+    yield from module("swarmd.operator.session.outcome", ["Outcome"])
     yield from module("swarmd.sim.live.simulated_swarm", ["demo", "SimulatedSwarm"])
 
 

@@ -17,7 +17,7 @@ from msgspec import structs
 from swarmd.core.angles import wrap
 from swarmd.core.events import PoseInput
 from swarmd.core.values import Odometry, Pose, SharedPose
-from swarmd.protection.settings import ODOMETRY_SHARE
+from swarmd.robot.protection.settings import ODOMETRY_SHARE
 
 HISTORY = 200  # readings of odometry, which reach back for 3 s at any rate: the delay of a pose
 SPACING = 0.015  # s between two kept readings: one that comes sooner replaces the newest

@@ -25,10 +25,10 @@ from swarmd.drivers.ros.namespaces import Candidates, Namespaces
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import FAULT_TIMEOUT, TopicStats
+from swarmd.robot.sensing.conditioning import ScanConditioner
+from swarmd.robot.sensing.scan_content import ScanContent
+from swarmd.robot.sensing.scan_delay_finding import scan_delay_finding
 from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
-from swarmd.sensing.conditioning import ScanConditioner
-from swarmd.sensing.scan_content import ScanContent
-from swarmd.sensing.scan_delay_finding import scan_delay_finding
 
 LAST_WORD = "docs/ros.md, The last word"
 ENOUGH_MESSAGES = 5

@@ -1,7 +1,7 @@
 """Converts ROS messages to the core's values, and safe commands to ROS messages.
 
 Ranges are not conditioned here: zeros, infinities and NaN pass as the sensor gave them, and the
-limits of the range come from the platform's file (`swarmd.sensing.conditioning`).
+limits of the range come from the platform's file (`swarmd.robot.sensing.conditioning`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A reset of odometry and the correction of an estimator are such jumps. The text of a jump is for a
 check and for the driver's state; protection notes repeated jumps by itself
-(`swarmd/protection/following.py`).
+(`swarmd/robot/protection/following.py`).
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
 from swarmd.drivers.ros.topic_hazards import HazardOptions
 from swarmd.drivers.ros.topic_inputs import TopicEntry
 from swarmd.drivers.ros.topic_readings import ReadingOptions
-from swarmd.network.settings import parse_endpoint
+from swarmd.link.settings import parse_endpoint
 from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"

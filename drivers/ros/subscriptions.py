@@ -27,8 +27,8 @@ from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
 from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
 from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings
 from swarmd.drivers.ros.topic_stats import TopicStats
-from swarmd.protection.footprint import Footprint
-from swarmd.sensing.scan_content import ScanContent
+from swarmd.robot.protection.footprint import Footprint
+from swarmd.robot.sensing.scan_content import ScanContent
 
 Deliver = Callable[[Sink], None]
 Decode = Callable[[type, bytes], Any]

@@ -52,7 +52,7 @@ from swarmd.drivers.ros2.session import (
 )
 from swarmd.drivers.ros2.state_topics import StateTopics
 from swarmd.drivers.ros2.zero_sender import zero_hint, zeros
-from swarmd.network.carriers.session import has_subscriber, open_in_thread
+from swarmd.link.carriers.session import has_subscriber, open_in_thread
 
 log = logging.getLogger(__name__)
 

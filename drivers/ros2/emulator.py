@@ -24,7 +24,7 @@ from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros.to_ros import InputEncoder, encoders, tag_encoders
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
-from swarmd.network.carriers.session import PROMPT_OPTIONS, open_listening, realtime_publisher
+from swarmd.link.carriers.session import PROMPT_OPTIONS, open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
 
 NAMESPACE = "{robot}"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import zenoh
 
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
-from swarmd.network.carriers.session import undeclare
+from swarmd.link.carriers.session import undeclare
 
 
 class NodeTokens:

@@ -15,7 +15,7 @@ import zenoh.ext
 from zenoh.handlers import Callback
 
 from swarmd.core.errors import NetworkError
-from swarmd.network.carriers.session import (
+from swarmd.link.carriers.session import (
     PROMPT_OPTIONS,
     open_with,
     realtime_publisher,

@@ -26,7 +26,7 @@ from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.to_ros import header, pose_message
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
-from swarmd.network.carriers.session import has_subscriber
+from swarmd.link.carriers.session import has_subscriber
 
 log = logging.getLogger(__name__)
 

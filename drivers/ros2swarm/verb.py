@@ -8,11 +8,11 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.options import EXISTING_FILE, CommonOptions, VerbGroup, local_options
-from swarmd.cli.output import print_json, warn
-from swarmd.cli.plugin_check import check_parameters
 from swarmd.core.errors import ConfigError
 from swarmd.drivers.ros2swarm.parameter_file import Conversion, read_parameter_file
+from swarmd.operator.cli.options import EXISTING_FILE, CommonOptions, VerbGroup, local_options
+from swarmd.operator.cli.output import print_json, warn
+from swarmd.operator.cli.plugin_check import check_parameters
 
 _PLATFORM = "waffle_pi"  # bounds are those of all platforms
 

@@ -22,8 +22,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "swarmctl = swarmd.cli.entry:swarmctl",
-            "swarmd = swarmd.cli.entry:swarmd",
+            "swarmctl = swarmd.operator.cli.entry:swarmctl",
+            "swarmd = swarmd.operator.cli.entry:swarmd",
         ]
     },
 )

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli.options import FOLDER, VerbGroup
-from swarmd.cli.output import print_json, print_table, signals_end, table_lines, warn
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.files import read_regular
+from swarmd.operator.cli.options import FOLDER, VerbGroup
+from swarmd.operator.cli.output import print_json, print_table, signals_end, table_lines, warn
+from swarmd.operator.texts.values import printable
 from swarmd.sim.cli.options import fresh_option, need, output_option
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
-from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
-    from swarmd.cli.plugin_check import Point
+    from swarmd.operator.cli.plugin_check import Point
     from swarmd.sim.experiments.known_runs import KnownRuns
     from swarmd.sim.experiments.lessons import Lesson, LessonMark
     from swarmd.sim.experiments.plan import Plan
@@ -267,7 +267,7 @@ def _folder_of(path: Path, lesson: Lesson) -> Iterator[Path]:
 
 
 def _checked(folder: Path, lesson: Lesson) -> list[Point]:
-    from swarmd.cli.plugin_check import check_file
+    from swarmd.operator.cli.plugin_check import check_file
     from swarmd.sim.experiments.lessons import pattern_file
 
     return list(check_file(pattern_file(folder, lesson), _CHECK_TIMEOUT))

@@ -15,25 +15,25 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec import structs
 
-from swarmd.cli import completion
-from swarmd.cli.options import Duration
-from swarmd.cli.output import print_json, print_section, signals_end, warn
 from swarmd.core.clock import process_start
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.token_bucket import TokenBucket
+from swarmd.operator.cli import completion
+from swarmd.operator.cli.options import Duration
+from swarmd.operator.cli.output import print_json, print_section, signals_end, warn
+from swarmd.operator.texts.assignments import read_assignments
+from swarmd.operator.texts.values import counted
+from swarmd.operator.texts.why import SILENT, state_word
 from swarmd.plugins import find_pattern, is_pattern_path, place_of_pattern
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 from swarmd.sim.cli.world_page import page_option, world_page
-from swarmd.texts.assignments import read_assignments
-from swarmd.texts.values import counted
-from swarmd.texts.why import SILENT, state_word
 
 if TYPE_CHECKING:
-    from swarmd.cli.web import WebOptions
+    from swarmd.operator.cli.web import WebOptions
+    from swarmd.operator.view.scene import Scene
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.summary import DemoSummary
     from swarmd.sim.scenarios.scenario import ScheduledEvent
-    from swarmd.view.scene import Scene
 
 
 @click.command(epilog="Example: swarmctl demo --pattern dispersion -n 7")
@@ -140,7 +140,7 @@ def _checked_parameters(
 
     A demo with a scenario does not run `pattern`, so only the form of `params` is checked.
     """
-    from swarmd.cli.plugin_check import check_parameters
+    from swarmd.operator.cli.plugin_check import check_parameters
 
     has_scenario = world["scenario"] is not None
     if not has_scenario:
@@ -165,8 +165,8 @@ def perform(
     returns or raises. `is_live`: the terminal shows the robots. `page`: options of a web page that
     shows them; None: no page.
     """
-    from swarmd.network.operator.operator import Operator
-    from swarmd.network.settings import NetworkSettings
+    from swarmd.link.settings import NetworkSettings
+    from swarmd.operator.session.operator import Operator
     from swarmd.sim.live.demo_run import DemoRun
     from swarmd.sim.live.fleet import Fleet
     from swarmd.sim.live.link import WorldView
@@ -260,7 +260,7 @@ def _screen(is_live: bool, addresses: Sequence[str]) -> Iterator[Callable[[Scene
     from rich.console import Console as Terminal
     from rich.live import Live
 
-    from swarmd.view.terminal import render
+    from swarmd.operator.view.terminal import render
 
     terminal = Terminal()
     below = [(line, "bold") for line in addresses]

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli.options import VerbGroup, plugin_dir_option
-from swarmd.cli.output import print_json, print_table, signals_end, warn
-from swarmd.cli.patterns import report_mission
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.operator.cli.options import VerbGroup, plugin_dir_option
+from swarmd.operator.cli.output import print_json, print_table, signals_end, warn
+from swarmd.operator.cli.patterns import report_mission
+from swarmd.operator.texts.values import counted
 from swarmd.sim.cli.exp_bench import bench
 from swarmd.sim.cli.exp_outcomes import RunOptions, run_outcomes
 from swarmd.sim.cli.exp_results import (
@@ -58,7 +59,6 @@ from swarmd.sim.cli.options import (
 )
 from swarmd.sim.cli.progress import progress, time_span
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
-from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli import completion
-from swarmd.cli.options import plugin_dir_option
-from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError
+from swarmd.operator.cli import completion
+from swarmd.operator.cli.options import plugin_dir_option
+from swarmd.operator.cli.output import print_json, print_table, warn
+from swarmd.operator.texts.values import counted
 from swarmd.plugins import is_pattern_path, pattern_at, place_of_pattern
 from swarmd.sim.cli.exp_runs import command_line, do_runs, exit_code, jobs_option, seeds_option
 from swarmd.sim.cli.options import (
@@ -28,7 +29,6 @@ from swarmd.sim.cli.options import (
     set_option,
     warn_of_few,
 )
-from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem

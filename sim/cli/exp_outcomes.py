@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.operator.cli.output import print_json, print_table, warn
+from swarmd.operator.texts.values import counted
 from swarmd.sim.cli.exp_runs import command_line, do_runs, exit_code
 from swarmd.sim.cli.options import engine, need, new_folder, warn_of_few
 from swarmd.sim.cli.progress import time_span
-from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.outcomes import OutcomeFinding

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
-from swarmd.cli.output import print_json, print_table, warn
-from swarmd.cli.record_merge import parts_of
-from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.numbers import finite_number
+from swarmd.operator.cli.output import print_json, print_table, warn
+from swarmd.operator.cli.record_merge import parts_of
+from swarmd.operator.cli.web import WebOptions, check_web, serve, web_options
+from swarmd.operator.texts.values import NOTHING, counted, megabytes
 from swarmd.sim.cli.exp_outcomes import check_outcomes
 from swarmd.sim.cli.options import (
     chosen_metrics,
@@ -26,7 +27,6 @@ from swarmd.sim.cli.options import (
     trust_option,
     warn_of_few,
 )
-from swarmd.texts.values import NOTHING, counted, megabytes
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form

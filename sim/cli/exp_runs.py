@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.output import signals_end, warn
 from swarmd.core.errors import SwarmError
+from swarmd.operator.cli.output import signals_end, warn
+from swarmd.operator.texts.values import counted
 from swarmd.sim.experiments.cores import MAX_PROCESSES
-from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.plan import Plan

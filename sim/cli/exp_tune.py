@@ -11,8 +11,9 @@ from signal import SIGTERM
 
 import click
 
-from swarmd.cli.options import plugin_dir_option
-from swarmd.cli.output import print_json, signals_end, warn
+from swarmd.operator.cli.options import plugin_dir_option
+from swarmd.operator.cli.output import print_json, signals_end, warn
+from swarmd.operator.texts.values import printable
 from swarmd.sim.cli.options import (
     engine,
     engine_options,
@@ -28,7 +29,6 @@ from swarmd.sim.cli.options import (
 )
 from swarmd.sim.cli.progress import progress
 from swarmd.sim.experiments.cores import MAX_PROCESSES
-from swarmd.texts.values import printable
 
 
 @click.command(

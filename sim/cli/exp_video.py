@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.output import warn
+from swarmd.operator.cli.output import warn
+from swarmd.operator.texts.values import megabytes
 from swarmd.sim.cli.options import need, out_option
-from swarmd.texts.values import megabytes
 
 
 @click.command(

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli import completion
-from swarmd.cli.options import CommonOptions, plugin_dir_option
-from swarmd.cli.output import warn
-from swarmd.cli.targets import Function
 from swarmd.core.errors import ConfigError, PluginError, R
+from swarmd.operator.cli import completion
+from swarmd.operator.cli.options import CommonOptions, plugin_dir_option
+from swarmd.operator.cli.output import warn
+from swarmd.operator.cli.targets import Function
 from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
 
 if TYPE_CHECKING:

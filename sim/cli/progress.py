@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from swarmd.cli.output import has_colour, warn
+from swarmd.operator.cli.output import has_colour, warn
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.simulate import OnProgress, Progress

@@ -15,20 +15,20 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 from msgspec import structs
 
-from swarmd.cli.options import CommonOptions, Duration, VerbGroup
-from swarmd.cli.output import print_section, signals_end, warn
-from swarmd.client.network_options import DEFAULT_SWARM
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.keys import check_id
-from swarmd.network.settings import NetworkSettings
-from swarmd.security.identity import Installed, installed_identity
+from swarmd.link.keys.identity import Installed, installed_identity
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.cli.options import CommonOptions, Duration, VerbGroup
+from swarmd.operator.cli.output import print_section, signals_end, warn
+from swarmd.operator.client.network_options import DEFAULT_SWARM
+from swarmd.operator.texts.values import counted
 from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.sim.cli.world_page import page_option, world_page
-from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
-    from swarmd.cli.web import WebOptions
+    from swarmd.operator.cli.web import WebOptions
     from swarmd.sim.live.demo_run import LiveTimeline
     from swarmd.sim.live.fleet import Fleet, FleetSpec
     from swarmd.sim.world.faults import FaultKind
@@ -114,10 +114,10 @@ def fault(
     the daemons, process=frozen halts them. With --for this command waits, and then ends the fault.
     """
     need("mujoco")
+    from swarmd.operator.texts.assignments import read_assignments
     from swarmd.sim.live.fleet import running
     from swarmd.sim.live.link import WorldView
     from swarmd.sim.world.faults import fault_of
-    from swarmd.texts.assignments import read_assignments
 
     names = [word for word in robots if "=" not in word]
     kind = fault_of(read_assignments((word for word in robots if "=" in word), "fault"), "fault")
@@ -187,7 +187,7 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     A fleet is a simulated world with a daemon for each robot. `page`: options of a web page that
     shows the fleet; None: no page.
     """
-    from swarmd.network.operator.operator import Operator
+    from swarmd.operator.session.operator import Operator
     from swarmd.sim.live.demo_run import LiveTimeline
     from swarmd.sim.live.fleet import Fleet
     from swarmd.sim.live.link import WorldView

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import click
 
-from swarmd.cli.consent import has_terminal
-from swarmd.cli.output import signals_end, warn
+from swarmd.operator.cli.consent import has_terminal
+from swarmd.operator.cli.output import signals_end, warn
+from swarmd.operator.texts.values import counted
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
-from swarmd.texts.values import counted
 
-_ENTRY = "from swarmd.cli.entry import swarmctl; swarmctl()"
+_ENTRY = "from swarmd.operator.cli.entry import swarmctl; swarmctl()"
 
 
 class TourStep(NamedTuple):
@@ -65,8 +65,8 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
     command the user presses Enter. `world`: the values of `fleet_options`. Returns 0, or the exit
     code of the first command that fails.
     """
-    from swarmd.network.operator.operator import Operator
-    from swarmd.network.settings import NetworkSettings
+    from swarmd.link.settings import NetworkSettings
+    from swarmd.operator.session.operator import Operator
     from swarmd.sim.live.fleet import Fleet
     from swarmd.sim.live.starting import await_robots
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli.web import Served, WebOptions, check_web, web_options
 from swarmd.core.errors import R
+from swarmd.operator.cli.web import Served, WebOptions, check_web, web_options
 from swarmd.plugins import pattern_names
 from swarmd.sim.cli.options import need
 
 if TYPE_CHECKING:
-    from swarmd.network.operator.operator import Operator
+    from swarmd.operator.session.operator import Operator
     from swarmd.sim.live.fleet import Fleet
 
 ENDED = "The simulated world has ended, and its robots with it."
@@ -44,12 +44,12 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
     if web is None:
         yield None
         return
-    from swarmd.cli.plugin_check import describe_patterns
-    from swarmd.network.operator.operator import Operator
-    from swarmd.network.settings import NetworkSettings
+    from swarmd.link.settings import NetworkSettings
+    from swarmd.operator.cli.plugin_check import describe_patterns
+    from swarmd.operator.session.operator import Operator
+    from swarmd.operator.view.commander import LiveCommander
     from swarmd.sim.live.link import WorldView
     from swarmd.sim.view.world_source import WorldSource
-    from swarmd.view.commander import LiveCommander
 
     spec = fleet.spec
 

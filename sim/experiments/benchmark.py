@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from swarmd.core.errors import ConfigError
+from swarmd.operator.texts.values import NOTHING
 from swarmd.plugins import find_pattern, is_pattern_path, pattern_at
 from swarmd.sim.experiments.plan import Plan
 from swarmd.sim.experiments.results import Results
@@ -21,7 +22,6 @@ from swarmd.sim.experiments.statistics import Summary, summarize
 from swarmd.sim.metrics.catalog import metric_of, names_file
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.scenarios.scenariofile import load_scenario
-from swarmd.texts.values import NOTHING
 
 HEADER = ("TASK", "RANK", "PATTERN", "MEDIAN", "95 %", "UNIT", "RUNS")
 _KEY = "pattern"  # the swept key

@@ -32,6 +32,7 @@ import numpy as np
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.files import user_path
 from swarmd.core.values import Array
+from swarmd.operator.texts.values import counted
 from swarmd.plugins import pattern_folders
 from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.settings.yamlfile import read, shown
@@ -59,7 +60,6 @@ from swarmd.sim.experiments.statistics import (
 )
 from swarmd.sim.metrics.catalog import Metric, metric_of, names_file
 from swarmd.sim.scenarios.pattern_paths import absolute
-from swarmd.texts.values import counted
 
 NAME = "outcomes.yaml"
 """The file of outcomes beside a pattern, and in the folder of their runs."""

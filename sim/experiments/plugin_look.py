@@ -31,7 +31,7 @@ _OTHERS = (
     *(f"scipy.{name}" for name in ("integrate", "interpolate", "linalg", "ndimage", "optimize")),
     *(f"scipy.{name}" for name in ("signal", "sparse", "spatial", "special")),
     *("swarmd.api", "swarmd.core.angles", "swarmd.core.errors", "swarmd.core.values"),
-    *("swarmd.kit", "swarmd.patterns", "swarmd.sensing", "swarmd.sim.metrics"),
+    *("swarmd.kit", "swarmd.patterns", "swarmd.robot.sensing", "swarmd.sim.metrics"),
     "swarmd.sim.trace.Trace",
 )
 """Packages of `made_with`, of swarmd those that compute."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
+from swarmd.operator.texts.values import counted
 from swarmd.sim.experiments import statistics
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
@@ -30,7 +31,6 @@ from swarmd.sim.metrics.catalog import (
 from swarmd.sim.metrics.own import MetricError, digest_of_file
 from swarmd.sim.metrics.protection import FAILED_PATTERNS
 from swarmd.sim.trace import Trace, load_trace, pandas
-from swarmd.texts.values import counted
 
 YES_OR_NO = "0 or 1"
 """The unit of metrics that are true or false for a run."""

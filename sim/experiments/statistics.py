@@ -28,8 +28,8 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmd.core.values import Array
+from swarmd.operator.texts.values import NOTHING
 from swarmd.sim.metrics.metric import Metric
-from swarmd.texts.values import NOTHING
 
 LEVEL = 0.95
 RESAMPLES = 5000

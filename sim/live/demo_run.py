@@ -1,6 +1,6 @@
 """One demo on a running fleet: carry out its events, stop all robots, and summarize the run.
 
-The demo commands the robots as an operator does, through `swarmd.network.operator.operator`. It
+The demo commands the robots as an operator does, through `swarmd.operator.session.operator`. It
 uses the true state of the world only for the live view and the summary.
 """
 
@@ -18,8 +18,9 @@ from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.messages import State, Status
 from swarmd.core.processes import noted_signals
 from swarmd.core.verbs import ParamRequest, ResetRequest, RunRequest
-from swarmd.network.operator.operator import Operator, StopVerb
-from swarmd.network.operator.outcome import Outcome
+from swarmd.operator.session.operator import Operator, StopVerb
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.view.scene import Area, Scene
 from swarmd.sim.live import starting
 from swarmd.sim.live.fleet import WORLD, Fleet
 from swarmd.sim.live.link import WorldView
@@ -30,7 +31,6 @@ from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.faults import FaultKind
-from swarmd.view.scene import Area, Scene
 
 STATUS_PERIOD = 0.5  # s between two rounds of statuses: what a terminal can show without much load
 STATUS_TIMEOUT = 3.0  # s for the statuses at the start and the end, which decide about problems

@@ -97,7 +97,7 @@ def _tell_of_peers(kind: Platform, robot: str, visibility: str, tell: Tell) -> N
     detect the peer) is left out if lidars of this world detect whole bodies (`visibility`).
     `robot`: the id of a robot, for the texts.
     """
-    from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
+    from swarmd.robot.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
 
     own = body_of(kind)
     for finding in findings(own, assumed_speed(kind), robot, own, ACCEPTS_NONE):

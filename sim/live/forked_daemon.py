@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from swarmd.cli import daemon
 from swarmd.core.fork_server import SERVER_PATH
+from swarmd.operator.cli import daemon
 from swarmd.pattern_host.forked import fork_host
 from swarmd.plugins import DRIVERS, entry_points_of, pattern_names
 from swarmd.settings.platforms import load_platform

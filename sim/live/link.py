@@ -26,8 +26,8 @@ from swarmd.core.events import SensorInput, tag_of
 from swarmd.core.values import Platform, Twist
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.emulator import Emulator, EmulatorFactory
-from swarmd.network.carriers.robot_link import RobotServer, read_endpoint
-from swarmd.network.carriers.session import (
+from swarmd.link.carriers.robot_link import RobotServer, read_endpoint
+from swarmd.link.carriers.session import (
     on_thread,
     open_listening,
     open_with,

@@ -20,17 +20,17 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from swarmd.client.connect import Connection
 from swarmd.core.closing import Closing
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.keys import check_id
 from swarmd.core.numbers import python_value
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.client.connect import Connection
+from swarmd.operator.session.operator import Operator
 from swarmd.plugins import need
 
 if TYPE_CHECKING:
-    from swarmd.network.operator.operator import Operator
+    from swarmd.operator.session.operator import Operator
     from swarmd.sim.live.fleet import Fleet, FleetSpec
     from swarmd.sim.live.link import WorldView
 

@@ -11,13 +11,13 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.core.messages import Code, Presence, State, Status
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.members_view import MembersView
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
+from swarmd.operator.session.members_view import MembersView
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.texts.values import counted
 from swarmd.robot.status import MAX_NEIGHBORS
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.scenarios.scenario import ScheduledEvent
-from swarmd.texts.values import counted
 
 # s between two queries of all robots while they start. Without a pause the queries take up to half
 # a second of processor time from seven daemons that start on two cores.

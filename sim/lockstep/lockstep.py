@@ -39,9 +39,9 @@ from swarmd.kit.behavior import Pattern
 from swarmd.make_robot import make_robot
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
-from swarmd.protection.compatibility import body_of
 from swarmd.robot import ticker
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.protection.compatibility import body_of
 from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
 from swarmd.sim.lockstep.huge_pages import use_huge_pages
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.errors import SwarmError
+from swarmd.operator.texts.values import counted
 from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.plots import scene
@@ -26,7 +27,6 @@ from swarmd.sim.plots.theme import (
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import radius
 from swarmd.sim.world.scalar_fields import Field
-from swarmd.texts.values import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,6 +16,7 @@ import numpy as np
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
+from swarmd.operator.view.source import Source
 from swarmd.settings.yamlfile import text_of
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
@@ -34,7 +35,6 @@ from swarmd.sim.report.tables import (
     shown_metrics,
 )
 from swarmd.sim.view.trace_source import source_of
-from swarmd.view.source import Source
 
 _PLAYER = """
 <p>{what}. Sampled every {period:.2g} s.</p>

@@ -1,8 +1,8 @@
 """The player of one run in a report: modules of the page of a swarm, and the run as data.
 
-The modules are JavaScript of `swarmd/view/page`. The data of the run are samples at equal periods.
-A pose is stored as 16-bit numbers. A value of a robot, such as its state, is stored in a sample if
-the value has changed since the previous sample.
+The modules are JavaScript of `swarmd/operator/view/page`. The data of the run are samples at equal
+periods. A pose is stored as 16-bit numbers. A value of a robot, such as its state, is stored in a
+sample if the value has changed since the previous sample.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from swarmd.core.values import Array
-from swarmd.view.source import Source, hello_of
+from swarmd.operator.view.source import Source, hello_of
 
 MODULES = (
     *("body.js", "states.js", "colours.js", "gestures.js", "legend.js"),
@@ -118,7 +118,7 @@ def script() -> str:
     runs once and writes its exports into an object `modules`. Each import becomes an assignment
     from `modules`. The text of player.js comes last.
     """
-    page = files("swarmd.view") / "page"
+    page = files("swarmd.operator.view") / "page"
     sources = [(name, (page / name).read_text(encoding="utf-8")) for name in MODULES]
     own = (files("swarmd.sim.report") / "page" / "player.js").read_text(encoding="utf-8")
     parts = ["const modules = {};"]

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from swarmd.core.errors import ConfigError
 from swarmd.core.incident import Incident
 from swarmd.core.values import Array
-from swarmd.recording.messages import twist_of
+from swarmd.daemon.recording.messages import twist_of
+from swarmd.operator.texts.values import clock_cells
+from swarmd.operator.view.recording_source import RecordingSource
+from swarmd.operator.view.timeline import APART, Timeline, Track
 from swarmd.sim.film.colours import STATES, UNKNOWN
 from swarmd.sim.plots.scene import robot_colour, robot_style
 from swarmd.sim.plots.theme import new_figure, tidy
@@ -26,9 +29,6 @@ from swarmd.sim.report.html import page, player_section
 from swarmd.sim.report.player import player_of
 from swarmd.sim.report.tables import table
 from swarmd.sim.trace import NAMED, Trace, blank_decisions, enter_named
-from swarmd.texts.values import clock_cells
-from swarmd.view.recording_source import RecordingSource
-from swarmd.view.timeline import APART, Timeline, Track
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,7 +17,7 @@ from swarmd.core.values import Platform
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import Origin, check_single, pattern_names, unknown_pattern
-from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
+from swarmd.robot.protection.compatibility import Accepts, assumed_speed, body_of, findings
 from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.settings.platforms import platform_names
 from swarmd.settings.robot_settings import Parameters, PatternParameters, RobotSettings

@@ -1,1 +1,1 @@
-"""Recorded runs and simulated worlds on the page of `swarmd.view`."""
+"""Recorded runs and simulated worlds on the page of `swarmd.operator.view`."""

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
+from swarmd.operator.view.source import ShownArena
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.floor import FloorField, floor_pixels
 from swarmd.sim.world.line_of_sight import LineOfSight
 from swarmd.sim.world.scalar_fields import Field, sample
-from swarmd.view.source import ShownArena
 
 CELLS = 48
 """Cells of a field along the longer side of the arena."""

@@ -11,9 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmd.client.event_feed import EventLine, together
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array, Platform
+from swarmd.operator.client.event_feed import EventLine, together
+from swarmd.operator.texts.values import quantity
+from swarmd.operator.texts.why import standing_of
+from swarmd.operator.view.playback import Playback
+from swarmd.operator.view.source import ShownArena, ShownRobot, points_of
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform, platform_of
 from swarmd.sim.experiments.manifest import NAME as MANIFEST
@@ -27,10 +31,6 @@ from swarmd.sim.trace import Trace, faults_at, load_trace, patterns_of, poses_at
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field
-from swarmd.texts.values import quantity
-from swarmd.texts.why import standing_of
-from swarmd.view.playback import Playback
-from swarmd.view.source import ShownArena, ShownRobot, points_of
 
 CONTACT_TIME = 1.0
 """Seconds for which a contact is shown after its last step: rows go to the page twice a second."""
@@ -50,7 +50,7 @@ class RecordedRun:
 
 
 class TraceSource:
-    """Shows one of several runs; see `swarmd.view.source.Source`."""
+    """Shows one of several runs; see `swarmd.operator.view.source.Source`."""
 
     kind = "run"
     patterns: Sequence[str] = ()

@@ -9,18 +9,19 @@ from typing import Any
 import numpy as np
 
 from swarmd.core.values import Array
-from swarmd.network.operator.operator import Operator
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.view.live import Describe, LiveSource
+from swarmd.operator.view.source import ShownRobot, link_of
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.arena import parse_arena
-from swarmd.view.live import Describe, LiveSource
-from swarmd.view.source import ShownRobot, link_of
 
 
 class WorldSource(LiveSource):
-    """A running world as a `Source` (view/source.py), with positions of the world, not odometry."""
+    """A running world as a `Source` (operator/view/source.py), with positions of the world, not
+    odometry."""
 
     kind = "world"
 

@@ -49,14 +49,14 @@ _FIRST: Mapping[str, tuple[str, ...]] = {
     "straight_runs": ("walls/test_standing_walls",),
     "walls_settings": ("walls/test_standing_walls",),
 }
-"""By module of protection, the files of tests/protection that run first."""
+"""By module of protection, the files of tests/robot/protection that run first."""
 _REST = ("test_constraints", "test_barrier", "test_protection", "test_modes", "test_barrier_flank")
 """Those that run for all modules."""
 
 
 def _protection() -> Iterator[Subject]:
     """A subject for each module of protection, all with one name."""
-    folder = ROOT / "swarmd" / "protection"
+    folder = ROOT / "swarmd" / "robot/protection"
     for path in sorted(folder.rglob("*.py")):
         if path.name == "__init__.py":
             continue
@@ -65,8 +65,8 @@ def _protection() -> Iterator[Subject]:
         yield Subject(
             name="protection",
             paths=(path.relative_to(ROOT).as_posix(),),
-            tests=tuple(f"tests/protection/{name}.py" for name in first),
-            more=tuple(f"tests/protection/{name}.py" for name in rest),
+            tests=tuple(f"tests/robot/protection/{name}.py" for name in first),
+            more=tuple(f"tests/robot/protection/{name}.py" for name in rest),
             one_of=50,
         )
 

@@ -210,33 +210,39 @@ def drawn(table: str, runs: Sequence[KeptRun], commit: str, rules: frozenset[str
 
 RULE_FILES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "barrier": ("swarmd/protection/", "swarmd/sensing/"),
-        "potential_field": ("swarmd/protection/modes.py", "swarmd/sensing/potential_field.py"),
-        "protection": ("swarmd/protection/",),
-        behaviour.TOUCHING: (
-            "swarmd/protection/blind_zone.py",
-            "swarmd/protection/constraints.py",
-            "swarmd/protection/envelope.py",
-            "swarmd/protection/surfaces.py",
-            "swarmd/protection/touch_zone.py",
+        "barrier": ("swarmd/robot/protection/", "swarmd/robot/sensing/"),
+        "potential_field": (
+            "swarmd/robot/protection/modes.py",
+            "swarmd/robot/sensing/potential_field.py",
         ),
-        behaviour.RECOVERY: ("swarmd/steering/recovery.py", "swarmd/steering/steering.py"),
+        "protection": ("swarmd/robot/protection/",),
+        behaviour.TOUCHING: (
+            "swarmd/robot/protection/blind_zone.py",
+            "swarmd/robot/protection/constraints.py",
+            "swarmd/robot/protection/envelope.py",
+            "swarmd/robot/protection/surfaces.py",
+            "swarmd/robot/protection/touch_zone.py",
+        ),
+        behaviour.RECOVERY: (
+            "swarmd/robot/steering/recovery.py",
+            "swarmd/robot/steering/steering.py",
+        ),
         behaviour.AVOIDANCE: (
-            "swarmd/steering/avoidance.py",
-            "swarmd/steering/steering.py",
-            "swarmd/steering/tracks.py",
-            "swarmd/steering/velocity_obstacles.py",
+            "swarmd/robot/steering/avoidance.py",
+            "swarmd/robot/steering/steering.py",
+            "swarmd/robot/steering/tracks.py",
+            "swarmd/robot/steering/velocity_obstacles.py",
         ),
         behaviour.OPENING: (
-            "swarmd/protection/passage.py",
-            "swarmd/steering/openings.py",
-            "swarmd/steering/right_of_way.py",
-            "swarmd/steering/steering.py",
+            "swarmd/robot/protection/passage.py",
+            "swarmd/robot/steering/openings.py",
+            "swarmd/robot/steering/right_of_way.py",
+            "swarmd/robot/steering/steering.py",
         ),
-        behaviour.FENCE: ("swarmd/protection/fence/",),
+        behaviour.FENCE: ("swarmd/robot/protection/fence/",),
         behaviour.SLOWED: (
-            "swarmd/protection/assumption_monitor.py",
-            "swarmd/protection/barrier_assumptions.py",
+            "swarmd/robot/protection/assumption_monitor.py",
+            "swarmd/robot/protection/barrier_assumptions.py",
         ),
         behaviour.CONTACT: ("sim/world/bodies.py", "sim/world/contacts.py", "sim/world/world.py"),
         **dict.fromkeys(
@@ -244,7 +250,7 @@ RULE_FILES: Mapping[str, tuple[str, ...]] = MappingProxyType(
             ("swarmd/robot/input_ages.py", "swarmd/robot/sensors.py"),
         ),
         "hazard": ("swarmd/robot/hazard_holds.py",),
-        "no_pose": ("swarmd/protection/fence/",),
+        "no_pose": ("swarmd/robot/protection/fence/",),
     }
 )
 """The files in which a rule of a run is written, and folders, with a slash; others have none."""

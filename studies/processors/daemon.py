@@ -31,7 +31,7 @@ STORY: Sequence[tuple[str, State]] = (
 START_TIMEOUT = 300.0  # s: an emulated interpreter on a busy machine
 STATE_TIMEOUT = 30.0  # s until a state is seen
 DRIVES = 5.0  # s of each run
-_SWARMCTL = (sys.executable, "-c", "from swarmd.cli.entry import swarmctl; swarmctl()")
+_SWARMCTL = (sys.executable, "-c", "from swarmd.operator.cli.entry import swarmctl; swarmctl()")
 
 
 class ForeignSwarm(Swarm):

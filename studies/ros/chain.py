@@ -33,8 +33,8 @@ from studies.ros.robots import (
 from swarmd.core.codec import Decoder
 from swarmd.core.messages import Status
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from tests.support.processes import CAP, DaemonProcess, run_command, unique_swarm, wait_until
 from tests.support.ros2_bridge import NAME, Bridge, free_domain
 

@@ -24,9 +24,9 @@ from studies.safety.driven import faults
 from studies.safety.judge import collisions
 from studies.safety.scenes import protected
 from swarmd.core.values import Array
-from swarmd.protection.compatibility import body_of, sees
-from swarmd.protection.modes import make_mode, narrowest_passage
-from swarmd.protection.set_down import set_down
+from swarmd.robot.protection.compatibility import body_of, sees
+from swarmd.robot.protection.modes import make_mode, narrowest_passage
+from swarmd.robot.protection.set_down import set_down
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario

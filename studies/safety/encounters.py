@@ -27,7 +27,7 @@ from studies.safety.passages import Passage, passage_scenario
 from studies.safety.scenes import PLUGINS, Scene, protected, scenario
 from studies.safety.tracking import TrueTracker, replace_trackers
 from swarmd.core.values import Array
-from swarmd.protection.walls.walls_settings import MOVING_WALL
+from swarmd.robot.protection.walls.walls_settings import MOVING_WALL
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario

@@ -28,7 +28,7 @@ from studies.keeper import Traced, traced
 from studies.safety.scenes import PLUGINS
 from swarmd.core.pin import restart_pinned
 from swarmd.core.values import Array, Pose, SharedPose
-from swarmd.protection.fence.fence import Fence
+from swarmd.robot.protection.fence.fence import Fence
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of

@@ -32,7 +32,7 @@ from studies.safety.scenes import KINDS, VISIBILITIES
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Platform
 from swarmd.driver_api.hw_codec import encode_command
-from swarmd.network.carriers.robot_link import Connection, Hello, dial, read_endpoint
+from swarmd.link.carriers.robot_link import Connection, Hello, dial, read_endpoint
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.yamlfile import text_of
 from swarmd.sim.live.demo_run import WorldWatcher

@@ -12,7 +12,7 @@ from studies import keeper
 from studies.keeper import Traced, traced
 from studies.safety.judgement import Judgement, judge
 from studies.safety.scenes import ATTACKERS, Scene, scenario
-from swarmd.protection.walls.walls_settings import MOVING_WALL
+from swarmd.robot.protection.walls.walls_settings import MOVING_WALL
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.trace import Trace

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct, structs
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.protection.walls.walls_settings import LEAST_LENGTH_WITH_FOOT
+from swarmd.robot.protection.walls.walls_settings import LEAST_LENGTH_WITH_FOOT
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of

@@ -20,11 +20,11 @@ from studies import keeper
 from studies.keeper import Traced, traced
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Array, Odometry, Platform, Scan
-from swarmd.protection.decision import DecisionContext
+from swarmd.robot.protection.decision import DecisionContext
+from swarmd.robot.steering.tracks import Surroundings, Track
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.world import World
-from swarmd.steering.tracks import Surroundings, Track
 
 REACH = 2.5  # m, of true tracks
 COMPARED = 1.5  # m within which tracks are compared

@@ -88,7 +88,7 @@ class RequestError(SwarmError):
     """An operator's request, or a query of all robots, that failed as a whole.
 
     The answers of single robots are in an `Outcome`. `exit_code`: the exit code of swarmctl; see
-    `swarmd.network.operator.exit_codes`.
+    `swarmd.operator.session.exit_codes`.
     """
 
     def __init__(self, text: str, exit_code: int) -> None:

@@ -63,7 +63,7 @@ HANDED_OVER: Mapping[str, str] = {
     "pattern": "the code of one pushed pattern",
     "incidents": "the incidents of the last minutes",
 }
-"""What a query of `shared/<name>/<asker>` gets, piece by piece: `network/spread/pull.py`."""
+"""What a query of `shared/<name>/<asker>` gets, piece by piece: `link/spread/pull.py`."""
 _QUERIED = {STATE: ANSWERED, CONTROL: VERBS, SHARED: HANDED_OVER}
 
 

@@ -3,7 +3,7 @@
 A key of the planes `control`, `shared` and `message` has one more chunk at its end.
 
 - `control`, `shared`: the last chunk is the asker. In a secured swarm this must be the name of the
-  link's identity: a link drops any other asker (`network/access.py`).
+  link's identity: a link drops any other asker (`link/access.py`).
 - `message`: the last chunk is a channel of the pattern `<name>`. `<robot>` is the sender, a robot
   or a Zenoh program.
 

@@ -1,4 +1,5 @@
-"""What a robot tells its peers for kin (`swarmd/kin/`): its pose by odometry, and what it sees.
+"""What a robot tells its peers for kin (`swarmd/robot/kin/`): its pose by odometry, and what it
+sees.
 
 All values are about the *visible middle* of a robot, the middle of what other lidars see of it, in
 place of its axle: a peer at rest that turns does not seem to move.

@@ -237,7 +237,7 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     - `age`: s since the robot was last heard or sensed, to within 0.5 s; of a place in a shared
       frame, the age of the older of both poses; of a place by kin, s since a scan showed it.
     - `distance` in m, `bearing`, `heading` in rad: relative to the own robot, measured, computed
-      from poses in a shared frame, or by kin (`swarmd/kin/`); None: not known.
+      from poses in a shared frame, or by kin (`swarmd/robot/kin/`); None: not known.
     - `in_reach`: the robot is within the range or link quality of the settings
       (`NeighborSettings`). Patterns get only neighbors in reach. Protection uses every sensed
       robot.
@@ -375,7 +375,7 @@ class ScanSpec:
     - `max_gap`: the widest sector in rad without known rays. A wider sector makes a scan invalid,
       which holds the robot.
     - `zero`: the meaning of a range of exactly 0: no_return, too_close, unknown, or lds (the rule
-      of the LDS family in `sensing/ray_memory.py`).
+      of the LDS family in `robot/sensing/ray_memory.py`).
     - `is_noisy`: the sensor has noise, so that two identical scans reveal a frozen sensor.
     - `near`: a return nearer than `range_min` is `reported`, or `lost` as if nothing were there.
     - `latency`: mean age of the rays in s when a scan arrives.
@@ -520,7 +520,8 @@ PLACES_BY_POSE = PLACES_BY_SIGHT | {"neighbors.heading"}
 """What patterns get of each peer whose pose, as the own one, is known in one shared frame."""
 
 KIN = "kin"
-"""What a platform provides that learns the places of its peers by their motion (`swarmd/kin/`)."""
+"""What a platform provides that learns the places of its peers by their motion
+(`swarmd/robot/kin/`)."""
 
 POSE_OPTIONS = ("shared_pose", "pose_frame")
 """Options by which drivers give the pose in a shared frame; each driver has one of them or none."""

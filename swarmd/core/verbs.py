@@ -7,8 +7,8 @@ A row of the table `VERBS` decides
 3. whether a robot refuses a request that quotes an earlier epoch (count of the robot's changes),
 4. the line of the audit log.
 
-A new verb needs a struct and a row here, a method `on_<verb>` of its handler, a file of `cli/`, and
-a line in `VERBS` of `cli/swarmctl.py`.
+A new verb needs a struct and a row here, a method `on_<verb>` of its handler, a file of
+`operator/cli/`, and a line in `VERBS` of `operator/cli/swarmctl.py`.
 
 Unknown fields of the structs are ignored, so that a newer peer can add fields. Bounds: bounds.py.
 """

@@ -20,15 +20,15 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.network.carriers.bus import ZenohBus
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.carriers.interface_watch import (
+from swarmd.link.carriers.bus import ZenohBus
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.carriers.interface_watch import (
     InterfaceChange,
     InterfaceState,
     InterfaceWatch,
     read_state,
 )
-from swarmd.network.carriers.link_gate import (
+from swarmd.link.carriers.link_gate import (
     CLOSED_TIME,
     LINE_BURST,
     LINE_RATE,
@@ -37,19 +37,19 @@ from swarmd.network.carriers.link_gate import (
     LinkShares,
     open_files,
 )
-from swarmd.network.carriers.routed import RoutedCarrier
-from swarmd.network.carriers.session import (
+from swarmd.link.carriers.routed import RoutedCarrier
+from swarmd.link.carriers.session import (
     address_of,
     default_listen,
     end_links,
     open_in_thread,
     open_session,
 )
-from swarmd.network.carriers.udp import UdpCarrier
-from swarmd.network.datagram import Address
-from swarmd.network.settings import Endpoint, NetworkSettings, parse_endpoint
-from swarmd.security.identity import Identity
-from swarmd.security.roster_change import is_revoked
+from swarmd.link.carriers.udp import UdpCarrier
+from swarmd.link.datagram import Address
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.roster_change import is_revoked
+from swarmd.link.settings import Endpoint, NetworkSettings, parse_endpoint
 
 log = logging.getLogger(__name__)
 

@@ -45,6 +45,9 @@ from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
 from swarmd.daemon.pattern_versions import PatternControl, PatternVersions, PushedRuns
+from swarmd.daemon.recording import frames
+from swarmd.daemon.recording.head import RecordingHead
+from swarmd.daemon.recording.lost_member import LOST, LostMember
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.robot_setup import configured_robot, recording_head
@@ -63,23 +66,20 @@ from swarmd.driver_api.driver import (
     message_carrier,
     state_display,
 )
-from swarmd.network.carriers.bus import ZenohBus
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.carriers.interface_watch import InterfaceChange
-from swarmd.network.datagram import Address, Beacon, Stop
-from swarmd.network.peer import StopVerdict, Summary
-from swarmd.network.settings import ONLY_HERE
-from swarmd.network.signature import Author
-from swarmd.network.spread.pull import Puller, serve_shared
+from swarmd.link.carriers.bus import ZenohBus
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.carriers.interface_watch import InterfaceChange
+from swarmd.link.datagram import Address, Beacon, Stop
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.key_permit import PresentRun
+from swarmd.link.keys.roster_change import TakenRoster
+from swarmd.link.peer import StopVerdict, Summary
+from swarmd.link.settings import ONLY_HERE
+from swarmd.link.signature import Author
+from swarmd.link.spread.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
-from swarmd.protection.compatibility import body_of
-from swarmd.recording import frames
-from swarmd.recording.head import RecordingHead
-from swarmd.recording.lost_member import LOST, LostMember
 from swarmd.robot.actions import Actions
-from swarmd.security.identity import Identity
-from swarmd.security.key_permit import PresentRun
-from swarmd.security.roster_change import TakenRoster
+from swarmd.robot.protection.compatibility import body_of
 from swarmd.settings.driver_options import base_options, may_rest
 from swarmd.settings.settings import DaemonSettings
 

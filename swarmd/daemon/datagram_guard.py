@@ -18,13 +18,13 @@ from swarmd.core.errors import CodecError
 from swarmd.core.names import owner_of
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.daemon.store import StateFile
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.datagram import KIND_OFFSET, Ack, Address, Beacon, Kind, Stop, unpack
-from swarmd.network.members.admission import Admission
-from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust, generation_of
-from swarmd.network.spread.asks import Asks
-from swarmd.network.stops.stop_freshness import REPLAYED
-from swarmd.security.identity import Identity
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.datagram import KIND_OFFSET, Ack, Address, Beacon, Kind, Stop, unpack
+from swarmd.link.keys.identity import Identity
+from swarmd.link.members.admission import Admission
+from swarmd.link.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust, generation_of
+from swarmd.link.spread.asks import Asks
+from swarmd.link.stops.stop_freshness import REPLAYED
 
 log = logging.getLogger(__name__)
 

@@ -27,9 +27,9 @@ from swarmd.core.messages import Code, Epoch, Latch, Reply, State
 from swarmd.core.refusal import Refusal
 from swarmd.daemon.requests import RequestServer
 from swarmd.driver_api.command_source import Answer, DriverCommand
-from swarmd.security.identity import Identity
-from swarmd.security.key_permit import Denial, judge
-from swarmd.security.roster import Role
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.key_permit import Denial, judge
+from swarmd.link.keys.roster import Role
 
 MAX_COMMAND_AGE = 2.5
 """Seconds after which a run or reset is refused."""

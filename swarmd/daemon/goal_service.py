@@ -14,8 +14,8 @@ from swarmd.core.messages import Code, Reply
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import Request
 from swarmd.daemon.store import RecordWriter, StateFile
-from swarmd.network.spread.goal_sync import GoalCheck, is_signed_goal
-from swarmd.security.identity import Identity
+from swarmd.link.keys.identity import Identity
+from swarmd.link.spread.goal_sync import GoalCheck, is_signed_goal
 
 log = logging.getLogger(__name__)
 

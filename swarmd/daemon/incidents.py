@@ -57,16 +57,10 @@ from swarmd.core.verbs import KeptIncident, mark_text, shortened
 from swarmd.daemon.audit import printable
 from swarmd.daemon.incident_budget import rate_of, teller_of, teller_to_give_way, to_remove
 from swarmd.daemon.recorder import Recorder
-from swarmd.daemon.recording_files import piece_of
-from swarmd.daemon.requests import SendReply
-from swarmd.network.carriers.bus import ZenohBus
-from swarmd.network.datagram import STATES, Address, Beacon
-from swarmd.network.spread.asks import Asks
-from swarmd.network.spread.pull import Blob, Puller, serve_shared
-from swarmd.recording import frames
-from swarmd.recording.head import RecordingHead, head_of
-from swarmd.recording.incident_file import SUFFIX, IncidentHead, pack, read, read_head
-from swarmd.recording.ring import (
+from swarmd.daemon.recording import frames
+from swarmd.daemon.recording.head import RecordingHead, head_of
+from swarmd.daemon.recording.incident_file import SUFFIX, IncidentHead, pack, read, read_head
+from swarmd.daemon.recording.ring import (
     MAX_FILE,
     Left,
     Ring,
@@ -75,9 +69,15 @@ from swarmd.recording.ring import (
     read_left,
     remove_old,
 )
-from swarmd.security.content_signature import Purpose, is_signed_by, sign
-from swarmd.security.identity import Identity
-from swarmd.security.roster import Role
+from swarmd.daemon.recording_files import piece_of
+from swarmd.daemon.requests import SendReply
+from swarmd.link.carriers.bus import ZenohBus
+from swarmd.link.datagram import STATES, Address, Beacon
+from swarmd.link.keys.content_signature import Purpose, is_signed_by, sign
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.roster import Role
+from swarmd.link.spread.asks import Asks
+from swarmd.link.spread.pull import Blob, Puller, serve_shared
 from swarmd.settings.swarmfile import BlackboxSection
 
 log = logging.getLogger(__name__)
@@ -871,7 +871,7 @@ def _signed(incident: Incident, identity: Identity | None) -> ToldIncident | Non
     content = msgspec.msgpack.encode(incident)
     if identity is None:
         return ToldIncident(content=content, age=0.0)
-    from swarmd.security.private_keys import load_private_key  # 64 ms, for keys alone
+    from swarmd.link.keys.private_keys import load_private_key  # 64 ms, for keys alone
 
     try:
         key = load_private_key(identity.key)
@@ -906,7 +906,7 @@ def _checked(blob: bytes, identity: Identity | None, known: Collection[str]) -> 
 
 def _is_signed(told: ToldIncident, incident: Incident, identity: Identity) -> bool:
     """True if a robot of the roster with the name `by` has signed it."""
-    from swarmd.security.private_keys import holder_of  # 64 ms, for keys alone
+    from swarmd.link.keys.private_keys import holder_of  # 64 ms, for keys alone
 
     name, key = holder_of(told.certificate, identity.info.authority)
     is_robot = name == incident.by and identity.roster.role_of(name) is Role.ROBOT

@@ -9,11 +9,9 @@ from msgspec.structs import replace
 
 from swarmd.core.names import owner_of
 from swarmd.core.verbs import AnyRequest
-from swarmd.network.datagram import Stop
-from swarmd.network.peer import StopVerdict
-from swarmd.network.signature import Author
-from swarmd.security.identity import Identity
-from swarmd.security.key_permit import (
+from swarmd.link.datagram import Stop
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.key_permit import (
     Denial,
     PresentRun,
     denied,
@@ -22,7 +20,9 @@ from swarmd.security.key_permit import (
     judge,
     stoppable,
 )
-from swarmd.security.roster import KeyPermit, Role
+from swarmd.link.keys.roster import KeyPermit, Role
+from swarmd.link.peer import StopVerdict
+from swarmd.link.signature import Author
 
 
 class KeyPermits:

@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from swarmd.core.values import Neighbor
-from swarmd.network.members.neighbor_settings import NeighborSettings
-from swarmd.network.members.neighborhood import Link, Neighborhood
+from swarmd.link.members.neighbor_settings import NeighborSettings
+from swarmd.link.members.neighborhood import Link, Neighborhood
 
 log = logging.getLogger(__name__)
 

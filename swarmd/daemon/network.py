@@ -37,12 +37,12 @@ from swarmd.core.messages import Body, Member, Presence, Reply
 from swarmd.core.values import SharedPose
 from swarmd.daemon.connection import NetworkConnection
 from swarmd.daemon.datagram_guard import DatagramGuard
-from swarmd.network.carriers.bus import ZenohBus
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.carriers.interface_watch import InterfaceChange
-from swarmd.network.carriers.routed import RoutedCarrier
-from swarmd.network.carriers.udp import UdpCarrier
-from swarmd.network.datagram import (
+from swarmd.link.carriers.bus import ZenohBus
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.carriers.interface_watch import InterfaceChange
+from swarmd.link.carriers.routed import RoutedCarrier
+from swarmd.link.carriers.udp import UdpCarrier
+from swarmd.link.datagram import (
     ANY_SWARM,
     Ack,
     Address,
@@ -58,13 +58,13 @@ from swarmd.network.datagram import (
     tag_of,
     unpack,
 )
-from swarmd.network.members.link_quality import LinkQuality
-from swarmd.network.members.membership import MAX_MEMBERS
-from swarmd.network.peer import Peer, PeerActions, PeerSettings, StopVerdict, Summary
-from swarmd.network.settings import NetworkSettings
-from swarmd.network.signature import Author
-from swarmd.security.identity import Identity, authority_of
-from swarmd.security.roster import Role
+from swarmd.link.keys.identity import Identity, authority_of
+from swarmd.link.keys.roster import Role
+from swarmd.link.members.link_quality import LinkQuality
+from swarmd.link.members.membership import MAX_MEMBERS
+from swarmd.link.peer import Peer, PeerActions, PeerSettings, StopVerdict, Summary
+from swarmd.link.settings import NetworkSettings
+from swarmd.link.signature import Author
 
 log = logging.getLogger(__name__)
 

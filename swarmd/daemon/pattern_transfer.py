@@ -48,11 +48,11 @@ from swarmd.core.verbs import (
 )
 from swarmd.daemon.pattern_versions import Candidate, PatternVersions
 from swarmd.daemon.requests import SendReply
-from swarmd.network.carriers.bus import ZenohBus
-from swarmd.network.carriers.inbound_queue import FAILED, DropCounter
-from swarmd.network.datagram import Address
-from swarmd.network.spread.asks import Asks
-from swarmd.network.spread.pull import Blob, Puller, serve_shared
+from swarmd.link.carriers.bus import ZenohBus
+from swarmd.link.carriers.inbound_queue import FAILED, DropCounter
+from swarmd.link.datagram import Address
+from swarmd.link.spread.asks import Asks
+from swarmd.link.spread.pull import Blob, Puller, serve_shared
 from swarmd.robot.pushed_pattern import Version
 
 log = logging.getLogger(__name__)

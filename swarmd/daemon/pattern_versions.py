@@ -26,12 +26,12 @@ from swarmd.core.host_messages import HostEvent, Load, Loaded, TrialDone
 from swarmd.core.messages import Epoch, Reply
 from swarmd.core.verbs import PushedPatternReport, PushedPatternsReply, ReloadRequest, Request
 from swarmd.daemon.store import CodeRecord, PatternFiles, RecordWriter
+from swarmd.link.keys.content_signature import Purpose, is_signed_by
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_pattern import PushedPattern, Version
 from swarmd.robot.robot import Robot
-from swarmd.security.content_signature import Purpose, is_signed_by
 
 log = logging.getLogger(__name__)
 

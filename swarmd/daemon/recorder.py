@@ -32,8 +32,8 @@ from swarmd.core.events import (
 from swarmd.core.messages import Status
 from swarmd.core.values import Scan
 from swarmd.daemon.recorder_process import RecorderProcess
+from swarmd.daemon.recording import frames
 from swarmd.daemon.ring_writer import RingWriter
-from swarmd.recording import frames
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import remember
 from swarmd.robot.robot import Robot

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
 from swarmd.core.processes import how_it_ended
-from swarmd.recording import frames
+from swarmd.daemon.recording import frames
 
 MAX_BATCH = 60_000
 """The most bytes of a batch with several entries."""
@@ -44,7 +44,13 @@ class _Process:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
-        command = [sys.executable, "-P", "-m", "swarmd.recording.process", str(theirs.fileno())]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "swarmd.daemon.recording.process",
+            str(theirs.fileno()),
+        ]
         try:
             with theirs:
                 self.process = subprocess.Popen(

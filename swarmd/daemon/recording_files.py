@@ -14,7 +14,7 @@ from swarmd.core import verbs
 from swarmd.core.bounds import FileName
 from swarmd.core.errors import ConfigError
 from swarmd.core.files import open_regular, read_regular
-from swarmd.recording.reader import clock_of
+from swarmd.daemon.recording.reader import clock_of
 
 MAX_FILES = 500  # the newest files, which the answer to an operator lists
 

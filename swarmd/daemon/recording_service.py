@@ -14,10 +14,10 @@ from swarmd.core.files import write_fault
 from swarmd.core.messages import Code, RecordingSummary, Reply
 from swarmd.core.refusal import Refusal
 from swarmd.daemon.recorder import Recorder
+from swarmd.daemon.recording.head import RecordingHead
 from swarmd.daemon.recording_files import piece_of, recordings_in
 from swarmd.daemon.requests import SendReply
 from swarmd.plugins import need
-from swarmd.recording.head import RecordingHead
 from swarmd.settings.swarmfile import RecordingSection
 
 

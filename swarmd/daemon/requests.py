@@ -25,10 +25,10 @@ from swarmd.core.keys import CONTROL
 from swarmd.core.messages import Code, Reply
 from swarmd.core.refusal import Refusal
 from swarmd.daemon.audit import Audit, describe_request
-from swarmd.network.carriers.bus import Query, ZenohBus
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.datagram import Stop
-from swarmd.security.key_permit import Denial
+from swarmd.link.carriers.bus import Query, ZenohBus
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.datagram import Stop
+from swarmd.link.keys.key_permit import Denial
 
 if TYPE_CHECKING:
     from swarmd.daemon.incidents import IncidentService

@@ -10,8 +10,8 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from swarmd.recording import frames
-from swarmd.recording.ring import Ring
+from swarmd.daemon.recording import frames
+from swarmd.daemon.recording.ring import Ring
 
 SEGMENT_TIME = 30.0
 """Seconds after which a segment of the ring is followed by another one."""

@@ -11,8 +11,8 @@ from swarmd.core.goal import GoalRecord
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.pin import how_made
+from swarmd.daemon.recording.head import RecordingHead, digest_of
 from swarmd.make_robot import make_robot
-from swarmd.recording.head import RecordingHead, digest_of
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup

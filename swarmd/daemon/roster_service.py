@@ -15,9 +15,9 @@ from swarmd.core.messages import Code, KeySummary, Reply
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import RosterRequest
 from swarmd.daemon.requests import SendReply
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.security.identity import Identity
-from swarmd.security.roster_change import (
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.roster_change import (
     SharedRoster,
     TakenRoster,
     read_shared,

@@ -29,7 +29,7 @@ from swarmd.core.threads import hand_over
 from swarmd.daemon.audit import AuditLog
 from swarmd.daemon.network import Network
 from swarmd.daemon.requests import SendReply
-from swarmd.network.carriers.network_facts import measure_network
+from swarmd.link.carriers.network_facts import measure_network
 from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)

@@ -1,7 +1,7 @@
 """Decides which commands a driver publishes: none to a lost base, zero first and last. Pure.
 
 Some bases take the commands of other nodes, too: only the driver of such a base passes `is_stopped`
-to `filter`. `protection/protection.py` applies the limits before this gate.
+to `filter`. `robot/protection/protection.py` applies the limits before this gate.
 """
 
 from __future__ import annotations

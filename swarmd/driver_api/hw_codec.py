@@ -1,6 +1,6 @@
 """The wire between a simulated robot and its daemon: its inputs, messages and command.
 
-A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
+A simulated robot is any process that listens as `RobotServer` of `link/carriers/robot_link.py`.
 The daemon sends the frames `cmd_vel`, `grip` and `sent` (a message of its pattern, for the robot's
 radio). The robot sends the frames of KINDS, which are its inputs, and `received` (messages that its
 radio heard). While only scans and odometry have come, the daemon reads the first frame of another

@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal, TypeVar
 from swarmd.core.values import ZERO, Inputs, Scalar, Scan, Twist
 from swarmd.kit.behavior import MovementPattern
 from swarmd.kit.params import Params, Recovery, TopSpeed, TopTurn, about
-from swarmd.sensing.potential_field import FieldKind, field_twist, potential_field
+from swarmd.robot.sensing.potential_field import FieldKind, field_twist, potential_field
 
 Bias = Annotated[float, about("law paper: forward bias", ge=-100.0, le=100.0, source="ROS2swarm")]
 TurnIfAlone = Annotated[

@@ -26,7 +26,7 @@ import numpy as np
 
 from swarmd.core.values import Array, Neighbor, Pose, Scan
 from swarmd.kit import points as kernel
-from swarmd.sensing.rays import clusters
+from swarmd.robot.sensing.rays import clusters
 
 # Beyond this share of its range a lidar sees only parts of an object.
 _MAX_RANGE_SHARE = 0.95

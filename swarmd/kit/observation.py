@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Inputs, Limits, Platform, Twist, has_places
 from swarmd.kit.robot_detection import robots_near
-from swarmd.sensing.rays import Ray, sectors
+from swarmd.robot.sensing.rays import Ray, sectors
 
 MAX_SIZE = 4096
 """Numbers of one observation."""

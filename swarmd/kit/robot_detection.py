@@ -8,7 +8,7 @@ from operator import itemgetter
 from swarmd.core.angles import difference
 from swarmd.core.values import Platform, Scan
 from swarmd.kit.params import object_width
-from swarmd.sensing.rays import Ray, clusters
+from swarmd.robot.sensing.rays import Ray, clusters
 
 
 def robots_near(

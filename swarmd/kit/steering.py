@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from swarmd.core.values import Array, Scan, Twist
 from swarmd.kit.points import NearPoints, RobotsInSight, polar_from_base, to_middle
-from swarmd.sensing.rays import Ray, closest_points, nearest
+from swarmd.robot.sensing.rays import Ray, closest_points, nearest
 
 __all__ = [
     "AHEAD_HALF_WIDTH",

@@ -1,8 +1,8 @@
 """A program that inspects plugin code for tools: `describe`, `check` and `mission`.
 
-Tools never import plugin code, which may crash or hang: `swarmd.cli.plugin_check` starts this
-program and reads its JSON lines. The program confines itself (`swarmd.pattern_host.sandbox`), and
-can read only the folder of the inspected file. It writes `{"begin": item}` before each item,
+Tools never import plugin code, which may crash or hang: `swarmd.operator.cli.plugin_check` starts
+this program and reads its JSON lines. The program confines itself (`swarmd.pattern_host.sandbox`),
+and can read only the folder of the inspected file. It writes `{"begin": item}` before each item,
 `{"result": item, ...}` after the item, and `{"end": true}` at the end, or `{"error": text}` if
 nothing can be inspected. So the tool knows the item that crashes or hangs this process. On SIGUSR1
 and on a crash, Python's stack follows.

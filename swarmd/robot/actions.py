@@ -14,8 +14,8 @@ from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
 from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Reply
 from swarmd.core.values import Twist, Value
-from swarmd.protection.decision import Decision
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.protection.decision import Decision
 
 
 class FailedCode(Struct, frozen=True):

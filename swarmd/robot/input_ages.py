@@ -14,8 +14,8 @@ from swarmd.core import cython_shadow as cython
 from swarmd.core.cython_shadow import INFINITY, floor
 from swarmd.core.messages import Reason
 from swarmd.core.values import Inputs, Neighbor
-from swarmd.protection.decision import DecisionContext
 from swarmd.robot import timeouts
+from swarmd.robot.protection.decision import DecisionContext
 
 if TYPE_CHECKING:
     from collections import deque
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from swarmd.core.kin_message import KinMessage
     from swarmd.core.neighbor_places import NeighborPlaces
     from swarmd.core.values import Detection, Odometry, Pose, Scan
-    from swarmd.protection.decision import PoseAnchors
     from swarmd.robot.peers import Peers
+    from swarmd.robot.protection.decision import PoseAnchors
+    from swarmd.robot.sensing.conditioning import ScanConditioner
+    from swarmd.robot.sensing.odometry_history import OdometryHistory
+    from swarmd.robot.sensing.scan_delay import ScanDelay
     from swarmd.robot.sensors import RangeRing
     from swarmd.robot.steering_interface import MakeKin, NamesPeers
-    from swarmd.sensing.conditioning import ScanConditioner
-    from swarmd.sensing.odometry_history import OdometryHistory
-    from swarmd.sensing.scan_delay import ScanDelay
 
 _ODOMETRY_TIMEOUT = cython.declare(cython.double, timeouts.ODOMETRY_TIMEOUT)
 _NEIGHBOR_TIMEOUT = cython.declare(cython.double, timeouts.NEIGHBOR_TIMEOUT)

@@ -39,6 +39,7 @@ import numpy as np
 from msgspec import Meta, MsgspecError, Struct
 
 from swarmd.core.errors import CodecError
+from swarmd.core.former_names import present_name
 from swarmd.core.kernels import unit_of
 from swarmd.core.values import Array
 from swarmd.robot.robot import HANDLERS, Robot
@@ -57,9 +58,7 @@ MAX_SIZE = 1 << 22
 """Parts of all values, nested parts included: a bound on the time that a comparison takes."""
 _MAX_KEY = 64  # parts of a dict key or a set member: a bound on the time that its hash takes
 
-_PACKAGES = tuple(
-    f"swarmd.{name}." for name in ("robot", "protection", "sensing", "steering", "kin")
-)
+_PACKAGES = ("swarmd.robot.",)
 _VALUES = frozenset(
     f"swarmd.core.{name}"
     for name in (
@@ -451,6 +450,7 @@ def _is_ours(module: str) -> bool:
 
 def _class_named(name: str) -> type:
     module, _, title = name.rpartition(".")
+    module = present_name(module)  # a recording of 0.2.0 has former names
     cls = None
     if _is_ours(module):
         try:

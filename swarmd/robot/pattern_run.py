@@ -20,16 +20,16 @@ from typing import TYPE_CHECKING
 from swarmd.core import cython_shadow as cython
 from swarmd.core.cython_shadow import INFINITY
 from swarmd.core.values import slowed
-from swarmd.protection.decision import NO_PERMIT
 from swarmd.robot import timeouts
+from swarmd.robot.protection.decision import NO_PERMIT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from swarmd.core.host_messages import Loaded, ParamSources
     from swarmd.core.values import Outputs, Scalar, Twist
-    from swarmd.protection.decision import Permit
     from swarmd.robot.pattern_load import Loading, Wish
+    from swarmd.robot.protection.decision import Permit
 
 _STEP_TIMEOUT = cython.declare(cython.double, timeouts.STEP_TIMEOUT)
 _STEP_TOLERANCE = cython.declare(cython.double, timeouts.STEP_TOLERANCE)

@@ -19,8 +19,8 @@ from swarmd.core.arrival_delay import ArrivalDelay
 from swarmd.core.clock import TICK
 from swarmd.core.messages import Body, PeerFinding
 from swarmd.core.values import MAX_TOLD_DISTANCE, Neighbor, PeerPlace, Platform, SharedPose, Twist
-from swarmd.protection.binding_range import REACTION_TIME, BindingRange
-from swarmd.protection.compatibility import (
+from swarmd.robot.protection.binding_range import REACTION_TIME, BindingRange
+from swarmd.robot.protection.compatibility import (
     Accepts,
     assumed_speed,
     barrier_settings,
@@ -28,8 +28,8 @@ from swarmd.protection.compatibility import (
     findings,
     sees,
 )
-from swarmd.protection.decision import ToldObstacle
-from swarmd.protection.footprint import radius_of
+from swarmd.robot.protection.decision import ToldObstacle
+from swarmd.robot.protection.footprint import radius_of
 
 TOLD_TIMEOUT = 1.0  # s after which the place of a neighbour is no longer used
 BLIND_RING = 0.1  # m around the outline: a robot does not fit into less

@@ -55,8 +55,8 @@ from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
-    from swarmd.protection.protection import Protection
     from swarmd.robot.effects import Effects
+    from swarmd.robot.protection.protection import Protection
 
 Start = verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest
 

@@ -33,14 +33,14 @@ from swarmd.core.messages import (
     Tracks,
 )
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
-from swarmd.protection.compatibility import Accepts, longest_diagonal
-from swarmd.protection.decision import Decision, DecisionContext
-from swarmd.protection.protection import Protection, ProtectionView
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.message_limits import EventLimit
 from swarmd.robot.pattern_run import PatternRun
 from swarmd.robot.peers import POSE_TIMEOUT
+from swarmd.robot.protection.compatibility import Accepts, longest_diagonal
+from swarmd.robot.protection.decision import Decision, DecisionContext
+from swarmd.robot.protection.protection import Protection, ProtectionView
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup

@@ -36,19 +36,24 @@ from swarmd.core.values import (
     SharedPose,
     Value,
 )
-from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, barrier_settings, fastest_corner
-from swarmd.protection.decision import PoseAnchors, ToldObstacle
-from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.input_ages import InputAges
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
+from swarmd.robot.protection.compatibility import (
+    ACCEPTS_NONE,
+    Accepts,
+    barrier_settings,
+    fastest_corner,
+)
+from swarmd.robot.protection.decision import PoseAnchors, ToldObstacle
+from swarmd.robot.protection.footprint import Footprint
+from swarmd.robot.sensing.conditioning import ScanConditioner
+from swarmd.robot.sensing.deskew import Deskewer
+from swarmd.robot.sensing.odometry_history import OdometryHistory
+from swarmd.robot.sensing.rays import unit_vectors
+from swarmd.robot.sensing.scan_delay import ScanDelay
 from swarmd.robot.steering_interface import MakeKin
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
-from swarmd.sensing.conditioning import ScanConditioner
-from swarmd.sensing.deskew import Deskewer
-from swarmd.sensing.odometry_history import OdometryHistory
-from swarmd.sensing.rays import unit_vectors
-from swarmd.sensing.scan_delay import ScanDelay
 
 if TYPE_CHECKING:
     from swarmd.robot.input_ages import Hold

@@ -10,8 +10,8 @@ import math
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Platform, Pose, Scan
-from swarmd.protection.decision import Decision
-from swarmd.protection.footprint import ScanGeometry
+from swarmd.robot.protection.decision import Decision
+from swarmd.robot.protection.footprint import ScanGeometry
 
 HELD_TIME = 10.0
 """s for which a robot must stand before it says so."""

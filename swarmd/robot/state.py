@@ -59,7 +59,6 @@ from swarmd.core.verbs import (
     shortened,
 )
 from swarmd.kit.touch import effective_zone, granted_zones
-from swarmd.protection.decision import Permit
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.issue_time import IssueTime, KnownStops
@@ -68,6 +67,7 @@ from swarmd.robot.low_battery import LowBattery
 from swarmd.robot.message_limits import Outbox
 from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish, load_command
 from swarmd.robot.pattern_run import PatternRun
+from swarmd.robot.protection.decision import Permit
 from swarmd.robot.setup import RobotIdentity
 from swarmd.robot.ticker import StateField
 from swarmd.robot.timeouts import (

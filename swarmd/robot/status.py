@@ -21,16 +21,16 @@ from swarmd.core.messages import (
 )
 from swarmd.core.values import Platform, Scalar
 from swarmd.core.verbs import shortened
-from swarmd.protection.compatibility import barrier_settings
-from swarmd.protection.decision import Decision, LayerSettings
-from swarmd.protection.set_down import set_down
 from swarmd.robot.pattern_load import Loading
+from swarmd.robot.protection.compatibility import barrier_settings
+from swarmd.robot.protection.decision import Decision, LayerSettings
+from swarmd.robot.protection.set_down import set_down
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import MAX_TEXT, Lifecycle
 from swarmd.settings.robot_settings import RobotSettings
 
 if TYPE_CHECKING:
-    from swarmd.protection.protection import Protection
+    from swarmd.robot.protection.protection import Protection
     from swarmd.robot.ticker import DutyCycle
 
 MAX_REPORTED = 20

@@ -1,4 +1,4 @@
-"""What a robot needs of steering; the shells give it one (`swarmd/steering/steering.py`)."""
+"""What a robot needs of steering; the shells give it one (`swarmd/robot/steering/steering.py`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist
-from swarmd.protection.decision import (
+from swarmd.robot.protection.decision import (
     NO_PERMIT,
     DecisionContext,
     Permit,
@@ -16,7 +16,7 @@ from swarmd.protection.decision import (
 )
 
 if TYPE_CHECKING:
-    from swarmd.protection.protection import ProtectionView
+    from swarmd.robot.protection.protection import ProtectionView
 
 
 class MovingObject(Protocol):
@@ -62,7 +62,7 @@ class Steers(Protocol):
 
 
 class NamesPeers(Protocol):
-    """Names tracked objects, and gives the places of peers (`swarmd/kin/kin.py`)."""
+    """Names tracked objects, and gives the places of peers (`swarmd/robot/kin/kin.py`)."""
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in a new reading."""

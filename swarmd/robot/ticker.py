@@ -17,12 +17,12 @@ from swarmd.core.events import HostInput
 from swarmd.core.host_messages import Step, Stepped
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import ZERO, Twist
-from swarmd.protection.decision import NO_PERMIT, Steered
 from swarmd.robot import timeouts
 from swarmd.robot.actions import Actions
 from swarmd.robot.effects import Effects
 from swarmd.robot.input_ages import InputAges
 from swarmd.robot.pattern_run import NOTHING_PERMITTED, ROUNDING, PatternRun, Running, later
+from swarmd.robot.protection.decision import NO_PERMIT, Steered
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from swarmd.core.events import Input, KinInput, MessageInput, ScanInput, TickInput
     from swarmd.core.host_messages import HostCommand
     from swarmd.core.values import Odometry
-    from swarmd.protection.decision import Decision
-    from swarmd.protection.protection import Protection
     from swarmd.robot.goals import Goals
+    from swarmd.robot.protection.decision import Decision
+    from swarmd.robot.protection.protection import Protection
     from swarmd.robot.requests import RequestHandler
     from swarmd.robot.sensors import Sensors
     from swarmd.robot.state import Lifecycle, StateMachine

@@ -21,8 +21,8 @@ from msgspec import Struct
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import leads_nowhere, read_regular, write_whole
 from swarmd.core.keys import check_id
-from swarmd.network.settings import Profile, parse_endpoint
-from swarmd.security.identity import user_folder
+from swarmd.link.keys.identity import user_folder
+from swarmd.link.settings import Profile, parse_endpoint
 
 if TYPE_CHECKING:
     from swarmd.settings.layered import Fault, Keys

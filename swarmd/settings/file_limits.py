@@ -1,4 +1,4 @@
-"""The size limits of the files of a recording, which `recording/writer.py` applies.
+"""The size limits of the files of a recording, which `daemon/recording/writer.py` applies.
 
 This module imports no numpy, since the schema of files has these keys.
 """

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from swarmd.core.errors import ConfigError
-from swarmd.security.identity import write_private
+from swarmd.link.keys.identity import write_private
 from swarmd.settings.layered import Layered
 from swarmd.settings.swarmfile import DaemonFile, SwarmFile, check
 from swarmd.settings.yamlfile import Data, read, shown, text_of

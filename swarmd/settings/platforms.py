@@ -31,10 +31,10 @@ from swarmd.core.values import (
     Value,
     input_fault,
 )
-from swarmd.protection.binding_range import BindingRange
-from swarmd.protection.compatibility import barrier_settings
-from swarmd.protection.footprint import Footprint
-from swarmd.protection.settings import (
+from swarmd.robot.protection.binding_range import BindingRange
+from swarmd.robot.protection.compatibility import barrier_settings
+from swarmd.robot.protection.footprint import Footprint
+from swarmd.robot.protection.settings import (
     Avoidance,
     BarrierSettings,
     Mode,

@@ -17,12 +17,12 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.kit.touch_config import TouchGrants
-from swarmd.protection.fence.fence_settings import FenceSettings
+from swarmd.robot.protection.fence.fence_settings import FenceSettings
 
 if TYPE_CHECKING:
     from swarmd.core.host_messages import Layers
     from swarmd.core.values import Platform
-    from swarmd.protection.fence.fence_pose import FencePose
+    from swarmd.robot.protection.fence.fence_pose import FencePose
 
 PlatformName = Annotated[str, Meta(min_length=1, max_length=63)]
 PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max_length=256)]]
@@ -75,13 +75,13 @@ class RobotSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
         `timeout`: the age in s beyond which a pose is not used.
         """
-        from swarmd.protection.fence.fence_pose import FencePose  # it imports numpy
+        from swarmd.robot.protection.fence.fence_pose import FencePose  # it imports numpy
 
         return None if self.fence is None else FencePose(self.fence, timeout)
 
     def misfits(self, platform: Platform) -> Iterator[Fault]:
         """The faults, as of `faults`, that robots of this platform alone have."""
-        from swarmd.protection.fence.fence import fence_fault  # it imports numpy
+        from swarmd.robot.protection.fence.fence import fence_fault  # it imports numpy
 
         if self.fence is not None and (text := fence_fault(self.fence, platform)):
             yield ("fence",), text

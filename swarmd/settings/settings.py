@@ -29,10 +29,10 @@ from swarmd.core.values import (
     Value,
     sensor_names,
 )
-from swarmd.network.settings import NetworkSettings
-from swarmd.security.identity import Identity
-from swarmd.security.roster import Role
-from swarmd.security.roster_change import is_revoked
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.roster import Role
+from swarmd.link.keys.roster_change import is_revoked
+from swarmd.link.settings import NetworkSettings
 from swarmd.settings import swarmfile
 from swarmd.settings.layered import Layered, fault_at
 from swarmd.settings.platforms import load_platform, platform_names

@@ -20,9 +20,9 @@ from swarmd.core.keys import check_id
 from swarmd.core.names import expand_globs, expand_names
 from swarmd.core.record import LABEL, Target
 from swarmd.kit.conditions import parse_conditions
-from swarmd.network.members.neighbor_settings import NeighborSettings
-from swarmd.network.settings import NetworkSettings
-from swarmd.security.identity import Identity, choose_identity
+from swarmd.link.keys.identity import Identity, choose_identity
+from swarmd.link.members.neighbor_settings import NeighborSettings
+from swarmd.link.settings import NetworkSettings
 from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
 from swarmd.settings.robot_settings import Parameters, RobotSettings

@@ -37,7 +37,8 @@ AUDIT_EVENTS = (
 )
 """Audit events (PEP 578) that no code of a pattern may cause; `plugin check` reports them."""
 FORBIDDEN_IMPORTS = (
-    *("swarmd.drivers", "swarmd.sim", "swarmd.network", "swarmd.daemon", "swarmd.cli"),
+    *("swarmd.drivers", "swarmd.sim", "swarmd.link", "swarmd.daemon", "swarmd.operator.cli"),
+    *("swarmd.network", "swarmd.cli"),  # the same by former names
     *("zenoh", "asyncio", "time", "mujoco", "os", "io", "pathlib", "socket", "threading"),
     *("subprocess", "shutil", "tempfile"),
 )

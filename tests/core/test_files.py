@@ -13,10 +13,10 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.files import lock_file
-from swarmd.network.operator.stop_origin import StopOrigin
-from swarmd.recording.ring import Ring
-from swarmd.security.authority import Authority
-from swarmd.security.roster import Role
+from swarmd.daemon.recording.ring import Ring
+from swarmd.link.keys.authority import Authority
+from swarmd.link.keys.roster import Role
+from swarmd.operator.session.stop_origin import StopOrigin
 from swarmd.sim.experiments import store
 
 NFS, LUSTRE = errno.ENOLCK, errno.ENOSYS

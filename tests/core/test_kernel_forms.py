@@ -82,7 +82,7 @@ def test_a_change_of_a_kernel_concerns_all_folders_and_that_of_a_test_its_own(
     write("tests/robot/test_a.py", "")
 
     def digests() -> list[str]:
-        return [digest(folder, tmp_path) for folder in ("tests/robot", "tests/sensing")]
+        return [digest(folder, tmp_path) for folder in ("tests/robot", "tests/robot/sensing")]
 
     before = digests()
     write(source_of(KERNELS[0]), "x = 1")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-CALLER, KERNEL = "swarmd/protection/fence/fence.py", "swarmd/protection/projection.py"
+CALLER, KERNEL = "swarmd/robot/protection/fence/fence.py", "swarmd/robot/protection/projection.py"
 PLANTED = {
     CALLER: 'fence_stops.clearance("edges", 0.0, 0.0, 0.0)',
     KERNEL: "def _planted(row: cython.double[::1]) -> cython.bint: return row[0]",

@@ -29,8 +29,8 @@ from swarmd.core.kernels import (
 )
 from swarmd.core.messages import Status
 from swarmd.kit import points
-from swarmd.protection import barrier
-from swarmd.protection.stopping import Speeds
+from swarmd.robot.protection import barrier
+from swarmd.robot.protection.stopping import Speeds
 from tests.support.fake_daemon import light_status
 from tests.support.kernel_forms import both_forms, interpreted_kernels
 
@@ -64,9 +64,11 @@ def test_a_traceback_names_the_line_of_the_source() -> None:
     with pytest.raises(AttributeError) as raised:
         barrier.Barrier(None)  # type: ignore[arg-type]
     *_, last = traceback.extract_tb(raised.value.__traceback__)
-    assert last.filename.endswith("swarmd/protection/barrier.py")
+    assert last.filename.endswith("swarmd/robot/protection/barrier.py")
     line = (
-        (ROOT / "swarmd/protection/barrier.py").read_text().splitlines()[int(last.lineno or 0) - 1]
+        (ROOT / "swarmd/robot/protection/barrier.py")
+        .read_text()
+        .splitlines()[int(last.lineno or 0) - 1]
     )
     assert "platform.protection" in line
 
@@ -140,11 +142,11 @@ def test_protection_maps_no_library_of_what_is_led(monkeypatch: pytest.MonkeyPat
     _library("swarmd._trusted")
     script = (
         "from pathlib import Path;"
-        "from swarmd.protection.fence.fence_settings import FenceSettings;"
-        "from swarmd.protection.fence.fence_pose import FencePose;"
+        "from swarmd.robot.protection.fence.fence_settings import FenceSettings;"
+        "from swarmd.robot.protection.fence.fence_pose import FencePose;"
         "from swarmd.settings.platforms import load_platform;"
         "import swarmd.robot.robot;"
-        "from swarmd.protection.protection import Protection;"
+        "from swarmd.robot.protection.protection import Protection;"
         "fence = FenceSettings(frame='map', polygon=[(0, 0), (4, 0), (4, 4)]);"
         "made = Protection(load_platform('waffle_pi'), [fence]), FencePose(fence, 1.0);"
         "print(*{Path(line.split()[-1]).name.split('.')[0]"

@@ -13,14 +13,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from swarmd.cli.canary import read_canary
-from swarmd.cli.daemon import _read_options
-from swarmd.cli.options import Duration
 from swarmd.core.errors import SwarmError
 from swarmd.core.host_messages import REQUEST_LAYER
 from swarmd.kit.condition_state import _is_as_wanted as is_as_wanted
 from swarmd.kit.conditions import Reported, parse_condition
 from swarmd.kit.params import Params, build
+from swarmd.operator.cli.canary import read_canary
+from swarmd.operator.cli.daemon import _read_options
+from swarmd.operator.cli.options import Duration
+from swarmd.operator.texts.assignments import read_assignments
 from swarmd.settings.layered import read as read_as
 from swarmd.settings.yamlfile import read, text_of
 from swarmd.sim.cli.exp_results import parse_targets
@@ -29,7 +30,6 @@ from swarmd.sim.experiments.requirements import parse_requirement
 from swarmd.sim.experiments.search_space import parse_range
 from swarmd.sim.metrics.placed import _numbers
 from swarmd.sim.world.arena import parse_arena
-from swarmd.texts.assignments import read_assignments
 from tests.support.examples import examples
 
 

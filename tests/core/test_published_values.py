@@ -29,10 +29,10 @@ ADDED = [
     ("core.messages", "    words: dict[Word, Line] = {}\n", TILT),
     ("core.messages", '    reason: Line = ""\n    age: Seconds | None = None\n', BUTTON),
     ("core.verbs", "    is_relayed: bool = False\n", SENT),
-    ("network.datagram", '    clock: Word = ""\n    issued: Seconds = 0.0\n', SENT),
+    ("link.datagram", '    clock: Word = ""\n    issued: Seconds = 0.0\n', SENT),
     ("robot.status", "        goal=lifecycle.goals.status(now),\n", "        tilt=0.25,\n"),
     (
-        "network.operator.operator",
+        "operator.session.operator",
         "            clock=clock_id(),\n            issued=now,\n",
         '            button="door 3",\n',
     ),
@@ -56,18 +56,18 @@ READERS = """
 import contextlib, json, runpy
 from types import SimpleNamespace as Stub
 from msgspec import to_builtins
-from swarmd.client.members import Members
+from swarmd.operator.client.members import Members
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.clock import boottime
 from swarmd.core.events import LatchesInput
 from swarmd.core.messages import Presence, Status
 from swarmd.daemon.store import LatchFile
-from swarmd.network.datagram import pack, tag_of, unpack
-from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
-from swarmd.network.operator.operator import Operator
-from swarmd.network.spread.latch_sync import latch_parts
-from swarmd.texts.members import health
-from swarmd.view.live import LiveSource
+from swarmd.link.datagram import pack, tag_of, unpack
+from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
+from swarmd.operator.session.operator import Operator
+from swarmd.link.spread.latch_sync import latch_parts
+from swarmd.operator.texts.members import health
+from swarmd.operator.view.live import LiveSource
 from tests.daemon.test_requests import server_of
 from tests.support.stub_patterns import idle
 
@@ -172,7 +172,7 @@ def test_a_field_of_an_emergency_stop_reaches_all_readers(shown: dict[str, Any])
     ],
 )
 def test_each_other_field_has_words(kind: type[Struct], by_hand: str) -> None:
-    """A field without words is shown by code of texts/, or by a verb: `goal`."""
+    """A field without words is shown by code of operator/texts/, or by a verb: `goal`."""
     described = fields(kind)
     wordless = [
         field.name

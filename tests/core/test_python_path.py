@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.cli import entry
 from swarmd.core.python_path import import_fault, replaced_modules, replaced_text
+from swarmd.operator.cli import entry
 
 
 @pytest.fixture

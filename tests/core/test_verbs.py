@@ -15,7 +15,7 @@ from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.tools import FieldTools
-from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.link.carriers.inbound_queue import DropCounter
 from swarmd.robot.requests import RequestHandler
 from tests.support.fake_services import fake_services
 
@@ -79,7 +79,7 @@ def test_viewers_may_ask_questions_alone_but_not_for_the_audit_log_or_the_file_o
 
 
 def test_each_verb_of_the_command_line_is_a_command_of_its_name() -> None:
-    from swarmd.cli.swarmctl import VERBS as commands
+    from swarmd.operator.cli.swarmctl import VERBS as commands
 
     for verb, row in commands.items():
         module, _, name = row.place.partition(":")

@@ -19,7 +19,7 @@ from swarmd.core.values import ZERO, Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.store import LatchFile
-from swarmd.network.datagram import Stop
+from swarmd.link.datagram import Stop
 from swarmd.robot.latches import LatchRecord
 from swarmd.settings.settings import load_daemon_settings
 from tests.daemon.test_daemon import ESTOP, RecordingDriver

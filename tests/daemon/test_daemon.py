@@ -47,8 +47,8 @@ from swarmd.daemon.store import LatchFile
 from swarmd.driver_api.driver import Sink, TakeLate
 from swarmd.driver_api.hw_codec import encode_odometry, encode_scan
 from swarmd.drivers import simulated
-from swarmd.network.datagram import Stop, pack, tag_of
-from swarmd.network.peer import Peer, PeerActions, Summary
+from swarmd.link.datagram import Stop, pack, tag_of
+from swarmd.link.peer import Peer, PeerActions, Summary
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from swarmd.daemon.datagram_guard import HINT_AGAIN, HINT_PERIOD, DatagramGuard
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.datagram import Address, Beacon, pack, tag_of
-from tests.network.keyring import AUTHORITY, Keyring
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.datagram import Address, Beacon, pack, tag_of
+from tests.link.keyring import AUTHORITY, Keyring
 
 TAG = tag_of("field", "lab", AUTHORITY)
 

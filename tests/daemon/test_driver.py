@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from swarmd.core.values import ZERO, Twist
 from swarmd.daemon.driver import DriverOutput
 from swarmd.driver_api.driver import Driver
-from swarmd.protection.decision import Decision
 from swarmd.robot.actions import Actions
+from swarmd.robot.protection.decision import Decision
 from swarmd.settings.driver_options import BaseOptions, may_rest
 from tests.support.robot_harness import RobotHarness
 

@@ -17,8 +17,8 @@ from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver_commands import MAX_COMMAND_AGE, DriverCommands
 from swarmd.daemon.requests import RequestServer
 from swarmd.driver_api.command_source import DeclaredRun, DriverCommand
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.security.roster import Role
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.keys.roster import Role
 from tests.support.fake_services import fake_services
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import idle

@@ -18,7 +18,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.client.incidents import mark_fields
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.incident import Found, Incident, IncidentKind, ToldIncident, mark_part, silent_id
@@ -27,15 +26,16 @@ from swarmd.core.verbs import FetchQuery, IncidentsReply, KeptIncident, MarkRequ
 from swarmd.daemon.incident_budget import MAX_BYTES, MAX_KEPT, teller_to_give_way, to_remove
 from swarmd.daemon.incidents import IncidentService, _checked, _signed, _Told
 from swarmd.daemon.recorder import Recorder
-from swarmd.network.datagram import STATES, Beacon
-from swarmd.recording import frames
-from swarmd.recording.head import RecordingHead
-from swarmd.recording.incident_file import IncidentHead, read, read_head
-from swarmd.recording.ring import Ring, entries_of, memory_folder, read_left, remove_old
+from swarmd.daemon.recording import frames
+from swarmd.daemon.recording.head import RecordingHead
+from swarmd.daemon.recording.incident_file import IncidentHead, read, read_head
+from swarmd.daemon.recording.ring import Ring, entries_of, memory_folder, read_left, remove_old
+from swarmd.link.datagram import STATES, Beacon
+from swarmd.link.keys.content_signature import Purpose, sign
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.private_keys import load_private_key
+from swarmd.operator.client.incidents import mark_fields
 from swarmd.robot.setup import RobotIdentity, RobotSetup
-from swarmd.security.content_signature import Purpose, sign
-from swarmd.security.identity import Identity
-from swarmd.security.private_keys import load_private_key
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import BlackboxSection
 from tests.support.examples import examples

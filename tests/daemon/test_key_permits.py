@@ -22,15 +22,15 @@ from swarmd.daemon.driver_commands import permission_fault
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.key_permits import KeyPermits
 from swarmd.daemon.requests import RequestServer
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.datagram import Stop
-from swarmd.network.operator.operator_goals import sign_goal
-from swarmd.security.content_signature import Purpose, sign
-from swarmd.security.key_permit import PresentRun
-from swarmd.security.private_keys import load_private_key
-from swarmd.security.roster import KeyPermit
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.datagram import Stop
+from swarmd.link.keys.content_signature import Purpose, sign
+from swarmd.link.keys.key_permit import PresentRun
+from swarmd.link.keys.private_keys import load_private_key
+from swarmd.link.keys.roster import KeyPermit
+from swarmd.operator.session.operator_goals import sign_goal
 from tests.daemon.test_requests import RecordingQuery
-from tests.network.keyring import Keyring
+from tests.link.keyring import Keyring
 from tests.support.fake_services import fake_services
 from tests.support.keys import SwarmKeys
 

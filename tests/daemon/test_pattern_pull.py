@@ -21,7 +21,7 @@ from swarmd.core.pattern_manifest import (
     read_entry,
 )
 from swarmd.daemon.pattern_transfer import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, PatternPull
-from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.link.carriers.inbound_queue import DropCounter
 from swarmd.robot.pushed_pattern import PushedPattern, Version
 from tests.daemon.test_pattern_transfer import Rig
 

@@ -33,12 +33,12 @@ from swarmd.daemon import pattern_versions
 from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
 from swarmd.daemon.pattern_versions import PatternVersions, PushedRuns
 from swarmd.daemon.store import CodeRecord, PatternFiles
-from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.keys.content_signature import Purpose, sign
+from swarmd.link.keys.private_keys import load_private_key
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_pattern import HOLD_TIME
-from swarmd.security.content_signature import Purpose, sign
-from swarmd.security.private_keys import load_private_key
 from swarmd.settings.settings import load_platform
 from tests.support.keys import SwarmKeys, flipped
 

@@ -28,12 +28,12 @@ from swarmd.core.refusal import Refusal
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import Nothing, RecordingsReply, RecordRequest
 from swarmd.daemon.recorder import Recorder
+from swarmd.daemon.recording import frames, messages, process
+from swarmd.daemon.recording.head import RecordingHead
+from swarmd.daemon.recording.reader import RecordedFile, read_file
+from swarmd.daemon.recording.ring import Ring
 from swarmd.daemon.recording_service import RecordingService
-from swarmd.protection.decision import Decision
-from swarmd.recording import frames, messages, process
-from swarmd.recording.head import RecordingHead
-from swarmd.recording.reader import RecordedFile, read_file
-from swarmd.recording.ring import Ring
+from swarmd.robot.protection.decision import Decision
 from swarmd.robot.setup import RobotIdentity, RobotSetup
 from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.platforms import load_platform
@@ -225,7 +225,7 @@ def test_the_daemon_and_fetch_do_without_the_libraries_of_recordings() -> None:
     code = (
         "import sys\n"
         "for name in ('mcap', 'rosbags', 'zstandard'): sys.modules[name] = None\n"
-        "import swarmd.daemon.daemon, swarmd.cli.record, swarmd.recording.fetch"
+        "import swarmd.daemon.daemon, swarmd.operator.cli.record, swarmd.daemon.recording.fetch"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -20,8 +20,8 @@ from swarmd.core.events import (
 )
 from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.daemon.recorder import Recorder
-from swarmd.recording import frames
-from swarmd.recording.ring import Ring, entries_of
+from swarmd.daemon.recording import frames
+from swarmd.daemon.recording.ring import Ring, entries_of
 from tests.support.robot_harness import RobotHarness
 
 

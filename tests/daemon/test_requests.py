@@ -27,8 +27,8 @@ from swarmd.core.verbs import (
 )
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.requests import MAX_PENDING, RequestServer
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.datagram import MAX_MS, Stop
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.datagram import MAX_MS, Stop
 from tests.support.fake_services import FakeService, fake_services
 
 EPOCH = Epoch("0123456789ab", 1)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from swarmd.daemon.recording.head import head_of
 from swarmd.daemon.robot_setup import recording_head
 from swarmd.patterns.drive.pattern import Drive
-from swarmd.recording.head import head_of
 from tests.support.robot_harness import RobotHarness
 
 

@@ -12,8 +12,8 @@ from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import RosterRequest
 from swarmd.daemon import roster_service
 from swarmd.daemon.roster_service import RosterService
-from swarmd.network.carriers.inbound_queue import DropCounter
-from tests.network.keyring import Keyring
+from swarmd.link.carriers.inbound_queue import DropCounter
+from tests.link.keyring import Keyring
 
 
 @pytest.mark.parametrize(

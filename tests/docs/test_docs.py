@@ -20,8 +20,6 @@ import pytest
 import yaml
 from msgspec import Struct
 
-from swarmd.cli.daemon import swarmd
-from swarmd.cli.swarmctl import VERBS, cli
 from swarmd.core.clock import TICK
 from swarmd.core.hazard import HazardKind
 from swarmd.core.key_table import PUBLISHED
@@ -31,9 +29,11 @@ from swarmd.drivers.crazyflie.driver import CrazyflieOptions
 from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros.options import RmwOptions, Ros1Options
 from swarmd.mission.schema import MissionFile
+from swarmd.operator.cli.daemon import swarmd
+from swarmd.operator.cli.swarmctl import VERBS, cli
 from swarmd.plugins import DRIVERS
-from swarmd.protection.binding_range import BindingRange
-from swarmd.protection.compatibility import barrier_settings
+from swarmd.robot.protection.binding_range import BindingRange
+from swarmd.robot.protection.compatibility import barrier_settings
 from swarmd.settings.platforms import PlatformFile, load_platform, platform_names
 from swarmd.sim.experiments.lessons import Lesson, load_lessons
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement

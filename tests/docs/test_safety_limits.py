@@ -9,12 +9,12 @@ import pytest
 
 from swarmd.core.clock import STALL_TIMEOUT
 from swarmd.core.values import MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP, MAX_TOLD_DISTANCE
-from swarmd.protection.binding_range import REACTION_TIME
-from swarmd.protection.fence import fence_pose
-from swarmd.protection.settings import ODOMETRY_SHARE
 from swarmd.robot import timeouts
 from swarmd.robot.hazard_holds import CLEAR_TIME
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT
+from swarmd.robot.protection.binding_range import REACTION_TIME
+from swarmd.robot.protection.fence import fence_pose
+from swarmd.robot.protection.settings import ODOMETRY_SHARE
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("failures.md", "mixed_swarms.md", "evidence/assumptions.md", "configuration.md")

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from swarmd.cli.daemon import exit_code_of, swarmd
-from swarmd.cli.swarmctl import cli as swarmctl
-from swarmd.cli.swarmctl import run_cli
+from swarmd.operator.cli.daemon import exit_code_of, swarmd
+from swarmd.operator.cli.swarmctl import cli as swarmctl
+from swarmd.operator.cli.swarmctl import run_cli
 from tests.support.launch_files import PACKAGE, executables
 from tests.support.swarmctl import parse_line
 

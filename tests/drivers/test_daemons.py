@@ -18,8 +18,8 @@ from swarmd.core.clock import boottime
 from swarmd.core.messages import State
 from swarmd.core.refusal import Refusal
 from swarmd.core.values import Twist, Value
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Rig, is_running
 from tests.drivers.ros1.rig import RosRobot

@@ -41,13 +41,13 @@ from swarmd.core.values import (
     Twist,
     Value,
 )
+from swarmd.daemon.recording import messages
+from swarmd.daemon.recording.frames import Begin, InputEntry, input_entry, without_geometry
+from swarmd.daemon.recording.head import head_of
+from swarmd.daemon.recording.process import Converter
+from swarmd.daemon.recording.reader import read_file
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.drivers.replay import ReplayDriver
-from swarmd.recording import messages
-from swarmd.recording.frames import Begin, InputEntry, input_entry, without_geometry
-from swarmd.recording.head import head_of
-from swarmd.recording.process import Converter
-from swarmd.recording.reader import read_file
 from swarmd.settings.file_limits import FileLimits
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, running_driver

@@ -8,10 +8,10 @@ import pytest
 
 from swarmd.core.values import Value
 from swarmd.core.verbs import RecordRequest
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
-from swarmd.recording import messages
-from swarmd.recording.reader import read_file
+from swarmd.daemon.recording import messages
+from swarmd.daemon.recording.reader import read_file
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.settings.settings import load_platform
 from tests.support.drive_daemon import ROBOT, drive, is_running
 from tests.support.fake_body import Body

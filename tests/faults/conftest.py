@@ -21,8 +21,8 @@ from swarmd.core.keys import build
 from swarmd.core.messages import Code, Epoch, Reason, Reply, State, Status
 from swarmd.core.values import Twist, Value
 from swarmd.core.verbs import VERBS
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, Commanded
 from tests.support.processes import (

@@ -13,7 +13,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.messages import Code, Reason, State
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import RunRequest
-from swarmd.network.datagram import STATES, Flag
+from swarmd.link.datagram import STATES, Flag
 from swarmd.testing.driver_contract import is_running
 from tests.faults.conftest import ROBOT
 from tests.support.processes import wait_until

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.messages import State
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.settings.contexts import Context, add_context
 from tests.support.fake_body import resting_body
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until

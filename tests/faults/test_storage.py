@@ -16,8 +16,8 @@ import pytest
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import Code, State
 from swarmd.core.verbs import AuditQuery, AuditReply, DoctorReply
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from tests.support.fake_body import resting_body
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 from tests.support.swarmctl import heard_statuses
@@ -146,7 +146,13 @@ def run(name: str, *words: str, folder: Path, prefix: tuple[str, ...] = (), **en
     """The output of a command without $HOME, and its exit code."""
     kept = {key: value for key, value in os.environ.items() if key != "HOME"}
     done = subprocess.run(
-        [*prefix, sys.executable, "-c", f"from swarmd.cli.entry import {name}; {name}()", *words],
+        [
+            *prefix,
+            sys.executable,
+            "-c",
+            f"from swarmd.operator.cli.entry import {name}; {name}()",
+            *words,
+        ],
         capture_output=True,
         text=True,
         cwd=folder,

@@ -32,11 +32,11 @@ from swarmd.core.verbs import KeptIncident
 from swarmd.daemon import incidents, recorder
 from swarmd.daemon.incidents import IncidentService, _signed, _Told
 from swarmd.daemon.recorder import Recorder
+from swarmd.daemon.recording.head import RecordingHead
+from swarmd.daemon.recording.incident_file import SUFFIX, IncidentHead, read_head
 from swarmd.daemon.requests import SendReply
-from swarmd.network.datagram import Address, Beacon
-from swarmd.network.spread.pull import PULL_BURST, PULL_RATE, PULL_TIMEOUT
-from swarmd.recording.head import RecordingHead
-from swarmd.recording.incident_file import SUFFIX, IncidentHead, read_head
+from swarmd.link.datagram import Address, Beacon
+from swarmd.link.spread.pull import PULL_BURST, PULL_RATE, PULL_TIMEOUT
 from swarmd.robot.actions import Actions
 from swarmd.settings.swarmfile import BlackboxSection
 

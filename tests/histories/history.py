@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from swarmd.core.incident import Incident, IncidentKind
-from swarmd.security.roster import KeyPermit
+from swarmd.link.keys.roster import KeyPermit
 from tests.histories.invariants import (
     HEAL_TIME,
     TELL_TIME,

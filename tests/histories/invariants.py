@@ -85,10 +85,10 @@ from swarmd.core.verbs import (
     RunRequest,
     StopRequest,
 )
-from swarmd.network.datagram import Datagram, Stop
-from swarmd.network.spread.goal_sync import FoundGoal
-from swarmd.network.stops.stop_relay import LIFETIME
-from swarmd.recording.incident_file import IncidentHead
+from swarmd.daemon.recording.incident_file import IncidentHead
+from swarmd.link.datagram import Datagram, Stop
+from swarmd.link.spread.goal_sync import FoundGoal
+from swarmd.link.stops.stop_relay import LIFETIME
 
 if TYPE_CHECKING:  # the sequences of one robot need no network
     from tests.histories.black_box import Death

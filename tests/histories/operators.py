@@ -31,7 +31,7 @@ from swarmd.core.verbs import (
     RunRequest,
     starts_motion,
 )
-from swarmd.network.datagram import (
+from swarmd.link.datagram import (
     Ack,
     Address,
     Beacon,
@@ -41,20 +41,20 @@ from swarmd.network.datagram import (
     Solicit,
     Stop,
 )
-from swarmd.network.operator.discovery import Discovery
-from swarmd.network.operator.loop_watch import LoopWatch
-from swarmd.network.operator.members_view import MembersView
-from swarmd.network.operator.operator import CLOCK_PERIOD
-from swarmd.network.operator.operator_goals import next_goal
-from swarmd.network.operator.outcome import Acks, Outcome, joined
-from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
-from swarmd.network.operator.request_sender import REPEAT_PERIOD, request_timeout
-from swarmd.network.operator.robot_clocks import RobotClocks
-from swarmd.network.operator.stop_request import PendingStop
-from swarmd.network.operator.stop_sender import STOP_PACE
-from swarmd.network.signature import Author
-from swarmd.security.roster import Role
-from swarmd.texts.goal import content_of, present_goals, set_apart
+from swarmd.link.keys.roster import Role
+from swarmd.link.signature import Author
+from swarmd.operator.session.discovery import Discovery
+from swarmd.operator.session.loop_watch import LoopWatch
+from swarmd.operator.session.members_view import MembersView
+from swarmd.operator.session.operator import CLOCK_PERIOD
+from swarmd.operator.session.operator_goals import next_goal
+from swarmd.operator.session.outcome import Acks, Outcome, joined
+from swarmd.operator.session.repeat_timer import SOLICIT_PACE, RepeatTimer
+from swarmd.operator.session.request_sender import REPEAT_PERIOD, request_timeout
+from swarmd.operator.session.robot_clocks import RobotClocks
+from swarmd.operator.session.stop_request import PendingStop
+from swarmd.operator.session.stop_sender import STOP_PACE
+from swarmd.operator.texts.goal import content_of, present_goals, set_apart
 from tests.histories.swarm import Node, VirtualSwarm
 
 POLL = 0.1  # s

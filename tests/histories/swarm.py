@@ -94,27 +94,27 @@ from swarmd.core.verbs import (
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.goal_service import STORE_TIME
 from swarmd.daemon.key_permits import KeyPermits
+from swarmd.daemon.recording.incident_file import IncidentHead
+from swarmd.daemon.recording.ring import Ring
 from swarmd.daemon.requests import RequestServer
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.carriers.programs import MAX_TAKEN, Programs
-from swarmd.network.datagram import Ack, Address, Datagram, RunLease, Stop
-from swarmd.network.members.admission import Admission
-from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
-from swarmd.network.signature import Author
-from swarmd.network.spread.goal_sync import FoundGoal
-from swarmd.network.stops.stop_freshness import REPLAYED
-from swarmd.protection.fence.fence_settings import FenceSettings
-from swarmd.recording.incident_file import IncidentHead
-from swarmd.recording.ring import Ring
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.carriers.programs import MAX_TAKEN, Programs
+from swarmd.link.datagram import Ack, Address, Datagram, RunLease, Stop
+from swarmd.link.keys.key_permit import PresentRun
+from swarmd.link.keys.roster import KeyPermit, Role
+from swarmd.link.members.admission import Admission
+from swarmd.link.peer import Peer, PeerActions, PeerSettings, Summary
+from swarmd.link.signature import Author
+from swarmd.link.spread.goal_sync import FoundGoal
+from swarmd.link.stops.stop_freshness import REPLAYED
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotSetup
-from swarmd.security.key_permit import PresentRun
-from swarmd.security.roster import KeyPermit, Role
+from swarmd.robot.steering.steering import Steering
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
-from swarmd.steering.steering import Steering
 from tests.histories.black_box import BlackBox, Death, memory_folder
 from tests.support.fake_services import fake_services
 from tests.support.no_real_clock import no_real_clock
@@ -129,7 +129,7 @@ POSE_PERIOD = 0.2
 COMMAND_TIME = 0.5  # s after which a base without commands stands
 FENCE = FenceSettings(frame="lab", polygon=[(-1e3, -1e3), (1e3, -1e3), (0.0, 1e3)])
 RAM_SPEED, RAM_DISTANCE, RAM_PERIOD, RAM_AGAIN = 1.0, 1.2, 0.1, 6.0  # m/s, m, s and s
-BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/carriers/udp.py`
+BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `link/carriers/udp.py`
 PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pushed
 SPEEDS = {"drive": 0.1, "circle": 0.05}
 CHILD = "-child"

@@ -18,12 +18,12 @@ from swarmd.core.goal import HeldGoal
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import Twist
-from swarmd.network import peer
-from swarmd.network.operator.robot_clocks import RobotClocks
-from swarmd.protection.fence import fence_pose
+from swarmd.link import peer
+from swarmd.operator.session.robot_clocks import RobotClocks
 from swarmd.robot import state
 from swarmd.robot.actions import Actions
 from swarmd.robot.issue_time import IssueTime
+from swarmd.robot.protection.fence import fence_pose
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.robot import Robot
 from tests.histories import swarm

@@ -14,7 +14,7 @@ import pytest
 
 from swarmd.core.messages import Code, Reply
 from swarmd.core.verbs import Request, RunRequest, StopRequest
-from swarmd.security.roster import KeyPermit
+from swarmd.link.keys.roster import KeyPermit
 from tests.histories.history import HistoryStep, Steps, draw, replay, step
 from tests.histories.invariants import Invariants
 from tests.histories.swarm import VirtualDaemon

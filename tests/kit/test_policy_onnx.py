@@ -10,10 +10,10 @@ import pytest
 from onnx import ModelProto, TensorProto, helper, numpy_helper
 from onnx.reference import ReferenceEvaluator
 
-from swarmd.cli.plugin import write_plugin
 from swarmd.core.errors import ConfigError
 from swarmd.kit.observation import PolicySpec, ReadingPart, encode_spec
 from swarmd.kit.policy_onnx import SPEC_PROPERTY, network_from_onnx
+from swarmd.operator.cli.plugin import write_plugin
 
 SPEC = PolicySpec((ReadingPart("a"), ReadingPart("b"), ReadingPart("c")))
 FIRST, SECOND = np.arange(12.0).reshape(4, 3) / 10.0 - 0.4, np.arange(8.0).reshape(2, 4) / 7.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from swarmd.kit.steering import Ahead, away_from, drive_along, turn_time
-from swarmd.sensing.rays import Ray
+from swarmd.robot.sensing.rays import Ray
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of
 

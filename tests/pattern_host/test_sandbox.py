@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.cli.plugin_check import describe_patterns
 from swarmd.core.host_messages import (
     HostCommand,
     HostEvent,
@@ -29,6 +28,7 @@ from swarmd.core.host_messages import (
 )
 from swarmd.core.messages import Sandbox
 from swarmd.core.values import Inputs
+from swarmd.operator.cli.plugin_check import describe_patterns
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.pattern_host.sandbox import FILES, NETWORK, PROCESSES
 from swarmd.settings.settings import load_platform

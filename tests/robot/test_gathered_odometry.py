@@ -11,8 +11,8 @@ from swarmd.core.clock import TICK
 from swarmd.core.events import TICK_INPUT, HostInput, Input, OdometryInput, ScanInput, TickInput
 from swarmd.core.values import Inputs, Odometry, Outputs, Pose, Twist
 from swarmd.kit.behavior import Pattern
-from swarmd.protection.decision import DecisionContext
 from swarmd.robot.actions import Actions
+from swarmd.robot.protection.decision import DecisionContext
 from swarmd.robot.robot import Robot
 from swarmd.testing.scans import Disc, scan_of, trembling
 from tests.support.robot_harness import RobotHarness, moved

@@ -103,7 +103,7 @@ def test_the_latch_for_all_further_ones_has_the_age_of_the_newest() -> None:
 
 
 def test_an_emergency_stop_of_single_robots_does_not_spread() -> None:
-    """Only a latch of scope `swarm` spreads to robots that join (network/datagram.py, `Stop`)."""
+    """Only a latch of scope `swarm` spreads to robots that join (link/datagram.py, `Stop`)."""
     own = Latch(issuer="alice", scope="robots")
     latches = Latches()
     assert latches.adopt({"a": own, "b": SWARM}, 0.0) == ("b",)

@@ -12,7 +12,7 @@ import pytest
 from swarmd.core.avoided import Avoided
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Twist
-from swarmd.protection.decision import Decision, Steered
+from swarmd.robot.protection.decision import Decision, Steered
 from swarmd.robot.robot import Robot
 from swarmd.settings.platforms import load_platform
 from tests.support.robot_harness import RobotHarness

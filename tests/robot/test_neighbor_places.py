@@ -13,8 +13,8 @@ from swarmd.core.neighbor_places import NeighborPlaces
 from swarmd.core.values import Detection, Neighbor, PeerPlace, Pose, SharedPose, Value, lacks_text
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names, places_of
-from swarmd.protection.compatibility import body_of
 from swarmd.robot.peers import FASTEST_POSE
+from swarmd.robot.protection.compatibility import body_of
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import with_options

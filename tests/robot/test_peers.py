@@ -19,7 +19,6 @@ from swarmd.core.values import (
     SharedPose,
     Twist,
 )
-from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
 from swarmd.robot.message_limits import EVENT_BURST, EVENT_PERIOD
 from swarmd.robot.peers import (
     ANGLE_ERROR,
@@ -28,6 +27,7 @@ from swarmd.robot.peers import (
     TOLD_TIMEOUT,
     Peers,
 )
+from swarmd.robot.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
 from swarmd.robot.timeouts import MAX_HOLD_TIME
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import under_barrier

@@ -24,7 +24,7 @@ from swarmd.core.host_messages import Loaded, PatternFailed
 from swarmd.core.messages import Reason, State
 from swarmd.core.refusal import Refusal
 from swarmd.kit.touch_config import TouchGrants, TouchSection
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
+from swarmd.robot.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
 from swarmd.testing.scans import Disc, scan_of
 from tests.support.protection import Protection
 from tests.support.robot_harness import RobotHarness

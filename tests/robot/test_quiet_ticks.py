@@ -56,8 +56,8 @@ from swarmd.core.verbs import (
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import RobotSetup
+from swarmd.robot.steering.steering import Steering
 from swarmd.settings.settings import load_platform
-from swarmd.steering.steering import Steering
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.examples import examples
 from tests.support.platforms import with_mode

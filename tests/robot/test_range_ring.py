@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from swarmd.core.events import RangesInput
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist
-from swarmd.protection.decision import Decision
-from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.modes import make_mode, narrowest_passage
-from swarmd.protection.settings import Mode
+from swarmd.robot.protection.decision import Decision
+from swarmd.robot.protection.footprint import ScanGeometry
+from swarmd.robot.protection.modes import make_mode, narrowest_passage
+from swarmd.robot.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform

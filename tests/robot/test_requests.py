@@ -816,7 +816,9 @@ FOUND = "braked at 0.60 +- 0.02 m/s2 in 3 stops, declared 1.00"
 def slowed() -> RobotHarness:
     """An idle robot whose monitor has found weak brakes."""
     harness = idle()
-    kernel = interpreted("swarmd.protection.assumption_monitor", because="a field of C is set")
+    kernel = interpreted(
+        "swarmd.robot.protection.assumption_monitor", because="a field of C is set"
+    )
     monitor = kernel.AssumptionMonitor(harness.robot.platform)
     harness.robot._protection._monitor = monitor
     monitor._linear.braking, monitor._linear.evidence = 0.56, FOUND

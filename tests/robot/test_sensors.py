@@ -15,9 +15,9 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, OdometryInput
 from swarmd.core.messages import Health, Reason, State
 from swarmd.core.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist
-from swarmd.protection.compatibility import body_of
-from swarmd.protection.settings import Mode
 from swarmd.robot.message_limits import EVENT_BURST
+from swarmd.robot.protection.compatibility import body_of
+from swarmd.robot.protection.settings import Mode
 from swarmd.robot.sensors import (
     MAX_INBOX_BYTES,
     MESSAGE_OVERHEAD,

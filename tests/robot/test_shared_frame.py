@@ -11,9 +11,9 @@ from msgspec.structs import replace
 from swarmd.core.events import OdometryInput, PeersInput, PlaceInput, PoseInput
 from swarmd.core.messages import Body, Reason, State, Status
 from swarmd.core.values import Odometry, PeerPlace, Pose, SharedPose, Twist
-from swarmd.protection.compatibility import ACCEPTS_NONE, body_of
-from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT, Peers
+from swarmd.robot.protection.compatibility import ACCEPTS_NONE, body_of
+from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform
 from tests.support.robot_harness import RobotHarness

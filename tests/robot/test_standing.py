@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from swarmd.core.avoided import Avoided
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Platform, Pose, Scan, Twist
-from swarmd.protection.decision import Decision
+from swarmd.robot.protection.decision import Decision
 from swarmd.robot.standing import StandingWatch
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan

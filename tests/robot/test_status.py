@@ -15,7 +15,7 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, ReadingsInput
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Status
 from swarmd.core.values import Neighbor, Scan, Twist
-from swarmd.protection.decision import Decision
+from swarmd.robot.protection.decision import Decision
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.status import MAX_ROWS
 from swarmd.robot.status import _avoided as avoided_text

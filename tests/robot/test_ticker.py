@@ -32,8 +32,8 @@ from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import RobotSetup
+from swarmd.robot.steering.steering import Steering
 from swarmd.settings.platforms import load_platform
-from swarmd.steering.steering import Steering
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.robot_harness import acted

@@ -237,7 +237,7 @@ def test_a_bad_node_is_what_a_bad_pattern_is(tmp_path: Path) -> None:
 
 
 def test_a_command_that_is_no_number_goes_on_as_that_of_any_pattern(tmp_path: Path) -> None:
-    """Protection answers it, as it does for a pattern (tests/robot, tests/protection)."""
+    """Protection answers it, as it does for a pattern (tests/robot, tests/robot/protection)."""
     lines = ("msg = Twist()", "msg.linear.x = float('nan')", "self.out.publish(msg)")
     executor, _ = executor_with(tmp_path, body(*lines))
     stepped = answers(executor)[1]

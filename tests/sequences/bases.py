@@ -39,7 +39,7 @@ from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh
 from swarmd.drivers.ros2.rmw_zenoh import make_driver as make_rmw_zenoh
-from swarmd.network.carriers.robot_link import Frame
+from swarmd.link.carriers.robot_link import Frame
 from swarmd.settings.platforms import load_platform
 from tests.sequences.virtual_loop import VirtualLoop
 

@@ -30,7 +30,7 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-from swarmd.network.datagram import Ack, Beacon, GoalReport, MemberList, Solicit, Stop
+from swarmd.link.datagram import Ack, Beacon, GoalReport, MemberList, Solicit, Stop
 from tests.histories.history import History, HistoryStep, step
 from tests.histories.invariants import BrokenRuleError
 from tests.histories.swarm import DELAY

@@ -37,8 +37,8 @@ from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code
 from swarmd.core.values import Odometry, Pose, Scan, SharedPose
 from swarmd.core.verbs import EstopRequest, Request, ResetRequest
-from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.actions import Actions
+from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.robot import Robot
 from swarmd.testing.scans import empty_scan
 from tests.sequences.robot_rules import (

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.cli.options import CommonOptions
 from swarmd.core.errors import ConfigError
+from swarmd.operator.cli.options import CommonOptions
 from swarmd.settings.contexts import (
     Context,
     add_context,

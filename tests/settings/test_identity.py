@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.network.datagram import tag_of
-from swarmd.security.identity import authority_of, identity_folders
+from swarmd.link.datagram import tag_of
+from swarmd.link.keys.identity import authority_of, identity_folders
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from swarmd.settings.swarmfile import load_swarm
 from tests.support.keys import SwarmKeys

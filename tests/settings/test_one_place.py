@@ -39,18 +39,18 @@ def add(name, below, added):
     module = sys.modules[name] = module_from_spec(spec)
     exec(compile(text.replace(below, below + added), spec.origin, "exec"), vars(module))
 
-add("swarmd.protection.settings", {BARRIER_BELOW!r}, {BARRIER_ADDED!r})
+add("swarmd.robot.protection.settings", {BARRIER_BELOW!r}, {BARRIER_ADDED!r})
 add("swarmd.settings.robot_settings", {BELOW!r}, {ADDED!r})
 """
 PLACES = """
 import json
-from swarmd.cli.effective_config import effective_config
+from swarmd.operator.cli.effective_config import effective_config
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import GoalRecord
 from swarmd.daemon.robot_setup import configured_robot, recording_head
-from swarmd.protection.compatibility import barrier_settings
-from swarmd.recording.head import head_of
-from swarmd.replay.replay import Replay
+from swarmd.robot.protection.compatibility import barrier_settings
+from swarmd.daemon.recording.head import head_of
+from swarmd.operator.replay.replay import Replay
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.memory import recall, remember
 from swarmd.settings.settings import load_daemon_settings

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import swarmd
-from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.sim.experiments import manifest, provenance
 
 DUO = """\
@@ -75,7 +75,7 @@ class Moody(MovementPattern[MoodyParams]):
         return Twist(linear=self.params.speed)
 '''
 
-MAIN = "from swarmd.cli.entry import swarmctl; swarmctl()"
+MAIN = "from swarmd.operator.cli.entry import swarmctl; swarmctl()"
 
 Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
 Refusal = Callable[..., str]

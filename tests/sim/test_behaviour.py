@@ -12,7 +12,7 @@ import pytest
 
 from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.values import Twist
-from swarmd.protection.decision import Decision
+from swarmd.robot.protection.decision import Decision
 from swarmd.sim.behaviour import hash_of, rules_of, rules_of_decision
 from swarmd.sim.trace import WORD, Trace, load_trace
 from tests.support.traces import trace_of

@@ -8,7 +8,7 @@ from random import Random
 import pytest
 
 from swarmd.core.events import Input, decode_input, encode_input
-from swarmd.recording import frames
+from swarmd.daemon.recording import frames
 from swarmd.robot.actions import Actions
 from swarmd.robot.memory import recall, remember
 from swarmd.robot.robot import Robot

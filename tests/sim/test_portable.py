@@ -68,12 +68,12 @@ import sys
 from pathlib import Path
 
 import swarmd.api
-import swarmd.cli.swarmctl
-import swarmd.cli.web
+import swarmd.operator.cli.swarmctl
+import swarmd.operator.cli.web
 import swarmd.sim.cli.exp
 import swarmd.sim.experiments.simulate
 import swarmd.testing
-import swarmd.view.server
+import swarmd.operator.view.server
 from swarmd.sim.experiments.results import load_results
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure
@@ -143,6 +143,7 @@ def test_runs_and_reports_are_made_without_what_another_system_lacks(tmp_path: P
 def test_a_module_that_linux_alone_has_is_found(tmp_path: Path) -> None:
     """The block blocks: else the tests above could not fail."""
     code = (
-        "try:\n    import swarmd.cli.daemon\nexcept ModuleNotFoundError as error: print(error.name)"
+        "try:\n    import swarmd.operator.cli.daemon\n"
+        "except ModuleNotFoundError as error: print(error.name)"
     )
     assert run(tmp_path, WINDOWS, code) == "resource\n"

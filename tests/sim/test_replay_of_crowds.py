@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from swarmd.recording import frames, messages
-from swarmd.recording.head import RecordingHead, head_of
-from swarmd.recording.merge import place, survey
-from swarmd.recording.reader import read_file
-from swarmd.replay.replay import Life, prepare, recordings_of
-from swarmd.replay.swarm import first_difference, place_lives, repeat_together
+from swarmd.daemon.recording import frames, messages
+from swarmd.daemon.recording.head import RecordingHead, head_of
+from swarmd.daemon.recording.merge import place, survey
+from swarmd.daemon.recording.reader import read_file
+from swarmd.operator.replay.replay import Life, prepare, recordings_of
+from swarmd.operator.replay.swarm import first_difference, place_lives, repeat_together
 from tests.support.clocked_crowd import crowd
 from tests.support.recorded_crowd import ROUND_TRIP, clock_of, recorded_crowd
 from tests.support.recorded_stories import ORIGINS, repeat, rewritten

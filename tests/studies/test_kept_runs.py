@@ -131,8 +131,8 @@ def test_the_files_of_rules_exist_and_the_names_are_those_of_runs() -> None:
 @pytest.mark.parametrize(
     ("name", "rules"),
     [
-        ("swarmd/steering/recovery.py", {"recovery"}),
-        ("swarmd/protection/fence/fence.py", {"barrier", "protection", "fence", "no_pose"}),
+        ("swarmd/robot/steering/recovery.py", {"recovery"}),
+        ("swarmd/robot/protection/fence/fence.py", {"barrier", "protection", "fence", "no_pose"}),
         ("patterns/drive/pattern.py", set()),
     ],
 )

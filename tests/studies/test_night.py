@@ -257,7 +257,7 @@ print(*sys.modules, sep="\\n")
     files = {ROOT.joinpath(*name.split(".")).with_suffix(".py").resolve() for name in used}
     ours = {path.relative_to(ROOT).as_posix() for path in files if path.is_file()}
     known = {path.relative_to(ROOT).as_posix() for path in job.sources}
-    assert {"swarmd/protection/barrier.py", "patterns/attraction/pattern.py"} <= ours
+    assert {"swarmd/robot/protection/barrier.py", "patterns/attraction/pattern.py"} <= ours
     assert {
         f"patterns/drive/{name}" for name in ("pattern.py", "scenario.yaml", "metrics.py")
     } <= known
@@ -272,12 +272,14 @@ def test_a_platform_a_scenario_and_a_pattern_that_a_study_names_are_sources() ->
         "config/scenarios/paper_exp1_burger.yaml",
         "config/platforms/burger.yaml",
         "patterns/attraction/pattern.py",
-        "swarmd/protection/barrier.py",
-        "swarmd/sensing/ray_memory.py",
+        "swarmd/robot/protection/barrier.py",
+        "swarmd/robot/sensing/ray_memory.py",
     } <= names
     assert "config/scenarios/paper_exp1_jackal.yaml" in names
     assert "patterns/foraging/pattern.py" not in names
-    assert not [name for name in names if name.startswith(("swarmd/cli", "swarmd/daemon", "tests"))]
+    assert not [
+        name for name in names if name.startswith(("swarmd/operator/cli", "swarmd/daemon", "tests"))
+    ]
 
 
 def test_tasks_that_a_study_lists_and_its_control_are_sources() -> None:

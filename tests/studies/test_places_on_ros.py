@@ -28,8 +28,8 @@ from swarmd.core.verbs import RunRequest
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.to_ros import LaserScanEncoder, odometry_message
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.sim.live.link import Command, EmulatorTransport, WorldLink, WorldView
 from swarmd.sim.live.live_scenario import LiveScenario
 from swarmd.sim.live.realtime import RealTimeWorld

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from studies import record_decisions
-from swarmd.protection.modes import make_mode
+from swarmd.robot.protection.modes import make_mode
 from tests.support import decision_corpus as corpus
 
 

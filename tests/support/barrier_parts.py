@@ -1,6 +1,6 @@
 """Parts of mode `barrier`, each asked alone.
 
-tests/protection/test_barrier_compiled.py holds both forms together.
+tests/robot/protection/test_barrier_compiled.py holds both forms together.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tests.support.filter_sim import under_barrier
 
 Point = tuple[float, float]
 BURGER = load_platform("burger")
-KERNEL = "swarmd.protection.barrier"
+KERNEL = "swarmd.robot.protection.barrier"
 interpreted_kernel = kernel_forms.interpreted(
     KERNEL, because="each part is a function or field of C"
 )
@@ -27,7 +27,7 @@ interpreted_kernel = kernel_forms.interpreted(
 def part(name: str) -> Any:
     """The module of a part, interpreted like the mode."""
     return kernel_forms.interpreted(
-        f"swarmd.protection.{name}", because="each part is a function or field of C"
+        f"swarmd.robot.protection.{name}", because="each part is a function or field of C"
     )
 
 

@@ -14,14 +14,14 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from swarmd.core.values import Odometry, Platform, Scan, Twist
-from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
-from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.modes import Mode
+from swarmd.robot.protection.decision import DecisionContext, ModeDecision, ToldObstacle
+from swarmd.robot.protection.footprint import ScanGeometry
+from swarmd.robot.protection.modes import Mode
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import under_barrier
 
-FILE = Path(__file__).parent.parent / "protection" / "decisions.json.xz"
+FILE = Path(__file__).parent.parent / "robot/protection" / "decisions.json.xz"
 _NOTHING, _TOO_CLOSE = -1, -2  # a range in mm
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Code, State, Status
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.operator import Operator
+from swarmd.operator.session.operator import Operator
 from tests.support.processes import wait_until
 from tests.support.swarmctl import STALLED
 

@@ -24,6 +24,8 @@ CODE = CACHE / "swarmd" / "versions" / COMMIT
 ENVIRON: Mapping[str, str] = {"PYTHONPATH": str(CODE), "PYTHONSAFEPATH": "1"}
 """What makes Python import the earlier version, wherever it is started."""
 SWARMCTL = (sys.executable, "-c", "from swarmd.cli.entry import swarmctl; swarmctl()")
+DAEMON = ("swarmd.cli.daemon",)
+"""The module of its daemon."""
 PREFIX = ("env", *(f"{name}={text}" for name, text in ENVIRON.items()))
 """Becomes a daemon of the earlier version, as `prefix` of a DaemonProcess."""
 

@@ -18,7 +18,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
 from swarmd.driver_api.hw_codec import decode_command, encode_odometry, encode_scan
-from swarmd.network.carriers.robot_link import RobotServer
+from swarmd.link.carriers.robot_link import RobotServer
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 

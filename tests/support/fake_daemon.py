@@ -24,13 +24,13 @@ from swarmd.core.messages import Code, Epoch, Reason, Reply, State, Status
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import AnyRequest
 from swarmd.daemon.network import Network, NetworkRobot
-from swarmd.network.carriers.bus import Query, ZenohBus
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.carriers.interface_watch import InterfaceChange
-from swarmd.network.datagram import Address, Beacon, Stop
-from swarmd.network.peer import StopVerdict, Summary
-from swarmd.network.settings import NetworkSettings
-from swarmd.network.signature import Author
+from swarmd.link.carriers.bus import Query, ZenohBus
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.carriers.interface_watch import InterfaceChange
+from swarmd.link.datagram import Address, Beacon, Stop
+from swarmd.link.peer import StopVerdict, Summary
+from swarmd.link.settings import NetworkSettings
+from swarmd.link.signature import Author
 from tests.support.keys import SwarmKeys
 from tests.support.statuses import status
 

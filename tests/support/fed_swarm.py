@@ -15,7 +15,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from swarmd.cli.web import WebOptions, serve
 from swarmd.core.codec import encode
 from swarmd.core.errors import unknown
 from swarmd.core.messages import (
@@ -35,11 +34,12 @@ from swarmd.core.refusal import Refusal
 from swarmd.core.values import Scan
 from swarmd.core.verbs import AnyRequest, RunRequest
 from swarmd.driver_api.hw_codec import encode_scan
-from swarmd.network.operator.members_view import MembersView, SeenMember
-from swarmd.network.operator.outcome import Outcome
-from swarmd.network.settings import NetworkSettings
-from swarmd.view.commander import LiveCommander
-from swarmd.view.live import LiveSource
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.cli.web import WebOptions, serve
+from swarmd.operator.session.members_view import MembersView, SeenMember
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.view.commander import LiveCommander
+from swarmd.operator.view.live import LiveSource
 from tests.support.statuses import make_member, status
 
 PERIOD = 0.1

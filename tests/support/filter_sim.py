@@ -26,7 +26,7 @@ from swarmd.core.values import (
     TouchZone,
     Twist,
 )
-from swarmd.protection.decision import (
+from swarmd.robot.protection.decision import (
     NO_PERMIT,
     Decision,
     DecisionContext,
@@ -42,7 +42,7 @@ from tests.support.protection import Commander, Protection
 DT = 0.01
 TICK = 0.05
 HERE = Pose()
-FORMS = both_forms("swarmd.protection.barrier")
+FORMS = both_forms("swarmd.robot.protection.barrier")
 RequestedCommand = Twist | Callable[[float], Twist]
 
 

@@ -11,7 +11,7 @@ import struct
 import sys
 import time
 
-from swarmd.network.carriers.udp import GROUP4, GROUP_PORT
+from swarmd.link.carriers.udp import GROUP4, GROUP_PORT
 
 BURST = 50
 

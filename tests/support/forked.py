@@ -45,8 +45,8 @@ def main() -> None:
 
         sys.argv[1:] = words
         forked_fleet_daemon.main()
-    from swarmd.cli import daemon, swarmctl
     from swarmd.core.processes import die_with_parent
+    from swarmd.operator.cli import daemon, swarmctl
 
     faulthandler.enable()
     *words, _, parent = words

@@ -16,9 +16,9 @@ from msgspec import Struct, inspect
 from swarmd.core.goal import Goal
 from swarmd.core.pattern_manifest import PatternManifest, Signed
 from swarmd.core.verbs import PushRequest, RosterRequest
-from swarmd.network.datagram import GoalReport
-from swarmd.security.roster import Roster, SignedRoster
-from swarmd.security.roster_change import SharedRoster
+from swarmd.link.datagram import GoalReport
+from swarmd.link.keys.roster import Roster, SignedRoster
+from swarmd.link.keys.roster_change import SharedRoster
 
 Garbage = Callable[[random.Random, bytes, int], bytes]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from swarmd.core.goal import Goal, GoalState, GoalStatus, KnownGoal, digest_of
-from swarmd.network.operator.members_view import MembersView, SeenMember
+from swarmd.operator.session.members_view import MembersView, SeenMember
 from tests.support.statuses import make_member
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import msgspec
 
 from swarmd.core.incident import Incident, IncidentKind
-from swarmd.recording import frames
-from swarmd.recording.incident_file import SUFFIX, IncidentHead, pack
-from swarmd.recording.ring import Ring, entries_of
+from swarmd.daemon.recording import frames
+from swarmd.daemon.recording.incident_file import SUFFIX, IncidentHead, pack
+from swarmd.daemon.recording.ring import Ring, entries_of
 from tests.support.recorded_stories import Story, head_at
 
 ID = "0123456789ab"

@@ -34,7 +34,7 @@ def interpreted_kernels() -> Iterator[None]:
 
     What is not a kernel must have been imported before: it would keep the interpreted form.
     """
-    if not hasattr(import_module("swarmd.protection.barrier"), "__unit__"):
+    if not hasattr(import_module("swarmd.robot.protection.barrier"), "__unit__"):
         yield
         return
     before = _modules()

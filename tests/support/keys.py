@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from swarmd.security.authority import Authority
-from swarmd.security.identity import Identity, load_identity
-from swarmd.security.roster import KeyPermit, Role
+from swarmd.link.keys.authority import Authority
+from swarmd.link.keys.identity import Identity, load_identity
+from swarmd.link.keys.roster import KeyPermit, Role
 
 P256_ORDER = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
 

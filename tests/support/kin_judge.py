@@ -16,12 +16,12 @@ import numpy as np
 
 from swarmd.core.kin_message import KinMessage
 from swarmd.core.values import Array, Neighbor, Odometry, Scan
-from swarmd.kin.kin import NO_ROBOT, Kin
-from swarmd.protection.decision import DecisionContext
+from swarmd.robot.kin.kin import NO_ROBOT, Kin
+from swarmd.robot.protection.decision import DecisionContext
+from swarmd.robot.steering.tracks import Tracker
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
-from swarmd.steering.tracks import Tracker
 
 REACH = 2.5  # m, of the tracks
 START = 10.0  # s

@@ -10,10 +10,10 @@ import json
 import sys
 from pathlib import Path
 
-from swarmd.cli.options import CommonOptions
 from swarmd.core.messages import Epoch
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.operator import Operator
+from swarmd.operator.cli.options import CommonOptions
+from swarmd.operator.session.operator import Operator
 
 
 def run(

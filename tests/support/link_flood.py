@@ -16,9 +16,9 @@ from pathlib import Path
 import zenoh
 
 from swarmd.core.errors import NetworkError
-from swarmd.network.carriers.session import open_with, operator_options
-from swarmd.network.settings import NetworkSettings
-from swarmd.security.identity import load_identity
+from swarmd.link.carriers.session import open_with, operator_options
+from swarmd.link.keys.identity import load_identity
+from swarmd.link.settings import NetworkSettings
 
 THREADS = 4
 BEGIN_TIME = 5.0  # s for each thread: a robot that ends links gives no place to so many

@@ -1,4 +1,4 @@
-"""The fence by arrays of numpy, a second form of `protection/fence/fence_stops.py` for tests.
+"""The fence by arrays of numpy, a second form of `robot/protection/fence/fence_stops.py` for tests.
 
 It simulates the stops of all shares of a request at once.
 """
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from swarmd.core.clock import TICK
 from swarmd.core.values import Array, Platform, Pose, Twist
-from swarmd.protection.decision import DecisionContext
-from swarmd.protection.fence.fence import Fence
-from swarmd.protection.fence.fence_settings import FenceSettings
-from swarmd.protection.settings import ODOMETRY_SHARE
+from swarmd.robot.protection.decision import DecisionContext
+from swarmd.robot.protection.fence.fence import Fence
+from swarmd.robot.protection.fence.fence_settings import FenceSettings
+from swarmd.robot.protection.settings import ODOMETRY_SHARE
 
 _STEPS = 8
 _IDEAL_BRAKING = 1e9

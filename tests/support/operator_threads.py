@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 
-from swarmd.client.hand_over import HAND_OVER
-from swarmd.client.swarm_watch import LOOKING
-from swarmd.network.operator.roster_follower import CLOSING
+from swarmd.operator.client.hand_over import HAND_OVER
+from swarmd.operator.client.swarm_watch import LOOKING
+from swarmd.operator.session.roster_follower import CLOSING
 
 
 def is_closing() -> bool:

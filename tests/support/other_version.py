@@ -14,7 +14,7 @@ def main() -> None:
     offset, swarm, robot, endpoint = sys.argv[1:5]
     del sys.argv[1:5]
     codec.VERSION += int(offset)
-    from swarmd.cli.daemon import main as swarmd
+    from swarmd.operator.cli.daemon import main as swarmd
     from tests.support.fake_body import resting_body
 
     with resting_body(swarm, robot, endpoint):

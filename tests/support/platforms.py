@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from swarmd.core.values import Platform
-from swarmd.protection.settings import Mode
+from swarmd.robot.protection.settings import Mode
 
 
 def with_mode(platform: Platform, mode: Mode) -> Platform:

@@ -28,12 +28,17 @@ from swarmd.testing.driver_contract import is_running
 from tests.support.forked_python import COMM
 
 CAP = 60.0
-DAEMON = ("swarmd.cli.daemon",)
+DAEMON = ("swarmd.operator.cli.daemon",)
 FORKED = "tests.support.forked"
 MODULES = (
     *DAEMON_MODULES,
-    *("swarmd.cli.swarmctl", "swarmd.cli.send", "swarmd.cli.run", "swarmd.cli.members"),
-    "swarmd.network.operator.operator",
+    *(
+        "swarmd.operator.cli.swarmctl",
+        "swarmd.operator.cli.send",
+        "swarmd.operator.cli.run",
+        "swarmd.operator.cli.members",
+    ),
+    "swarmd.operator.session.operator",
 )
 """What the server of forks imports."""
 _READ_AT_START = {"SWARMD_COMPILED", "PYTHONPATH", "LD_PRELOAD"}
@@ -49,7 +54,12 @@ def run_command(
 ) -> subprocess.CompletedProcess[str]:
     """Run `swarmctl` or `swarmd` to its end, in a swarm and with a home of its own."""
     return subprocess.run(
-        [sys.executable, "-c", f"from swarmd.cli.entry import {name}; {name}()", *map(str, words)],
+        [
+            sys.executable,
+            "-c",
+            f"from swarmd.operator.cli.entry import {name}; {name}()",
+            *map(str, words),
+        ],
         capture_output=True,
         text=True,
         stdin=subprocess.DEVNULL,

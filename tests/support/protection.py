@@ -6,11 +6,11 @@ from typing import Any
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Platform, Scan, Twist
-from swarmd.protection import protection as protection_module
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
-from swarmd.protection.protection import Protection
-from swarmd.steering import steering as steering_module
-from swarmd.steering.steering import Steering
+from swarmd.robot.protection import protection as protection_module
+from swarmd.robot.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
+from swarmd.robot.protection.protection import Protection
+from swarmd.robot.steering import steering as steering_module
+from swarmd.robot.steering.steering import Steering
 
 __all__ = ["Commander", "Protection", "Steering"]
 

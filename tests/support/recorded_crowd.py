@@ -11,9 +11,9 @@ from msgspec import structs
 
 from swarmd.core.events import Input, NeighborsInput
 from swarmd.core.kernels import describe_kernels
-from swarmd.recording import frames
-from swarmd.recording.head import RecordingHead
-from swarmd.recording.process import Converter
+from swarmd.daemon.recording import frames
+from swarmd.daemon.recording.head import RecordingHead
+from swarmd.daemon.recording.process import Converter
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.settings.file_limits import FileLimits

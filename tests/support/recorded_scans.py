@@ -15,10 +15,10 @@ from swarmd.core.values import Array, ScanSpec
 from swarmd.settings.platforms import load_platform, platform_names
 from tests.support.kernel_forms import both_forms
 
-FORMS = both_forms(*(name for name in UNITS["swarmd.sensing._scans"] if name not in HELPERS))
+FORMS = both_forms(*(name for name in UNITS["swarmd.robot.sensing._scans"] if name not in HELPERS))
 KERNEL = FORMS[1]
 # What an implementation with numpy gave, which does not exist any more.
-RECORDED = dict(np.load(Path(__file__).parents[1] / "sensing/recorded_scans.npz"))
+RECORDED = dict(np.load(Path(__file__).parents[1] / "robot/sensing/recorded_scans.npz"))
 
 SPECS = [load_platform(name).scan for name in platform_names()]
 SPECS = [spec for spec in SPECS if len(spec.bearings)]

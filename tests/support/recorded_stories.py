@@ -16,21 +16,21 @@ from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan, Twist
 from swarmd.daemon.recorder import Recorder
+from swarmd.daemon.recording import frames
+from swarmd.daemon.recording.head import RecordingHead
+from swarmd.daemon.recording.process import Converter
+from swarmd.daemon.recording.reader import RecordedFile, read_file
+from swarmd.daemon.recording.writer import Channels
 from swarmd.daemon.robot_setup import recording_head
 from swarmd.kit.behavior import Pattern
+from swarmd.operator.replay.replay import Parity, prepare
+from swarmd.operator.replay.swarm import repeat_together
 from swarmd.patterns.drive.pattern import Drive
 from swarmd.patterns.random_walk.pattern import RandomWalk
 from swarmd.plugins import pattern_names
-from swarmd.protection.fence.fence_settings import FenceSettings
-from swarmd.recording import frames
-from swarmd.recording.head import RecordingHead
-from swarmd.recording.process import Converter
-from swarmd.recording.reader import RecordedFile, read_file
-from swarmd.recording.writer import Channels
-from swarmd.replay.replay import Parity, prepare
-from swarmd.replay.swarm import repeat_together
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.robot import Robot
 from swarmd.settings.file_limits import FileLimits
 from swarmd.testing.scans import empty_scan

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarmd.core.values import Array, Odometry, Platform, Pose, Twist
-from swarmd.protection import assumption_monitor
+from swarmd.robot.protection import assumption_monitor
 from swarmd.sim.world import base
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.odometer import ODOMETRY_RATE, Odometers

@@ -44,19 +44,19 @@ from swarmd.core.verbs import (
     VERBS,
     Request,
 )
-from swarmd.kin.kin_maker import KinMaker
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
-from swarmd.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.actions import Actions, FailedCode
+from swarmd.robot.kin.kin_maker import KinMaker
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.robot import Robot
 from swarmd.robot.setup import EarlierLives, RobotSetup
+from swarmd.robot.steering.steering import Steering
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
-from swarmd.steering.steering import Steering
 from swarmd.testing.scans import empty_scan
 
 ScanSource = Callable[[int, float], Scan | None]

@@ -37,7 +37,7 @@ class Router:
 
 
 def main(listen: str, *connect: str) -> None:
-    from swarmd.network.carriers.session import open_with
+    from swarmd.link.carriers.session import open_with
 
     if listen.endswith(".json"):
         session = zenoh.open(zenoh.Config.from_file(listen))

@@ -18,11 +18,11 @@ _WAITING = {
 }
 """Folders whose tests wait for sockets, threads or processes, also without the mark."""
 LONGEST = (
-    *("core/test_kernel_forms", "cli/test_plugin", "network_faults/test_addresses"),
-    *("cli/test_calibrate", "drivers/ros2/test_bridge", "drivers/ros1/test_driver"),
-    *("swarm/test_garbage", "drivers/crazyflie/test_driver", "calibration/test_lockstep"),
-    *("testing/test_driver_contract", "view/test_page_layout", "swarm/test_verbs"),
-    *("drivers/ros1/test_life", "drivers/test_daemons", "network/test_udp"),
+    *("core/test_kernel_forms", "operator/cli/test_plugin", "network_faults/test_addresses"),
+    *("operator/cli/test_calibrate", "drivers/ros2/test_bridge", "drivers/ros1/test_driver"),
+    *("swarm/test_garbage", "drivers/crazyflie/test_driver", "operator/calibration/test_lockstep"),
+    *("testing/test_driver_contract", "operator/view/test_page_layout", "swarm/test_verbs"),
+    *("drivers/ros1/test_life", "drivers/test_daemons", "link/test_udp"),
     *("swarm/test_stolen_robot", "sim/cli/test_classroom", "drivers/ros2/test_bridge_bases"),
     *("drivers/crazyflie/test_swarm", "sim/lockstep/test_broken_assumptions"),
     *("drivers/ros2/test_rmw_zenoh", "drivers/ros2/test_dds_bridge", "drivers/ros2/test_services"),
@@ -30,10 +30,18 @@ LONGEST = (
     *("drivers/ros2/test_faults", "faults/test_watchdog", "sim/experiments/test_pool"),
     *("sim/test_portable", "drivers/ros2/test_bridge_commands"),
     *("swarm/test_estop", "faults/test_daemon", "examples/test_notebooks", "sim/view/test_pages"),
-    *("cli/test_swarmctl", "security/test_files_of_others", "protection/test_barrier_closed_loop"),
+    *(
+        "operator/cli/test_swarmctl",
+        "link/keys/test_files_of_others",
+        "robot/protection/test_barrier_closed_loop",
+    ),
     *("network_faults/test_strangers", "sim/live/test_demo", "faults/test_scans"),
     *("drivers/ros2/test_node_list", "sim/cli/test_exp", "drivers/ros2/test_last_word"),
-    *("sim/cli/test_tour", "protection/test_assumption_monitor", "network_faults/test_splits"),
+    *(
+        "sim/cli/test_tour",
+        "robot/protection/test_assumption_monitor",
+        "network_faults/test_splits",
+    ),
     *("sim/live/test_emulators", "sim/experiments/test_tune"),
 )
 """Files of tests that take 60 s to 12 s with two cores, the longest first."""

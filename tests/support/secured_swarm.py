@@ -14,12 +14,12 @@ from typing import Any, Self
 
 from swarmd.core.messages import Presence, Status
 from swarmd.core.verbs import ResetRequest
-from swarmd.network.carriers.udp import GROUP4, GROUP_PORT
-from swarmd.network.datagram import Address, Beacon, Datagram, tag_of, unpack
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
-from swarmd.network.settings import NetworkSettings
-from swarmd.security.roster import KeyPermit
+from swarmd.link.carriers.udp import GROUP4, GROUP_PORT
+from swarmd.link.datagram import Address, Beacon, Datagram, tag_of, unpack
+from swarmd.link.keys.roster import KeyPermit
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
 from tests.support.fake_body import resting_body
 from tests.support.keys import SwarmKeys
 from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, wait_until

@@ -38,7 +38,7 @@ FILES: tuple[type[Struct], ...] = (
 )
 """The files that users write, and the options of drivers."""
 CLOSURES = (
-    *("swarmd.protection.protection", "swarmd.robot.robot", "swarmd.network.peer", "swarmd.api"),
+    *("swarmd.robot.protection.protection", "swarmd.robot.robot", "swarmd.link.peer", "swarmd.api"),
     "swarmd.daemon.daemon",
 )
 """Modules whose imports a test lists by room."""

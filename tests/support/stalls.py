@@ -36,7 +36,8 @@ _ALONE = 0.7
 """How often one process stands still; else all of its kind do, or all with the length SHORT."""
 _LONG_PROGRAMS = ("python", "zenoh", "ros2-router", "rosmaster", "roscore")
 _DAEMON_MODULES = (
-    "swarmd.cli.daemon",
+    "swarmd.cli.daemon",  # of an earlier version
+    "swarmd.operator.cli.daemon",
     "swarmd.pattern_host",
     "swarmd.driver_api.watchdog",
     "ros1/adapter_process.py",

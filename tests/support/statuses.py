@@ -18,7 +18,7 @@ from swarmd.core.messages import (
     State,
     Status,
 )
-from swarmd.network.operator.members_view import Contact, SeenMember
+from swarmd.operator.session.members_view import Contact, SeenMember
 
 RUNNING = Status(
     robot="r1",

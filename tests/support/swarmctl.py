@@ -22,13 +22,13 @@ from unittest import mock
 import click
 import pytest
 
-from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.errors import RequestError
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.messages import Code, Status
-from swarmd.network.operator.exit_codes import APPLIED, UNREACHABLE
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
+from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.operator.session.exit_codes import APPLIED, UNREACHABLE
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
 from swarmd.sim.live.starting import statuses_of
 from tests.support.processes import CAP, FORKED, MODULES, unique_swarm, wait_until
 
@@ -36,7 +36,7 @@ STALLED = re.compile(
     r"by a stall of|loop_stalled|loading took more than|issued [\d.]+ s ago|stood still"
 )
 """In a refusal, on a machine that is too busy to be in time."""
-SWARMCTL = (sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()")
+SWARMCTL = (sys.executable, "-c", "from swarmd.operator.cli.swarmctl import main; main()")
 _FORKING = threading.Lock()
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from swarmd.steering.tracks import Track
+    from swarmd.robot.steering.tracks import Track
 
 
 def numbers_of(tracks: Iterable[Track]) -> list[tuple[float, ...]]:

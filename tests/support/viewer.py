@@ -9,9 +9,9 @@ from collections.abc import Callable
 import zenoh
 
 from swarmd.core.errors import CodecError
-from swarmd.network.carriers.session import open_operator_session
-from swarmd.network.carriers.udp import UdpCarrier
-from swarmd.network.datagram import (
+from swarmd.link.carriers.session import open_operator_session
+from swarmd.link.carriers.udp import UdpCarrier
+from swarmd.link.datagram import (
     Address,
     Beacon,
     Datagram,
@@ -21,7 +21,7 @@ from swarmd.network.datagram import (
     tag_of,
     unpack,
 )
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
 
 ANSWER_TIME = 0.1  # s for answers to a question of who is there
 LINK_TIME = 1.0  # s for a new link to show its robot's keys

@@ -12,43 +12,34 @@ ROOT = Path(__file__).resolve().parents[2]
 WINGS: Mapping[str, tuple[str, ...]] = {
     "robot": (
         *("config", "drivers", "patterns", "swarmd/api", "swarmd/core", "swarmd/daemon"),
-        *("swarmd/driver_api", "swarmd/kin", "swarmd/kit", "swarmd/mission", "swarmd/network"),
+        *("swarmd/driver_api", "swarmd/kit", "swarmd/mission", "swarmd/link"),
         "swarmd/make_robot",
-        *("swarmd/pattern_host", "swarmd/plugins", "swarmd/protection", "swarmd/recording"),
+        *(
+            "swarmd/pattern_host",
+            "swarmd/plugins",
+        ),
         *(
             "swarmd/robot",
             "swarmd/ros2_nodes",
-            "swarmd/security",
-            "swarmd/sensing",
             "swarmd/settings",
         ),
-        "swarmd/steering",
         "swarmd/testing",
     ),
-    "operator": (
-        *(
-            "drivers/ros2swarm",
-            "swarmd/acceptance",
-            "swarmd/calibration",
-            "swarmd/cli",
-            "swarmd/client",
-            "swarmd/network/operator",
-        ),
-        *("swarmd/replay", "swarmd/texts", "swarmd/view"),
-    ),
+    "operator": (*("drivers/ros2swarm", "swarmd/operator"),),
     "laboratory": ("benchmarks", "sim", "studies"),
 }
 """Folders and files of each wing; none imports from a later wing."""
 ROOMS: tuple[tuple[str, ...], ...] = (
+    ("keys",),
     ("access", "datagram", "settings"),
     ("signature",),
     ("stops",),
     ("members",),
     ("carriers",),
     ("spread",),
-    ("operator", "peer"),
+    ("peer",),
 )
-"""Folders and files of `swarmd/network`, from the ground up: each imports lower rooms only."""
+"""Folders and files of `swarmd/link`, from the ground up: each imports lower rooms only."""
 
 
 def wing_of(place: str) -> str | None:

@@ -15,12 +15,12 @@ from swarmd.core.codec import Decoder
 from swarmd.core.keys import ANYONE, CONTROL, build
 from swarmd.core.messages import PeerView, Presence, State, Status
 from swarmd.core.values import Value
-from swarmd.network.carriers.session import MAX_WIRE
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.carriers.session import MAX_WIRE
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, resting_body
-from tests.support.processes import DaemonProcess, attempts, unique_swarm, wait_until
+from tests.support.processes import DAEMON, DaemonProcess, attempts, unique_swarm, wait_until
 from tests.support.swarmctl import STALLED, Finished, Running, swarmctl, swarmctl_in_time
 from tests.support.viewer import Viewer
 
@@ -58,6 +58,7 @@ class Swarm:
         body: Body | None = None,
         options: Mapping[str, Value] | None = None,
         prefix: Sequence[str] = (),
+        module: Sequence[str] = DAEMON,
     ) -> DaemonProcess:
         """A daemon that is starting; without a body its driver does not connect.
 
@@ -71,6 +72,7 @@ class Swarm:
             endpoint="tcp/127.0.0.1:9" if body is None else body.endpoint,
             options={"state_dir": str(self.folder / "state"), **(options or {})},
             prefix=prefix,
+            module=module,
         )
         return self._left.enter_context(daemon)
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from swarmd.core.messages import Presence, State
-from swarmd.network.carriers.udp import GROUP4, GROUP_PORT
-from swarmd.network.datagram import (
+from swarmd.link.carriers.udp import GROUP4, GROUP_PORT
+from swarmd.link.datagram import (
     KIND_OFFSET,
     Ack,
     Beacon,

@@ -36,15 +36,15 @@ from swarmd.driver_api.hw_codec import (
     encode_odometry,
     encode_scan,
 )
-from swarmd.network import datagram
-from swarmd.network.carriers.bus import Query, ZenohBus
-from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.datagram import MAX_DATAGRAM, MAX_TRAILER, Beacon, Datagram, pack, tag_of
-from swarmd.network.members.membership import MAX_MEMBERS
-from swarmd.network.signature import Signer
-from swarmd.network.spread import pull
-from swarmd.security.roster import Role
-from swarmd.security.roster_change import SharedRoster
+from swarmd.link import datagram
+from swarmd.link.carriers.bus import Query, ZenohBus
+from swarmd.link.carriers.inbound_queue import DropCounter
+from swarmd.link.datagram import MAX_DATAGRAM, MAX_TRAILER, Beacon, Datagram, pack, tag_of
+from swarmd.link.keys.roster import Role
+from swarmd.link.keys.roster_change import SharedRoster
+from swarmd.link.members.membership import MAX_MEMBERS
+from swarmd.link.signature import Signer
+from swarmd.link.spread import pull
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from tests.daemon.test_daemon import RecordingDriver
 from tests.support.examples import examples

@@ -11,7 +11,7 @@ from swarmd.core.goal import Goal, GoalState, GoalStatus
 from swarmd.core.messages import Code, State, Status
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import ResumeRequest, RunRequest
-from swarmd.network.stops.stop_relay import LAST_INTERVAL
+from swarmd.link.stops.stop_relay import LAST_INTERVAL
 from tests.support.processes import wait_until
 from tests.swarm.conftest import Swarm
 

@@ -13,7 +13,7 @@ import pytest
 
 from swarmd.core.messages import State
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.operator.outcome import Outcome
+from swarmd.operator.session.outcome import Outcome
 from tests.support.handshakes import KINDS
 from tests.support.keys import SwarmKeys
 from tests.support.processes import wait_until

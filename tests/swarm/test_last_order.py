@@ -12,9 +12,9 @@ import pytest
 
 import swarmd
 from swarmd.core.messages import State
-from swarmd.network.operator.members_view import MembersView
-from swarmd.network.operator.operator import Operator
-from swarmd.view.commander import LiveCommander
+from swarmd.operator.session.members_view import MembersView
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.view.commander import LiveCommander
 from tests.support.processes import CAP, wait_until
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.cli.daemon import exit_code_of, swarmd
-from swarmd.cli.swarmctl import run_cli
 from swarmd.core.clock import boottime
 from swarmd.core.messages import State, Status
+from swarmd.operator.cli.daemon import exit_code_of, swarmd
+from swarmd.operator.cli.swarmctl import run_cli
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
@@ -72,7 +72,8 @@ PATTERNS, PARAMETERS = "(see swarmctl patterns", "(see swarmctl patterns show"
 def test_swarmctl_reports_a_mistake_in_one_line(
     driving: Driving, words: str, code: int, subjects: list[str]
 ) -> None:
-    """Mistakes that show once robots are known; tests/cli/test_swarmctl.py has the others."""
+    """Mistakes that show once robots are known; tests/operator/cli/test_swarmctl.py has the
+    others."""
     done = driving.swarm.ctl(*words.split())
     assert (done.code, done.err.count("\n")) == (code, 1), done
     assert (done.out == "") == (code != 2)  # what robots refuse is their answers, too

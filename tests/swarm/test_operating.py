@@ -12,7 +12,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.messages import STATUS_SILENCE, Reason, State
 from swarmd.core.values import Value
-from swarmd.network.operator.exit_codes import NO_TARGET, REFUSED, TIMEOUT
+from swarmd.operator.session.exit_codes import NO_TARGET, REFUSED, TIMEOUT
 from tests.support.fake_body import Body
 from tests.support.processes import stop_process, wait_until
 from tests.support.swarmctl import STALLED, Finished, ask_in_time

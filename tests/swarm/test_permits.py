@@ -25,8 +25,8 @@ from swarmd.core.verbs import (
     ResetRequest,
     RunRequest,
 )
-from swarmd.network.operator.operator import Operator
-from swarmd.security.roster import KeyPermit
+from swarmd.link.keys.roster import KeyPermit
+from swarmd.operator.session.operator import Operator
 from tests.support.processes import wait_until
 from tests.support.secured_swarm import RUNNING, SecuredSwarm
 from tests.support.swarmctl import STALLED

@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING
 import pytest
 
 import swarmd
-from swarmd.client.hand_over import HAND_OVER
-from swarmd.client.states import MAX_WAITING
 from swarmd.core.errors import ConfigError, NetworkError, RequestError, SwarmError
 from swarmd.core.messages import Presence, Reason, State
 from swarmd.core.refusal import Refusal
-from swarmd.network.operator.exit_codes import NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
+from swarmd.operator.client.hand_over import HAND_OVER
+from swarmd.operator.client.states import MAX_WAITING
+from swarmd.operator.session.exit_codes import NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 from tests.support.secured_swarm import SecuredSwarm
 from tests.support.swarmctl import STALLED, typed_in_time
 
 if TYPE_CHECKING:
-    from swarmd.client.swarm import Swarm as Client
-    from swarmd.network.operator.outcome import Outcome
+    from swarmd.operator.client.swarm import Swarm as Client
+    from swarmd.operator.session.outcome import Outcome
     from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration

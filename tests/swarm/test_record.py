@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.recording import messages
-from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.daemon.recording import messages
+from swarmd.daemon.recording.reader import RecordedFile, read_file
 from swarmd.testing.driver_contract import is_running
 from tests.support.processes import children, wait_until
 
@@ -115,7 +115,7 @@ def test_no_recorder_outlives_a_daemon_that_is_killed(swarm: Swarm) -> None:
 
 def is_recorder(pid: int) -> bool:
     with contextlib.suppress(OSError):  # another child has ended meanwhile
-        return b"swarmd.recording.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return b"swarmd.daemon.recording.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
     return False
 
 

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from swarmd.core.messages import Presence
-from swarmd.recording.reader import read_file
+from swarmd.daemon.recording.reader import read_file
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from click.testing import CliRunner
 
-from swarmd.cli.daemon import swarmd
-from swarmd.security.identity import load_identity
+from swarmd.link.keys.identity import load_identity
+from swarmd.operator.cli.daemon import swarmd
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, wait_until
 from tests.support.swarmctl import Finished, swarmctl_in_time

@@ -23,9 +23,9 @@ from swarmd.core.goal import Goal, encode_goal
 from swarmd.core.keys import ANY, SHARED, build, parse
 from swarmd.core.messages import Presence, State
 from swarmd.core.verbs import RunRequest
-from swarmd.network.carriers.session import open_with, session_options
-from swarmd.network.carriers.udp import GROUP4, GROUP_PORT
-from swarmd.network.datagram import (
+from swarmd.link.carriers.session import open_with, session_options
+from swarmd.link.carriers.udp import GROUP4, GROUP_PORT
+from swarmd.link.datagram import (
     Ack,
     Address,
     Beacon,
@@ -38,13 +38,13 @@ from swarmd.network.datagram import (
     pack,
     unpack,
 )
-from swarmd.network.operator.operator_goals import sign_goal
-from swarmd.network.operator.outcome import Outcome
-from swarmd.network.signature import Author, Signer
-from swarmd.network.spread.pull import _answer
-from swarmd.security.datagram_keys import KEY_BYTES, reader_keys
-from swarmd.security.roster import Role
-from swarmd.security.roster_change import SharedRoster
+from swarmd.link.keys.datagram_keys import KEY_BYTES, reader_keys
+from swarmd.link.keys.roster import Role
+from swarmd.link.keys.roster_change import SharedRoster
+from swarmd.link.signature import Author, Signer
+from swarmd.link.spread.pull import _answer
+from swarmd.operator.session.operator_goals import sign_goal
+from swarmd.operator.session.outcome import Outcome
 from tests.support.keys import flipped
 from tests.support.processes import free_port, wait_until
 from tests.support.secured_swarm import SecuredSwarm

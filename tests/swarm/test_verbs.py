@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from swarmd.core.messages import Param, Presence, Reason, State
-from swarmd.network.operator.exit_codes import UNREACHABLE
+from swarmd.operator.session.exit_codes import UNREACHABLE
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 from tests.support.swarmctl import swarmctl
 
@@ -235,7 +235,7 @@ def test_describe_explains_and_shows_everything(swarm: Swarm) -> None:
 # A process that makes its standard input its terminal, where Ctrl-C reaches it.
 IN_TERMINAL = (
     "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0);"
-    " from swarmd.cli.swarmctl import main; main()"
+    " from swarmd.operator.cli.swarmctl import main; main()"
 )
 
 

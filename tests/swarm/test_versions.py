@@ -17,11 +17,11 @@ from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Reason, State, Status
 from swarmd.core.values import Value
-from swarmd.network.operator.exit_codes import UNREACHABLE
-from swarmd.network.operator.operator import Operator
+from swarmd.operator.session.exit_codes import UNREACHABLE
+from swarmd.operator.session.operator import Operator
 from tests.support import earlier_version
 from tests.support.keys import SwarmKeys
-from tests.support.processes import CAP, DaemonProcess, attempts, free_endpoint, wait_until
+from tests.support.processes import CAP, DAEMON, DaemonProcess, attempts, free_endpoint, wait_until
 from tests.support.swarmctl import STALLED, Finished, ask_in_time, heard_statuses
 from tests.swarm.conftest import Swarm
 
@@ -122,6 +122,7 @@ class Meeting:
                 swarm.body(robot),
                 identities[robot],
                 earlier_version.PREFIX if version == EARLIER else (),
+                earlier_version.DAEMON if version == EARLIER else DAEMON,
             )
             for robot, version in ROBOTS.items()
         ]

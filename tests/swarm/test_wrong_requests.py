@@ -22,8 +22,8 @@ from swarmd.core.keys import CONTROL, build
 from swarmd.core.messages import Code, Latch, Reply, State, Status
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import Request, RunRequest
-from swarmd.network.carriers.session import MAX_WIRE
-from swarmd.network.datagram import Latches, Stop
+from swarmd.link.carriers.session import MAX_WIRE
+from swarmd.link.datagram import Latches, Stop
 from swarmd.robot.latches import MAX_HELD
 from tests.support.processes import CAP, wait_until
 

@@ -27,7 +27,7 @@ from swarmd.core.keys import ANY, STATE, build, parse
 from swarmd.core.messages import Presence, State
 from swarmd.core.values import Pose, SharedPose
 from swarmd.driver_api.hw_codec import encode_input
-from swarmd.network.carriers.session import MAX_WIRE
+from swarmd.link.carriers.session import MAX_WIRE
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, wait_until
 from tests.support.secured_swarm import RUNNING, SecuredSwarm

@@ -15,7 +15,7 @@ import zenoh
 from swarmd.core.keys import ANY, CONTROL, MESSAGE, STATE, build, token
 from swarmd.core.messages import State
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.outcome import Outcome
+from swarmd.operator.session.outcome import Outcome
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, wait_until

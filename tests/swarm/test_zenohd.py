@@ -13,7 +13,7 @@ import zenoh
 
 from swarmd.core.keys import ANY, ANYONE, CONTROL, MESSAGE, STATE, build, token
 from swarmd.core.messages import Presence, State
-from swarmd.network.carriers.session import open_with
+from swarmd.link.carriers.session import open_with
 from tests.support.processes import CAP, wait_until
 from tests.support.zenohd import RUST_EXAMPLE, Zenohd, why_no_zenohd
 from tests.swarm.conftest import Swarm

@@ -20,7 +20,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array, Inputs, Outputs, Twist
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.params import Params, about
-from swarmd.sensing.rays import nearest
+from swarmd.robot.sensing.rays import nearest
 from swarmd.testing.no_side_effects import no_side_effects
 from swarmd.testing.pattern_contract import PatternContract
 

@@ -18,9 +18,9 @@ import yaml
 from swarmd.core.messages import Reason, State, Status
 from swarmd.core.values import Value
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.fleet import Fleet, FleetSpec, robot_ids
 from swarmd.sim.live.link import WorldView

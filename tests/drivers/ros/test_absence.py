@@ -20,7 +20,7 @@ from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, re
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros1 import serialization
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
-from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.robot.sensing.conditioning import ScanConditioner
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros.test_diagnosis import found
 from tests.drivers.ros2 import robots

@@ -19,7 +19,7 @@ from swarmd.drivers.ros.options import (
     read_options,
 )
 from swarmd.drivers.ros2.session import open_session
-from swarmd.network.settings import FIELD_PORT
+from swarmd.link.settings import FIELD_PORT
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
 from tests.support.range_ring import with_ring

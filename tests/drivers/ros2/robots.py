@@ -19,7 +19,7 @@ from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.driver import RosDriver
-from swarmd.network.carriers.session import has_subscriber
+from swarmd.link.carriers.session import has_subscriber
 from swarmd.settings.platforms import load_platform
 from tests.support import ros2_types as dds
 from tests.support.processes import free_endpoint

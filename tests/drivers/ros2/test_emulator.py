@@ -29,7 +29,7 @@ from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh, gid_of
 from swarmd.drivers.ros2.session import open_session
-from swarmd.network.carriers.session import has_subscriber
+from swarmd.link.carriers.session import has_subscriber
 from swarmd.plugins import load_driver, load_emulator
 from swarmd.settings.driver_options import BaseOptions, stops_after
 from swarmd.settings.platforms import load_platform

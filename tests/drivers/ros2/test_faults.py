@@ -15,7 +15,7 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.session import open_session
-from swarmd.network.carriers.session import has_subscriber
+from swarmd.link.carriers.session import has_subscriber
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness, play
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.harness import check, drive, reported

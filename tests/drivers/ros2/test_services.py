@@ -25,8 +25,8 @@ from swarmd.drivers.ros.stop_topics import CALL_BURST, CALL_RATE
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.request_age import SETTLE_TIME
 from swarmd.drivers.ros2.services import MAX_MESSAGE, CommandServices
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.harness import check
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot, scan

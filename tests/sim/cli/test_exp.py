@@ -60,7 +60,7 @@ def finished(folder: Path) -> int:
 @pytest.mark.integration
 def test_help_loads_nothing_heavy() -> None:
     code = (
-        "import sys\nfrom swarmd.cli.swarmctl import cli\n"
+        "import sys\nfrom swarmd.operator.cli.swarmctl import cli\n"
         "for words in (['exp', '--help'], ['exp', 'run', '--help']):\n"
         "    cli.main(words, standalone_mode=False)\n"
         "print(*sys.modules, file=sys.stderr)"

@@ -10,9 +10,9 @@ import click
 import pytest
 from click.testing import CliRunner, Result
 
-from swarmd.cli.options import plugin_dir_option
-from swarmd.client.runs import Run
 from swarmd.core.errors import ConfigError
+from swarmd.operator.cli.options import plugin_dir_option
+from swarmd.operator.client.runs import Run
 from swarmd.sim.cli.exp_bench import _patterns_and_folder
 from swarmd.sim.cli.options import pattern_option, set_option, with_pattern
 from swarmd.sim.experiments.plan import parse_sets, parse_sweeps

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from swarmd.cli.output import signals_end
+from swarmd.operator.cli.output import signals_end
 from swarmd.sim.cli.progress import progress
 from swarmd.sim.experiments.simulate import Progress
 

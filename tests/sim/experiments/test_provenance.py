@@ -31,12 +31,12 @@ def git(folder: Path, *words: str) -> None:
 
 def test_the_digest_follows_names_contents_and_links_of_what_runs_read(tmp_path: Path) -> None:
     package, linked = tmp_path / "package", tmp_path / "sim" / "a.py"
-    for folder in (tmp_path / "sim", package / "cli"):
+    for folder in (tmp_path / "sim", package / "operator/cli"):
         folder.mkdir(parents=True)
         (folder / "a.py").write_text("1")
     (package / "sim").symlink_to("../sim")
     first = digest_of_code(package)
-    (package / "cli" / "a.py").write_text("2")
+    (package / "operator/cli" / "a.py").write_text("2")
     (tmp_path / "sim" / "experiments").mkdir()
     (tmp_path / "sim" / "experiments" / "statistics.py").write_text("1")
     assert digest_of_code(package) == first

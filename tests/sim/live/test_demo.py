@@ -16,11 +16,11 @@ import pytest
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Presence, Reason, State
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.view.scene import Area, Scene
 from swarmd.sim.cli.demo import progress_lines, report
 from swarmd.sim.live.summary import METRICS, DemoSummary
-from swarmd.view.scene import Area, Scene
 from tests.sim.conftest import Refusal
 from tests.support.processes import CAP, run_command, unique_swarm, wait_until
 from tests.support.statuses import status
@@ -302,7 +302,7 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
             os.kill(daemon, signal.SIGKILL)
             assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL (log: ")
             wait_until(lambda: count_alive() == 1, "tb3-02 is listed as failed")
-            restart = [sys.executable, "-m", "swarmd.cli.daemon", "--config", config]
+            restart = [sys.executable, "-m", "swarmd.operator.cli.daemon", "--config", config]
             with subprocess.Popen(restart, stderr=subprocess.DEVNULL) as second:
                 wait_until(lambda: count_alive() == 2, "tb3-02 is back")
                 second.terminate()

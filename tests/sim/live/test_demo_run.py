@@ -17,9 +17,10 @@ import pytest
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.core.messages import Code, Epoch, Reply, State
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.members_view import MembersView, SeenMember
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
+from swarmd.operator.session.members_view import MembersView, SeenMember
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.view.scene import Scene
 from swarmd.sim.live.demo_run import DemoRun, WorldWatcher
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
@@ -28,7 +29,6 @@ from swarmd.sim.live.state import WorldState
 from swarmd.sim.live.summary import DemoSummary
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.trace import Trace, load_trace
-from swarmd.view.scene import Scene
 from tests.support.statuses import make_member
 from tests.support.traces import trace_of, world_state
 

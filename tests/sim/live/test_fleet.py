@@ -15,8 +15,8 @@ import yaml
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.cli.sim import how_it_ends, signal_daemons
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_options

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.link import WorldView
 from tests.support.processes import DAEMON, unique_swarm, wait_until

@@ -16,7 +16,7 @@ from swarmd.driver_api.hw_codec import (
     encode_command,
     encode_message,
 )
-from swarmd.network.carriers.robot_link import Connection, Frame, Hello, dial, read_endpoint
+from swarmd.link.carriers.robot_link import Connection, Frame, Hello, dial, read_endpoint
 from swarmd.sim.live.link import Command, WorldLink, WorldView
 from swarmd.sim.live.state import WorldState
 from tests.support.processes import wait_until

@@ -10,9 +10,9 @@ import pytest
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Code, Epoch, Reply
-from swarmd.network.operator.members_view import MembersView
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
+from swarmd.operator.session.members_view import MembersView
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
 from swarmd.sim.live.demo_run import LiveTimeline
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView

@@ -8,9 +8,9 @@ import pytest
 
 from swarmd.core.messages import Reason, State, Status
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.live_scenario import LiveScenario
 from swarmd.sim.live.starting import await_robots

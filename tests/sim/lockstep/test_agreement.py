@@ -11,8 +11,8 @@ import pytest
 
 from swarmd.core.values import Array
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
+from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.operator import Operator
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.link import WorldView

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.protection.fence.fence import Fence
+from swarmd.robot.protection.fence.fence import Fence
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of

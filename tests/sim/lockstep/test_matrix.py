@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.cli.plugin_check import describe_patterns
+from swarmd.operator.cli.plugin_check import describe_patterns
 from swarmd.plugins import installed_patterns
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.lockstep.lockstep import simulate_run

@@ -16,8 +16,7 @@ from msgspec import structs
 from swarmd.core.events import OdometryInput
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Pose, Twist
-from swarmd.protection.decision import Decision
-from swarmd.recording.frames import (
+from swarmd.daemon.recording.frames import (
     Begin,
     ClockEntry,
     DecisionEntry,
@@ -25,13 +24,14 @@ from swarmd.recording.frames import (
     as_json,
     input_entry,
 )
-from swarmd.recording.merge import place, survey, write_merged
-from swarmd.recording.process import Converter
+from swarmd.daemon.recording.merge import place, survey, write_merged
+from swarmd.daemon.recording.process import Converter
+from swarmd.operator.view.timeline import read_timeline
+from swarmd.robot.protection.decision import Decision
 from swarmd.settings.file_limits import FileLimits
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.report.recording_report import _clocks, stops_of, trace_of
-from swarmd.view.timeline import read_timeline
 from tests.support.incidents import ID, incident_of
 from tests.support.statuses import status
 

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
+from swarmd.operator.view.source import hello_of
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import Trace, TraceBuilder
 from swarmd.sim.view import shown
 from swarmd.sim.view.trace_source import RecordedRun, TraceSource
 from swarmd.sim.world.floor import FloorField, Patch
 from swarmd.sim.world.scalar_fields import LinearField
-from swarmd.view.source import hello_of
 
 BURGER = load_platform("burger")
 IDS = ("a", "b")

@@ -9,7 +9,7 @@ import pytest
 from studies import keeper
 from studies.safety import fence
 from studies.safety.fence import GROWTH, MODES, PLATFORMS, Record, Run, perform, table
-from swarmd.protection.fence.fence import Fence
+from swarmd.robot.protection.fence.fence import Fence
 
 pytestmark = pytest.mark.long
 

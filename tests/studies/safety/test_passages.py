@@ -8,7 +8,7 @@ import pytest
 from studies.safety.judge import collisions
 from studies.safety.passages import Passage, passage_scenario
 from swarmd.core.messages import NarrowestPassage
-from swarmd.protection.modes import make_mode, narrowest_passage
+from swarmd.robot.protection.modes import make_mode, narrowest_passage
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import simulate_run
 from tests.support.filter_sim import under_barrier

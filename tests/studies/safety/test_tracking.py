@@ -20,9 +20,9 @@ from studies.safety.tracking import (
     with_lidar,
 )
 from swarmd.core.values import Odometry, Scan
-from swarmd.protection.decision import DecisionContext
+from swarmd.robot.protection.decision import DecisionContext
+from swarmd.robot.steering.tracks import Surroundings, Track
 from swarmd.sim.lockstep.lockstep import Lockstep
-from swarmd.steering.tracks import Surroundings, Track
 
 pytestmark = pytest.mark.long
 

@@ -1,0 +1,96 @@
+"""The names that modules had before they moved into rooms by who runs them.
+
+`import` of a former name gives the same module, so that scripts, plugins and recordings of 0.2.0
+keep working. A new module has no former name, and is not listed: a row is a package that moved.
+`swarmd/__init__.py` installs the finder, which Python asks before
+it looks for a file: in a package that moved it would find a second copy of the module.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from importlib.machinery import ModuleSpec
+from types import CodeType, ModuleType
+from typing import TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    from importlib.abc import Loader
+
+FORMER: Mapping[str, str] = {
+    "swarmd.acceptance": "swarmd.operator.acceptance",
+    "swarmd.calibration": "swarmd.operator.calibration",
+    "swarmd.cli": "swarmd.operator.cli",
+    "swarmd.client": "swarmd.operator.client",
+    "swarmd.kin": "swarmd.robot.kin",
+    "swarmd.network": "swarmd.link",
+    "swarmd.network.operator": "swarmd.operator.session",
+    "swarmd.protection": "swarmd.robot.protection",
+    "swarmd.recording": "swarmd.daemon.recording",
+    "swarmd.replay": "swarmd.operator.replay",
+    "swarmd.security": "swarmd.link.keys",
+    "swarmd.sensing": "swarmd.robot.sensing",
+    "swarmd.steering": "swarmd.robot.steering",
+    "swarmd.texts": "swarmd.operator.texts",
+    "swarmd.view": "swarmd.operator.view",
+}
+"""By the former name of a package, its present name."""
+
+
+def present_name(module: str) -> str:
+    """The present name of a module: `swarmd.kin.kin` is `swarmd.robot.kin.kin`."""
+    package = module
+    while package:
+        if package in FORMER:
+            return FORMER[package] + module[len(package) :]
+        package = package.rpartition(".")[0]
+    return module
+
+
+class FormerNameFinder:
+    """Finds modules by their former names; nothing else."""
+
+    @staticmethod
+    def find_spec(
+        name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """What gives the module of a former name; None for any other name."""
+        present = present_name(name) if name.startswith("swarmd.") else name
+        if present == name:
+            return None
+        return ModuleSpec(name, cast("Loader", _FormerNameLoader(present)))
+
+
+class _FormerNameLoader:
+    """Gives the module that has moved, as itself and not as a copy."""
+
+    def __init__(self, present: str) -> None:
+        self._present = present
+        self._spec: ModuleSpec | None = None
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """The module under its present name. ModuleNotFoundError if there is none."""
+        module = import_module(self._present)
+        self._spec = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Nothing is executed again; the module keeps the spec of its present name."""
+        module.__spec__ = self._spec
+
+    def get_code(self, name: str) -> CodeType | None:
+        """The code of the module, for `python -m`; None if it is compiled."""
+        from importlib.abc import InspectLoader  # each `import swarmd` runs this file
+        from importlib.util import find_spec
+
+        spec = find_spec(self._present)
+        if spec is None or not isinstance(spec.loader, InspectLoader):
+            return None
+        return spec.loader.get_code(self._present)
+
+
+def install_former_names() -> None:
+    """Let `import` find former names, from now on in this process."""
+    if FormerNameFinder not in sys.meta_path:
+        sys.meta_path.insert(0, FormerNameFinder)

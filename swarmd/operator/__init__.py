@@ -1,0 +1,1 @@
+"""What an operator runs: `swarmctl`, the page, and what Python asks of a swarm."""

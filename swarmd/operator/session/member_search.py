@@ -1,0 +1,149 @@
+"""Runs a look of an operator: sends solicits, dials robots, and asks for their statuses."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from swarmd.core import codec
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode, version_of
+from swarmd.core.keys import ANY, CONTROL
+from swarmd.core.messages import PeerView, StatusHeader
+from swarmd.core.verbs import MembersQuery
+from swarmd.operator.session.arrivals import Arrivals
+from swarmd.operator.session.discovery import Discovery
+from swarmd.operator.session.loop_watch import LoopWatch
+from swarmd.operator.session.members_view import MembersView
+from swarmd.operator.session.operator_datagrams import OperatorDatagrams
+from swarmd.operator.session.operator_sessions import OperatorSessions
+from swarmd.operator.session.repeat_timer import SOLICIT_PACE, RepeatTimer
+
+POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))  # steps of a RepeatTimer
+# s after which a look that needs no status asks for statuses: most such looks are over before.
+STATUS_DELAY = 0.1
+MAX_EXCUSED = 512  # robots in a query for members that need not answer again
+STATUS_TIMEOUT = 10.0  # s of a query for members or a status
+OVER_PERIOD = 0.02  # s between two checks whether the look is over, which take long
+
+_header = Decoder(StatusHeader, any_version=True)
+
+
+class MemberSearch:
+    """Looks for members by the datagrams and sessions of an operator."""
+
+    def __init__(
+        self,
+        datagrams: OperatorDatagrams,
+        sessions: OperatorSessions,
+        arrivals: Arrivals,
+        loops: LoopWatch,
+    ) -> None:
+        self._datagrams = datagrams
+        self._sessions = sessions
+        self._arrivals = arrivals
+        self._loops = loops
+
+    def look(
+        self,
+        discovery: Discovery,
+        timeout: float | None,
+        cap: float,
+        *,
+        needs_status: bool,
+        dials: bool,
+    ) -> MembersView:
+        """Query all members (a look) until the look is complete; returns the members.
+
+        `discovery`: a new look, into which threads of the carrier and of Zenoh put the answers.
+        `discovery.is_complete` decides when the look is complete. An incomplete look ends after
+        `timeout` s. With `timeout` None an incomplete look ends once a longer wait is of no use
+        (`discovery.is_over`), and after `cap` s at the latest. `needs_status` False: statuses are
+        asked for only after STATUS_DELAY. `dials` False: no robot is dialled and no status
+        is asked, so `needs_status` must be False.
+        """
+        now = discovery.started
+        solicit_timer = RepeatTimer(now, SOLICIT_PACE)
+        status_timer = RepeatTimer(now, POLL_PACE)
+        over_timer = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))  # for `discovery.is_over`
+        deadline = None if timeout is None else now + timeout
+        ask_status_at = now if needs_status else now + STATUS_DELAY
+        pause = 0.0
+        self._loops.begin(now)
+        while True:
+            with self._arrivals.lock:
+                now = boottime()
+                count = self._arrivals.count
+                is_complete = discovery.is_complete(now)
+                if deadline is not None:
+                    ends_incomplete = now >= deadline
+                elif now - discovery.started >= cap:
+                    ends_incomplete = True
+                else:
+                    ends_incomplete = over_timer.is_due(now) and discovery.is_over(now)
+            self._loops.turn(now, pause)
+            if is_complete and dials:
+                # The caller sends requests next, and needs links to all robots. Robots that wait to
+                # be dialled together are dialled before the return; this may sleep.
+                now = self._dial_last_robots(discovery, now)
+            if is_complete or ends_incomplete:
+                with self._arrivals.lock:
+                    return discovery.result(now)
+            if solicit_timer.is_due(now):
+                self._datagrams.solicit(discovery, now)
+            dial_due_in = self._sessions.dial(discovery, now) if dials else math.inf
+            if now >= ask_status_at and status_timer.is_due(now) and dials:
+                self._ask_members(discovery)
+            to_end_check = OVER_PERIOD if deadline is None else deadline - now
+            timers_due_in = solicit_timer.pause(now)
+            if dials:
+                timers_due_in = min(timers_due_in, status_timer.pause(now))
+            pause = min(timers_due_in, to_end_check, dial_due_in)
+            self._arrivals.wait(count, pause)
+
+    def _dial_last_robots(self, discovery: Discovery, now: float) -> float:
+        """Dial the robots that still wait to be dialled together; returns the time afterwards."""
+        wait = self._sessions.dial(discovery, now)
+        while wait < math.inf:
+            time.sleep(wait)
+            now = boottime()
+            wait = self._sessions.dial(discovery, now)
+        return now
+
+    def _ask_members(self, discovery: Discovery) -> None:
+        """Query `members` of all linked robots by Zenoh; the replies go to `discovery`.
+
+        Each robot replies with a `PeerView`: its own status, and the members that it knows. The
+        query names the robots that have answered, and these robots do not reply again. The view of
+        a robot of another version is not read. Such a robot gets a second query, for its status, of
+        which only the header is read.
+        """
+        if not self._sessions.is_open:
+            return
+        # The module loads Zenoh, which a look without an open session does without.
+        from swarmd.link.carriers.session import MAX_WIRE
+
+        with self._arrivals.lock:
+            answered = sorted(discovery.answered)
+        decode = Decoder(PeerView, MAX_WIRE)
+
+        # `OperatorSessions.get` calls both functions on Zenoh's threads, with the lock held, and
+        # drops a reply for which a function raises CodecError.
+        def on_view(robot: str, payload: bytes) -> None:
+            if version_of(payload) != codec.VERSION:
+                return
+            view = decode(payload)
+            if view.robot == robot:
+                discovery.on_view(view, boottime())
+
+        def on_status(robot: str, payload: bytes) -> None:
+            header = _header(payload)
+            if header.robot == robot and version_of(payload) != codec.VERSION:
+                discovery.on_header(header, boottime())
+
+        query = encode(MembersQuery(answered=tuple(answered[:MAX_EXCUSED])))
+        self._sessions.get(ANY, CONTROL, "members", query, STATUS_TIMEOUT, on_view)
+        with self._arrivals.lock:
+            of_other_version = discovery.of_other_version - set(answered)
+        for robot in sorted(of_other_version):
+            self._sessions.get(robot, "state", "status", b"", STATUS_TIMEOUT, on_status)

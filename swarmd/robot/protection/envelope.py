@@ -1,0 +1,364 @@
+"""The speed limit of all corners near obstacles in mode `barrier` (the envelope), and creeping.
+
+Part of the unit of barrier.py. "Rows" are constraints, see constraints.py. Units: m, s, rad.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarmd.core import cython_shadow as cython
+from swarmd.core.buffers import checked, checked_indices, doubles, view
+from swarmd.core.cython_shadow import hypot
+from swarmd.core.values import Array
+from swarmd.robot.protection.barrier_assumptions import Assumptions
+from swarmd.robot.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
+from swarmd.robot.protection.comparisons import maximum
+from swarmd.robot.protection.constraints import (
+    ENVELOPE_ROWS,
+    ConstraintRows,
+    Constraints,
+    PlacedPoints,
+    SpeedAxes,
+)
+from swarmd.robot.protection.obstacles import NearObstacles
+from swarmd.robot.protection.outline import Outline
+from swarmd.robot.protection.projection import is_feasible
+
+SURFACE_GAP = cython.declare(cython.double, 0.0125)
+"""m that a locked robot keeps to what it closes on, as the scan shows it."""
+SURFACE_TIME = cython.declare(cython.double, 0.5)
+"""s in which a locked robot may use up the rest of the gap to what it closes on."""
+LOCKED_SHARE = cython.declare(cython.double, 0.5)
+"""The share of the creep speed with which a robot counts as locked: it may move no faster."""
+PART_SPEED = cython.declare(cython.double, 0.004)
+"""m/s at which the nearest place of a robot that nothing else frees may close on a narrow obstacle.
+
+A flank of a Burger that moves at the creep speed along a pole of 0.3 m closes on the returns beyond
+its ends at 1.3 to 2.5 mm/s. The rest is a reserve for noise, which turns a normal by some degrees.
+"""
+
+_LOCKED_STEP = cython.declare(cython.Py_ssize_t, 4)  # vertices from one tried direction to the next
+_SLOWEST = cython.declare(cython.double, 1e-12)  # m/s of a corner, by which a speed is divided
+
+
+def _box_directions() -> Array:
+    angles = 2.0 * np.pi * np.arange(ENVELOPE_ROWS) / ENVELOPE_ROWS
+    directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    directions /= np.abs(directions).max(axis=1)[:, None]
+    return directions
+
+
+_BOX_DIRECTIONS = view(_box_directions())
+"""(48, 2) directions of the envelope, on the box of the limits, whose corners are among them."""
+
+
+@cython.final
+@cython.cclass
+class Envelope:
+    """The constraints within which no corner of the robot moves faster than `speed`.
+
+    Every robot assumes that no surface around it moves faster than `others_speed`. The envelope
+    lets this robot keep what its peers assume, also for corners in a turn. In the plane of the two
+    speeds the permitted set is convex. The constraints are the sides of a polygon inside this set;
+    the vertices of the polygon lie on the border of the set.
+    """
+
+    speed: cython.double  # m/s
+    vertex_x: cython.double[::1]
+    vertex_y: cython.double[::1]
+    row_x: cython.double[::1]
+    row_y: cython.double[::1]
+    row_cap: cython.double[::1]
+    _outline: Outline
+    # The direction of the linear speed for which `find_rows` was called; (0, 0): none yet.
+    _along_x: cython.double
+    _along_y: cython.double
+
+    def __init__(self, outline: Outline, speed: float) -> None:
+        self._outline = outline
+        self.speed = speed
+        self.vertex_x = doubles(ENVELOPE_ROWS)
+        self.vertex_y = doubles(ENVELOPE_ROWS)
+        self.row_x = doubles(ENVELOPE_ROWS)
+        self.row_y = doubles(ENVELOPE_ROWS)
+        self.row_cap = doubles(ENVELOPE_ROWS)
+
+    def check_indices(self) -> None:
+        """ValueError unless each array has a number for each row."""
+        lengths = len(self.row_x), len(self.row_y), len(self.row_cap)
+        if min(lengths) < ENVELOPE_ROWS:
+            raise ValueError(f"arrays of {lengths} for {ENVELOPE_ROWS} rows")
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def put(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
+        """Put the constraints of the envelope behind all others in `rows`."""
+        i: cython.Py_ssize_t
+        self.prepare(axes)
+        first: cython.Py_ssize_t = rows.count
+        rows.all = first + ENVELOPE_ROWS
+        to_x = checked(rows.x, rows.all)
+        to_y = checked(rows.y, rows.all)
+        to_cap = checked(rows.cap, rows.all)
+        x = checked(self.row_x, ENVELOPE_ROWS)
+        y = checked(self.row_y, ENVELOPE_ROWS)
+        cap = checked(self.row_cap, ENVELOPE_ROWS)
+        for i in range(ENVELOPE_ROWS):
+            to_x[first + i] = x[i]
+            to_y[first + i] = y[i]
+            to_cap[first + i] = cap[i]
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def prepare(self, axes: SpeedAxes) -> cython.int:
+        """Find the vertices and the constraints, unless they are known for these axes."""
+        if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
+            self.find_rows(axes)
+            self._along_x = axes.along_x
+            self._along_y = axes.along_y
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def find_rows(self, axes: SpeedAxes) -> cython.int:
+        """Find the vertices and the constraints for a direction of the linear speed.
+
+        `axes` has the direction and the limits of the speeds. A vertex is the longest vector in a
+        direction (a row of _BOX_DIRECTIONS) that lies within the box of the limits, and for which
+        no corner of the outline moves faster than `speed`. A constraint is the line through two
+        neighbouring vertices.
+        """
+        i: cython.Py_ssize_t
+        following: cython.Py_ssize_t
+        directions: cython.double[:, ::1] = _BOX_DIRECTIONS
+
+        # 1. Vertices: each direction is a place on the border of the box of the limits. If a corner
+        # is faster than `speed` there, the place moves inwards until no corner is faster.
+        for i in range(ENVELOPE_ROWS):
+            fastest = self.fastest_corner(
+                directions[i, 0] * axes.limit, directions[i, 1] * axes.angular_limit, axes
+            )
+            scale = self.speed / maximum(fastest, _SLOWEST)
+            if scale > 1.0:
+                scale = 1.0
+            self.vertex_x[i] = directions[i, 0] * scale
+            self.vertex_y[i] = directions[i, 1] * scale
+
+        # 2. Constraints: the outward unit normal of each side of the polygon.
+        for i in range(ENVELOPE_ROWS):
+            following = i + 1 if i + 1 < ENVELOPE_ROWS else 0
+            side_x = self.vertex_x[following] - self.vertex_x[i]
+            side_y = self.vertex_y[following] - self.vertex_y[i]
+            length = hypot(side_y, -side_x)
+            normal_x = side_y / length
+            normal_y = -side_x / length
+            self.row_x[i] = normal_x
+            self.row_y[i] = normal_y
+            self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def fastest_corner(
+        self, linear: cython.double, angular: cython.double, axes: SpeedAxes
+    ) -> cython.double:
+        """The m/s of the fastest corner of a base that moves at these speeds in m/s and rad/s."""
+        k: cython.Py_ssize_t
+        outline: Outline = self._outline
+        fastest = 0.0
+        for k in range(outline.edges):
+            corner_vx = linear * axes.along_x - angular * outline.corner_y[k]
+            corner_vy = linear * axes.along_y + angular * outline.corner_x[k]
+            fastest = maximum(fastest, hypot(corner_vx, corner_vy))
+        return fastest
+
+
+@cython.final
+@cython.cclass
+class Creeping:
+    """Raises the caps, so that a robot may creep towards an obstacle that stops a faster robot.
+
+    Two robots creep: one that is asked for a slow speed (`begin`), and one that is locked, whatever
+    it is asked for (`begin_out`). A robot is locked if it may move in no direction, as by a wall
+    beside it: each return may belong to something that reaches `unseen_extent` farther, so that a
+    turn swings a corner towards a return, and a straight line closes on those ahead and behind. A
+    robot that is both gets the higher of the two caps.
+    """
+
+    is_possible: cython.bint  # in the present situation
+    is_touching: cython.bint  # an obstacle may touch the robot: it keeps the slow envelope
+    cap: cython.double  # m/s, set by `allow`
+    is_active: cython.bint
+    _kept_cap: cython.double[::1]  # the caps of all constraints before they were raised
+    # The envelope while the robot creeps or touches, and the usual envelope near obstacles.
+    slow: Envelope
+    usual: Envelope
+
+    def __init__(self, assumptions: Assumptions, outline: Outline) -> None:
+        self._kept_cap = doubles(384)
+        self.slow = Envelope(outline, CREEP_SPEED)
+        self.usual = Envelope(outline, assumptions.surface_speed)
+
+    def check_indices(self) -> None:
+        """Nothing is refused: `checked` compares each length with the count of its loop.
+
+        An index that an array states is bounded where it is read, or is the index of a view.
+        """
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def allow(self, placed: PlacedPoints) -> cython.int:
+        """Set `cap`: the speed in m/s at which a robot that creeps may close on any obstacle.
+
+        The cap is CREEP_SPEED, or less near an obstacle: until the next decision, the robot may use
+        half of the gap beyond contact, since the obstacle may use the other half. The cap is 0 or
+        less within contact. `placed`: the points of the decision.
+        """
+        i: cython.Py_ssize_t
+        self.cap = CREEP_SPEED
+        for i in range(placed.seen):
+            allowed = 0.5 * (placed.gap[i] - placed.contact[i])
+            allowed /= placed.age[i] + DECISION_PERIOD
+            self.cap = min(self.cap, allowed)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def begin(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
+        """Use the caps and the envelope of a robot that creeps by a slow request."""
+        i: cython.Py_ssize_t
+        self._keep(rows)
+        for i in range(rows.count):
+            rows.cap[i] = maximum(rows.cap[i], self.cap)
+        self.is_active = True
+        self.slow.put(rows, axes)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def is_locked(self, constraints: Constraints) -> cython.int:
+        """1 if the robot may move in no direction, not even at LOCKED_SHARE of the creep speed.
+
+        The directions are those of the slow envelope: ahead, back, both turns, and between them.
+        """
+        i: cython.Py_ssize_t
+        rows: ConstraintRows = constraints.rows
+        self.slow.prepare(constraints.axes)
+        for i in range(0, ENVELOPE_ROWS, _LOCKED_STEP):
+            x = LOCKED_SHARE * self.slow.vertex_x[i]
+            y = LOCKED_SHARE * self.slow.vertex_y[i]
+            if is_feasible(rows, x, y):
+                return 0
+        return 1
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def begin_out(
+        self, constraints: Constraints, near: NearObstacles, least: cython.double
+    ) -> cython.int:
+        """Use the caps and the envelope of a locked robot.
+
+        The slow envelope bounds each place of the outline by CREEP_SPEED, whatever is requested.
+        The caps keep the robot from touching what it sees:
+
+        - The constraint of a contact across the outline stays, with the cap 0.
+        - Towards an obstacle the robot may use, until the next decision, half of the gap beyond the
+          distance within which the obstacle may touch it unseen, since the obstacle may use the
+          other half. Within this distance the nearest place of the robot does not close on it;
+          other corners pass it.
+        - A wide surface is a wall, or several bodies. What reaches out of it unseen must not hold
+          the robot for good, so the robot may come as near as SURFACE_GAP.
+        - A robot that is locked under these caps, too, may close on a narrow obstacle at
+          PART_SPEED, and as near as SURFACE_GAP: the returns of a pole beside its flank forbid
+          both turns, and those beyond the ends of the flank forbid to go straight.
+
+        Args:
+            constraints: of the decision.
+            near: the near returns of which they were made.
+            least: m/s, a lower bound of the caps of points that are no contacts: `cap` of a slow
+                request, else 0.
+        """
+        near.find_surfaces()
+        self._keep(constraints.rows)
+        self._raise(constraints, near, least)
+        if self.is_locked(constraints):
+            self._raise_narrow(constraints, near)
+        self.is_active = True
+        self.slow.put(constraints.rows, constraints.axes)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _raise(
+        self, constraints: Constraints, near: NearObstacles, least: cython.double
+    ) -> cython.int:
+        """Raise the caps of points that are no contacts to those of a locked robot.
+
+        A cap is the m/s at which a place of the robot may close on a point.
+        """
+        i: cython.Py_ssize_t
+        point: cython.Py_ssize_t
+        cap: cython.double
+        rows: ConstraintRows = constraints.rows
+        placed: PlacedPoints = constraints.placed
+        source: cython.p_longlong = checked_indices(rows.source, rows.count)
+        place_gap: cython.p_double = checked(rows.gap, rows.count)
+        row_cap: cython.p_double = checked(rows.cap, rows.count)
+        near_index: cython.p_longlong = checked_indices(placed.near_index, placed.seen)
+        first_row: cython.p_longlong = checked_indices(placed.first_row, placed.seen)
+        gap: cython.p_double = checked(placed.gap, placed.seen)
+        scan_gap: cython.p_double = checked(placed.scan_gap, placed.seen)
+        contact: cython.p_double = checked(placed.contact, placed.seen)
+        age: cython.p_double = checked(placed.age, placed.seen)
+        for i in range(rows.count):
+            point = source[i]
+            if not placed.contacts <= point < placed.seen:
+                continue
+            surface: cython.double = near.surface_gap[near_index[point]]
+            if surface == surface:
+                kept: cython.double = place_gap[i] + (surface - scan_gap[point])  # less noise
+                cap = (kept - SURFACE_GAP) / SURFACE_TIME
+            elif not gap[point] <= contact[point]:
+                cap = 0.5 * (place_gap[i] - contact[point]) / (age[point] + DECISION_PERIOD)
+            elif i != first_row[point]:
+                cap = CREEP_SPEED
+            else:  # the nearest place: `_raise_narrow`
+                cap = min((place_gap[i] - SURFACE_GAP) / SURFACE_TIME, 0.0)
+            cap = maximum(min(cap, CREEP_SPEED), least)
+            row_cap[i] = maximum(row_cap[i], cap)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _raise_narrow(self, constraints: Constraints, near: NearObstacles) -> cython.int:
+        """Raise the caps of the nearest places towards narrow obstacles that may touch unseen."""
+        point: cython.Py_ssize_t
+        rows: ConstraintRows = constraints.rows
+        placed: PlacedPoints = constraints.placed
+        for point in range(placed.contacts, placed.seen):
+            surface = near.surface_gap[placed.near_index[point]]
+            if surface == surface or not placed.gap[point] <= placed.contact[point]:
+                continue
+            row: cython.Py_ssize_t = placed.first_row[point]
+            cap = min((rows.gap[row] - SURFACE_GAP) / SURFACE_TIME, PART_SPEED)
+            rows.cap[row] = maximum(rows.cap[row], cap)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _keep(self, rows: ConstraintRows) -> cython.int:
+        """Store the caps, which `end` gives back."""
+        i: cython.Py_ssize_t
+        if len(self._kept_cap) < rows.count:
+            self._kept_cap = doubles(len(rows.cap))
+        kept = checked(self._kept_cap, rows.count)
+        cap = checked(rows.cap, rows.count)
+        for i in range(rows.count):
+            kept[i] = cap[i]
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def end(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
+        """Use the caps and the envelope of a robot that does not creep, as before `begin`."""
+        i: cython.Py_ssize_t
+        for i in range(rows.count):
+            rows.cap[i] = self._kept_cap[i]
+        self.is_active = False
+        envelope: Envelope = self.slow if self.is_touching else self.usual
+        envelope.put(rows, axes)

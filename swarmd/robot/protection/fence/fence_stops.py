@@ -1,0 +1,312 @@
+"""The distance to the fence, and stops inside the fence: the arithmetic of fence.py.
+
+Part of the unit of barrier.py, whose `StopMotion` simulates a stop. An edge of the fence is a
+row of five numbers: x and y of its start, x and y of its end, and the number of its polygon.
+Polygon 0 is the outer polygon. Robots keep out of the polygons from 1 on. The edges of a polygon
+follow each other. Units: m, s, rad, in the shared frame.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from swarmd.core import cython_shadow as cython
+from swarmd.core.buffers import view
+from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
+from swarmd.core.values import Array
+from swarmd.robot.protection.closing_speed import DECISION_PERIOD
+from swarmd.robot.protection.stopping import IDEAL_BRAKING, StopMotion
+
+_FENCE_STEPS = cython.declare(cython.Py_ssize_t, 8)  # of a simulated stop
+_PLACE_ROUNDING = cython.declare(cython.double, 1e-9)  # m
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _squared_distance(
+    edges: cython.double[:, ::1], i: cython.Py_ssize_t, x: cython.double, y: cython.double
+) -> cython.double:
+    """The squared distance of a place to edge `i`."""
+    along_x = edges[i, 2] - edges[i, 0]
+    along_y = edges[i, 3] - edges[i, 1]
+    dx = x - edges[i, 0]
+    dy = y - edges[i, 1]
+    part = (dx * along_x + dy * along_y) / (along_x * along_x + along_y * along_y)
+    part = 0.0 if part < 0.0 else (1.0 if part > 1.0 else part)
+    dx -= part * along_x
+    dy -= part * along_y
+    return dx * dx + dy * dy
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _permits(edges: cython.double[:, ::1], x: cython.double, y: cython.double) -> cython.bint:
+    """True within the outer polygon and outside all others: even-odd rule."""
+    i: cython.Py_ssize_t
+    polygon = 0.0
+    is_within = False
+    for i in range(len(edges)):
+        if edges[i, 4] != polygon:
+            if is_within != (polygon == 0.0):
+                return False
+            polygon = edges[i, 4]
+            is_within = False
+        if (edges[i, 1] > y) != (edges[i, 3] > y):
+            at = edges[i, 0] + (y - edges[i, 1]) * (edges[i, 2] - edges[i, 0]) / (
+                edges[i, 3] - edges[i, 1]
+            )
+            if x < at:
+                is_within = not is_within
+    return is_within == (polygon == 0.0)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _clearance(
+    edges: cython.double[:, ::1],
+    near: cython.double[:, ::1],
+    count: cython.Py_ssize_t,
+    x: cython.double,
+    y: cython.double,
+    radius: cython.double,
+) -> cython.double:
+    """The clearance in m of a circle of `radius` m around the place (x, y).
+
+    Within the fence: the distance from the place to the nearest edge, less `radius`. For a place
+    outside: minus the distance, less `radius`. `edges`: all edges of the fence. `near`: its first
+    `count` rows are the edges that may be the nearest.
+    """
+    i: cython.Py_ssize_t
+    least = INFINITY
+    for i in range(count):
+        squared = _squared_distance(near, i, x, y)
+        if squared < least:
+            least = squared
+    away = sqrt(least)
+    return (away if _permits(edges, x, y) else -away) - radius
+
+
+def clearances(edges: Array, places: Array, radius: cython.double) -> Array:
+    """(n,) m from the circles of `radius` around `places` (n, 2) to the fence; negative outside."""
+    table: cython.double[:, ::1] = view(edges)
+    given: cython.double[:, ::1] = view(places)
+    i: cython.Py_ssize_t
+    found = np.empty(len(places))
+    for i in range(len(given)):
+        found[i] = _clearance(table, table, len(table), given[i, 0], given[i, 1], radius)
+    return found
+
+
+def clearance(edges: Array, x: cython.double, y: cython.double, radius: cython.double) -> float:
+    """The clearance of one place."""
+    table: cython.double[:, ::1] = view(edges)
+    return _clearance(table, table, len(table), x, y, radius)
+
+
+@cython.cfunc
+def _nearby(
+    edges: cython.double[:, ::1], x: cython.double, y: cython.double, way: cython.double
+) -> tuple[Any, cython.Py_ssize_t]:
+    """The edges that may be the nearest of a place within `way` of (x, y), and their number."""
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    count: cython.Py_ssize_t = 0
+    least = INFINITY
+    found = np.empty((len(edges), 5))
+    near: cython.double[:, ::1] = view(found)
+    for i in range(len(edges)):
+        least = min(least, _squared_distance(edges, i, x, y))
+    most = sqrt(least) + 2.0 * way + _PLACE_ROUNDING
+    for i in range(len(edges)):
+        if _squared_distance(edges, i, x, y) <= most * most:
+            for j in range(5):
+                near[count, j] = edges[i, j]
+            count += 1
+    return near, count
+
+
+@cython.final
+@cython.auto_pickle(False)
+@cython.cclass
+class _Stops:
+    """Simulated stops of one robot, from one pose."""
+
+    edges: cython.double[:, ::1]
+    near: cython.double[:, ::1]  # the edges that a stop can come near, `count` of them
+    count: cython.Py_ssize_t
+    radius: cython.double  # m, of the circle around the axle
+    x: cython.double
+    y: cython.double
+    yaw: cython.double
+    present: cython.double  # m, the clearance at this pose
+    need: cython.double  # m, the clearance that errors and margin need
+    turn_error: cython.double  # rad by which the direction of the motion may be wrong
+    speed_ahead: cython.double  # of the base
+    speed_left: cython.double
+    speed_turn: cython.double
+    braking: cython.double
+    turning: cython.double
+    motion: StopMotion
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def permits(
+        self, ahead: cython.double, left: cython.double, turn: cython.double
+    ) -> cython.bint:
+        """True if all stops from a command are inside.
+
+        There are four stops. Three stops begin at the command: with both brakes as weak as assumed,
+        with an ideal linear brake, and with an ideal angular brake. A stronger linear or angular
+        brake changes the path. The fourth stop begins at the speeds of the base, which need not
+        have reached the command.
+        """
+        return (
+            self.is_inside(ahead, left, turn, ahead, left, turn, self.braking, self.turning)
+            and self.is_inside(ahead, left, turn, ahead, left, turn, IDEAL_BRAKING, self.turning)
+            and self.is_inside(ahead, left, turn, ahead, left, turn, self.braking, IDEAL_BRAKING)
+            and self.is_inside(
+                self.speed_ahead,
+                self.speed_left,
+                self.speed_turn,
+                ahead,
+                left,
+                turn,
+                self.braking,
+                self.turning,
+            )
+        )
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def is_inside(
+        self,
+        ahead: cython.double,
+        left: cython.double,
+        turn: cython.double,
+        to_ahead: cython.double,
+        to_left: cython.double,
+        to_turn: cython.double,
+        braking: cython.double,
+        turning: cython.double,
+    ) -> cython.bint:
+        """True if the circle stays clear, or comes inwards, in a stop.
+
+        The base begins at the speeds `ahead`, `left` and `turn`, which change towards `to_ahead`,
+        `to_left` and `to_turn`, then towards zero (`StopMotion.advance`). At each step of the stop
+        the circle must be clear, or come inwards.
+
+        An error of the direction moves the place by `turn_error` times the way. So the clearance of
+        a step may be wrong by this distance (`off`):
+
+        - Clear: the clearance is at least the sum of `need`, `off` and half of the way in the step.
+          Between two steps the axle is up to half of a step away from the nearer step.
+        - Inwards: the clearance has not fallen since the step before, and has risen since the begin
+          by `off` at least.
+        """
+        top_speed = max(hypot(ahead, left), hypot(to_ahead, to_left))
+        top_turn = max(fabs(turn), fabs(to_turn))
+        step = (DECISION_PERIOD + max(top_speed / braking, top_turn / turning)) / _FENCE_STEPS
+        way = 0.0
+        last_room = self.present  # m, the clearance at the step before
+        motion: StopMotion = self.motion
+        motion.begin(1.0, 0.0, self.yaw)
+        i: cython.Py_ssize_t
+        for i in range(_FENCE_STEPS):
+            # 1. Moves the axle.
+            motion.advance(
+                step * (i + 0.5),
+                step,
+                ahead,
+                left,
+                turn,
+                to_ahead,
+                to_left,
+                to_turn,
+                braking,
+                turning,
+            )
+            moved = hypot(motion.moved, motion.aside)
+            way += moved
+            # 2. The circle must be clear, or come inwards.
+            room = _clearance(
+                self.edges,
+                self.near,
+                self.count,
+                self.x + motion.x,
+                self.y + motion.y,
+                self.radius,
+            )
+            off = self.turn_error * way
+            is_clear: cython.bint = room >= self.need + off + 0.5 * moved
+            has_fallen: cython.bint = room < last_room - _PLACE_ROUNDING
+            has_risen = not room < self.present + off - _PLACE_ROUNDING
+            comes_inwards = has_risen and not has_fallen
+            if not (is_clear or comes_inwards):
+                return False
+            last_room = room
+        return True
+
+
+def nearest_permitted(
+    edges: Array,
+    shares: Array,
+    request: tuple[float, float, float],
+    sizes: tuple[float, float],
+    pose: tuple[float, float, float],
+    speeds: tuple[float, float, float],
+    brakings: tuple[float, float],
+    room: tuple[float, float, float, float],
+) -> int:
+    """The index of the permitted share of the request that is nearest to the request.
+
+    len(shares) if the request itself is permitted; -1 if no share is permitted. Of equally near
+    shares the first counts.
+
+    Args:
+        edges: (k, 5) of the fence.
+        shares: (n, 2) shares of the linear speeds, and of the angular speed.
+        request: m/s ahead, m/s to the left, rad/s.
+        sizes: the linear and the angular speed of the request, each over its limit. Distances from
+            the request are measured in these numbers.
+        pose: x and y in m, yaw in rad, when the command takes effect.
+        speeds: of the base at this time, as in `request`.
+        brakings: m/s2 and rad/s2.
+        room: `radius`, `present`, `need` and `turn_error` of `_Stops`.
+    """
+    table: cython.double[:, ::1] = view(edges)
+    given: cython.double[:, ::1] = view(shares)
+    ahead = request[0]
+    left = request[1]
+    turn = request[2]
+    linear_size = sizes[0]
+    turn_size = sizes[1]
+    stops: _Stops = _Stops()
+    stops.motion = StopMotion()
+    stops.speed_ahead, stops.speed_left, stops.speed_turn = speeds
+    stops.braking, stops.turning = brakings
+    stops.edges = table
+    stops.x, stops.y, stops.yaw = pose
+    stops.radius, stops.present, stops.need, stops.turn_error = room
+    # 1. The edges within the way of the longest stop.
+    top_speed = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
+    top_turn = max(fabs(turn), fabs(stops.speed_turn))
+    longest_s = max(top_speed / stops.braking, top_turn / stops.turning)
+    stops.near, stops.count = _nearby(
+        table, stops.x, stops.y, top_speed * (DECISION_PERIOD + longest_s)
+    )
+    if stops.permits(ahead, left, turn):
+        return len(given)
+    # 2. The nearest permitted share.
+    best: cython.Py_ssize_t = -1
+    least = INFINITY
+    i: cython.Py_ssize_t
+    for i in range(len(given)):
+        share: cython.double = given[i, 0]
+        turn_share: cython.double = given[i, 1]
+        off = hypot((1.0 - share) * linear_size, (1.0 - turn_share) * turn_size)
+        if off < least and stops.permits(ahead * share, left * share, turn * turn_share):
+            best = i
+            least = off
+    return best

@@ -1,0 +1,168 @@
+"""Permits that stops on their way between robots must not widen, in virtual time."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Literal
+
+import pytest
+
+from swarmd.daemon.key_permits import KeyPermits
+from swarmd.link.datagram import RunLease, Stop, pack
+from swarmd.link.keys.identity import Identity
+from swarmd.link.keys.roster import KeyPermit
+from swarmd.link.signature import Flaw
+from tests.link.keyring import Keyring
+from tests.link.virtual_network import OPERATOR, TAG, Robot, VirtualNetwork
+
+NOW = 1_800_000_000.0
+ROBOTS = ("r1", "r2", "r3")
+PERMITS = {
+    "agent": KeyPermit(role="agents", key=bytes(64), may=("stop",), until=int(NOW) + 60),
+    "pupil": KeyPermit(
+        role="pupils", key=bytes(64), may=("stop r1", "estop r1"), until=int(NOW) + 60
+    ),
+}
+
+
+class Clock:
+    """The wall clock of all robots, in s since 1970."""
+
+    wall = NOW
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def network(clock: Clock) -> VirtualNetwork:
+    """Three robots that know permits, and `old`, which was made before there were permits."""
+    names = (*ROBOTS, "old")
+    keyring = Keyring(names, operators=("anna", "bob"), permits=PERMITS)
+    made = VirtualNetwork(0, keyring=keyring, joined=False)
+    for name in ROBOTS:
+        permits = KeyPermits(
+            name,
+            partial(_identity, keyring, name),
+            lambda: None,
+            wall=lambda: clock.wall,
+        )
+        made.add(name, judge_stop=permits.judge_stop)
+    made.add("old")
+    made.run(3.0)
+    made.until(lambda: all(len(members(robot)) == 3 for robot in made.robots.values()))
+    made.is_tapped = True
+    # No robot knows the key of a name that its version does not know.
+    made.reaches = lambda sender, receiver: (sender, receiver) != ("operator", "old")
+    return made
+
+
+def _identity(keyring: Keyring, name: str) -> Identity:
+    return keyring.identity(name)
+
+
+def members(robot: Robot) -> list[str]:
+    return [name for name, _ in robot.peer.membership.alive_addresses()]
+
+
+def stop_by(
+    network: VirtualNetwork,
+    name: str,
+    verb: Literal["stop", "estop"] = "stop",
+    *,
+    to: tuple[str, ...] = ROBOTS,
+    operator: str = "",
+    hops: int = 0,
+) -> None:
+    """A stop of all robots, which the key of `name` signs and which `to` hear; then 8 s pass."""
+    stop = Stop(id=f"{verb}-{name}", verb=verb, operator=operator or name, hops=hops)
+    assert network.keyring is not None
+    signed = network.keyring.trust(name).signer.sign(pack(TAG, stop))
+    for robot in to:
+        network.inject(signed, OPERATOR, robot)
+    network.run(8.0)
+
+
+def stopped(network: VirtualNetwork) -> set[str]:
+    return {name for name, robot in network.robots.items() if robot.stops}
+
+
+def test_a_stop_that_nothing_narrows_reaches_each_robot_by_relay(network: VirtualNetwork) -> None:
+    stop_by(network, "agent", to=("r2",))
+    assert stopped(network) == {"r1", "r2", "r3", "old"}
+    assert not any(robot.denied for robot in network.robots.values())
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+@pytest.mark.parametrize("to", [("r1",), ("r2",), ROBOTS])
+def test_relays_carry_a_stop_of_named_robots_to_no_other(
+    network: VirtualNetwork, verb: Literal["stop", "estop"], to: tuple[str, ...]
+) -> None:
+    """Also not to a robot that believes each stop that a robot relays."""
+    stop_by(network, "pupil", verb, to=to)
+    assert stopped(network) == {"r1"}
+    sent = [body for _, body, _, _ in network.tapped if isinstance(body, Stop)]
+    assert {stop.targets for stop in sent} <= {("r1",)}
+    assert {stop.scope for stop in sent} <= {"robots"}
+    assert network.robots["r1"].denied == []
+    for name in {*to} - {"r1"}:
+        (text,) = network.robots[name].denied
+        assert "may stop r1" in text
+
+
+@pytest.mark.parametrize("wall", [NOW + 60, NOW + 1e6, 0.0])
+@pytest.mark.parametrize("name", [*PERMITS])
+def test_a_permit_that_has_ended_stops_no_robot_and_is_not_relayed(
+    network: VirtualNetwork, clock: Clock, wall: float, name: str
+) -> None:
+    clock.wall = wall
+    stop_by(network, name)
+    assert stopped(network) == set()
+    assert all(network.robots[robot].denied for robot in ROBOTS)
+    assert not [body for _, body, _, _ in network.tapped if isinstance(body, Stop)]
+
+
+def test_a_stop_of_a_permit_of_the_roster_before_is_refused_that_of_an_operator_is_not(
+    network: VirtualNetwork,
+) -> None:
+    keyring = network.keyring
+    assert keyring is not None
+    stop = Stop(id="before", verb="stop", operator="agent")
+    of_agent = keyring.trust("agent").signer.sign(pack(TAG, stop))
+    of_bob = keyring.trust("bob").signer.sign(
+        pack(TAG, Stop(id="bob", verb="stop", operator="bob"))
+    )
+    network.change_roster(remove=("agent", "bob"))
+    network.run(5.0)
+    for robot in ROBOTS:  # an older version knows the key of no name with a permit
+        network.inject(of_agent, OPERATOR, robot)
+    network.run(8.0)
+    assert stopped(network) == set()
+    assert all(network.robots[robot].denied for robot in ROBOTS)
+    network.inject(of_bob, OPERATOR)
+    network.run(8.0)
+    assert stopped(network) == {*ROBOTS, "old"}
+
+
+def test_no_other_name_widens_a_permit(network: VirtualNetwork) -> None:
+    """The names that a stop states: of an operator, of an agent of the pupil, of a relay."""
+    stop_by(network, "pupil", operator="anna")
+    stop_by(network, "pupil", operator="agent")
+    stop_by(network, "pupil", hops=1)
+    assert stopped(network) == set()
+    assert all(network.robots[name].flaws[Flaw.FORGED] == 3 for name in ROBOTS)
+    stop_by(network, "pupil", "estop", operator="pupil by anna")
+    assert stopped(network) == {"r1"}
+
+
+def test_a_permit_renews_no_run(network: VirtualNetwork) -> None:
+    keyring = network.keyring
+    assert keyring is not None
+    lease = RunLease(id="goal", operator="agent", count=1)
+    network.inject(keyring.trust("agent").signer.sign(pack(TAG, lease)), OPERATOR)
+    network.run(1.0)
+    for name in ROBOTS:
+        assert network.robots[name].leases == []
+        assert network.robots[name].flaws[Flaw.ROLE] == 1

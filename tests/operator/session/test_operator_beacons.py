@@ -1,0 +1,72 @@
+"""Beacons that an operator hears: instances that come, leave and return, and the round trip."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.core.messages import State
+from swarmd.link.datagram import STATES, Flag
+from swarmd.operator.session.members_view import Contact
+from swarmd.operator.session.round_trips import MAX_ROUND_TRIP
+from tests.operator.session.discovery_rig import Rig, life
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def test_a_robot_that_does_not_own_its_id_yet_is_no_member(rig: Rig) -> None:
+    rig.hear("a", flags=int(Flag.JOINING))
+    assert rig.found.known == set()
+
+
+def test_a_beacon_that_was_overtaken_changes_nothing(rig: Rig) -> None:
+    rig.hear("a", sequence=5)
+    rig.hear("a", sequence=4, state=STATES.index(State.IDLE))
+    assert rig.found.result(0.1).members["a"].state == "running"
+
+
+def test_a_delayed_beacon_does_not_revive_a_robot_that_left(rig: Rig) -> None:
+    rig.hear("a")
+    rig.hear("a", sequence=3, flags=Flag.LEFT)
+    rig.hear("a", sequence=2)
+    assert not rig.found.heard
+
+
+@pytest.mark.parametrize("sequence", [2, 10**9])
+def test_a_robot_that_is_heard_after_a_false_leave_is_there(rig: Rig, sequence: int) -> None:
+    rig.hear("a")
+    rig.found.on_solicit(1, 0.02)
+    rig.hear("a", sequence=sequence, flags=Flag.LEFT, at=0.03)
+    rig.hear("a", sequence=2, echo=1, at=0.04)  # the answer to what was sent before
+    assert not rig.found.heard
+    rig.found.on_solicit(2, 0.05)
+    rig.hear("a", sequence=3, echo=2, at=0.06)
+    assert rig.found.heard == {"a"}
+    rig.hear("a", sequence=sequence + 9, flags=Flag.LEFT, at=0.07)  # nor does a repeat count
+    assert rig.found.heard == {"a"}
+
+
+def test_a_restart_is_no_duplicate(rig: Rig) -> None:
+    rig.hear("a", instance=1, at=0.01)
+    rig.answer("a", instance=1)
+    rig.hear("a", instance=2, at=1.5)
+    assert rig.found.holders("a") == {life(2).hex()}
+    assert rig.contact("a", 1.5) is Contact.NO_ANSWER  # the answer was that of the first
+
+
+def test_late_answers_do_not_make_the_round_trip_long(rig: Rig) -> None:
+    for echo in range(1, 5):
+        rig.found.on_solicit(echo, 0.0)
+    for echo in (1, 2):
+        rig.hear("a", at=0.1, echo=echo, sequence=echo)
+    rig.hear("once", at=4.0, echo=1)
+    assert rig.found.round_trip == pytest.approx(0.1)
+    for echo in (1, 2):
+        rig.hear("late", at=100.0, echo=echo, sequence=echo)
+    assert rig.found.round_trip == MAX_ROUND_TRIP
+    for robot in "bcdefghi":
+        for echo in (3, 4):
+            rig.hear(robot, at=0.2, echo=echo, sequence=echo)
+    assert rig.found.round_trip == pytest.approx(0.2)

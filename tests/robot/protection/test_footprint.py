@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmd.core.values import Array, Scan, ScanSpec
+from swarmd.robot.protection.footprint import Footprint, ScanGeometry
+from tests.support.barrier_parts import outline_of, separation
+
+BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3))
+def test_gap_equals_the_distance_to_an_axis_aligned_box(x: float, y: float) -> None:
+    dx = max(-0.2 - x, 0.0, x - 0.1)
+    dy = max(-0.1 - y, 0.0, y - 0.1)
+    assert BOX.gaps(np.array([[x, y]]))[0] == pytest.approx(np.hypot(dx, dy), abs=1e-9)
+
+
+@pytest.mark.parametrize("point", [(0.1, 0.0), (0.1, 0.1), (0.0, 0.1), (0.0, 0.0), (-0.19, 0.0)])
+def test_contact_has_a_unit_normal(point: tuple[float, float]) -> None:
+    separated = separation(outline_of(BOX.corners), *point)
+    assert separated.gap == 0.0
+    assert np.hypot(*separated.direction) == pytest.approx(1.0)
+
+
+def test_points_start_at_the_sensor() -> None:
+    bearings = np.array([0.0, np.pi / 2, np.pi, -np.pi / 2])
+    spec = ScanSpec(bearings, 5.0, 0.12, 3.5, offset=(-0.064, 0.0))
+    scan = Scan(1, 0.0, np.array([1.0, -np.inf, np.inf, 2.0]), bearings, 0.12, 3.5)
+    expected = [[0.936, 0.0], [-0.064, 0.12], [-0.064, -2.0]]
+    geometry = ScanGeometry(spec)
+    assert geometry.points(scan) == pytest.approx(np.array(expected), abs=1e-12)
+    fewer = Scan(2, 0.1, np.array([1.0, 0.5]), bearings[1:3], 0.12, 3.5)
+    expected = [[-0.064, 1.0], [-0.564, 0.0]]
+    assert geometry.points(fewer) == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def seen(points: Array, offset: tuple[float, float]) -> tuple[Scan, ScanGeometry]:
+    """A scan whose rays end at the points."""
+    x, y = (points - offset).T
+    bearings = np.arctan2(y, x)
+    spec = ScanSpec(bearings, 5.0, 0.0, 10.0, offset=offset)
+    return Scan(1, 0.0, np.hypot(x, y), bearings, 0.0, 10.0), ScanGeometry(spec)
+
+
+def test_no_return_has_no_gap() -> None:
+    assert BOX.min_gap(*seen(np.empty((0, 2)), (0.0, 0.0))) is None
+    scan, geometry = seen(np.array([[1.0, 0.0]]), (0.0, 0.0))
+    nothing = Scan(1, 0.0, np.array([np.inf]), scan.bearings, 0.0, 10.0)
+    assert BOX.min_gap(nothing, geometry) is None
+
+
+@given(
+    st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=20),
+    st.sampled_from([(0.0, 0.0), (-0.064, 0.0), (0.09, -0.09), (0.5, 0.2)]),
+)
+def test_min_gap_is_the_smallest_of_all_points(
+    points: list[tuple[float, float]], offset: tuple[float, float]
+) -> None:
+    some = np.array(points)
+    assert BOX.min_gap(*seen(some, offset)) == pytest.approx(BOX.gaps(some).min(), abs=1e-9)
+
+
+@pytest.mark.parametrize("turn", np.linspace(0.0, 6.0, 13))
+def test_gaps_of_any_convex_polygon(turn: float) -> None:
+    angles = turn + np.array([0.0, 1.1, 2.0, 3.9, 5.0])
+    corners = np.array([0.3, -0.1]) + 0.4 * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    polygon = Footprint(corners)
+    ahead = (corners + np.roll(corners, -1, axis=0)) / 2.0
+    edges = np.roll(corners, -1, axis=0) - corners
+    outward = np.stack((edges[:, 1], -edges[:, 0]), axis=1)
+    outward /= np.hypot(*outward.T)[:, None]
+    assert polygon.gaps(ahead + 0.7 * outward) == pytest.approx(np.full(5, 0.7), abs=1e-12)
+    assert polygon.gaps(ahead - 0.01 * outward) == pytest.approx(np.zeros(5), abs=1e-12)
+    assert polygon.min_gap(*seen(ahead + 0.7 * outward, (0.0, 0.0))) == pytest.approx(0.7, abs=1e-9)
