@@ -33,6 +33,7 @@ from tests.support.barrier_parts import (
     nearest,
     nearest_feasible,
     outline_of,
+    part,
     reciprocal_cap,
     separation,
 )
@@ -184,6 +185,49 @@ def test_nearer_obstacle_is_passed_more_slowly(side: float, way: float) -> None:
         assert 0.0 < aside @ speed <= closing + 1e-9
         if closing > CREEP_SPEED:  # else the envelope or the stop check holds it, too
             assert aside @ speed == pytest.approx(min(closing, TOP * math.sin(SIDE_ANGLE)))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+@pytest.mark.parametrize("way", [1.0, -1.0], ids=["ahead", "reversing"])
+@pytest.mark.parametrize("room", [0.01, 0.02])
+def test_an_obstacle_that_may_come_to_the_side_is_braked_for_early(
+    room: float, side: float, way: float
+) -> None:
+    """The speed once it is there, and what the brakes take off while it covers the room."""
+    others = WAFFLE.protection["barrier"]["others_speed"]
+    seconds = WAFFLE.scan.latency + REACTION_TIME + TICK
+    gap = MARGIN + others * seconds + room
+    beside = (0.5 - SIDE_RESERVE) * others / math.sin(SIDE_ANGLE)
+    safe = decided(WAFFLE, return_beside(gap, side), Twist(way * TOP)).safe
+    braking = 1.0  # m/s2, the default of braking_linear
+    assert safe.linear == pytest.approx(way * (beside + braking * room / others), abs=1e-6)
+
+
+@pytest.mark.parametrize(("gap", "is_near"), [(0.47, True), (0.49, False)])
+def test_corners_count_within_twice_the_free_distance_at_the_next_decision(
+    gap: float, is_near: bool
+) -> None:
+    """0.2 m to be free; in 0.15 s and a tick of 0.05 s the obstacle comes by 0.08 m."""
+    assert part("constraints")._is_near_corners(gap, 0.2, 0.15, 0.4) == is_near
+
+
+@pytest.mark.parametrize("along", [(1.0, 0.0), (0.6, 0.8)])
+def test_a_touch_zone_limits_its_corners_in_the_direction_of_motion(
+    along: tuple[float, float],
+) -> None:
+    """A corner's speed in the zone's direction (0, 1) is that of the base in this direction."""
+    constraints = Barrier(WAFFLE)._feasible.constraints
+    constraints.axes.along_x, constraints.axes.along_y = along
+    constraints.axes.limit = 0.2
+    constraints.axes.angular_limit = 2.0
+    constraints.touch.corners = np.array([[0.0, 1.0, 0.1, 0.1], [1.0, 0.0, 0.1, 0.2]])
+    constraints.touch.speed = 0.05
+    constraints.rows.count = 0
+    constraints.allow_touch()
+    rows = constraints.rows
+    assert list(rows.x)[:2] == pytest.approx([0.2 * along[1], 0.2 * along[0]])
+    assert list(rows.y)[:2] == pytest.approx([0.1 * 2.0, -0.2 * 2.0])
+    assert list(rows.cap)[:2] == [0.05, 0.05]
 
 
 def test_far_obstacle_is_passed_at_full_speed() -> None:
