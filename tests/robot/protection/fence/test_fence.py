@@ -240,6 +240,31 @@ def test_far_from_the_fence_a_command_passes_unchanged(
     assert Fence(SQUARE, BURGER).limit(asked, context_at(x, y, yaw), Twist()) is asked
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.5 * math.pi, math.pi])
+def test_the_room_of_a_place_is_not_used_at_its_mirrored_place(turn: float) -> None:
+    """20 m are free at (-10, 0), and 2 m less the radius at (10, 0), 20 m away."""
+    corners = np.array([[-40.0, -20.0], [12.0, -20.0], [12.0, 20.0], [-40.0, 20.0]])
+    turned = corners @ [[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]]
+    fence = Fence(FenceSettings(frame="w", polygon=[(x, y) for x, y in turned.tolist()]), BURGER)
+    away = Twist(BURGER.limits.linear)
+    ahead = math.cos(turn), math.sin(turn)
+    context = context_at(-10.0 * ahead[0], -10.0 * ahead[1], turn)
+    assert fence.limit(away, context, Twist()) is away
+    context = context_at(11.85 * ahead[0], 11.85 * ahead[1], turn)
+    assert fence.limit(away, context, Twist()).linear < 0.5 * away.linear
+    place = Pose(10.0 * ahead[0], 10.0 * ahead[1], turn)
+    assert fence._room(Pose(-place.x, -place.y, turn)) > 19.0
+    assert fence._room(place) == pytest.approx(2.0 - fence.radius)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_widest_circle_of_a_strip_is_half_as_wide(first: int) -> None:
+    strip = [[11.0, 0.0], [12.0, 0.0], [12.0, 4.0], [11.0, 4.0]]
+    corners = [(corner[first], corner[1 - first]) for corner in strip]
+    made = FenceSettings(frame="w", polygon=corners if first == 0 else corners[::-1])
+    assert Fence(made, BURGER).widest() == pytest.approx(0.5, abs=1e-3)
+
+
 @pytest.mark.parametrize("x", [0.0, 1.8, 2.0, 3.0])
 def test_zero_stays_zero(x: float) -> None:
     assert Fence(SQUARE, BURGER).limit(Twist(), context_at(x, 0.0, 0.0), Twist()).is_zero
