@@ -13,11 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.core.messages import FenceSummary
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
 from swarmd.robot.protection.decision import Anchor, DecisionContext, ModeDecision
 from swarmd.robot.protection.fence.fence import Fence, fence_fault
 from swarmd.robot.protection.fence.fence_pose import CONFIRM_TIME, CONFIRMATIONS, FencePose
-from swarmd.robot.protection.fence.fence_settings import FenceSettings, polygon_fault
+from swarmd.robot.protection.fence.fence_settings import FenceSettings, fence_text, polygon_fault
 from swarmd.settings.platforms import load_platform
 from tests.support.examples import examples
 from tests.support.numpy_fence import NumpyFence
@@ -612,6 +613,33 @@ def test_poses_that_odometry_does_not_explain_hold(
     found = failing.drive(within)
     assert found is not None
     assert failing.known.anchor(failing.now) is None
+
+
+@pytest.mark.parametrize("way", [0.0, math.pi])
+def test_a_long_way_before_explains_no_failure(way: float) -> None:
+    """Errors grow with the way between two poses, not with the way of the run: 26 m here."""
+    failing = Failing(drifting(0.15, way), 0.22)
+    failing.began = math.inf
+    failing.advance(120.0, 0.22)
+    assert not failing.holds
+    failing.began = failing.now
+    assert failing.drive(1.5) is not None
+
+
+@pytest.mark.parametrize(
+    ("place", "text"),
+    [
+        ({"clearance": 0.42, "error": 0.03}, "0.42 m inside (+- 0.03 m), in frame mocap"),
+        ({"clearance": 0.42, "error": 0.03, "limits": True}, "in frame mocap; limits the command"),
+        ({"clearance": -0.1, "error": 0.03}, "0.10 m outside (+- 0.03 m), in frame mocap"),
+        ({"text": "no pose"}, "in frame mocap; the robot stands: no pose"),
+    ],
+)
+def test_the_place_against_the_fence_in_words(place: dict[str, Any], text: str) -> None:
+    """As on docs/operating.md."""
+    said = fence_text(FenceSummary(frame="mocap", **place))
+    assert said.endswith(text)
+    assert ("limits" in said) == ("limits" in place)
 
 
 def test_a_drift_holds_longer_than_a_run_lasts_and_tells_its_figure() -> None:
