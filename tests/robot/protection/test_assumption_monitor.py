@@ -518,3 +518,37 @@ def test_compiled_and_interpreted_code_measure_the_same(axis: str) -> None:
     assert any(text for one, _ in events for text in one)
     assert ones[0].speed_share == pytest.approx(ones[1].speed_share, abs=1e-12)
     assert ones[0].late == ones[1].late != ""
+
+
+INTERPRETED = interpreted(KERNEL, because="fields and functions of C are read")
+
+
+def reading(stamp: float, x: float) -> Odometry:
+    return Odometry(stamp, Pose(x, 0.0, 0.0), Twist())
+
+
+@pytest.mark.parametrize("jump", [reading(1.05, 9.0), reading(0.5, 0.0)], ids=["pose", "clock"])
+def test_a_jump_of_the_pose_or_of_the_clock_drops_the_scans(jump: Odometry) -> None:
+    monitor = INTERPRETED.AssumptionMonitor(BURGER)
+    for stamp in (0.9, 1.0):
+        monitor.on_odometry(reading(stamp, 0.0))
+        monitor.on_scan(stamp, 0.5)
+    assert len(monitor._gaps) == 2
+    monitor.on_odometry(jump)
+    assert len(monitor._gaps) == 0
+
+
+def test_indices_from_another_memory_are_refused() -> None:
+    """Those of a new monitor are right."""
+    for field in ("_travel_first", "_travel_end"):
+        monitor = INTERPRETED.AssumptionMonitor(BURGER)
+        monitor.check_indices()
+        for wrong in (-1, 1 << 60):
+            setattr(monitor, field, wrong)
+            with pytest.raises(ValueError, match=str(wrong)):
+                monitor.check_indices()
+
+
+def test_the_last_of_few_are_all() -> None:
+    assert list(INTERPRETED._last(3, 40)) == [0, 1, 2]
+    assert list(INTERPRETED._last(5, 2)) == [3, 4]

@@ -230,6 +230,27 @@ def test_a_touch_zone_limits_its_corners_in_the_direction_of_motion(
     assert list(rows.cap)[:2] == [0.05, 0.05]
 
 
+def test_counts_from_another_memory_are_refused() -> None:
+    """Those of a new mode are right."""
+    constraints = Barrier(WAFFLE)._feasible.constraints
+    for counts, field in (
+        (constraints.placed, "contacts"),
+        (constraints.placed, "discs"),
+        (constraints.rows, "count"),
+        (constraints.rows, "all"),
+    ):
+        checked = constraints.placed if counts is constraints.placed else constraints
+        checked.check_indices()
+        was = getattr(counts, field)
+        wrong_counts = (-1,) if field == "contacts" else (-1, len(counts.x) + 1)
+        for wrong in wrong_counts:
+            setattr(counts, field, wrong)
+            with pytest.raises(ValueError, match=str(wrong)):
+                checked.check_indices()
+        setattr(counts, field, was)
+        checked.check_indices()
+
+
 def test_far_obstacle_is_passed_at_full_speed() -> None:
     for gap in (0.25, 0.4):
         requested = Twist(TOP)
