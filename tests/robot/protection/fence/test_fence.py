@@ -768,6 +768,8 @@ def test_a_robot_may_drive_without_a_pose_if_declared() -> None:
         ([(0, 0), (2, 0), (2, 0), (0, 2)], "has two equal corners: [2, 0]"),
         ([(0, 0), (4, 0), (2, 0), (0, 2)], "turns back on itself at [4, 0]"),
         ([(0, 0), (4, 0), (4, 4), (2, 0), (0, 4)], "crosses itself"),
+        ([(0, 0), (0, 4), (0, 2), (2, 0)], "turns back on itself at [0, 4]"),
+        ([(0, 0), (0.5, 0.5), (0.5, 0), (0, 0.5)], "crosses itself: the edge from [0, 0]"),
     ],
 )
 def test_faults_of_polygons(corners: list[tuple[float, float]], fault: str) -> None:
