@@ -251,6 +251,25 @@ def test_counts_from_another_memory_are_refused() -> None:
         checked.check_indices()
 
 
+@pytest.mark.parametrize("nearest", [0, 1, 2])
+def test_without_a_tight_constraint_the_nearest_obstacle_is_reported(nearest: int) -> None:
+    """Then the stop check alone limits the command."""
+    rays = (0, 45, 315)
+    near_range = 0.5 - WAFFLE.scan.range_min
+    returns = [
+        (ray, 1, near_range if k == nearest else near_range + 0.1) for k, ray in enumerate(rays)
+    ]
+    barrier = Barrier(WAFFLE)
+    decided_by(barrier, WAFFLE, returns, Twist(TOP), 0.0)
+    rows = barrier._feasible.constraints.rows
+    for row in range(rows.all):
+        rows.cap[row] = math.inf
+    (found,) = barrier._limiting.report(0.0, 0.0)
+    way = math.radians(rays[nearest])
+    x, y = np.array(WAFFLE.scan.offset) + 0.5 * np.array((math.cos(way), math.sin(way)))
+    assert found.bearing == pytest.approx(math.atan2(y, x), abs=0.1)  # it drives meanwhile
+
+
 def test_far_obstacle_is_passed_at_full_speed() -> None:
     for gap in (0.25, 0.4):
         requested = Twist(TOP)

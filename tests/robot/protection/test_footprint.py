@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,8 @@ from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.robot.protection.footprint import Footprint, ScanGeometry
-from tests.support.barrier_parts import outline_of, separation
+from tests.support.barrier_parts import BURGER, interpreted, outline_of, separation
+from tests.support.filter_sim import under_barrier
 
 BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
 
@@ -62,6 +65,46 @@ def test_min_gap_is_the_smallest_of_all_points(
 ) -> None:
     some = np.array(points)
     assert BOX.min_gap(*seen(some, offset)) == pytest.approx(BOX.gaps(some).min(), abs=1e-9)
+
+
+SQUARE = Footprint(np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]))
+
+
+@pytest.mark.parametrize(
+    ("place", "inner", "outer"),
+    [
+        ((0.05, 0.0), 0.05, (0.15, 0.1)),
+        ((0.3, 0.0), -0.2, (0.4, 0.1)),
+        ((0.2, 0.2), -0.1414, (0.3, 0.3)),
+    ],
+)
+def test_circles_inside_of_and_around_a_square(
+    place: tuple[float, float], inner: float, outer: tuple[float, float]
+) -> None:
+    assert SQUARE.circles(place) == pytest.approx((inner, np.hypot(*outer)), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "gap"),
+    [(0.0, 0.0, 0.0), (0.1, 0.05, 0.0), (0.4, 0.0, 0.2), (0.2, 0.3, 0.2), (-0.5, 0.0, 0.3)],
+)
+def test_gap_to_a_triangle(x: float, y: float, gap: float) -> None:
+    """Its base from (0.2, -0.1) to (0.2, 0.1), its tip at (-0.2, 0)."""
+    triangle = np.array([[0.2, -0.1], [0.2, 0.1], [-0.2, 0.0]])
+    assert outline_of(triangle).gap_of(x, y) == pytest.approx(gap, abs=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 40.0, 90.0, 180.0, -130.0])
+def test_an_old_scan_still_tells_its_smallest_gap(degrees: float) -> None:
+    """Half a metre from the lidar of a Burger, as the outline's gap by numpy."""
+    burger = under_barrier(BURGER)
+    near = interpreted(BURGER)._feasible.near
+    bearings = np.radians([degrees, degrees + 20.0])
+    near.set_bearings(bearings)
+    near.find_min_gap(np.array([0.5, math.inf]), burger.scan.range_min)
+    point = 0.5 * np.array([np.cos(bearings[0]), np.sin(bearings[0])]) + burger.scan.offset
+    expected = float(Footprint(burger.footprint).gaps(point[None])[0])
+    assert near.min_gap == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("turn", np.linspace(0.0, 6.0, 13))
