@@ -19,6 +19,8 @@ from swarmd.core.errors import SwarmError
 
 SEED = 1
 """Of the draw."""
+_MOVED = "swarmd/robot/protection/", "swarmd/protection/"
+"""A place, and the one before, by which is drawn: a move changes no draw."""
 OPERATORS: Sequence[str] = (
     *(
         f"ReplaceComparisonOperator_{pair}"
@@ -90,7 +92,7 @@ def mutants_of(path: str, source: str, one_of: int = 1) -> Iterator[tuple[Mutant
                 if (line, column) in ignored:
                     continue
                 inside = names.get(line, "")
-                place = f"{path} {inside} {name} {lines[line - 1].strip()}"
+                place = f"{path.replace(*_MOVED)} {inside} {name} {lines[line - 1].strip()}"
                 places[place] += 1
                 if not is_drawn(f"{place} {places[place]}", one_of):
                     continue
