@@ -124,11 +124,13 @@ class Room:
             slack = _PASSAGE_SLACK if assumptions.unseen_extent > 0.0 else 0.0
             creeping_gap = contact_gap + 2.0 * until_next_decision * CREEP_SPEED + slack
 
-        # 4. The gap to a wall, and the gap between two robots that meet, also keep obstacles out of
-        # the circle around the lidar.
+        # 4. The gaps to posts and walls, and between two robots that meet, also keep obstacles out
+        # of the circle around the lidar.
         if assumptions.has_keep_out():
             circle_gap = assumptions.keep_out + _PASSAGE_SLACK - 0.5 * width
-            side_gap = post_gap = max(side_gap, post_gap, circle_gap)
+            creeping_gap = max(creeping_gap, circle_gap)
+            side_gap = max(side_gap, post_gap, circle_gap)
+            post_gap = side_gap
 
         # 5. The widths. Two robots that meet have a corridor's gap to the walls, and the gap to a
         # post between them.

@@ -1,4 +1,4 @@
-"""The binding range, by hand for a base with round numbers; the kernel gives the same."""
+"""The binding range and the narrowest passages, by hand for a base with round numbers."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from swarmd.core.clock import TICK
 from swarmd.core.values import Limits, Platform
 from swarmd.robot.protection.binding_range import BindingRange
+from swarmd.robot.protection.modes import make_mode, narrowest_passage
 from swarmd.robot.protection.settings import BarrierSettings
 from swarmd.settings.platforms import load_platform
 from tests.support.kernel_forms import interpreted
@@ -76,3 +77,33 @@ def test_the_sensor_must_see_as_far_for_the_oldest_ray_of_the_oldest_scan() -> N
 
 def test_the_envelope_binds_as_far_as_others_come_in_the_age_of_a_scan() -> None:
     assert BindingRange(a_base(), SETTINGS, TICK).for_envelope() == pytest.approx(0.57 + 0.4 * 0.8)
+
+
+@pytest.mark.parametrize(
+    ("keep_out", "door", "corridor", "meeting"),
+    [
+        # post: 0.13 + 0.4 * 0.15 + 0.03; wall: 0.13 + 2 * 0.25 * (0.08 * sin 60 + 0.12) + 0.03;
+        # creeping past a post: 0.13 + 2 * 0.25 * 0.015 + 0.03
+        (None, 0.2 + 2 * 0.1675, 0.2 + 2 * 0.25464, 0.4 + 2 * 0.25464 + 0.22),
+        # a base with a circle does not creep; a small circle changes nothing else
+        (0.15, 0.2 + 2 * 0.22, 0.2 + 2 * 0.25464, 0.4 + 3 * 0.25464),
+        # a circle of 0.5 m is wider than the base by 0.4 m on each side, and 0.03 m
+        (0.5, 0.2 + 2 * 0.43, 0.2 + 2 * 0.43, 0.4 + 3 * 0.43),
+    ],
+)
+def test_the_narrowest_door_corridor_and_meeting(
+    keep_out: float | None, door: float, corridor: float, meeting: float
+) -> None:
+    base = a_base()
+    barrier = {"others_speed": 0.4, "unseen_extent": 0.1, "keep_out": keep_out}
+    given = {name: value for name, value in barrier.items() if value is not None}
+    platform = replace(
+        base,
+        scan=replace(base.scan, near="reported"),
+        protection={**base.protection, "mode": "barrier", "barrier": given},
+    )
+    found = narrowest_passage(make_mode(platform))
+    assert found is not None
+    assert (found.door, found.corridor, found.meeting) == pytest.approx(
+        (door, corridor, meeting), abs=1e-4
+    )
