@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from swarmd.core.values import Array, Platform, Pose
 from swarmd.robot.protection.stopping import NEGLIGIBLE_SPEED
 from swarmd.settings.platforms import load_platform
-from tests.support.barrier_parts import after_stop_check
+from tests.support.barrier_parts import after_stop_check, part
 from tests.support.filter_sim import outline_point, placed
 
 TICK, LINEAR, ANGULAR = 0.05, 1.0, 3.0
@@ -174,3 +174,16 @@ def nearness(
         time += STEP
         gaps.append(outline_point(placed(platform.footprint, pose), at)[0])
     return gaps or [math.inf]
+
+
+@pytest.mark.parametrize("turn", [2.0, -2.0])
+def test_a_stop_follows_the_arc_of_its_speeds(turn: float) -> None:
+    """0.2 m/s and 2 rad/s for 0.2 s: 0.1 m * sin(0.4) ahead, 0.1 m * (1 - cos(0.4)) aside."""
+    motion = part("stopping").StopMotion()
+    motion.begin(1.0, 0.0, 0.0)
+    for step in range(4):
+        middle = 0.05 * (step + 0.5)
+        motion.advance(middle, 0.05, 0.2, 0.0, turn, 0.2, 0.0, turn, 1e-9, 1e-9)
+    side = math.copysign(0.1 * (1.0 - math.cos(0.4)), turn)
+    assert (motion.x, motion.y) == pytest.approx((0.1 * math.sin(0.4), side), abs=1e-4)
+    assert motion.turned == pytest.approx(0.2 * turn, abs=1e-6)
