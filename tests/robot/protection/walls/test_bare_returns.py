@@ -337,6 +337,52 @@ def test_no_return_beside_the_shadow_of_a_pole_is_bare(
     assert seen.bare.sum() > 10  # the wall on the other side
 
 
+@pytest.mark.parametrize("yaw", [0.7, -0.7, 2.2])
+def test_the_heading_of_the_robot_frees_no_return_in_a_shadow(yaw: float) -> None:
+    """The wall is aslant in the frame of the robot; the scene of a Burger is that above."""
+    scene: Scene = (wall(side("burger", 0.30)), Round(0.27, 0.19, 0.084))
+    body = Round(0.32, 0.31, 0.036)
+    plain = Watcher("burger").watch(scene[:1], pose=Pose(0.0, 0.0, yaw))
+    seen = Watcher("burger").watch([*scene, body], pose=Pose(0.0, 0.0, yaw))
+    assert plain.at_fault(body) > 5
+    assert seen.at_fault(body) == 0
+    assert seen.bare.sum() > 10  # the wall on the other side
+
+
+def mirrored(scene: Scene) -> Scene:
+    """A scene with left and right exchanged."""
+    found: list[Body] = []
+    for body in scene:
+        if isinstance(body, Round):
+            found.append(Round(body.x, -body.y, body.radius, body.lost))
+        else:
+            found.append(Line(body.to_x, -body.to_y, body.x, -body.y, body.lost))
+    return found
+
+
+@pytest.mark.parametrize("lost", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("name", "gap", "pole"),
+    [
+        ("turtlebot4", 0.221, Round(-0.38, 0.05, 0.094)),
+        ("waffle_pi", 0.24, Round(-0.36, 0.07, 0.087)),
+        ("burger", 0.30, Round(0.27, 0.19, 0.084)),
+    ],
+)
+def test_a_mirrored_scene_has_the_mirrored_bare_returns(
+    name: str, gap: float, pole: Round, lost: float
+) -> None:
+    """A pole before a wall; seen, or lost to the lidar with all behind it."""
+    scene = [wall(side(name, gap)), Round(pole.x, pole.y, pole.radius, lost)]
+    left = Watcher(name).watch(scene)
+    right = Watcher(name).watch(mirrored(scene))
+    count = len(left.bare)
+    exchanged = -np.arange(count) % count
+    assert left.platform.scan.offset[1] == 0.0
+    assert left.bare.sum() > 10
+    assert right.bare.tolist() == left.bare[exchanged].tolist()
+
+
 @pytest.mark.parametrize("count", [2, 5, 10])
 @pytest.mark.parametrize("has_background", [False, True])
 @pytest.mark.parametrize("peer", ["burger", "turtlebot4", "thymio"])
