@@ -290,7 +290,8 @@ def perform(task: Task) -> Traced[Found]:
     failures: list[str] = []
     source = source_folder() if task.row in NODES else None
     trace = simulate_run(scenario(task, source), task.seed, on_failure=failures.append)
-    start, end = f"{paper.MDC}_start", f"{paper.MDC}_end"
+    start = f"{paper.MDC}_start"
+    end = f"{paper.MDC}_end"
     values = measure(
         trace, [start, end, "largest_cluster", "path_length", "robot_contacts", "arena_contacts"]
     )

@@ -295,7 +295,8 @@ def _with_no_return(ranges: Array, topic: ScanTopic) -> Array:
 def _frame_of(outer: Pose, inner: Pose) -> Pose:
     """Where the frame is in which a robot is at `inner`, while it is at `outer` in another one."""
     yaw = wrap(outer.yaw - inner.yaw)
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
     x = outer.x - cos * inner.x + sin * inner.y
     return Pose(x, outer.y - sin * inner.x - cos * inner.y, float(yaw))
 

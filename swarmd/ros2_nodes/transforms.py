@@ -86,7 +86,8 @@ class Frames:
 
         A time before the newest is left out. InvalidArgumentException for a wrong frame or place.
         """
-        parent, child = parent.lstrip("/"), child.lstrip("/")
+        parent = parent.lstrip("/")
+        child = child.lstrip("/")
         if not parent or not child or parent == child:
             raise InvalidArgumentException(f"a transform from {parent!r} to {child!r} is none")
         if not all(map(math.isfinite, (*place.origin, *place.rotation))):
@@ -117,13 +118,15 @@ class Frames:
 
         LookupException, ConnectivityException or ExtrapolationException without an answer.
         """
-        target, source = target.lstrip("/"), source.lstrip("/")
+        target = target.lstrip("/")
+        source = source.lstrip("/")
         for what, frame in (("target_frame", target), ("source_frame", source)):
             if frame not in self._parents and frame not in self._parents.values():
                 raise LookupException(
                     f'"{frame}" passed to lookupTransform argument {what} does not exist.'
                 )
-        above_target, above_source = self._above(target), self._above(source)
+        above_target = self._above(target)
+        above_source = self._above(source)
         common = next((one for one in above_source if one in above_target), None)
         if common is None:
             raise ConnectivityException(
@@ -166,7 +169,8 @@ class Frames:
         after = bisect_right(times, at)
         if times[after - 1] == at:
             return self._places[frame][after - 1]
-        first, last = times[after - 1], times[after]
+        first = times[after - 1]
+        last = times[after]
         before, behind = self._places[frame][after - 1 : after + 1]
         return _between(before, behind, (at - first) / (last - first))
 
@@ -225,7 +229,8 @@ def tf2_ros(side: RobotSide) -> dict[str, ModuleType]:
             message.header.stamp = side.time(nanoseconds=found).to_msg()
             message.header.frame_id = target_frame.lstrip("/")
             message.child_frame_id = source_frame.lstrip("/")
-            translation, rotation = message.transform.translation, message.transform.rotation
+            translation = message.transform.translation
+            rotation = message.transform.rotation
             translation.x, translation.y, translation.z = place.origin
             rotation.x, rotation.y, rotation.z, rotation.w = place.rotation
             return message
@@ -254,7 +259,8 @@ def tf2_ros(side: RobotSide) -> dict[str, ModuleType]:
 
         def _set(self, transform: Any, *, is_static: bool) -> None:
             stamp = transform.header.stamp
-            t, r = transform.transform.translation, transform.transform.rotation
+            t = transform.transform.translation
+            r = transform.transform.rotation
             self._frames.set(
                 transform.header.frame_id,
                 transform.child_frame_id,
