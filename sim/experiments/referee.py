@@ -30,7 +30,8 @@ from swarmd.sim.scenarios.scenariofile import load_scenario
 SOUND = "sound"
 """The case of the controller without a fault."""
 STAND = "stand"
-"""The control: the pattern `drive` with a speed of 0."""
+"""The control: the pattern `drive` with all speeds 0."""
+_SPEEDS = ("speed", "turn", "lateral")
 FAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "scan_frozen": {"scan": "frozen"},
@@ -40,7 +41,7 @@ FAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 )
 """Of one robot, from AT on: a sensor, the base and the network."""
 AT = 2.0
-"""s after the start of a run."""
+"""s after the start of a run; a tenth of a run of less than 20 s."""
 ALPHA = 0.05
 NODES = "ros2_nodes"
 POLICIES = (".onnx", ".npz")
@@ -156,7 +157,8 @@ def cases_of(
     for fault in faults:
         if fault not in FAULTS:
             raise ConfigError(unknown("fault", fault, FAULTS))
-        event = {"at": AT, "fault": dict(FAULTS[fault]), "robots": robot}
+        at = min(AT, 0.1 * float(plan.variants[0].effective["duration"]))
+        event = {"at": at, "fault": dict(FAULTS[fault]), "robots": robot}
         changed = plan_of_task(
             scenario,
             seeds,
@@ -167,7 +169,7 @@ def cases_of(
         )
         if changed is not None:
             cases.append(Case(task, fault, changed[0], metric))
-    still = {**(values or {}), "parameters.drive.speed": 0.0}
+    still = {**(values or {}), **{f"patterns.drive.{name}": 0.0 for name in _SPEEDS}}
     standing = plan_of_task(scenario, seeds, ["drive"], None, on_misfit, still)
     if standing is not None:
         cases.append(Case(task, STAND, standing[0], metric))
@@ -239,7 +241,7 @@ def _finding(case: Case, results: Results, against: str, difference: Difference 
         against=against,
         unit=case.metric.unit,
         difference=difference,
-        verdict=_verdict(difference, case.metric),
+        verdict=verdict_of(difference, case.metric),
         runs=len(results.rows),
         failed=len(results.failures) + len(results.pattern_faults),
         contacts=contacts,
@@ -250,10 +252,11 @@ def _finding(case: Case, results: Results, against: str, difference: Difference 
 _CONTACTS = ("robot_contacts", "arena_contacts")
 
 
-def _verdict(difference: Difference | None, metric: Metric) -> str:
+def verdict_of(difference: Difference | None, metric: Metric) -> str:
+    """The verdict of a difference whose p is corrected; OPEN if neither direction is better."""
     if difference is None or difference.difference is None or difference.p_holm is None:
         return OPEN
-    if difference.p_holm >= ALPHA:
+    if difference.p_holm >= ALPHA or metric.better is None:
         return OPEN
     is_more = difference.difference > 0.0
     return BETTER if is_more == (metric.better == "more") else WORSE
