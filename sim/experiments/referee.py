@@ -31,7 +31,7 @@ SOUND = "sound"
 """The case of the controller without a fault."""
 STAND = "stand"
 """The control: the pattern `drive` with all speeds 0."""
-_SPEEDS = ("speed", "turn", "lateral")
+_STILL = MappingProxyType({"speed": 0.0, "turn": 0.0, "lateral": 0.0, "recovery": False})
 FAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "scan_frozen": {"scan": "frozen"},
@@ -169,7 +169,7 @@ def cases_of(
         )
         if changed is not None:
             cases.append(Case(task, fault, changed[0], metric))
-    still = {**(values or {}), **{f"patterns.drive.{name}": 0.0 for name in _SPEEDS}}
+    still = {**(values or {}), **{f"patterns.drive.{key}": value for key, value in _STILL.items()}}
     standing = plan_of_task(scenario, seeds, ["drive"], None, on_misfit, still)
     if standing is not None:
         cases.append(Case(task, STAND, standing[0], metric))
@@ -181,7 +181,7 @@ def _first_robot(scenario: str, values: Mapping[str, Any], controller: Controlle
     folder = {} if controller.plugin_dir is None else {"plugin_dir": str(controller.plugin_dir)}
     loaded = load_scenario(scenario, {**values, **folder})
     for event in loaded.events:
-        if event.pattern is not None and event.robots:
+        if event.pattern == controller.pattern and event.robots:
             return str(event.robots[0])
     raise ConfigError(f"{scenario}: no robot runs {controller.pattern}")
 

@@ -44,7 +44,7 @@ TASK = {
     "extends": "benchmark/doorway",
     "duration": 0.6,
     "groups": {"team": {"count": 2}},
-    "patterns": {"random_walk": {}, "drive": {"speed": 0.2, "turn": 0.1}},
+    "patterns": {"random_walk": {}, "drive": {"turn": 0.1, "recovery": True}},
 }
 
 
@@ -123,7 +123,12 @@ def test_a_task_has_a_case_without_a_fault_three_with_one_and_the_control(
     assert event["fault"]["base"] == "dead_wheel"
     group = by_case[STAND]["groups"]["team"]
     assert group["pattern"] == "drive"
-    assert group["parameters"] == {"speed": 0.0, "turn": 0.0, "lateral": 0.0}
+    assert group["parameters"] == {
+        "speed": 0.0,
+        "turn": 0.0,
+        "lateral": 0.0,
+        "recovery": False,
+    }
     assert {case.task for case in cases} == {"short"}
 
 
