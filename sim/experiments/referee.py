@@ -8,9 +8,10 @@ seeds, with Holm's correction for all verdicts of the referee together.
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -48,6 +49,8 @@ POLICIES = (".onnx", ".npz")
 BETTER = "better"
 WORSE = "worse"
 OPEN = "open"
+SAME = "same bits"
+"""The verdict of a case whose runs are those of its control, to the last bit."""
 _UNTIL = re.compile(r"\s*(\w+)\s*(>=|<=|>|<)\s*(\S+)\s*")
 
 
@@ -80,7 +83,7 @@ def controller_of(text: str) -> Controller:
     A folder holds one: a `pattern.py`, a launch file, a network, or a pattern's .py. ConfigError
     for a folder with none or several.
     """
-    path = user_path(text).absolute()
+    path = Path(os.path.abspath(user_path(text)))
     if not path.exists() and not is_pattern_path(text) and path.suffix not in POLICIES:
         return Controller(text)
     if path.is_dir() and not (path / PATTERN_FILE).is_file():
@@ -190,8 +193,8 @@ def _first_robot(scenario: str, values: Mapping[str, Any], controller: Controlle
 class Finding:
     """A case of a task beside its control: the stand for SOUND, else SOUND.
 
-    - `verdict`: BETTER, WORSE, or OPEN if the runs do not tell them apart; of two values that are
-      better when less, the smaller one is better.
+    - `verdict`: BETTER, WORSE, SAME, or OPEN if the runs do not tell them apart; of two values that
+      are better when less, the smaller one is better.
     - `bits`: a digest of the bits of all runs.
     """
 
@@ -221,11 +224,15 @@ def findings_of(found: Sequence[tuple[Case, Results]]) -> list[Finding]:
             sides = [_side(*other), _side(case, results)]
             difference = compare(*sides, [case.metric])[0]
         differences.append(difference)
-    known = corrected([one for one in differences if one is not None])
-    adjusted = iter(known)
-    return [
+    adjusted = iter(corrected([one for one in differences if one is not None]))
+    made = [
         _finding(case, results, against, None if one is None else next(adjusted))
         for (case, results, against), one in zip(pairs, differences, strict=True)
+    ]
+    bits = {(one.task, one.case): one.bits for one in made}
+    return [
+        replace(one, verdict=SAME) if one.bits == bits.get((one.task, one.against)) else one
+        for one in made
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +29,10 @@ from swarmd.sim.experiments.statistics import number
 from swarmd.sim.report.html import page
 from swarmd.sim.report.tables import manifest_table, table
 
-HEAD = ("TASK", "CASE", "MEAN", "OF", "MEAN", "DIFFERENCE (95 %)", "VERDICT", "RUNS", "CONTACTS")
+HEAD = (
+    *("TASK", "CASE", "MEAN", "CONTROL", "ITS MEAN", "DIFFERENCE (95 %)"),
+    *("VERDICT", "RUNS", "CONTACTS"),
+)
 HEAD_OF_RUNS = ("TASK", "CASE", "SEED", "VALUE", "BITS")
 
 
@@ -50,7 +54,7 @@ class Refereed:
 def referee_report(refereed: Refereed, manifest: Manifest) -> str:
     """The report as HTML; `manifest`: of any of the experiments."""
     return page(
-        title=f"{refereed.controller}, refereed",
+        title=f"{Path(os.path.abspath(refereed.controller)).name}, refereed",
         sentence=sentence_of(refereed.findings),
         question=(
             f"The controller {refereed.controller} in tasks of the benchmark suite, beside robots"
@@ -115,7 +119,12 @@ def _verdicts(refereed: Refereed) -> str:
         f" for all rows. With a fault, the first robot has it from {AT:g} s on. Which of two values"
         " is better follows from the task's metric."
     )
-    return f'{table(HEAD, rows, "metrics")}<p class="dim">{escape(text)}</p>'
+    metrics = {
+        case.task: (case.task, case.metric.name, case.metric.better or NOTHING, case.metric.meaning)
+        for case, _ in refereed.found
+    }
+    meanings = table(("TASK", "METRIC", "BETTER", "MEANING"), _escaped([*metrics.values()]))
+    return f'{table(HEAD, rows, "metrics")}<p class="dim">{escape(text)}</p>{meanings}'
 
 
 def _decisions(decisions: Sequence[Decision]) -> str:
