@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,9 +25,8 @@ from swarmd.sim.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from swarmd.sim.experiments.referee import Case, Controller, Decision, Until
-    from swarmd.sim.experiments.results import Results
-    from swarmd.sim.experiments.simulate import Runner
+    from swarmd.sim.experiments.referee import Case, Controller, Until
+    from swarmd.sim.experiments.sequential import SequentialTest
 
 REPORT = "referee.html"
 
@@ -120,10 +120,10 @@ def referee(
     for one in wanted:
         if one.task not in {Path(name).stem for name in names}:
             raise ConfigError(f"--until {one.text!r}: {one.task} is none of the tasks; add --task")
-    digest = judging.digest_of(chosen)
-    folder = out or new_folder(Path("runs"), (f"referee-{n}" for n in count(1)))
-    chosen = _with_policy(chosen, folder, digest)
     values = parse_sets(sets)
+    folder = out or new_folder(Path("runs"), (f"referee-{n}" for n in count(1)))
+    digest = judging.digest_of(chosen, folder.absolute())
+    chosen = _with_policy(chosen, folder, digest)
     misfits: list[str] = []
     cases = [
         case
@@ -142,6 +142,7 @@ def referee(
         warn(line)
     if not cases:
         raise ConfigError(f"{controller} fits none of the tasks; see the lines above")
+    tests = [_test_of(one, cases) for one in wanted]
 
     # 2. The runs.
     command = command_line(
@@ -174,8 +175,21 @@ def referee(
             found.append((case, results))
             for run, reason in list((results.failures | results.pattern_faults).items())[:1]:
                 warn(f"run {run} failed: {reason}")
-        for until in wanted:
-            decision = _decided(until, cases, most, chosen, names, values, folder, runner, command)
+        for until, test in zip(wanted, tests, strict=True):
+            scenario = next(name for name in names if Path(name).stem == until.task)
+            case = judging.cases_of(scenario, range(most), chosen, (), values)[0]
+            results = do_runs(
+                case.plan,
+                folder / case.task / f"until_{until.value}",
+                runner,
+                traces=False,
+                command=command,
+                metrics=[case.metric],
+                test=test,
+                is_fresh=is_fresh,
+            )
+            decided_bits = judging.bits_of(row["bits"] for row in results.rows)
+            decision = judging.Decision(until, test.verdict, test.runs, decided_bits)
             warn(f"{until.text}: {decision.verdict} after {counted(decision.runs, 'seed')}")
             decisions.append(decision)
 
@@ -221,35 +235,13 @@ def _with_policy(controller: Controller, folder: Path, digest: str) -> Controlle
     return Made(name, place)
 
 
-def _decided(
-    until: Until,
-    cases: list[Case],
-    most: int,
-    controller: Controller,
-    names: list[str],
-    values: dict[str, object],
-    folder: Path,
-    runner: Runner,
-    command: list[str],
-) -> Decision:
-    """Run seeds of a task until a requirement is decided."""
-    from swarmd.sim.experiments import referee as judging
+def _test_of(until: Until, cases: Sequence[Case]) -> SequentialTest:
+    """The test of a requirement; ConfigError before any run for one that cannot be decided."""
+    from swarmd.sim.experiments.referee import ALPHA
     from swarmd.sim.experiments.sequential import SequentialTest
 
-    sound = next((one for one in cases if one.task == until.task), None)
-    if sound is None:
+    case = next((one for one in cases if one.task == until.task), None)
+    if case is None:
         raise ConfigError(f"--until {until.text!r}: the controller does not fit {until.task}")
-    test = SequentialTest(until.requirement(sound.metric), judging.ALPHA, lambda _: sound.metric)
-    scenario = next(name for name in names if Path(name).stem == until.task)
-    (case, *_) = judging.cases_of(scenario, range(most), controller, (), values)
-    results: Results = do_runs(
-        case.plan,
-        folder / case.task / f"until_{until.value}",
-        runner,
-        traces=False,
-        command=command,
-        metrics=[case.metric],
-        test=test,
-    )
-    bits = judging.bits_of(row["bits"] for row in results.rows)
-    return judging.Decision(until, test.verdict, test.runs, bits)
+    metric = case.metric
+    return SequentialTest(until.requirement(metric), ALPHA, lambda _: metric)

@@ -60,12 +60,14 @@ class Controller(NamedTuple):
     - `pattern`: a name, or the path of a pattern or mission.
     - `values`: overrides of each task by dotted key, such as the launch file of nodes.
     - `policy`: a file with a network, of which a pattern is to be made first; None for others.
+    - `files`: its own file or folder; None for a shipped pattern.
     """
 
     pattern: str
     plugin_dir: Path | None = None
     values: Mapping[str, Any] = MappingProxyType({})
     policy: Path | None = None
+    files: Path | None = None
 
 
 class Case(NamedTuple):
@@ -94,9 +96,9 @@ def controller_of(text: str) -> Controller:
         return Controller(path.stem, policy=path)
     if path.suffix == ".yaml" and path.is_file() and is_launch_text(read_regular(path)):
         values = {f"parameters.{NODES}.launch": str(path)}
-        return Controller(NODES, path.parent, values)
+        return Controller(NODES, path.parent, values, files=path.parent)
     place = pattern_at(str(path))
-    return Controller(place.name, place.folder)
+    return Controller(place.name, place.folder, files=path)
 
 
 def _only_one(folder: Path, text: str) -> Path:
@@ -119,19 +121,27 @@ def _only_one(folder: Path, text: str) -> Path:
     )
 
 
-def digest_of(controller: Controller) -> str:
-    """The digest of the files of a controller: 12 hexadecimal digits; empty for a shipped one."""
-    folder = controller.plugin_dir
-    if controller.policy is not None:
-        return hashlib.sha256(read_regular(controller.policy, 2**30)).hexdigest()[:12]
-    if folder is None:
+def digest_of(controller: Controller, without: Path) -> str:
+    """The digest of the files of a controller: 12 hexadecimal digits; empty for a shipped one.
+
+    `without`: a folder that does not count, such as that of the runs.
+    """
+    root = controller.policy or controller.files
+    if root is None:
         return ""
+    if root.is_file():
+        return hashlib.sha256(root.read_bytes()).hexdigest()[:12]
     found = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and path.suffix in (".py", ".yaml", ".msg", ".srv"):
-            found.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+    for path in sorted(root.rglob("*")):
+        name = path.relative_to(root)
+        is_apart = path.is_relative_to(without) or any(part[0] in "._" for part in name.parts[:-1])
+        if path.suffix in _DECIDING and not is_apart and path.is_file():
+            found.update(f"{name.as_posix()}\0".encode())
             found.update(hashlib.sha256(path.read_bytes()).digest())
     return found.hexdigest()[:12]
+
+
+_DECIDING = (".py", ".yaml", ".msg", ".srv")
 
 
 def cases_of(

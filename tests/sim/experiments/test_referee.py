@@ -26,6 +26,7 @@ from swarmd.sim.experiments.referee import (
     bits_of,
     cases_of,
     controller_of,
+    digest_of,
     parse_until,
 )
 from swarmd.sim.experiments.simulate import run_here
@@ -90,6 +91,24 @@ def test_nodes_of_ros_2_come_with_their_launch_file(tmp_path: Path) -> None:
     assert found == controller_of(str(tmp_path))
     assert found.plugin_dir == tmp_path
     assert found.values == {"parameters.ros2_nodes.launch": str(path)}
+
+
+def test_the_digest_is_of_the_files_of_the_controller_alone(tmp_path: Path) -> None:
+    """Neither the runs below the folder count, nor a note, nor hidden folders."""
+    (tmp_path / "nodes.yaml").write_text(LAUNCH)
+    runs = tmp_path / "runs"
+
+    def now() -> str:
+        return digest_of(controller_of(str(tmp_path)), runs)
+
+    before = now()
+    for name in ("runs/a.py", "note.txt", ".git/x.py", "__pycache__/x.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("x")
+    assert now() == before
+    (tmp_path / "one.py").write_text("x")
+    assert now() != before
+    assert digest_of(controller_of("random_walk"), runs) == ""
 
 
 @pytest.mark.parametrize(
@@ -212,6 +231,8 @@ def test_two_people_get_the_same_bits_in_one_html(
         (["random_walk", "--task", "dorway"], "benchmark/doorway"),
         (["random_walk", "--task", "doorway", "--task", "doorway"], "twice"),
         (["random_walk", "--task", "doorway", "--until", "shelter >= 1"], "shelter"),
+        (["random_walk", "--task", "doorway", "--until", "doorway >= x"], "'x'"),
+        (["random_walk", "--task", "doorway", "--until", "doorway >= 7"], "between 0 and 1"),
         (["random_walk", "--task", "doorway", "--fault", "smoke"], "smoke"),
         (["foraging", "--task", "doorway"], "fits none"),
         (["no/such.onnx"], "no such file"),
