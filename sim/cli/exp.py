@@ -20,6 +20,7 @@ from swarmd.operator.cli.patterns import report_mission
 from swarmd.operator.texts.values import counted
 from swarmd.sim.cli.exp_bench import bench
 from swarmd.sim.cli.exp_outcomes import RunOptions, run_outcomes
+from swarmd.sim.cli.exp_referee import referee
 from swarmd.sim.cli.exp_results import (
     MISSED,
     check,
@@ -690,6 +691,7 @@ def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_
 exp.add_command(bench)
 exp.add_command(check)
 exp.add_command(export)
+exp.add_command(referee)
 exp.add_command(report)
 exp.add_command(plot)
 exp.add_command(tune)

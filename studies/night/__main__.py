@@ -250,6 +250,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for job in chosen:
         if not options.all and not options.runs and job.is_kept:
             continue
+        if lacking := job.lacks():
+            print(f"{job.name}: left out: {lacking}", flush=True)
+            continue
         print(f"{job.name}: some {job.estimate:.1f} CPU-minutes, {job.command}", flush=True)
         if options.on is not None and not job.takes_executor:
             print(f"{job.name}: runs here, since it does not go through `simulate`", flush=True)

@@ -150,6 +150,8 @@ def check(job: Job, *, is_again: bool = False) -> Look:
         return look
     if made is None or not made.is_same or not runs:
         return look
+    if lacking := job.lacks():
+        return Look(State.OPEN, f"its runs are not done again: {lacking}", look.changed)
     digest = job.digest
     rules = rules_in(look.changed or ())
     draw = drawn(job.name, runs, head(), rules)

@@ -41,7 +41,8 @@ class Job(Struct, frozen=True):
     prints, unless it prints several. arguments: of Python. minutes: the CPU-minutes that it may
     take, before it has been measured. modules: what decides the results beside the program itself.
     has_verdict: the program ends with 1 if its tables are whole and bad. takes_executor: its runs
-    may be done by a Dask cluster, with `--on ADDRESS`.
+    may be done by a Dask cluster, with `--on ADDRESS`. variable: the environment variable with a
+    folder of sources that are not kept here; the job is left out without it.
     """
 
     name: str
@@ -50,6 +51,13 @@ class Job(Struct, frozen=True):
     modules: tuple[str, ...] = ()
     has_verdict: bool = False
     takes_executor: bool = False
+    variable: str = ""
+
+    def lacks(self, environ: Mapping[str, str] = os.environ) -> str:
+        """Why the job cannot run here; empty if it can."""
+        if not self.variable or Path(environ.get(self.variable) or "/nowhere").is_dir():
+            return ""
+        return f"{self.variable} names no folder with the sources of others; set it"
 
     @property
     def command(self) -> str:
@@ -184,6 +192,7 @@ def _study(
     module: str = "",
     has_verdict: bool = False,
     takes_executor: bool = False,
+    variable: str = "",
 ) -> Job:
     arguments = ("-m", f"studies.{module or name}", *words)
     return Job(
@@ -192,6 +201,7 @@ def _study(
         minutes,
         has_verdict=has_verdict,
         takes_executor=takes_executor,
+        variable=variable,
     )
 
 
@@ -264,6 +274,7 @@ JOBS: Sequence[Job] = (
         has_verdict=True,
     ),
     _study("ros_faults", 6.0, module="ros"),
+    _study("ros2swarm", 60.0, variable="SWARMD_ROS2SWARM"),
     Job("executors", ("-m", "benchmarks.executors"), 20.0),
     Job(
         "rivals",

@@ -15,7 +15,7 @@ from swarmd.core.errors import PluginError, SwarmError
 from swarmd.kit.mistakes import MAX_TEXT, place_of
 from swarmd.ros2_nodes.message_classes import Message, MessageClasses
 from swarmd.ros2_nodes.qos import QoSProfile
-from swarmd.ros2_nodes.refusal import Ended, NotCarriedOver, Spun
+from swarmd.ros2_nodes.refusal import Ended, NotCarriedOver, Spun, one_line
 from swarmd.ros2_nodes.ros_time import S_TO_NS
 
 MAX_CALLBACKS = 2_000
@@ -384,6 +384,7 @@ class Graph:
 
     def refuse(self, text: str) -> NoReturn:
         """Raise NotCarriedOver, and keep the text for a node that catches it."""
+        text = one_line(text)
         self.refused = self.refused or text
         raise NotCarriedOver(text)
 
@@ -440,7 +441,7 @@ class Graph:
         except Spun:
             self._refuse_spin(owner)
         except NotCarriedOver as error:
-            raise PluginError(f"{owner.name}: {error}") from error
+            raise PluginError(f"{owner.name}: {one_line(str(error))}") from error
         except (Ended, PluginError, MemoryError):
             raise
         except Exception as error:  # a node may raise anything
@@ -461,7 +462,7 @@ class Graph:
 
     def _refusal_or(self, error: Exception) -> str:
         if isinstance(error, SwarmError):
-            return str(error)
+            return one_line(str(error))
         return self.refused or described(error)
 
     def _next_timer(self, end: int) -> Timer | None:
@@ -514,7 +515,7 @@ def described(error: BaseException) -> str:
             text = f"{text}; {remedy}"
     place = place_of(error)
     where = "" if place is None else f" ({place.file.rsplit('/', 1)[-1]}:{place.line})"
-    return f"{type(error).__name__}: {text}{where}"
+    return one_line(f"{type(error).__name__}: {text}{where}")
 
 
 def _finished(coroutine: Any) -> Any:

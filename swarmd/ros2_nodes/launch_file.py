@@ -13,6 +13,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.errors import ConfigError
 from swarmd.ros2_nodes.node_files import NodeFiles
+from swarmd.ros2_nodes.refusal import one_line
 from swarmd.settings import layered, yamlfile
 
 ROBOT = "{robot}"
@@ -117,15 +118,38 @@ def read_launch_file(path: Path) -> tuple[LaunchFile, NodeFiles]:
     """
     files = NodeFiles(path.parent)
     text = files.read(files.path(path.name))
-    data = yamlfile.parsed(text, path.name)
-    launch, faults = layered.read(data, LaunchFile)
+    name = one_line(path.name)
+    data = yamlfile.parsed(text, name)
+    launch, faults = layered.read(data, LaunchFile, _texts_fault)
     if faults:
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        raise ConfigError(f"{path.name}: {faults[0][1]}{more}")
+        raise ConfigError(f"{name}: {faults[0][1]}{more}")
     if not is_launch_text(text):  # else an experiment would not compare it as code
-        raise ConfigError(f"{path.name}: expected a line that begins with `nodes:`")
+        raise ConfigError(f"{name}: expected a line that begins with `nodes:`")
     assert isinstance(launch, LaunchFile)
     return launch, files
+
+
+def _texts_fault(struct: Any, keys: layered.Keys) -> Iterator[layered.Fault]:
+    """The names in a struct that are no line; values of parameters and messages may be any text."""
+    for name in struct.__struct_fields__:
+        if name != "values":
+            yield from _names_fault(getattr(struct, name), (*keys, name))
+
+
+def _names_fault(value: Any, keys: layered.Keys) -> Iterator[layered.Fault]:
+    if isinstance(value, str) and not value.isprintable():
+        yield layered.fault_at(
+            keys, f"is {yamlfile.brief(value)}; expected a name of printable characters in one line"
+        )
+    elif isinstance(value, list):
+        for place, one in enumerate(value):
+            if not isinstance(one, Mapping):
+                yield from _names_fault(one, (*keys, place))
+    elif isinstance(value, Mapping) and keys[-1] != "parameters":
+        for key, one in value.items():
+            yield from _names_fault(key, (*keys, key))
+            yield from _names_fault(one, (*keys, key))
 
 
 def scan_topic(topics: Topics) -> ScanTopic:
@@ -225,13 +249,13 @@ def is_for(pattern: str, node: str) -> bool:
     `is_for("/**", "/tb3/follower")`; so do `/tb3/follower`, `/*/follower` and `/**/follower`, and
     `follower` alone means a node without a namespace.
     """
-    return _matches(pattern.strip("/").split("/"), node.strip("/").split("/"))
-
-
-def _matches(pattern: list[str], words: list[str]) -> bool:
-    if not pattern:
-        return not words
-    first, *rest = pattern
-    if first == "**":
-        return any(_matches(rest, words[n:]) for n in range(len(words) + 1))
-    return bool(words) and first in ("*", words[0]) and _matches(rest, words[1:])
+    words = node.strip("/").split("/")
+    reached = {0}  # how many words the pattern so far may stand for
+    for one in pattern.strip("/").split("/"):
+        if one == "**":
+            reached = set(range(min(reached), len(words) + 1))
+        else:
+            reached = {n + 1 for n in reached if n < len(words) and one in ("*", words[n])}
+        if not reached:
+            return False
+    return len(words) in reached

@@ -25,6 +25,8 @@ from swarmd.ros2_nodes.field_types import (
     sequence_type,
 )
 from swarmd.ros2_nodes.node_files import NodeFiles
+from swarmd.ros2_nodes.refusal import one_line
+from swarmd.settings import yamlfile
 
 _COMMON_SERVICES: Mapping[str, str] = {
     "std_srvs/srv/Empty": "---",
@@ -33,9 +35,15 @@ _COMMON_SERVICES: Mapping[str, str] = {
 }
 _COMMON_DEFAULTS: Mapping[str, Mapping[str, Any]] = {"geometry_msgs/msg/Quaternion": {"w": 1.0}}
 """The only defaults of the common packages; rosbags does not keep them."""
-_DEFAULT = re.compile(r"\s*[\w/<>=]+\s+(\w+)\s+([^=\s#][^#]*)")
+_DEFAULT = re.compile(r"\s*[\w/<>=\[\]]+\s+(\w+)\s+([^=\s#][^#]*)")
 _SPLIT = re.compile(r"^---\s*$", re.MULTILINE)
 _SUFFIXES = (".msg", ".srv")
+_FIELD = re.compile(r"(?!.*__)[a-z][a-z0-9_]*(?<!_)")
+"""The names that fields of ROS 2 may have."""
+_MAX_SIZE = 1_000_000
+"""Values of a new message: its arrays of a fixed length have all of theirs."""
+_MAX_TEXT = 64 * 1024
+"""Bytes of a definition."""
 _MAX_DEPTH = 16
 """Messages within messages; a definition that contains itself ends here."""
 
@@ -54,6 +62,7 @@ class Message:
     __slots__ = ()
     TYPE: str
     FIELDS: Mapping[str, FieldType]
+    SIZE: int
 
     def __init__(self, **values: Any) -> None:
         """Set the given fields, and the others to their defaults."""
@@ -117,6 +126,10 @@ class Message:
         return made
 
 
+_TAKEN = frozenset({"TYPE", "FIELDS", "SIZE"})
+"""Names of constants that a class of messages has itself."""
+
+
 class MessageClasses:
     """The message classes of one robot by name; made when they are first asked for.
 
@@ -177,7 +190,10 @@ class MessageClasses:
         raise ConfigError(self._unknown(name, "message"))
 
     def _text(self, name: str) -> str:
-        return self._files.read(self._paths[name]).decode(errors="replace")
+        text = self._files.read(self._paths[name])
+        if len(text) > _MAX_TEXT:
+            raise ConfigError(f"{name}: has {len(text)} bytes; expected {_MAX_TEXT} or less")
+        return text.decode(errors="replace")
 
     def _unknown(self, name: str, what: str) -> str:
         known = [one for one in (*_common(), *self._paths) if one.partition("/")[2][:3] in name]
@@ -186,15 +202,56 @@ class MessageClasses:
         return f"{text}; name the folder of its package in `path` of the launch file"
 
     def _made(self, name: str, definition: Definition, depth: int) -> type[Message]:
-        fields = {
-            field: self._field(node, definition.defaults.get(field), depth)
-            for field, node in definition.fields
-            if field != "structure_needs_at_least_one_member"
-        }
+        fields: dict[str, FieldType] = {}
+        size = 0
         members: dict[str, Any] = {constant: value for constant, _, value in definition.constants}
+        for field, node in definition.fields:
+            if field == "structure_needs_at_least_one_member":
+                continue
+            if not _FIELD.fullmatch(field):
+                raise ConfigError(f"{name}: {field!r} is no name of a field, such as `max_speed`")
+            if field in fields or field in members or hasattr(Message, field):
+                raise ConfigError(f"{name}: the name {field!r} is taken; rename the field")
+            fields[field] = self._checked(name, field, node, definition.defaults, depth)
+            size += self._size(node, depth)
+            if size > _MAX_SIZE:
+                raise ConfigError(
+                    f"{name}: {field}: a message has {size} values; expected {_MAX_SIZE} or less"
+                )
+        if not members.keys().isdisjoint(_TAKEN):
+            raise ConfigError(f"{name}: {' and '.join(sorted(_TAKEN))} are no names of constants")
         members |= {"__slots__": tuple(fields), "TYPE": name, "FIELDS": fields}
+        members["SIZE"] = size
         members["__module__"] = ".".join(name.split("/")[:2])
         return type(name.rpartition("/")[2], (Message,), members)
+
+    def _checked(
+        self, name: str, field: str, node: Any, defaults: Mapping[str, Any], depth: int
+    ) -> FieldType:
+        """The type of a field; ConfigError for a default that it cannot have."""
+        default = defaults.get(field)
+        kind, detail = node
+        inner = node if kind in (Nodetype.BASE, Nodetype.NAME) else detail[0]
+        if kind == Nodetype.ARRAY and detail[1] < 1:
+            raise ConfigError(f"{name}: {field}: an array of {detail[1]}; expected 1 or more")
+        if inner[0] == Nodetype.NAME and not self.is_known(inner[1]):
+            raise ConfigError(f"{name}: {field}: {self._unknown(inner[1], 'message')}")
+        try:
+            made = self._field(node, default, depth)
+            return made if default is None else _with_default(made, field, default)
+        except (AssertionError, ValueError, TypeError, OverflowError) as error:
+            text = yamlfile.brief(default)
+            raise ConfigError(f"{name}: {field}: {text} is no default: {error}") from None
+
+    def _size(self, node: Any, depth: int) -> int:
+        """The values of a field of a new message."""
+        kind, detail = node
+        if kind == Nodetype.NAME:
+            return self._kind(detail, depth + 1).SIZE
+        if kind == Nodetype.ARRAY:
+            inner, length = detail
+            return max(1, int(length) * self._size(inner, depth))
+        return 1
 
     def _field(self, node: Any, default: Any, depth: int) -> FieldType:
         kind, detail = node
@@ -239,8 +296,9 @@ def _parsed(name: str, text: str) -> Definition:
     parsed_name = name.replace("/srv/", "/msg/")
     try:
         constants, fields = get_types_from_msg(f"{text}\n", parsed_name)[parsed_name]
-    except TypesysError as error:
-        raise ConfigError(f"{name}: {' '.join(str(error).split())[:120]}") from None
+    except (TypesysError, ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
+        fault = one_line(" ".join(str(error).split()))[:120] or "is no definition of a message"
+        raise ConfigError(f"{name}: {fault}") from None
     defaults = {}
     for line in text.splitlines():
         match = _DEFAULT.fullmatch(line.partition("#")[0].rstrip())
@@ -259,6 +317,26 @@ def _value(text: str) -> Any:
         except ValueError:
             continue
     return text.strip("\"'")
+
+
+def _with_default(kind: FieldType, name: str, default: Any) -> FieldType:
+    """The type with a default that it has checked; lists are written as in `int32[] x [1, 2]`.
+
+    AssertionError, ValueError or TypeError for another one.
+    """
+    if not kind.text.endswith(("]", ">")):
+        is_whole = kind.text.startswith(("int", "uint"))
+        if kind.text == "bool" and default not in (True, False):
+            raise ValueError("expected true or false")
+        if is_whole and type(default) is not int:
+            raise ValueError("expected a whole number")
+        kind.check(name, kind.default())
+        return kind
+    values = yamlfile.read_value(default) if isinstance(default, str) else default
+    if kind.text.startswith(("float", "sequence<float")) and isinstance(values, list):
+        values = [float(one) for one in values]
+    kept = kind.check(name, values)
+    return kind._replace(default=lambda: kind.copy(kept))
 
 
 def _is_equal(here: Any, there: Any) -> bool:

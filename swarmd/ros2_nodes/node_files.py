@@ -10,6 +10,7 @@ from zipfile import ZipFile
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.files import read_regular
+from swarmd.ros2_nodes.refusal import one_line
 
 MAX_LISTED = 20_000
 """Files of a source folder that are looked through for message types."""
@@ -25,7 +26,7 @@ class NodeFiles:
 
     def __init__(self, base: Path) -> None:
         self.base = Path(os.path.normpath(base))
-        self._wheel = next((one for one in self.base.parents if one.is_file()), None)
+        self._wheel = next((one for one in self.base.parents if os.path.isfile(one)), None)
 
     @cached_property
     def _contents(self) -> dict[str, bytes]:
@@ -48,30 +49,34 @@ class NodeFiles:
 
     def is_file(self, path: Path) -> bool:
         """Whether there is such a file."""
-        return str(path) in self._contents if self._wheel is not None else path.is_file()
+        return str(path) in self._contents if self._wheel is not None else os.path.isfile(path)
 
     def is_folder(self, path: Path) -> bool:
         """Whether there is such a folder."""
         if self._wheel is None:
-            return path.is_dir()
+            return os.path.isdir(path)
         return any(name.startswith(f"{path}/") for name in self._contents)
 
     def read(self, path: Path) -> bytes:
         """The content of a file; ConfigError in one line if it cannot be read."""
         if self._wheel is not None:
             if str(path) not in self._contents:
-                raise ConfigError(f"{path.name}: the pushed folder has no such file")
+                raise ConfigError(f"{one_line(path.name)}: the pushed folder has no such file")
             return self._contents[str(path)]
         try:
             return read_regular(path, MAX_SIZE)
         except PermissionError as error:
             raise ConfigError(
-                f"{path}: cannot be read: {error.strerror}; a robot reads its plugin_dir and"
+                f"{one_line(str(path))}: cannot be read: {error.strerror}; a robot reads its"
+                " plugin_dir and"
                 " pushed folders alone: put the nodes there"
             ) from error
         except OSError as error:
             text = error.strerror or str(error)
-            raise ConfigError(f"{path}: cannot be read: {text}; check the path") from error
+            name = one_line(str(path))
+            raise ConfigError(f"{name}: cannot be read: {text}; check the path") from error
+        except ValueError as error:  # a null byte
+            raise ConfigError(f"{one_line(str(path))}: is no path of a file: {error}") from error
 
     def listed(self, folder: Path, suffixes: Sequence[str]) -> list[Path]:
         """The files below a folder with one of these suffixes, in their order.

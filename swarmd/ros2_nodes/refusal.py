@@ -18,3 +18,13 @@ class Spun(BaseException):
 
 class Ended(Exception):
     """A node has ended itself, by `rclpy.shutdown()` or `sys.exit()`."""
+
+
+def one_line(text: str) -> str:
+    """A text as a line of a log shows it: line ends and other control characters are spelled out.
+
+    Names of files, and errors of nodes, may have any character.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)

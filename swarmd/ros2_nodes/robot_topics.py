@@ -24,10 +24,12 @@ TWIST = "geometry_msgs/msg/Twist"
 TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_footprint"
+BASE_LINK = "base_link"
+TF_STATIC = "/tf_static"
 SHARED_FRAME = "map"
+BATTERY = "sensor_msgs/msg/BatteryState"
 _READING_FIELDS = (
     *("data", "temperature", "range", "illuminance", "relative_humidity", "fluid_pressure"),
-    "percentage",
 )
 """The field of a message that takes a reading: the first of these that it has."""
 _EVEN = 1e-4
@@ -59,6 +61,7 @@ class RobotTopics:
         self._resolve = resolve
         self._scan = scan_topic(topics)
         self._commands = self._names(topics.command)
+        self._with_static = 0  # subscriptions that have the transforms that stay
         self.command: Command | None = None
 
     def needs(self) -> frozenset[str]:
@@ -103,6 +106,8 @@ class RobotTopics:
     def publish(self, inputs: Inputs) -> None:
         """Publish what is new in the inputs of a step."""
         topics = self._topics
+        if topics.tf:
+            self._publish_static()
         if inputs.odometry is not None:
             self._publish_odometry(inputs)
         if topics.pose and inputs.pose is not None:
@@ -130,20 +135,41 @@ class RobotTopics:
             twist.angular.z = float(measured.twist.angular)
             self._give(self._topics.odometry, message)
         if self._is_wanted(self._topics.tf):
-            transform = self._made("geometry_msgs/msg/TransformStamped", ODOM_FRAME)
-            transform.child_frame_id = BASE_FRAME
-            transform.transform.translation.x = float(measured.pose.x)
-            transform.transform.translation.y = float(measured.pose.y)
-            _set_yaw(transform.transform.rotation, measured.pose.yaw)
-            message = self._graph.types.kind(TF)()
-            message.transforms = [transform]
-            self._give(self._topics.tf, message)
+            there = measured.pose
+            transforms = [self._transform(ODOM_FRAME, BASE_FRAME, there)]
+            if self._topics.pose and inputs.pose is not None:
+                transforms.append(
+                    self._transform(SHARED_FRAME, ODOM_FRAME, _frame_of(inputs.pose, there))
+                )
+            self._give(self._topics.tf, self._graph.types.kind(TF)(transforms=transforms))
+
+    def _publish_static(self) -> None:
+        """Publish the frames of the robot's parts to the subscriptions that came since."""
+        count = len(self._graph.subscriptions_of(TF_STATIC))
+        if count > self._with_static:
+            x, y = self._platform.scan.offset
+            transforms = [self._transform(BASE_FRAME, BASE_LINK, Pose())]
+            if self._scan.frame not in ("", BASE_FRAME, BASE_LINK):
+                transforms.append(self._transform(BASE_LINK, self._scan.frame, Pose(x, y)))
+            self._graph.deliver(TF_STATIC, self._graph.types.kind(TF)(transforms=transforms))
+        self._with_static = count
+
+    def _transform(self, frame: str, child: str, pose: Pose) -> Any:
+        transform = self._made("geometry_msgs/msg/TransformStamped", frame)
+        transform.child_frame_id = child
+        transform.transform.translation.x = float(pose.x)
+        transform.transform.translation.y = float(pose.y)
+        _set_yaw(transform.transform.rotation, pose.yaw)
+        return transform
 
     def _publish_reading(self, topic: str, value: float) -> None:
         for name in self._names(topic):
             for subscription in self._graph.subscriptions_of(name):
                 kind = subscription.msg_type
                 field = next((one for one in _READING_FIELDS if one in kind.FIELDS), None)
+                if kind.TYPE == BATTERY:
+                    self._graph.deliver(name, self._battery(value))
+                    break
                 if field is None:
                     raise TypeError(
                         f"{topic}: {kind.TYPE} has no field for a reading; use std_msgs/Float64"
@@ -154,6 +180,15 @@ class RobotTopics:
                 setattr(message, field, float(value))
                 self._graph.deliver(name, message)
                 break
+
+    def _battery(self, charge: float) -> Any:
+        """The state of a battery of which the charge alone, 0 to 1, is known."""
+        message = self._made(BATTERY, BASE_FRAME)
+        for name in ("voltage", "temperature", "current", "charge", "capacity", "design_capacity"):
+            setattr(message, name, math.nan)  # as its definition has it: NaN is not measured
+        message.percentage = float(charge)
+        message.present = True
+        return message
 
     def _poses(self, neighbors: tuple[Neighbor, ...]) -> Any:
         message = self._made(POSES, BASE_FRAME)
@@ -255,6 +290,15 @@ def scan_layout(scan: Scan, topic: ScanTopic, nominal: Array) -> ScanLayout:
 def _with_no_return(ranges: Array, topic: ScanTopic) -> Array:
     free = no_return(topic)
     return ranges if free == math.inf else np.where(np.isposinf(ranges), free, ranges)
+
+
+def _frame_of(outer: Pose, inner: Pose) -> Pose:
+    """Where the frame is in which a robot is at `inner`, while it is at `outer` in another one."""
+    yaw = wrap(outer.yaw - inner.yaw)
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
+    x = outer.x - cos * inner.x + sin * inner.y
+    return Pose(x, outer.y - sin * inner.x - cos * inner.y, float(yaw))
 
 
 def _set_pose(message: Any, pose: Pose) -> None:

@@ -28,6 +28,7 @@ from swarmd.ros2_nodes.message_classes import MessageClasses
 from swarmd.ros2_nodes.node import Node, RobotSide
 from swarmd.ros2_nodes.node_files import NodeFiles
 from swarmd.ros2_nodes.refusal import NotCarriedOver, Spun
+from swarmd.ros2_nodes.transforms import tf2_ros
 
 _TIMER = "a callback never waits; use a timer (`create_timer`)"
 REFUSED_MODULES: Mapping[str, str] = {
@@ -46,7 +47,7 @@ REFUSED_MODULES: Mapping[str, str] = {
     "serial": "a pattern reaches no hardware but the robot's own topics",
     "shutil": "a pattern writes no files",
     "tempfile": "a pattern writes no files",
-    "tf2_ros": "there is no tf tree; subscribe to the odometry, or to `/tf` (`tf2_msgs/TFMessage`)",
+    "tf2_geometry_msgs": "look the transform up, and apply it to the point",
     "rclpy.action": "there are no actions; use topics, services or a timer",
     "rclpy.lifecycle": "there are no lifecycle nodes; use a Node",
     "message_filters": "there is no synchronizer; keep the last message of each topic",
@@ -64,7 +65,7 @@ class StandIns:
         self._side = side
         self._types = types
         self._files = files
-        self._made = _rclpy(side)
+        self._made = {**_rclpy(side), **tf2_ros(side)}
 
     def __call__(self, name: str) -> ModuleType | None:
         """The module that takes the place of `name`; None if nothing does."""

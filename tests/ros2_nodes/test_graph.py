@@ -231,6 +231,94 @@ def test_odometry_and_readings_come_as_messages(tmp_path: Path) -> None:
     assert seen(robot) == [(0.0, 1.5, 0.707107, 1.570796, 0.2, "odom"), (0.0, 21.5)]
 
 
+def test_the_charge_of_a_battery_is_its_percentage(tmp_path: Path) -> None:
+    """sensor_msgs/BatteryState: 0 to 1, and NaN is not measured; temperature comes before it."""
+    text = begin(
+        "from sensor_msgs.msg import BatteryState",
+        "self.create_subscription(BatteryState, 'battery_state', lambda m: self.note("
+        "round(m.percentage, 6), m.temperature == m.temperature, m.voltage == m.voltage,"
+        " m.present), 1)",
+    )
+    node_with(tmp_path, text)
+    launch = "nodes: [{run: 'one:One'}]\ntopics: {readings: {battery: battery_state}}"
+    robot = launched(tmp_path, launch)
+    assert robot.needs == {"reading:battery"}
+    robot.step(Inputs(now=0.0, dt=0.0, readings={"battery": 0.75}))
+    assert seen(robot) == [(0.0, 0.75, False, False, True)]
+
+
+def test_a_buffer_of_tf2_has_the_frames_of_the_base(tmp_path: Path) -> None:
+    """A Burger at x = 1.5 m that looks along y: its lidar is 0.032 m behind the axle."""
+    text = begin(
+        "from rclpy.time import Time",
+        "from tf2_ros import TransformException",
+        "from tf2_ros.buffer import Buffer",
+        "from tf2_ros.transform_listener import TransformListener",
+        "self.buffer = Buffer()",
+        "self.listener = TransformListener(self.buffer, self)",
+        "def look():",
+        "    for target, source in (('odom', 'base_scan'), ('base_link', 'odom'),"
+        " ('map', 'base_footprint')):",
+        "        try:",
+        "            t = self.buffer.lookup_transform(target, source, Time()).transform",
+        "            self.note(round(t.translation.x, 6), round(t.translation.y, 6),"
+        " round(t.rotation.z, 6))",
+        "        except TransformException as error:",
+        "            self.note(type(error).__name__)",
+        "self.create_timer(0.1, look)",
+    )
+    robot = node_with(tmp_path, text)
+    assert robot.needs == {"odometry"}
+    odometry = Odometry(0.0, Pose(1.5, 0.0, 1.5707963267948966), Twist(0.2))
+    steps(robot, [0.0])
+    robot.step(Inputs(now=0.1, dt=0.1, odometry=odometry))
+    assert seen(robot) == [
+        (0.1, 1.5, -0.032, 0.707107),
+        (0.1, 0.0, 1.5, -0.707107),
+        (0.1, "LookupException"),
+    ]
+
+
+def test_a_buffer_of_tf2_has_the_shared_frame_of_a_robot_that_knows_its_pose(
+    tmp_path: Path,
+) -> None:
+    """At (3, 4, 90 deg) in `map` and (1, 0, 0) in `odom`: the origin of odom is at (3, 3)."""
+    text = begin(
+        "from tf2_ros import Buffer, TransformListener",
+        "self.buffer = Buffer()",
+        "self.listener = TransformListener(self.buffer, self)",
+        "def look():",
+        "    t = self.buffer.lookup_transform('map', 'odom').transform.translation",
+        "    self.note(round(t.x, 6), round(t.y, 6))",
+        "self.create_timer(0.1, look)",
+    )
+    node_with(tmp_path, text)
+    robot = launched(tmp_path, "nodes: [{run: 'one:One'}]\ntopics: {pose: pose}")
+    odometry = Odometry(0.0, Pose(1.0, 0.0, 0.0), Twist())
+    pose = Pose(3.0, 4.0, 1.5707963267948966)
+    for now in (0.0, 0.1):
+        robot.step(Inputs(now=now, dt=0.1, odometry=odometry, pose=pose))
+    assert seen(robot) == [(0.1, 3.0, 3.0)]
+
+
+def test_a_broadcaster_of_tf2_reaches_a_listener(tmp_path: Path) -> None:
+    text = begin(
+        "from geometry_msgs.msg import TransformStamped",
+        "from tf2_ros import Buffer, TransformListener, StaticTransformBroadcaster",
+        "made = TransformStamped()",
+        "made.header.frame_id, made.child_frame_id = 'odom', 'goal'",
+        "made.transform.translation.x = 2.0",
+        "StaticTransformBroadcaster(self).sendTransform(made)",
+        "self.buffer = Buffer()",
+        "self.listener = TransformListener(self.buffer, self)",
+        "self.create_timer(0.1, lambda: self.note(self.buffer.can_transform('goal', 'odom'),"
+        " self.buffer.can_transform('goal', 'home')))",
+    )
+    robot = node_with(tmp_path, text)
+    steps(robot, [0.0, 0.1])
+    assert seen(robot) == [(0.1, True, False)]
+
+
 # Parameters
 
 

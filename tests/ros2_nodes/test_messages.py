@@ -141,3 +141,45 @@ def test_a_type_that_is_unknown_or_wrong_is_named(
         MessageClasses(NodeFiles(folder), [folder]).kind(asked)
     assert named in str(caught.value)
     assert len(str(caught.value)) < 250
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("uint8 x 300\n", "x"), ("int32 x 2.5\n", "x"), ("int32 x abc\n", "x"),
+        ("bool x maybe\n", "x"), ("float64 x abc\n", "x"), ("int32[2] x [1, 2, 3]\n", "x"),
+        ("int8[] x [1, 300]\n", "x"), ("string<=2 x 'abc'\n", "x"),
+        ("int8 x\nint8 x\n", "'x'"), ("int8 x=1\nint8 x\n", "parse"), ("int8 copied\n", "'copied'"),
+        ("int8 FIELDS\n", "FIELDS"), ("int8 FIELDS=1\nint8 x\n", "FIELDS"), ("int8 __x\n", "__x"),
+        ("int8 x_\n", "'x_'"), ("float64[9000000000000] x\n", "9000000000000"),
+        ("float64[-1] x\n", "Odd"), ("Odd x\n", "itself"), ("Odd[] x\nOdd[] y\n", "itself"),
+        ("no_such/Type x\n", "no_such"), ("\0", "Odd"), ("int8\n", "Odd"), ("[" * 3000, "Odd"),
+        ("Big[2000] x\n", "2000000"), ("#\n" * 40_000, "80000"), ("int8 x y z\n", "Odd"),
+        ("\ud800", "Odd"),
+    ],
+)  # fmt: skip
+def test_an_odd_definition_is_one_line(tmp_path: Path, text: str, named: str) -> None:
+    (tmp_path / "odd" / "msg").mkdir(parents=True)
+    (tmp_path / "odd" / "msg" / "Big.msg").write_text("float64[1000] x\n")
+    (tmp_path / "odd" / "msg" / "Odd.msg").write_bytes(text.encode(errors="surrogatepass"))
+    with pytest.raises(ConfigError) as caught:
+        MessageClasses(NodeFiles(tmp_path), [tmp_path]).kind("odd/msg/Odd")()
+    line = str(caught.value)
+    assert "Odd" in line
+    assert named in line
+    assert line.isprintable()
+
+
+def test_lists_have_the_defaults_of_the_definition(tmp_path: Path) -> None:
+    """As https://docs.ros.org/en/jazzy/Concepts/Basic/About-Interfaces.html has them."""
+    text = "int32[] samples [-200, -100, 0]\nfloat32[2] pair [1, 2.5]\nstring[] names ['a', 'b']\n"
+    written(tmp_path, {"odd/msg/Odd.msg": text})
+    kind: Any = MessageClasses(NodeFiles(tmp_path), [tmp_path]).kind("odd/msg/Odd")
+    made = kind()
+    assert (made.samples.tolist(), made.pair.tolist(), made.names) == (
+        [-200, -100, 0],
+        [1.0, 2.5],
+        ["a", "b"],
+    )
+    made.samples.append(1)
+    assert kind().samples.tolist() == [-200, -100, 0]

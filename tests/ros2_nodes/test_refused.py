@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarmd.core.errors import PluginError
+from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.host_messages import Load, Loaded, LoadRefused, PatternFailed, Step, Stepped
 from swarmd.core.values import Inputs
 from swarmd.pattern_host.executor import PatternExecutor
@@ -66,7 +67,8 @@ def fault(folder: Path, text: str) -> str:
         ("", "rclpy.spin_once(self)", "spin_once"),
         ("", "rclpy.spin(self)", "rclpy.spin"),
         ("from rclpy.action import ActionClient\n", "ActionClient(self, 1, 'x')", "ActionClient"),
-        ("import tf2_ros\n", "tf2_ros.Buffer()", "tf2_ros.Buffer"),
+        ("import tf2_ros\n", "tf2_ros.Buffer().transform(1, 'odom')", "Buffer.transform"),
+        ("import tf2_geometry_msgs as g\n", "g.do_transform_pose(1, 2)", "do_transform_pose"),
     ],
 )
 def test_a_call_is_refused_by_its_name(tmp_path: Path, begin: str, line: str, named: str) -> None:
@@ -259,3 +261,88 @@ def test_a_node_that_ends_itself_ends_the_run_at_rest(
     assert outputs.done.startswith("one ")
     assert outputs.twist is not None
     assert outputs.twist.is_zero
+
+
+ODD_NAMES = ("a\0b", "a\nb", "a\x1b[2J", "a\u2028b", "a" * 5000, "../" * 2000, "~" * 300)
+
+
+@pytest.mark.parametrize("odd", ODD_NAMES)
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"run": 0}, {"parameters": 0}, {"parameters": [0]}, {"remap": {"a": 0}},
+        {"remap": {0: "a"}}, {"name": 0}, {"namespace": 0},
+    ],
+)  # fmt: skip
+def test_an_odd_name_of_an_entry_is_one_line(
+    tmp_path: Path, entry: dict[str, Any], odd: str
+) -> None:
+    """0 stands for the odd name. Names that are long alone are names of nodes and topics."""
+    node_with(tmp_path, body("pass"))
+    text = json.dumps({"nodes": [{"run": "one:One"} | _with(entry, odd)]})
+    refusal = _refusal(tmp_path, f"nodes: {text[10:-1]}")
+    is_file = not {"remap", "name", "namespace"} & entry.keys()
+    assert refusal.isprintable()
+    assert bool(refusal) or not is_file
+
+
+@pytest.mark.parametrize("odd", ODD_NAMES)
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"path": [0]}, {"namespace": 0}, {"shared": [0]}, {"topics": {"scan": 0}},
+        {"topics": {"scan": {"topic": 0}}}, {"topics": {"readings": {0: "a"}}},
+        {"topics": {"command": 0}}, {"start": [{"topic": 0, "type": "std_msgs/Int8"}]},
+        {"start": [{"topic": "a", "type": 0}]}, {0: 1},
+    ],
+)  # fmt: skip
+def test_an_odd_name_of_a_launch_file_is_one_line(
+    tmp_path: Path, more: dict[Any, Any], odd: str
+) -> None:
+    node_with(tmp_path, body("pass"))
+    text = json.dumps(_with(more, odd))
+    assert _refusal(tmp_path, f"nodes: [{{run: 'one:One'}}]\n{text[1:-1]}\n").isprintable()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"\0", b"\xff\xfe", b"- 1", b"a: 1", b"/**: {ros__parameters: 1}", b"[" * 5000, b"&a [*a]",
+        b"/**: {ros__parameters: " + b"{a: " * 400 + b"1" + b"}" * 401,
+        b"{a: " * 400 + b"{ros__parameters: {a: 1}}" + b"}" * 400,
+        b"/**: {ros__parameters: {speed: 1}}", b"/**: {ros__parameters: {speed: [1, a]}}",
+        b"/**: {ros__parameters: {speed: 99999999999999999999999999}}",
+        b"/**: {ros__parameters: {speed: {x: 1}, speed.x: 2}}",
+        b"/**: {ros__parameters: {speed: 2026-11-30}}", b'/**: {ros__parameters: {speed: "a\\0b"}}',
+        b"/" + b"**/*/" * 200 + b"**/x: {ros__parameters: {speed: 1.0}}",
+    ],
+)  # fmt: skip
+def test_an_odd_parameter_file_is_one_line_or_none(tmp_path: Path, text: bytes) -> None:
+    lines = ("self.get_logger().info(str(self.get_parameter('speed').value))",)
+    begin = "NAMES = '/'.join('ab' * 20)\n"
+    node = body(*lines, begin=begin).replace(
+        'super().__init__("one")',
+        "super().__init__('one', namespace=NAMES); self.declare_parameter('speed', 0.5)",
+    )
+    (tmp_path / "odd.yaml").write_bytes(text)
+    (tmp_path / "one.py").write_text(
+        "import rclpy\nfrom rclpy.node import Node\nfrom geometry_msgs.msg import Twist\n" + node
+    )
+    assert _refusal(tmp_path, "nodes: [{run: 'one:One', parameters: odd.yaml}]").isprintable()
+
+
+def _with(value: Any, odd: str) -> Any:
+    if isinstance(value, dict):
+        return {_with(key, odd): _with(one, odd) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_with(one, odd) for one in value]
+    return odd if value == 0 and value is not False else value
+
+
+def _refusal(folder: Path, launch: str) -> str:
+    """Why a launch file is refused; empty if it runs."""
+    try:
+        launched(folder, launch)
+    except (PluginError, ConfigError) as error:
+        return str(error)
+    return ""

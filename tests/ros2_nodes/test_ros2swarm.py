@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from studies.ros2swarm import BOTH, OURS, PATTERNS, RANGE, write_launch
+from studies.ros2swarm import (
+    BOTH,
+    OURS,
+    PATTERNS,
+    RANGE,
+    Task,
+    digest,
+    perform,
+    write_launch,
+)
 from swarmd.core.errors import PluginError
 from swarmd.core.values import Inputs, Outputs
 from swarmd.ros2_nodes.robot_nodes import RobotNodes
@@ -81,3 +90,12 @@ def test_alone_in_the_range_of_the_hardware_a_robot_turns_on_the_spot(tmp_path: 
     last = run(path, "waffle_pi", 1.0, Disc(1.5, 0.5))[-1].twist
     assert last is not None
     assert (last.linear, last.angular) == (0.0, 1.0)
+
+
+@pytest.mark.long
+def test_the_short_form_of_experiment_1_is_that_of_its_row() -> None:
+    """6 s of seed 0 in the arena of 18 x 18 m, as they were on 2026-11-30 with commit 5546128b0."""
+    task = Task(arena="arena", row="nodes", seed=0, sources=digest(SOURCE.absolute()), duration=6.0)
+    found = perform(task).found
+    assert found.failure == ""
+    assert (found.end, found.way) == pytest.approx((1.6105, 0.6195), abs=0.01)

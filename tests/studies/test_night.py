@@ -504,3 +504,11 @@ def test_a_table_whose_formulas_have_changed_is_to_be_made_again(with_runs: Path
     assert "beta: its formulas have changed" in done.stdout
     assert "studies/beta.py" in done.stdout
     assert "1 jobs to do" in night(with_runs, "--plan").stdout
+
+
+def test_a_job_without_the_sources_of_others_is_left_out_by_name(tmp_path: Path) -> None:
+    job = next(one for one in JOBS if one.name == "ros2swarm")
+    assert "SWARMD_ROS2SWARM" in job.lacks({})
+    assert "SWARMD_ROS2SWARM" in job.lacks({"SWARMD_ROS2SWARM": str(tmp_path / "none")})
+    assert job.lacks({"SWARMD_ROS2SWARM": str(tmp_path)}) == ""
+    assert not any(one.lacks({}) for one in JOBS if one is not job)
