@@ -41,9 +41,11 @@ from swarmd.link.datagram import (
     Place,
     RunLease,
     Solicit,
+    StatusPart,
     Stop,
     Swarm,
     in_parts,
+    status_parts,
 )
 from swarmd.link.keys.roster import Role
 from swarmd.link.members.admission import Admission
@@ -84,6 +86,7 @@ class StopVerdict(NamedTuple):
 
 
 JudgeStop = Callable[[Stop, Author | None], StopVerdict]
+MakeStatus = Callable[[], bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +186,7 @@ class Peer:
     the swarm is not secured. `check_goal(goal, now)`: True if the goal of a peer is accepted, False
     if it is not signed, None if the check must wait (`GoalCheck`). `judge_stop(stop, author)`: what
     permits leave of a stop; it is called for each copy, before the robot relays it.
+    `make_status()`: the robot's encoded status, for those that solicit it; empty: none is told.
     """
 
     def __init__(
@@ -194,6 +198,7 @@ class Peer:
         admission: Admission | None = None,
         check_goal: CheckGoal = lambda goal, now: True,
         judge_stop: JudgeStop = lambda stop, author: StopVerdict(stop),
+        make_status: MakeStatus = bytes,
     ) -> None:
         self.robot = settings.robot
         self._instance = settings.instance
@@ -202,6 +207,7 @@ class Peer:
         self._roster = roster
         self._check_goal = check_goal
         self._judge_stop = judge_stop
+        self._make_status = make_status
         self._random = random.Random(settings.instance)
         self._begin_membership(settings, now)
         self._begin_spread()
@@ -660,16 +666,31 @@ class Peer:
                 actions.sends.append((beacon, source))
             return
 
+        parts = self._status_parts(solicit, source, now)
         # In a secured swarm the asker refuses messages of this instance up to the number `said`,
         # and places from before `clock`: an attacker may have kept them for a replay.
         beacon = replace(
             self._beacon(summary, echo=solicit.echo, version=self._settings.version),
             said=self._message_sequence,
             clock=max(round(1000.0 * now), 0),
+            status_parts=len(parts),
         )
         actions.sends.append((beacon, source))
+        actions.sends.extend((part, source) for part in parts)
 
         self._send_lists(solicit, source, now, summary, actions)
+
+    def _status_parts(self, solicit: Solicit, source: Address, now: float) -> list[StatusPart]:
+        """The parts of the own status, if the solicit asks for it and the budgets permit it.
+
+        Empty in a secured swarm: datagrams are signed, and not encrypted.
+        """
+        if not solicit.wants_status or self._admission is not None:
+            return []
+        if not self._answers.may_make_status(now):
+            return []
+        parts = status_parts(self.robot, self._instance, solicit.echo, self._make_status())
+        return parts if self._answers.may_answer(source, len(parts), now) else []
 
     def _send_lists(
         self, solicit: Solicit, source: Address, now: float, summary: Summary, actions: PeerActions
