@@ -1,4 +1,4 @@
-"""Robots of which there is nothing but what they answer to a look: 100 daemons do not fit a machine.
+"""Robots that are nothing but their answers to a look: 100 daemons do not fit a machine.
 
 One process has a socket for each of them. It answers each `Solicit` with a beacon, the status and
 the member list of each robot, as its own protocol would, and acks nothing. The answers are made

@@ -11,7 +11,7 @@ and loss of datagrams (`ends_at`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from swarmd.core import codec
 from swarmd.core.errors import CodecError
@@ -357,16 +357,25 @@ class Discovery:
 
     def to_link(self, now: float) -> dict[tuple[str, str], Address]:
         """Of `to_dial` those to dial for their status: robots that tell it by datagram are not."""
-        to_dial = self.to_dial(now)
         if not self.asks_by_datagram:
-            return to_dial
+            return self.to_dial(now)
         answered = self.answered
+        asked_until = now - self._status_parts.wait(self.round_trip)
+        refusing = {robot for robot, _ in self._status_parts.refusing}
+        lacking = {
+            robot
+            for robot, since in self._known_since.items()
+            if robot not in answered and (robot in refusing or since <= asked_until)
+        }
+        if not lacking:  # as in most turns of a look: nothing is looked up then
+            return {}
         return {
-            one: address
-            for one, address in to_dial.items()
-            if one[0] not in answered
-            and self._status_parts.needs_link(
-                one, now - self._known_since.get(one[0], now), self.round_trip
+            (robot, instance): address
+            for (robot, instance), address in self.to_dial(now).items()
+            if robot in lacking
+            and (
+                (robot, instance) in self._status_parts.refusing
+                or self._known_since[robot] <= asked_until
             )
         }
 
@@ -409,14 +418,16 @@ class Discovery:
     def is_complete(self, now: float) -> bool:
         """True once every expected robot answered, and the views agree or the quiet time passed."""
         answered = self.answered
-        if not answered or not self.heard <= answered:
+        if not answered or not self.heard <= answered or not self._is_settled(answered, now):
             return False
-        view = self.result(now)
-        if not view.expected <= answered.intersection(view.alive):
-            return False
+        view = self.result(now)  # last: it walks over all reports
+        return view.expected <= answered.intersection(view.alive)
+
+    def _is_settled(self, answered: Collection[str], now: float) -> bool:
+        """True once the views or lists of robots agree, or nothing new came for `quiet_time`."""
         if not self._needs_status:
             return self.has_all_lists(now)
-        if self._statuses.agree(answered) or now - self._news_at >= self.quiet_time:
+        if now - self._news_at >= self.quiet_time or self._statuses.agree(answered):
             return True
         return self.asks_by_datagram and self.has_all_lists(now)
 

@@ -25,6 +25,7 @@ POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))  # steps of a RepeatTimer
 STATUS_DELAY = 0.1
 MAX_EXCUSED = 512  # robots in a query for members that need not answer again
 STATUS_TIMEOUT = 10.0  # s of a query for members or a status
+TURN_PERIOD = 0.004  # s of a turn of a look at least
 OVER_PERIOD = 0.02  # s between two checks whether the look is over, which take long
 
 _header = Decoder(StatusHeader, any_version=True)
@@ -102,6 +103,8 @@ class MemberSearch:
                 timers_due_in = min(timers_due_in, status_timer.pause(now))
             pause = min(timers_due_in, to_end_check, dial_due_in)
             self._arrivals.wait(count, pause)
+            # What arrives together is looked at together: a turn walks over all robots.
+            time.sleep(max(0.0, now + TURN_PERIOD - boottime()))
 
     def _dial_last_robots(self, discovery: Discovery, now: float) -> float:
         """Dial the robots that still wait to be dialled together; returns the time afterwards."""

@@ -243,6 +243,8 @@ class OperatorSessions:
         """
         with self._arrivals.lock:
             reachable = discovery.to_link(now) if only is None else discovery.to_dial(now)
+            if not reachable:
+                return {}, {}
             answered = discovery.answered
             redial_after = REDIAL_WAIT + REDIAL_TRIPS * discovery.round_trip
         if only is not None:

@@ -35,7 +35,8 @@ class StatusParts:
         self._asked_at: dict[Instance, float] = {}
         # By robot and instance: the parts of the answer to the last solicit that it answered.
         self._parts: dict[str, dict[str, dict[int, StatusPart]]] = {}
-        self._refusing: set[Instance] = set()  # their last answer announced no parts
+        self.refusing: set[Instance] = set()
+        """The instances whose last answer announced no parts: they are asked on a link."""
 
     @property
     def has_asked(self) -> bool:
@@ -49,7 +50,7 @@ class StatusParts:
     def is_ask_due(self, instance: Instance, now: float, round_trip: float) -> bool:
         """True if an instance is to be asked again now; the call notes that it is."""
         period = max(ASK_PERIOD, ASK_TRIPS * round_trip)
-        if instance in self._refusing or now - self._asked_at.get(instance, now - period) < period:
+        if instance in self.refusing or now - self._asked_at.get(instance, now - period) < period:
             return False
         self._asked_at[instance] = now
         return True
@@ -61,9 +62,9 @@ class StatusParts:
         instance = (beacon.robot, beacon.instance.hex())
         self._asked_at.setdefault(instance, now)
         if beacon.status_parts:
-            self._refusing.discard(instance)
+            self.refusing.discard(instance)
         else:
-            self._refusing.add(instance)
+            self.refusing.add(instance)
 
     def add(self, part: StatusPart) -> bytes | None:
         """Keep a part; the encoded status once all parts of one answer have come.
@@ -92,12 +93,10 @@ class StatusParts:
         parts.clear()
         return content
 
-    def needs_link(self, instance: Instance, waits: float, round_trip: float) -> bool:
-        """True if a status is to be asked for on a link: it is told by no datagram, or in none yet.
-
-        `waits`: the s for which the robot has been known.
-        """
-        return instance in self._refusing or waits >= PARTS_WAIT + PARTS_TRIPS * round_trip
+    @staticmethod
+    def wait(round_trip: float) -> float:
+        """How many s after a robot became known its status is asked for on a link."""
+        return PARTS_WAIT + PARTS_TRIPS * round_trip
 
 
 def decode_status(content: bytes) -> Status | StatusHeader:

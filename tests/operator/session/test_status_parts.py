@@ -283,9 +283,9 @@ def heard(robot: str, told_parts: int, echo: int = 1) -> Beacon:
 def test_an_answer_without_parts_is_dialled_and_not_asked_again(parts: StatusParts) -> None:
     one = ("a", LIFE.hex())
     parts.on_beacon(heard("a", 0, echo=0), 0.0)  # a beacon to all announces nothing
-    assert not parts.needs_link(one, 0.0, 0.0)
+    assert not parts.refusing
     parts.on_beacon(heard("a", 0), 0.0)
-    assert parts.needs_link(one, 0.0, 0.0)
+    assert parts.refusing == {one}
     assert not parts.is_ask_due(one, 5.0, 0.0)
 
 
