@@ -21,6 +21,7 @@ import math
 import struct
 from collections.abc import Callable, Collection
 from enum import IntEnum, IntFlag
+from functools import cache
 from typing import Annotated, Any, Literal, get_args
 
 import msgspec
@@ -402,7 +403,6 @@ Datagram = (
 _TYPES: dict[Kind, type[_Datagram]] = dict(zip(Kind, get_args(Datagram), strict=True))
 _KINDS = {kind: number for number, kind in _TYPES.items()}
 _encoder = msgspec.msgpack.Encoder()
-_DECODERS = {number: msgspec.msgpack.Decoder[Any](kind) for number, kind in _TYPES.items()}
 
 
 def tag_of(profile: str, swarm: str, authority: bytes = b"") -> bytes:
@@ -432,14 +432,18 @@ def unpack(tag: bytes, payload: bytes) -> Datagram | None:
         raise CodecError("no datagram of a swarm")
     _, kind, present_tag, length = _HEAD.unpack_from(payload)
     is_for_any = present_tag == ANY_SWARM and kind in (Kind.SOLICIT, Kind.SWARM)
-    decoder = _DECODERS.get(kind)
-    if decoder is None or (present_tag != tag and not is_for_any):
+    if kind not in _TYPES or (present_tag != tag and not is_for_any):
         return None
     if _HEAD.size + length > len(payload):
         raise CodecError("a datagram that is cut short")
     content = memoryview(payload)[_HEAD.size : _HEAD.size + length]
-    body: Datagram = decode(decoder, content, "a datagram")
+    body: Datagram = decode(_decoder_of(kind), content, "a datagram")
     return body
+
+
+@cache  # made at the first datagram of a kind: swarmctl reads few kinds, and starts sooner
+def _decoder_of(kind: int) -> msgspec.msgpack.Decoder[Any]:
+    return msgspec.msgpack.Decoder(_TYPES[Kind(kind)])
 
 
 def length_without_trailer(payload: bytes) -> int:

@@ -35,7 +35,6 @@ from swarmd.operator.texts.members import (
     row,
     wide_cells,
 )
-from swarmd.operator.texts.status import sections_with_events
 from swarmd.operator.texts.values import printable
 from swarmd.operator.texts.why import why
 
@@ -153,6 +152,8 @@ def _described(status: Status) -> Mapping[str, Any]:
 @common_options
 def describe(options: CommonOptions, robot: str) -> None:
     """Print the whole status of ROBOT, and why it does not move."""
+    from swarmd.operator.texts.status import sections_with_events  # `members` does without
+
     with options.operator() as operator:
         view = known_members(options, operator, dials=Dials.UNTOLD)
         check_known(robot, view.members, view.roster)
