@@ -203,9 +203,9 @@ class Discovery:
         self._note_named(word.robot, now)
         if not self._reports.has_list(word.robot):
             self._on_news(word.robot, now)
-        reports = self._reports.add_list(word, now)
+        reports, adds = self._reports.add_list(word, now)
         self._roster.update(word.roster if len(self._roster) < MAX_MEMBERS else ())
-        self._store_reports(word.robot, LIST, reports, now)
+        self._store_reports(word.robot, LIST, reports, now, adds=adds)
         if self._is_fresh(word.robot, now) and now - self._forgot_at >= FORGET_PERIOD:
             self._forgot_at = now
             self._forget(now)
@@ -611,17 +611,27 @@ class Discovery:
                 self._reports.forget(robot)
 
     def _store_reports(
-        self, reporter: str, way: str, reports: Mapping[str, list[PeerReport]], now: float
+        self,
+        reporter: str,
+        way: str,
+        reports: Mapping[str, list[PeerReport]],
+        now: float,
+        *,
+        adds: bool = False,
     ) -> None:
-        """Replace the reports of `reporter` that came by one way (LIST, VIEW or EARLIER)."""
-        self._reports.drop(reporter, way)
+        """Replace the reports of `reporter` that came by one way (LIST, VIEW or EARLIER).
+
+        `adds`: keep the reports that came before.
+        """
+        if not adds:
+            self._reports.drop(reporter, way)
         for robot, some in reports.items():
             if robot == reporter:
                 continue
             is_new = self._note_known(robot, now)
             if robot in self._known_since:
                 self._note_named(robot, now)
-                self._reports.store(robot, reporter, way, some)
+                self._reports.store(robot, reporter, way, some, adds=adds)
             if is_new:
                 self._on_news(robot, now)
                 self.found_at = now
