@@ -51,10 +51,10 @@ from swarmd.link.keys.roster import Role
 from swarmd.link.members.admission import Admission
 from swarmd.link.members.answer_budget import AnswerBudget
 from swarmd.link.members.beacon_times import BEACON_PERIOD, BeaconTimes
-from swarmd.link.members.claim import Claim
+from swarmd.link.members.claim import CLAIM_PERIOD, Claim
 from swarmd.link.members.lease_freshness import lease_age
 from swarmd.link.members.link_quality import LinkQualities
-from swarmd.link.members.membership import Membership
+from swarmd.link.members.membership import MAX_MEMBERS, Membership
 from swarmd.link.members.message_windows import MessageWindows
 from swarmd.link.members.peer_clocks import PeerClocks
 from swarmd.link.members.peer_places import PeerPlaces
@@ -69,6 +69,10 @@ MEMBERS_PERIOD = 0.25  # s between two searches for silent members
 # s from the last new peer until a robot joins a run: within a beacon period all peers show their
 # goals, and a goal without a pattern (a stop) may be among them.
 JOIN_SETTLE = 1.5 * BEACON_PERIOD
+# While many robots start together, the beacons of all claims per second, and the least of each.
+CLAIMS_PER_SECOND = 400.0
+CLAIM_BEACONS = 4
+STARTING_TOGETHER = 8  # others; from this number on a robot that owns its id asks for no beacons
 MAX_DUPLICATES = 64  # other instances with this robot's id
 
 CheckGoal = Callable[[Goal, float], bool | None]
@@ -222,6 +226,7 @@ class Peer:
         self._began = now
         self._members_at = now
         self._new_peer_at = now  # when a peer was heard for the first time, or returned
+        self._starting: set[str] = set()  # robots that claim their ids while this robot does
         self._duplicates: dict[bytes, float] = {}
         self._windows = MessageWindows()
         self._places = PeerPlaces(settings.robot, settings.instance)
@@ -436,7 +441,11 @@ class Peer:
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
             self._times.send_now(now)  # the first beacon of the owner
-            actions.sends.append((self._solicit(now), None))
+            # Of many robots that start together each would answer each, though all show themselves
+            # now. With keys the answers are needed: they show that their senders are alive.
+            if len(self._starting) < STARTING_TOGETHER or self._admission is not None:
+                actions.sends.append((self._solicit(now), None))
+            self._starting.clear()
         while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
             self._solicits_at.pop(0)
             actions.sends.append((self._solicit(now), None))
@@ -542,6 +551,9 @@ class Peer:
 
         # A robot owns its id after its claim and before its farewell.
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
+        is_starting = self._claim is not None and bool(beacon.flags & Flag.JOINING)
+        if is_starting and len(self._starting) < MAX_MEMBERS:
+            self._starting.add(beacon.robot)
         if is_owner:
             actions.beacon = beacon
             self._ask_for_latches(beacon, source, now, summary, actions)
@@ -787,9 +799,20 @@ class Peer:
             parts = latch_parts(self.robot, self._instance, summary.latches)
             actions.sends.extend((latches, None) for latches in parts)
 
+    def _claim_period(self) -> float:
+        """s until the next beacon of the claim: longer while many robots start together.
+
+        At least CLAIM_BEACONS go out while the claim is open. The times differ by instance.
+        """
+        shared = len(self._starting) / CLAIMS_PER_SECOND
+        longest = self._settings.settle / CLAIM_BEACONS
+        period = max(CLAIM_PERIOD, min(shared, longest))
+        return period if period <= CLAIM_PERIOD else period * self._random.uniform(0.75, 1.0)
+
     def _send_beacon_if_due(self, now: float, summary: Summary, actions: PeerActions) -> None:
         content = (summary.state, summary.revision, summary.digests, self._claim is None)
-        number = self._times.number_due(content, now, is_claiming=self._claim is not None)
+        claim_period = None if self._claim is None else self._claim_period()
+        number = self._times.number_due(content, now, claim_period=claim_period)
         if number:
             flags = 0 if self._claim is None else Flag.JOINING
             actions.sends.append((self._beacon(summary, flags, number=number), None))
