@@ -22,7 +22,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from benchmarks import cdr, cli, latency, lidar, lockstep, protection, startup, steps, switch
+from benchmarks import cdr, cli, latency, lidar, lockstep, looks, protection, startup, steps, switch
 from benchmarks.resources import cpu_seconds, memory
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, machine, markdown, show
@@ -69,6 +69,10 @@ BUDGETS: Mapping[str, float] = {
     "swarmctl --help": 5,
     "swarmctl members, cold": 9.7,
     "swarmctl run --all, 20 daemons": 20,
+    "swarmctl members, 20 daemons": 7.2,
+    "swarmctl members, 100 robots": 18,
+    "CPU of members, each of 100 robots": 0.072,
+    "CPU of a stop, 20 robots without acks": 8.5,
 }
 """By row, the largest ratio to its yardstick; of memory, MB."""
 
@@ -242,6 +246,7 @@ def command_ratios() -> Iterator[Ratio]:
         opened, *rows = cli.rows(RUNS, prefix)
     # Twenty daemons in real time would keep the processor from the threads of this process.
     rows += switch.rows(runs=RUNS, prefix=prefix)
+    rows += looks.rows(runs=RUNS, prefix=prefix)
     yield from (Ratio(row, opened.samples, is_real_time) for row in rows if row.goal)
     for row in startup.rows(runs=1):
         yield Ratio(row, opened.samples, has_verdict=False)

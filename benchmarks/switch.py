@@ -1,7 +1,7 @@
 """A swarm-wide switch from the key press: `swarmctl run PATTERN --all` with 20 running daemons.
 
 The time begins with the start of the swarmctl process and ends with its line `20 targeted, 20
-applied`: every robot has loaded the pattern. All hosts are warm. `stop` likewise.
+applied`: every robot has loaded the pattern. All hosts are warm. `stop` and `members` likewise.
 """
 
 from __future__ import annotations
@@ -50,10 +50,12 @@ def rows(robots: int = ROBOTS, runs: int = RUNS, prefix: Sequence[str] = ()) -> 
         switches = [timed(swarm, prefix, "run", next(patterns), "--all") for _ in range(runs)]
         requests = [swarm.run(next(patterns)).seconds for _ in range(runs)]
         stops = [timed(swarm, prefix, "stop") for _ in range(runs)]
+        looks = [timed(swarm, prefix, "members") for _ in range(runs)]
     note = "process start to answer"
     yield Row(f"swarmctl run --all, {robots} daemons", switches, "0.25 s", f"{note}, all acked")
     yield Row(f"its request alone, {robots} daemons", requests, note="in an open session")
     yield Row(f"swarmctl stop, {robots} daemons", stops, note=note)
+    yield Row(f"swarmctl members, {robots} daemons", looks, "0.2 s", note)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

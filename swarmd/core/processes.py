@@ -9,7 +9,6 @@ import struct
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 
 _PR_SET_PDEATHSIG = 1
 _PR_SET_DUMPABLE = 4
@@ -114,23 +113,6 @@ def keep_limits() -> None:
     for limit in {getattr(resource, name) for name in names} - {resource.RLIMIT_AS}:
         soft, _ = resource.getrlimit(limit)
         resource.setrlimit(limit, (soft, soft))
-
-
-@contextmanager
-def without_openssl() -> Iterator[None]:
-    """Hide OpenSSL (4 MB) from imports in the block: asyncio and hashlib work without OpenSSL.
-
-    Imports after the block find OpenSSL, such as `import ssl` of a robot with keys. If this Python
-    has no built-in hash functions, hashlib needs OpenSSL, and nothing is hidden.
-    """
-    has_own = any(map(find_spec, ("_sha2", "_sha256")))  # of Python 3.12 and later, of 3.11
-    hidden = {"ssl", "_ssl", "_hashlib"} - sys.modules.keys() if has_own else set[str]()
-    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: ImportError
-    try:
-        yield
-    finally:
-        for name in hidden:
-            del sys.modules[name]
 
 
 _SET_SCHEDULER = {"x86_64": 314, "aarch64": 274}  # sched_setattr(2), which libc does not offer

@@ -407,7 +407,7 @@ class Daemon:
         for pulled in self._pulled.values():
             pulled.serve(bus)
         bus.serve_view(
-            self._status, lambda: tuple(self._network.members.values()), self._network.roster
+            self.status, lambda: tuple(self._network.members.values()), self._network.roster
         )
         serve_shared(bus, "roster", self._rosters.share)
 
@@ -599,6 +599,24 @@ class Daemon:
             cleared=robot.cleared,
         )
 
+    def status(self) -> Status:
+        """The robot's status, with what the daemon's parts add to it."""
+        status = self._robot.status(boottime())
+        health = self._health.added_to(
+            status.health,
+            network=self._network.interface_text,
+            storage=self._latches.fault,
+            black_box=self._incidents.text,
+            sandbox=self._runner.sandbox,
+        )
+        return replace(
+            status,
+            health=health,
+            recording=self._recording.summary,
+            keys=self._rosters.summary,
+            programs=self._network.programs,
+        )
+
     # Pushed patterns
 
     def _operators(self) -> Mapping[str, bytes] | None:
@@ -707,8 +725,8 @@ class Daemon:
         if actions.kin_message is not None:
             self._network.publish_kin_message(actions.kin_message)
         if actions.has_status:
-            self._network.publish("status", lambda: encode(self._status()))
-            self._viewer_feed.show_status(self._status)
+            self._network.publish("status", lambda: encode(self.status()))
+            self._viewer_feed.show_status(self.status)
         if actions.failed_code is not None:
             self._pushed_runs.on_failed(actions.failed_code)
         for reply in map(self._pattern_intake.on_reply, actions.replies):
@@ -750,23 +768,6 @@ class Daemon:
         """Send a reply once the goals are on disk, or the write has failed or timed out."""
         is_stored &= await self._goals.is_stored()
         self._requests.reply(reply, is_stored=is_stored)
-
-    def _status(self) -> Status:
-        status = self._robot.status(boottime())
-        health = self._health.added_to(
-            status.health,
-            network=self._network.interface_text,
-            storage=self._latches.fault,
-            black_box=self._incidents.text,
-            sandbox=self._runner.sandbox,
-        )
-        return replace(
-            status,
-            health=health,
-            recording=self._recording.summary,
-            keys=self._rosters.summary,
-            programs=self._network.programs,
-        )
 
     def _head(self) -> RecordingHead:
         return recording_head(self._robot, self._settings.network.swarm, boottime())

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from swarmd.core import codec
 from swarmd.core.clock import ClockSample, boottime, clock_id
-from swarmd.core.codec import decode_value
+from swarmd.core.codec import decode_value, encode
 from swarmd.core.errors import CodecError, IdHeldError, fail_stop
 from swarmd.core.events import (
     DuplicateInput,
@@ -33,7 +33,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal
 from swarmd.core.kin_message import KinMessage
-from swarmd.core.messages import Body, Member, Presence, Reply
+from swarmd.core.messages import Body, Member, Presence, Reply, Status
 from swarmd.core.values import SharedPose
 from swarmd.daemon.connection import NetworkConnection
 from swarmd.daemon.datagram_guard import DatagramGuard
@@ -79,6 +79,9 @@ class NetworkOwner(Protocol):
 
     def summary(self) -> Summary:
         """The robot's part of a beacon."""
+
+    def status(self) -> Status:
+        """The robot's status, for those that ask for it by datagram."""
 
     def on_input(self, input: Input) -> None:
         """Hand the robot an input that came from another robot, or a lease of an operator."""
@@ -311,6 +314,7 @@ class Network:
             admission=None if self._guard is None else self._guard.admission,
             check_goal=owner.check_goal,
             judge_stop=owner.judge_stop,
+            make_status=lambda: encode(owner.status()),
         )
 
     async def _claim(self, peer: Peer) -> None:

@@ -21,6 +21,7 @@ import math
 import struct
 from collections.abc import Callable, Collection
 from enum import IntEnum, IntFlag
+from functools import cache
 from typing import Annotated, Any, Literal, get_args
 
 import msgspec
@@ -43,6 +44,8 @@ Address = tuple[str, int]
 MAX_DATAGRAM = 1400
 MAX_TRAILER = 77  # bytes of the longest signature, within MAX_DATAGRAM
 MAX_KINDS = 8  # kinds of records whose digests a beacon shows
+MAX_STATUS_PARTS = 8  # datagrams of one status; a greater status is asked for on a link
+STATUS_PART_BYTES = 1200  # within MAX_DATAGRAM with the other fields of a `StatusPart`
 MAX_HOPS = 4  # a stop or a report travels at most this far from robot to robot
 _HEAD = struct.Struct(f">4sB{TAG_BYTES}sH")
 MAX_MS = round(1000 * MAX_SECONDS)
@@ -80,6 +83,7 @@ class Kind(IntEnum):
     GOAL = 12
     RUN_LEASE = 13
     KIN = 14
+    STATUS = 15
 
 
 class Flag(IntFlag):
@@ -160,6 +164,9 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     number: Number = 0  # counts the beacons to all, so that losses show; 0: sent to one receiver
     said: Number = 0  # messages of patterns that the instance has sent; only in answers
     clock: Milliseconds = 0  # the instance's clock, as `Place.sent`; only in answers
+    # Only in an answer to a `Solicit` with `wants_status`: the number of `StatusPart`s that follow.
+    # 0: the status is asked for on a link.
+    status_parts: Annotated[int, Meta(ge=0, le=255)] = 0
 
     def digest(self, kind: RecordKind) -> bytes:
         """The digest of the records of a kind; empty without a record."""
@@ -179,6 +186,7 @@ class Solicit(_Datagram, frozen=True, kw_only=True):
     wants_goal: bool = False
     # The only robot that is asked, which answers also while it claims its id; None: all.
     robot: RobotId | None = None
+    wants_status: bool = False  # ignored by an earlier version, and in a secured swarm
 
 
 class MemberReport(_Datagram, frozen=True, kw_only=True):
@@ -336,6 +344,21 @@ class KinReport(_Datagram, frozen=True, kw_only=True):
     message: KinMessage
 
 
+class StatusPart(_Datagram, frozen=True, kw_only=True):
+    """A part of a robot's status, in answer to a `Solicit` with `wants_status` and this `echo`.
+
+    `content` of all parts, in order: the encoded status, as on a link. `part` counts from 0 to
+    `parts` - 1.
+    """
+
+    robot: RobotId
+    instance: Bytes6
+    echo: Number
+    part: Annotated[int, Meta(ge=0, lt=MAX_STATUS_PARTS)]
+    parts: Annotated[int, Meta(ge=1, le=MAX_STATUS_PARTS)]
+    content: Annotated[bytes, Meta(max_length=STATUS_PART_BYTES)]
+
+
 class ClockQuery(_Datagram, frozen=True, kw_only=True):
     """Asks a robot for its clock's time; `sent`: on the asker's clock, repeated in the answer."""
 
@@ -374,12 +397,12 @@ Datagram = (
     | GoalReport
     | RunLease
     | KinReport
+    | StatusPart
 )
 """In the order of `Kind`."""
 _TYPES: dict[Kind, type[_Datagram]] = dict(zip(Kind, get_args(Datagram), strict=True))
 _KINDS = {kind: number for number, kind in _TYPES.items()}
 _encoder = msgspec.msgpack.Encoder()
-_DECODERS = {number: msgspec.msgpack.Decoder[Any](kind) for number, kind in _TYPES.items()}
 
 
 def tag_of(profile: str, swarm: str, authority: bytes = b"") -> bytes:
@@ -409,14 +432,18 @@ def unpack(tag: bytes, payload: bytes) -> Datagram | None:
         raise CodecError("no datagram of a swarm")
     _, kind, present_tag, length = _HEAD.unpack_from(payload)
     is_for_any = present_tag == ANY_SWARM and kind in (Kind.SOLICIT, Kind.SWARM)
-    decoder = _DECODERS.get(kind)
-    if decoder is None or (present_tag != tag and not is_for_any):
+    if kind not in _TYPES or (present_tag != tag and not is_for_any):
         return None
     if _HEAD.size + length > len(payload):
         raise CodecError("a datagram that is cut short")
     content = memoryview(payload)[_HEAD.size : _HEAD.size + length]
-    body: Datagram = decode(decoder, content, "a datagram")
+    body: Datagram = decode(_decoder_of(kind), content, "a datagram")
     return body
+
+
+@cache  # made at the first datagram of a kind: swarmctl reads few kinds, and starts sooner
+def _decoder_of(kind: int) -> msgspec.msgpack.Decoder[Any]:
+    return msgspec.msgpack.Decoder(_TYPES[Kind(kind)])
 
 
 def length_without_trailer(payload: bytes) -> int:
@@ -465,6 +492,27 @@ def in_parts(
         else:
             parts[-1][0].append(item)
     return [(tuple(members_of_part), tuple(names)) for members_of_part, names in parts[:256]]
+
+
+def status_parts(robot: str, instance: bytes, echo: int, content: bytes) -> list[StatusPart]:
+    """The parts of an encoded status; none if it exceeds MAX_STATUS_PARTS, or is empty."""
+    pieces = [
+        content[start : start + STATUS_PART_BYTES]
+        for start in range(0, len(content), STATUS_PART_BYTES)
+    ]
+    if len(pieces) > MAX_STATUS_PARTS:
+        return []
+    return [
+        StatusPart(
+            robot=robot,
+            instance=instance,
+            echo=echo,
+            part=number,
+            parts=len(pieces),
+            content=piece,
+        )
+        for number, piece in enumerate(pieces)
+    ]
 
 
 _LIST_FIELDS = 110  # bytes of a `MemberList` beside members and roster: name, instance, numbers

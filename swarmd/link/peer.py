@@ -41,18 +41,20 @@ from swarmd.link.datagram import (
     Place,
     RunLease,
     Solicit,
+    StatusPart,
     Stop,
     Swarm,
     in_parts,
+    status_parts,
 )
 from swarmd.link.keys.roster import Role
 from swarmd.link.members.admission import Admission
 from swarmd.link.members.answer_budget import AnswerBudget
 from swarmd.link.members.beacon_times import BEACON_PERIOD, BeaconTimes
-from swarmd.link.members.claim import Claim
+from swarmd.link.members.claim import CLAIM_PERIOD, Claim
 from swarmd.link.members.lease_freshness import lease_age
 from swarmd.link.members.link_quality import LinkQualities
-from swarmd.link.members.membership import Membership
+from swarmd.link.members.membership import MAX_MEMBERS, Membership
 from swarmd.link.members.message_windows import MessageWindows
 from swarmd.link.members.peer_clocks import PeerClocks
 from swarmd.link.members.peer_places import PeerPlaces
@@ -67,6 +69,10 @@ MEMBERS_PERIOD = 0.25  # s between two searches for silent members
 # s from the last new peer until a robot joins a run: within a beacon period all peers show their
 # goals, and a goal without a pattern (a stop) may be among them.
 JOIN_SETTLE = 1.5 * BEACON_PERIOD
+# While many robots start together, the beacons of all claims per second, and the least of each.
+CLAIMS_PER_SECOND = 400.0
+CLAIM_BEACONS = 4
+STARTING_TOGETHER = 8  # others; from this number on a robot that owns its id asks for no beacons
 MAX_DUPLICATES = 64  # other instances with this robot's id
 
 CheckGoal = Callable[[Goal, float], bool | None]
@@ -84,6 +90,7 @@ class StopVerdict(NamedTuple):
 
 
 JudgeStop = Callable[[Stop, Author | None], StopVerdict]
+MakeStatus = Callable[[], bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +190,7 @@ class Peer:
     the swarm is not secured. `check_goal(goal, now)`: True if the goal of a peer is accepted, False
     if it is not signed, None if the check must wait (`GoalCheck`). `judge_stop(stop, author)`: what
     permits leave of a stop; it is called for each copy, before the robot relays it.
+    `make_status()`: the robot's encoded status, for those that solicit it; empty: none is told.
     """
 
     def __init__(
@@ -194,6 +202,7 @@ class Peer:
         admission: Admission | None = None,
         check_goal: CheckGoal = lambda goal, now: True,
         judge_stop: JudgeStop = lambda stop, author: StopVerdict(stop),
+        make_status: MakeStatus = bytes,
     ) -> None:
         self.robot = settings.robot
         self._instance = settings.instance
@@ -202,6 +211,7 @@ class Peer:
         self._roster = roster
         self._check_goal = check_goal
         self._judge_stop = judge_stop
+        self._make_status = make_status
         self._random = random.Random(settings.instance)
         self._begin_membership(settings, now)
         self._begin_spread()
@@ -216,6 +226,7 @@ class Peer:
         self._began = now
         self._members_at = now
         self._new_peer_at = now  # when a peer was heard for the first time, or returned
+        self._starting: set[str] = set()  # robots that claim their ids while this robot does
         self._duplicates: dict[bytes, float] = {}
         self._windows = MessageWindows()
         self._places = PeerPlaces(settings.robot, settings.instance)
@@ -430,7 +441,11 @@ class Peer:
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
             self._times.send_now(now)  # the first beacon of the owner
-            actions.sends.append((self._solicit(now), None))
+            # Of many robots that start together each would answer each, though all show themselves
+            # now. With keys the answers are needed: they show that their senders are alive.
+            if len(self._starting) < STARTING_TOGETHER or self._admission is not None:
+                actions.sends.append((self._solicit(now), None))
+            self._starting.clear()
         while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
             self._solicits_at.pop(0)
             actions.sends.append((self._solicit(now), None))
@@ -536,6 +551,9 @@ class Peer:
 
         # A robot owns its id after its claim and before its farewell.
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
+        is_starting = self._claim is not None and bool(beacon.flags & Flag.JOINING)
+        if is_starting and len(self._starting) < MAX_MEMBERS:
+            self._starting.add(beacon.robot)
         if is_owner:
             actions.beacon = beacon
             self._ask_for_latches(beacon, source, now, summary, actions)
@@ -660,16 +678,31 @@ class Peer:
                 actions.sends.append((beacon, source))
             return
 
+        parts = self._status_parts(solicit, source, now)
         # In a secured swarm the asker refuses messages of this instance up to the number `said`,
         # and places from before `clock`: an attacker may have kept them for a replay.
         beacon = replace(
             self._beacon(summary, echo=solicit.echo, version=self._settings.version),
             said=self._message_sequence,
             clock=max(round(1000.0 * now), 0),
+            status_parts=len(parts),
         )
         actions.sends.append((beacon, source))
+        actions.sends.extend((part, source) for part in parts)
 
         self._send_lists(solicit, source, now, summary, actions)
+
+    def _status_parts(self, solicit: Solicit, source: Address, now: float) -> list[StatusPart]:
+        """The parts of the own status, if the solicit asks for it and the budgets permit it.
+
+        Empty in a secured swarm: datagrams are signed, and not encrypted.
+        """
+        if not solicit.wants_status or self._admission is not None:
+            return []
+        if not self._answers.may_make_status(now):
+            return []
+        parts = status_parts(self.robot, self._instance, solicit.echo, self._make_status())
+        return parts if self._answers.may_answer(source, len(parts), now) else []
 
     def _send_lists(
         self, solicit: Solicit, source: Address, now: float, summary: Summary, actions: PeerActions
@@ -766,9 +799,20 @@ class Peer:
             parts = latch_parts(self.robot, self._instance, summary.latches)
             actions.sends.extend((latches, None) for latches in parts)
 
+    def _claim_period(self) -> float:
+        """s until the next beacon of the claim: longer while many robots start together.
+
+        At least CLAIM_BEACONS go out while the claim is open. The times differ by instance.
+        """
+        shared = len(self._starting) / CLAIMS_PER_SECOND
+        longest = self._settings.settle / CLAIM_BEACONS
+        period = max(CLAIM_PERIOD, min(shared, longest))
+        return period if period <= CLAIM_PERIOD else period * self._random.uniform(0.75, 1.0)
+
     def _send_beacon_if_due(self, now: float, summary: Summary, actions: PeerActions) -> None:
         content = (summary.state, summary.revision, summary.digests, self._claim is None)
-        number = self._times.number_due(content, now, is_claiming=self._claim is not None)
+        claim_period = None if self._claim is None else self._claim_period()
+        number = self._times.number_due(content, now, claim_period=claim_period)
         if number:
             flags = 0 if self._claim is None else Flag.JOINING
             actions.sends.append((self._beacon(summary, flags, number=number), None))

@@ -1,6 +1,6 @@
 """`python -m swarmd.pattern_host FD PARENT FOLDERS`: a pattern host, as `worker` describes it."""
 
-from swarmd.core.processes import without_openssl
+from swarmd.core.openssl import without_openssl
 
 with without_openssl():
     from swarmd.pattern_host.worker import main

@@ -108,7 +108,7 @@ def test_short_slices_change_neither_priority_nor_policy() -> None:
 )
 def test_imports_without_openssl_find_it_later(module: str, is_loaded: bool) -> None:
     lines = (
-        "from swarmd.core.processes import without_openssl",
+        "from swarmd.core.openssl import without_openssl",
         "with without_openssl():",
         "    import asyncio, hmac, secrets",
         f"import {module}",

@@ -77,7 +77,12 @@ def test_every_kind_of_datagram_has_its_signers() -> None:
     told = "Beacon MemberList Ack Latches Message Place KinReport ClockReply GoalReport"
     wanted = dict.fromkeys(told.split(), "robot")
     wanted |= dict.fromkeys(("Solicit", "ClockQuery"), "operator permit robot viewer")
-    wanted |= {"Stop": "operator permit robot", "RunLease": "operator", "Swarm": ""}
+    wanted |= {
+        "Stop": "operator permit robot",
+        "RunLease": "operator",
+        "Swarm": "",
+        "StatusPart": "",
+    }
     assert {kind.__name__: " ".join(sorted(roles)) for kind, roles in SIGNERS.items()} == wanted
     assert set(SIGNERS) == set(get_args(Datagram))
 

@@ -604,3 +604,28 @@ def test_kin_reports_of_strangers_earlier_lives_and_the_own_id_are_ignored() -> 
         assert len(effects.kin) == count
     new = VirtualNetwork(1, joined=False)
     assert new.robots["r1"].peer.kin_report(report.message) is None  # it claims its id
+
+
+def test_forty_robots_that_start_together_share_the_air() -> None:
+    """Each claimed 20 times in the second, and each answered each as the claims were won."""
+    network = VirtualNetwork(40, joined=False)
+    twin = network.add("r1", key="twin")
+    network.run(1.1)
+    assert network.sent_kinds[Beacon] <= 14 * 41
+    assert sum(network.unicast.values()) <= 2  # the owner answers its twin
+    owners = [robot for robot in network.robots.values() if robot.peer.owns_id]
+    assert len(owners) == 40
+    first = network.robots["r1"].peer
+    assert first.owns_id is not twin.peer.owns_id
+    network.run(0.2)
+    others = {f"r{number}" for number in range(2, 41)}
+    assert set(first.membership.members(network.now)) == others
+
+
+def test_a_robot_that_joins_alone_asks_as_it_owns_its_id() -> None:
+    network = VirtualNetwork(3)
+    network.heard.clear()
+    network.add("late")
+    before = network.sent_kinds[Solicit]
+    network.run(1.2)
+    assert network.sent_kinds[Solicit] - before >= 3

@@ -33,6 +33,7 @@ from swarmd.link.peer import (
     CheckGoal,
     HeardLease,
     JudgeStop,
+    MakeStatus,
     Peer,
     PeerActions,
     PeerSettings,
@@ -146,6 +147,7 @@ class VirtualNetwork:
         *,
         check_goal: CheckGoal = lambda goal, now: True,
         judge_stop: JudgeStop = lambda stop, author: StopVerdict(stop),
+        make_status: MakeStatus = bytes,
     ) -> Robot:
         """A robot that starts; `key`: its name in this network, if an id is used twice."""
         self._lives += 1
@@ -166,6 +168,7 @@ class VirtualNetwork:
             admission=None if self.keyring is None else self._admission(name),
             check_goal=check_goal,
             judge_stop=judge_stop,
+            make_status=make_status,
         )
         key = key or name
         number = self._lives

@@ -36,6 +36,7 @@ from swarmd.core.verbs import AnyRequest, RunRequest
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.link.settings import NetworkSettings
 from swarmd.operator.cli.web import WebOptions, serve
+from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.members_view import MembersView, SeenMember
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.view.commander import LiveCommander
@@ -205,7 +206,7 @@ class FedOperator:
         return frozenset(itertools.pairwise(self._swarm.names))
 
     def members(
-        self, *, timeout: float | None = None, needs_status: bool = True, dials: bool = True
+        self, *, timeout: float | None = None, needs_status: bool = True, dials: Dials = Dials.ALL
     ) -> MembersView:
         swarm = self._swarm
         found = {name: swarm.member(name)[0] for name in swarm.names}

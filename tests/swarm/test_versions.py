@@ -17,6 +17,7 @@ from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Reason, State, Status
 from swarmd.core.values import Value
+from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.exit_codes import UNREACHABLE
 from swarmd.operator.session.operator import Operator
 from tests.support import earlier_version
@@ -245,6 +246,18 @@ def test_robots_of_two_versions_obey_operators_of_both(meeting: Meeting, version
     meeting.obey(version, State.STOPPED, "stop")
     meeting.obey(version, State.ESTOPPED, "estop")
     meeting.obey(version, State.IDLE, "reset", "--all", "--yes")
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("meeting", [False], indirect=True, scope="module")
+def test_a_look_by_datagrams_dials_the_earlier_robot_alone(meeting: Meeting) -> None:
+    """Or this one, too, if a stall has lost its parts: the answer is whole in each case."""
+    with Operator(meeting.swarm.settings) as operator:
+        view = operator.members(dials=Dials.UNTOLD)
+        dialled = {robot for robot, _ in operator._sessions._dialled}
+    assert view.answered == ROBOTS.keys()
+    assert all(view.members[robot].status is not None for robot in ROBOTS)
+    assert "r2" in dialled
 
 
 @pytest.mark.timeout(600)

@@ -38,6 +38,7 @@ from swarmd.link.datagram import (
     Place,
     RunLease,
     Solicit,
+    StatusPart,
     Stop,
     Swarm,
     only_names,
@@ -66,8 +67,13 @@ SIGNERS: Mapping[type[Datagram], frozenset[Role]] = {
     GoalReport: _ROBOTS,
     RunLease: _OPERATORS,
     KinReport: _ROBOTS,
+    StatusPart: frozenset(),
 }
-"""The roles that may send each kind; `Swarm` is for readers without keys, and never signed."""
+"""The roles that may send each kind.
+
+`Swarm` is for readers without keys, and never signed. No `StatusPart` is sent in a secured swarm,
+where a status is read on encrypted links alone.
+"""
 
 
 class Admission:
@@ -117,8 +123,8 @@ class Admission:
             case RunLease():
                 # `Peer` judges its age.
                 return body if body.operator == author.name else Flaw.FORGED
-            case Swarm():
-                return Flaw.ROLE  # no role may sign a `Swarm`
+            case Swarm() | StatusPart():
+                return Flaw.ROLE  # no role may sign these
             case Solicit() | ClockQuery():
                 return body  # a repeated question costs an answer, which is limited
             case Ack() | ClockReply():

@@ -1,6 +1,7 @@
 """Rate limits of the datagrams that a robot sends as answers. Pure.
 
-Four budgets: for all answers together, for each host, for scouts, and for claimers of the own id.
+Five budgets: for all answers together, for each host, for scouts, for claimers of the own id, and
+for statuses.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ ANSWER_RATE = 100.0
 ANSWER_RATE_OF_HOST = 30.0
 SCOUT_ANSWER_RATE = 20.0  # answers to solicits of any swarm, whose senders need no keys
 CLAIM_ANSWER_RATE = 40.0  # answers to claimers of the own id
+# Statuses per second, to all hosts: to make and encode one takes longer than a beacon.
+STATUS_RATE = 10.0
 MAX_HOSTS = 128
 
 
@@ -26,6 +29,7 @@ class AnswerBudget:
         self._by_host: dict[str, TokenBucket] = {}
         self._of_scouts = TokenBucket(SCOUT_ANSWER_RATE, SCOUT_ANSWER_RATE)
         self._of_claimers = TokenBucket(CLAIM_ANSWER_RATE, CLAIM_ANSWER_RATE)
+        self._of_statuses = TokenBucket(STATUS_RATE, STATUS_RATE)
 
     def may_answer(self, source: Address, count: int, now: float) -> bool:
         """True if `count` datagrams may go to a host now; they are taken from its budget."""
@@ -43,3 +47,7 @@ class AnswerBudget:
     def may_answer_claimer(self, now: float) -> bool:
         """True if a claimer of the id may be answered now; the answer is taken from the budget."""
         return self._of_claimers.take(1.0, now)
+
+    def may_make_status(self, now: float) -> bool:
+        """True if a status may be made now to answer with; it is taken from the budget."""
+        return self._of_statuses.take(1.0, now)

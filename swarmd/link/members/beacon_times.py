@@ -1,7 +1,7 @@
 """When a robot sends its beacon and its latches to all. Pure.
 
 1. The usual period of beacons is BEACON_PERIOD. It is FAST_BEACON_PERIOD while a latch is new, and
-   CLAIM_PERIOD while the robot claims its id.
+   that of the claim while the robot claims its id.
 2. A new latch makes a beacon due at once. Any other change makes a beacon due FAST_BEACON_PERIOD
    after the last beacon.
 3. The latches themselves are sent at LATCH_REPEATS after a new latch, unless REDUNDANCY other
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 
-from swarmd.link.members.claim import CLAIM_PERIOD
 from swarmd.link.stops.stop_relay import REDUNDANCY
 
 BEACON_PERIOD = 1.0  # s
@@ -58,10 +57,13 @@ class BeaconTimes:
         self._latches_due.pop(0)
         return self._latch_copies < REDUNDANCY
 
-    def number_due(self, content: tuple[object, ...], now: float, *, is_claiming: bool) -> int:
+    def number_due(
+        self, content: tuple[object, ...], now: float, *, claim_period: float | None
+    ) -> int:
         """The number of the beacon that is due now, from 1; 0 if no beacon is due.
 
         `content`: the values in the beacon. A change of these makes the beacon due earlier.
+        `claim_period`: s until the next beacon of a robot that claims its id; None: it owns its id.
         """
         if content != self._content:
             self._content = content
@@ -70,8 +72,8 @@ class BeaconTimes:
             return 0
         is_new = now - self._digest_since < NEW_LATCH_TIME
         period = FAST_BEACON_PERIOD if is_new else BEACON_PERIOD
-        if is_claiming:
-            period = CLAIM_PERIOD
+        if claim_period is not None:
+            period = claim_period
         self._last_beacon = now
         self._beacon_at = now + period
         self._beacons += 1

@@ -37,9 +37,16 @@ def swarmctl() -> None:
     """Run swarmctl and exit with its code."""
     try:
         _keep_docstrings()
+        import atexit
         import gc
 
-        gc.set_threshold(20_000)  # 30 collections during the imports would free next to nothing
+        from swarmd.core.openssl import without_openssl
+
+        gc.set_threshold(60_000)  # collections during the imports would free next to nothing
+        # Python's end searches all objects for cycles, some 15 ms; what is frozen is left out.
+        atexit.register(gc.freeze)
+        with without_openssl():
+            import hashlib  # noqa: F401  # verbs import it after this block
         from swarmd.operator.cli.swarmctl import main
 
         main()
@@ -54,7 +61,7 @@ def swarmd() -> None:
     """Run swarmd and exit with its code."""
     try:
         _keep_docstrings()
-        from swarmd.core.processes import without_openssl
+        from swarmd.core.openssl import without_openssl
 
         with without_openssl():
             import secrets  # noqa: F401  # the daemon imports it after this block

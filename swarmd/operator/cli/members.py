@@ -18,6 +18,7 @@ from swarmd.operator.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.operator.cli.output import line_width, print_json, print_section, print_table
 from swarmd.operator.cli.send import exit_code_of, known_members, report, session_of
 from swarmd.operator.client.targets import check_known
+from swarmd.operator.session.dials import Dials
 from swarmd.operator.texts.keys import (
     end_of_certificate,
     key_text,
@@ -34,7 +35,6 @@ from swarmd.operator.texts.members import (
     row,
     wide_cells,
 )
-from swarmd.operator.texts.status import sections_with_events
 from swarmd.operator.texts.values import printable
 from swarmd.operator.texts.why import why
 
@@ -67,7 +67,7 @@ def members(options: CommonOptions, wide: bool, quick: bool) -> None:
     if wide and quick:
         raise click.UsageError("--wide needs the status of each robot, which --quick does not ask")
     with options.operator(needs_file=False) as operator:
-        view = known_members(options, operator, dials=not quick)
+        view = known_members(options, operator, dials=Dials.NONE if quick else Dials.UNTOLD)
         limits = (BY_DATAGRAMS,) if quick else ()
         notes = (*limits, *health(view), *_secured(operator.identity), *operator.trust_notes())
         listed = list(view.members.values())
@@ -152,8 +152,10 @@ def _described(status: Status) -> Mapping[str, Any]:
 @common_options
 def describe(options: CommonOptions, robot: str) -> None:
     """Print the whole status of ROBOT, and why it does not move."""
+    from swarmd.operator.texts.status import sections_with_events  # `members` does without
+
     with options.operator() as operator:
-        view = known_members(options, operator)
+        view = known_members(options, operator, dials=Dials.UNTOLD)
         check_known(robot, view.members, view.roster)
         member = view.members[robot]
         if options.is_json:

@@ -14,6 +14,7 @@ from swarmd.core.messages import Code
 from swarmd.core.refusal import Refusal
 from swarmd.operator.cli.output import fields, print_json, print_table, warn
 from swarmd.operator.client.session import Session, TargetedView
+from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.exit_codes import code_of_answers
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.texts.values import NOTHING
@@ -44,12 +45,12 @@ def known_members(
     *,
     is_request_next: bool = False,
     needs_status: bool = True,
-    dials: bool = True,
+    dials: Dials = Dials.ALL,
 ) -> MembersView:
     """Query all members, and tell the user which robots are missing; returns the members.
 
     `is_request_next`: half of the time is left for a request. `needs_status` False: a robot has
-    also answered if its beacon was heard. `dials` False: by datagrams alone, without statuses.
+    also answered if its beacon was heard. `dials`: see `Operator.members`; NONE: without statuses.
     """
     session = session_of(options, operator)
     return session.look(is_request_next=is_request_next, needs_status=needs_status, dials=dials)

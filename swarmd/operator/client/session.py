@@ -13,6 +13,7 @@ from swarmd.core.closing import is_program_on
 from swarmd.core.errors import NetworkError, SwarmError, unknown
 from swarmd.operator.client.known_robots import remember
 from swarmd.operator.client.targets import Targets, named, targets_of, unlabelled
+from swarmd.operator.session.dials import Dials
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import AnyRequest
@@ -44,14 +45,14 @@ class Session:
     is_owned: Callable[[], bool] = is_program_on
 
     def look(
-        self, *, is_request_next: bool = False, needs_status: bool = True, dials: bool = True
+        self, *, is_request_next: bool = False, needs_status: bool = True, dials: Dials = Dials.ALL
     ) -> MembersView:
         """Query all members (a look), and tell the user which robots are missing.
 
         Returns once all expected robots have answered, or after the session's `timeout`.
         `is_request_next`: the look ends after half of `timeout`, so that `time_left` is left for a
         request. `needs_status` False: a robot has also answered if its beacon was heard.
-        `dials` False: by datagrams alone, without statuses.
+        `dials`: see `Operator.members`; NONE: without statuses.
 
         NetworkError if no daemon was reached; the text names the swarms that were heard. SwarmError
         if a request is next, and its caller no longer waits.
@@ -60,7 +61,7 @@ class Session:
         if timeout is not None and is_request_next:
             timeout /= 2.0
         view = self.operator.members(
-            timeout=timeout, needs_status=needs_status and dials, dials=dials
+            timeout=timeout, needs_status=needs_status and dials is not Dials.NONE, dials=dials
         )
         self.tell_notices()
         remember(self.operator.settings, view)

@@ -1,22 +1,24 @@
 """The query of an operator for all members of a swarm (a look). Pure: datagrams and times in.
 
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
-robots on other robots (`member_reports.py`), the robots' own statuses by Zenoh
-(`status_table.py`), and rosters. A look is complete once every expected robot has answered, and one
-of two conditions holds: the answers agree on the members, or nothing new has come for `quiet_time`.
+robots on other robots (`member_reports.py`), the robots' own statuses by datagram
+(`status_parts.py`) or by Zenoh (`status_table.py`), and rosters. A look is complete once every
+expected robot has answered, and one of two conditions holds: the answers agree on the members, or
+nothing new has come for `quiet_time`.
 A look in which a robot does not answer ends after a time that follows from the measured round trip
 and loss of datagrams (`ends_at`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from swarmd.core import codec
+from swarmd.core.errors import CodecError
 from swarmd.core.keys import is_id
-from swarmd.core.messages import PeerView, Presence, StatusHeader
+from swarmd.core.messages import PeerView, Presence, Status, StatusHeader
 from swarmd.core.record import RecordKind, generation_of
-from swarmd.link.datagram import Address, Beacon, MemberList
+from swarmd.link.datagram import Address, Beacon, MemberList, StatusPart
 from swarmd.link.members.membership import MAX_MEMBERS, Change, Membership
 from swarmd.operator.session.member_reports import (
     EARLIER,
@@ -31,6 +33,7 @@ from swarmd.operator.session.member_reports import (
 from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
 from swarmd.operator.session.round_trips import QUIET_TIME, RoundTrips
 from swarmd.operator.session.seen_member import INDIRECT_TIME, present_member, silent_member
+from swarmd.operator.session.status_parts import StatusParts, decode_status
 from swarmd.operator.session.status_table import StatusAnswer, StatusTable
 
 MAX_COPIES = 128  # unicast copies of one datagram: false reports may name many addresses
@@ -74,6 +77,8 @@ class Discovery:
     - `needs_status` True: a robot has answered once its status has come. False: a robot has
       answered also without a status, once it has sent a whole member list and a beacon that
       answers a solicit.
+    - `asks_by_datagram` True: robots are asked for their statuses by datagram, and only those that
+      do not tell it so are dialled. False: each robot is dialled.
     """
 
     def __init__(
@@ -86,11 +91,13 @@ class Discovery:
         is_local: bool = False,
         is_secured: bool = False,
         needs_status: bool = True,
+        asks_by_datagram: bool = False,
     ) -> None:
         """Begin a look (a query of all members) at `now` in s; the class explains the arguments."""
         self.started = now
         self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
         self._needs_status = needs_status
+        self.asks_by_datagram = asks_by_datagram
         self._first_robot_wait = first_robot_timeout
         self.found_at = now  # when a robot was last newly heard or newly reported
         self._news_at = now  # when anything new was last heard or reported of any robot
@@ -103,6 +110,7 @@ class Discovery:
         self._trips = RoundTrips()  # the times from each solicit to the beacons that answer it
         self._reports = MemberReports(is_local=is_local)  # what robots report of other robots
         self._statuses = StatusTable()
+        self._status_parts = StatusParts()
         self._known_since: dict[str, float] = {}  # each robot heard or reported, and since when
         # When a robot last sent a member list, or was last named in a list or view. `_forget` drops
         # a robot that no list has named for long. A robot with the time inf is never forgotten.
@@ -138,9 +146,33 @@ class Discovery:
         self._lists_at = now
         return True
 
-    def on_solicit(self, echo: int, now: float) -> None:
-        """Note that a `Solicit` with this number is sent now."""
-        self._trips.on_solicit(echo, now)
+    def on_solicit(
+        self, echo: int, now: float, *, wants_status: bool = False, is_to_all: bool = True
+    ) -> None:
+        """Note that a `Solicit` with this number is sent now.
+
+        `is_to_all` False: some robots are asked, so that the silence of others is no loss.
+        """
+        if is_to_all:
+            self._trips.on_solicit(echo, now)
+        if wants_status:
+            self._status_parts.on_asked(echo)
+
+    def begin_status_request(self) -> bool:
+        """True if the solicit that is sent now asks all robots for their statuses: the first."""
+        return self.asks_by_datagram and not self._status_parts.has_asked
+
+    def to_ask(self, now: float) -> tuple[Address, ...]:
+        """The robots to ask again for their status now, at most MAX_COPIES; the call notes it."""
+        lacking = (
+            (robot, instance)
+            for robot in self.heard
+            for instance in self.holders(robot) - self._statuses.instances(robot).keys()
+            if instance in self._members.lives(robot)
+        )
+        due = [one for one in lacking if self._status_parts.is_ask_due(one, now, self.round_trip)]
+        lives = [self._members.lives(robot)[instance] for robot, instance in due[:MAX_COPIES]]
+        return tuple(life.address for life in lives)
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:
         """Take a robot's beacon; a beacon of a robot that does not own its id is ignored."""
@@ -161,6 +193,7 @@ class Discovery:
             self.found_at = now
         if instance in self._members.lives(robot):
             self._trips.on_echo(robot, instance, beacon.echo, now, beacon.clock)
+            self._status_parts.on_beacon(beacon, now)
 
     def on_member_list(self, word: MemberList, now: float) -> None:
         """Take a part of a robot's member list."""
@@ -170,9 +203,9 @@ class Discovery:
         self._note_named(word.robot, now)
         if not self._reports.has_list(word.robot):
             self._on_news(word.robot, now)
-        reports = self._reports.add_list(word, now)
+        reports, adds = self._reports.add_list(word, now)
         self._roster.update(word.roster if len(self._roster) < MAX_MEMBERS else ())
-        self._store_reports(word.robot, LIST, reports, now)
+        self._store_reports(word.robot, LIST, reports, now, adds=adds)
         if self._is_fresh(word.robot, now) and now - self._forgot_at >= FORGET_PERIOD:
             self._forgot_at = now
             self._forget(now)
@@ -182,13 +215,33 @@ class Discovery:
         self._take_answer(view.robot, StatusAnswer(view.status, view.members, now), now)
         if len(self._roster) < MAX_MEMBERS:
             self._roster.update(name for name in view.roster if is_id(name))
-        if len(self._programs) < MAX_MEMBERS:
-            self._programs.update(name for name in view.status.programs if is_id(name))
+        self._take_programs(view.status)
         self._store_reports(view.robot, VIEW, reports_of_view(view, now), now)
 
     def on_header(self, header: StatusHeader, now: float) -> None:
         """Take the status of a robot of another version, as far as it can be read."""
         self._take_answer(header.robot, StatusAnswer(header, (), now), now)
+
+    def on_status_part(self, part: StatusPart, now: float) -> None:
+        """Take a part of a robot's status; a part of an instance that has left is ignored.
+
+        Raises CodecError if the whole status cannot be read, or is that of another robot.
+        """
+        if self._members.left_at(part.robot, part.instance) is not None:
+            return
+        content = self._status_parts.add(part)
+        if content is None:
+            return
+        status = decode_status(content)
+        if (status.robot, status.instance) != (part.robot, part.instance.hex()):
+            raise CodecError(f"{part.robot} sent the status of {status.robot}")
+        self._take_answer(part.robot, StatusAnswer(status, (), now), now)
+        if isinstance(status, Status):
+            self._take_programs(status)
+
+    def _take_programs(self, status: Status) -> None:
+        if len(self._programs) < MAX_MEMBERS:
+            self._programs.update(name for name in status.programs if is_id(name))
 
     # What is known
 
@@ -302,6 +355,30 @@ class Discovery:
                     group[robot, report.instance] = address
         return to_dial | self._most_reported(unproven)
 
+    def to_link(self, now: float) -> dict[tuple[str, str], Address]:
+        """Of `to_dial` those to dial for their status: robots that tell it by datagram are not."""
+        if not self.asks_by_datagram:
+            return self.to_dial(now)
+        answered = self.answered
+        asked_until = now - self._status_parts.wait(self.round_trip)
+        refusing = {robot for robot, _ in self._status_parts.refusing}
+        lacking = {
+            robot
+            for robot, since in self._known_since.items()
+            if robot not in answered and (robot in refusing or since <= asked_until)
+        }
+        if not lacking:  # as in most turns of a look: nothing is looked up then
+            return {}
+        return {
+            (robot, instance): address
+            for (robot, instance), address in self.to_dial(now).items()
+            if robot in lacking
+            and (
+                (robot, instance) in self._status_parts.refusing
+                or self._known_since[robot] <= asked_until
+            )
+        }
+
     def _present_report(self, robot: str, now: float) -> PeerReport | None:
         """The report that a robot is alive, if it is the most certain and not too old."""
         report = most_certain(self._all_reports(robot))
@@ -341,14 +418,18 @@ class Discovery:
     def is_complete(self, now: float) -> bool:
         """True once every expected robot answered, and the views agree or the quiet time passed."""
         answered = self.answered
-        if not answered or not self.heard <= answered:
+        if not answered or not self.heard <= answered or not self._is_settled(answered, now):
             return False
-        view = self.result(now)
-        if not view.expected <= answered.intersection(view.alive):
-            return False
+        view = self.result(now)  # last: it walks over all reports
+        return view.expected <= answered.intersection(view.alive)
+
+    def _is_settled(self, answered: Collection[str], now: float) -> bool:
+        """True once the views or lists of robots agree, or nothing new came for `quiet_time`."""
         if not self._needs_status:
             return self.has_all_lists(now)
-        return self._statuses.agree(answered) or now - self._news_at >= self.quiet_time
+        if now - self._news_at >= self.quiet_time or self._statuses.agree(answered):
+            return True
+        return self.asks_by_datagram and self.has_all_lists(now)
 
     @property
     def unlisted(self) -> tuple[str, ...]:
@@ -530,17 +611,27 @@ class Discovery:
                 self._reports.forget(robot)
 
     def _store_reports(
-        self, reporter: str, way: str, reports: Mapping[str, list[PeerReport]], now: float
+        self,
+        reporter: str,
+        way: str,
+        reports: Mapping[str, list[PeerReport]],
+        now: float,
+        *,
+        adds: bool = False,
     ) -> None:
-        """Replace the reports of `reporter` that came by one way (LIST, VIEW or EARLIER)."""
-        self._reports.drop(reporter, way)
+        """Replace the reports of `reporter` that came by one way (LIST, VIEW or EARLIER).
+
+        `adds`: keep the reports that came before.
+        """
+        if not adds:
+            self._reports.drop(reporter, way)
         for robot, some in reports.items():
             if robot == reporter:
                 continue
             is_new = self._note_known(robot, now)
             if robot in self._known_since:
                 self._note_named(robot, now)
-                self._reports.store(robot, reporter, way, some)
+                self._reports.store(robot, reporter, way, some, adds=adds)
             if is_new:
                 self._on_news(robot, now)
                 self.found_at = now

@@ -103,23 +103,32 @@ class MemberReports:
 
     # Events
 
-    def add_list(self, new_part: MemberList, now: float) -> dict[str, list[PeerReport]]:
-        """Keep a part of a robot's member list; returns the reports of all kept parts, by robot.
+    def add_list(
+        self, new_part: MemberList, now: float
+    ) -> tuple[dict[str, list[PeerReport]], bool]:
+        """Keep a part of a robot's member list; returns reports by robot, and whether they add.
 
         A list comes in parts, in several datagrams; the `echo` of the solicit marks the parts of
-        one list. `_drop_old_parts` decides which parts are kept.
+        one list. `_drop_old_parts` decides which parts are kept. True: all parts that were kept
+        before are kept, and the reports of the new part come in addition. False: the reports are
+        those of all kept parts.
         """
         parts = self._lists.setdefault(new_part.robot, {})
-        parts[new_part.echo, new_part.part] = (new_part, now)
+        number = (new_part.echo, new_part.part)
+        is_new = number not in parts
+        kept_before = len(parts)
+        parts[number] = (new_part, now)
         _drop_old_parts(parts)
+        adds = is_new and len(parts) == kept_before + 1
+        counted = [parts[number]] if adds else parts.values()
         reports: dict[str, list[PeerReport]] = {}
-        for part, at in parts.values():
+        for part, at in counted:
             for member in part.members:
                 # A greater number is a presence of a later version.
                 if member.presence < len(PRESENCES):
                     report = self._report(member, new_part.robot, at)
                     reports.setdefault(member.robot, []).append(report)
-        return reports
+        return reports, adds
 
     def _report(self, member: MemberReport, reporter: str, at: float) -> PeerReport:
         """The report in a member list that came at `at` s."""
@@ -138,9 +147,17 @@ class MemberReports:
         for doubles in self._doubles.values():
             doubles.pop(reporter, None)
 
-    def store(self, robot: str, reporter: str, way: str, reports: list[PeerReport]) -> None:
-        """Keep what `reporter` reports of `robot` by one way (LIST, VIEW or EARLIER)."""
-        self._reports.setdefault(robot, {})[reporter, way] = reports[:MAX_INSTANCES]
+    def store(
+        self, robot: str, reporter: str, way: str, reports: list[PeerReport], *, adds: bool = False
+    ) -> None:
+        """Keep what `reporter` reports of `robot` by one way (LIST, VIEW or EARLIER).
+
+        `adds`: in addition to what it has reported of the robot by that way.
+        """
+        known = self._reports.setdefault(robot, {})
+        if adds:
+            reports = [*known.get((reporter, way), ()), *reports]
+        known[reporter, way] = reports[:MAX_INSTANCES]
         alive = {report.instance for report in reports if report.presence is Presence.ALIVE}
         if len(alive) > 1:
             self._doubles.setdefault(robot, {})[reporter] = frozenset(alive)

@@ -12,6 +12,7 @@ from swarmd.core.keys import ANY, CONTROL
 from swarmd.core.messages import PeerView, StatusHeader
 from swarmd.core.verbs import MembersQuery
 from swarmd.operator.session.arrivals import Arrivals
+from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.discovery import Discovery
 from swarmd.operator.session.loop_watch import LoopWatch
 from swarmd.operator.session.members_view import MembersView
@@ -24,6 +25,7 @@ POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))  # steps of a RepeatTimer
 STATUS_DELAY = 0.1
 MAX_EXCUSED = 512  # robots in a query for members that need not answer again
 STATUS_TIMEOUT = 10.0  # s of a query for members or a status
+TURN_PERIOD = 0.004  # s of a turn of a look at least
 OVER_PERIOD = 0.02  # s between two checks whether the look is over, which take long
 
 _header = Decoder(StatusHeader, any_version=True)
@@ -51,7 +53,7 @@ class MemberSearch:
         cap: float,
         *,
         needs_status: bool,
-        dials: bool,
+        dials: Dials,
     ) -> MembersView:
         """Query all members (a look) until the look is complete; returns the members.
 
@@ -59,7 +61,7 @@ class MemberSearch:
         `discovery.is_complete` decides when the look is complete. An incomplete look ends after
         `timeout` s. With `timeout` None an incomplete look ends once a longer wait is of no use
         (`discovery.is_over`), and after `cap` s at the latest. `needs_status` False: statuses are
-        asked for only after STATUS_DELAY. `dials` False: no robot is dialled and no status
+        asked for only after STATUS_DELAY. `dials` NONE: no robot is dialled and no status
         is asked, so `needs_status` must be False.
         """
         now = discovery.started
@@ -68,6 +70,7 @@ class MemberSearch:
         over_timer = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))  # for `discovery.is_over`
         deadline = None if timeout is None else now + timeout
         ask_status_at = now if needs_status else now + STATUS_DELAY
+        is_mute = dials is Dials.NONE
         pause = 0.0
         self._loops.begin(now)
         while True:
@@ -82,7 +85,7 @@ class MemberSearch:
                 else:
                     ends_incomplete = over_timer.is_due(now) and discovery.is_over(now)
             self._loops.turn(now, pause)
-            if is_complete and dials:
+            if is_complete and dials is Dials.ALL:
                 # The caller sends requests next, and needs links to all robots. Robots that wait to
                 # be dialled together are dialled before the return; this may sleep.
                 now = self._dial_last_robots(discovery, now)
@@ -91,15 +94,17 @@ class MemberSearch:
                     return discovery.result(now)
             if solicit_timer.is_due(now):
                 self._datagrams.solicit(discovery, now)
-            dial_due_in = self._sessions.dial(discovery, now) if dials else math.inf
-            if now >= ask_status_at and status_timer.is_due(now) and dials:
+            dial_due_in = math.inf if is_mute else self._sessions.dial(discovery, now)
+            if now >= ask_status_at and status_timer.is_due(now) and not is_mute:
                 self._ask_members(discovery)
             to_end_check = OVER_PERIOD if deadline is None else deadline - now
             timers_due_in = solicit_timer.pause(now)
-            if dials:
+            if not is_mute:
                 timers_due_in = min(timers_due_in, status_timer.pause(now))
             pause = min(timers_due_in, to_end_check, dial_due_in)
             self._arrivals.wait(count, pause)
+            # What arrives together is looked at together: a turn walks over all robots.
+            time.sleep(max(0.0, now + TURN_PERIOD - boottime()))
 
     def _dial_last_robots(self, discovery: Discovery, now: float) -> float:
         """Dial the robots that still wait to be dialled together; returns the time afterwards."""

@@ -27,7 +27,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.closing import Closing
-from swarmd.core.errors import ConfigError, RequestError
+from swarmd.core.errors import CodecError, ConfigError, RequestError
 from swarmd.core.keys import ANY
 from swarmd.core.messages import Epoch
 from swarmd.core.verbs import AnyRequest, starts_motion
@@ -41,6 +41,7 @@ from swarmd.link.datagram import (
     MemberList,
     RunLease,
     Solicit,
+    StatusPart,
     Stop,
     Swarm,
     pack,
@@ -50,6 +51,7 @@ from swarmd.link.keys.identity import Identity, authority_of
 from swarmd.link.keys.roster import Role
 from swarmd.link.settings import NetworkSettings
 from swarmd.operator.session.arrivals import Arrivals
+from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Discovery
 from swarmd.operator.session.exit_codes import FAILED
 from swarmd.operator.session.loop_watch import LoopWatch
@@ -236,16 +238,17 @@ class Operator(Closing):
         timeout: float | None = None,
         cap: float = math.inf,
         needs_status: bool = True,
-        dials: bool = True,
+        dials: Dials = Dials.ALL,
     ) -> MembersView:
         """Query all members (a look); returns once all expected robots have answered.
 
         The look ends after `timeout` s at the latest; with `timeout` None, after a time that
         follows from the round trip, and after `cap` s at the latest. `needs_status` False: a beacon
         is an answer, too. A beacon shows the epoch (count of the robot's changes), and a request
-        needs nothing else. `dials` False: by datagrams alone, with `needs_status` False; a
-        request that follows has no links. If robots are missing and a robot has shown a newer
-        roster, this method takes the roster and looks again.
+        needs nothing else. `dials` UNTOLD: statuses come by datagrams, and only robots that do not
+        tell theirs so are dialled; NONE: no robot is, with `needs_status` False. A request that
+        follows has no links then. In a secured swarm, and by routers, UNTOLD is ALL. If robots are
+        missing and a robot has shown a newer roster, this method takes the roster and looks again.
         """
         view = self._look(timeout, cap, needs_status=needs_status, dials=dials)
         if view.missing and self.update_roster():
@@ -253,9 +256,13 @@ class Operator(Closing):
         return view
 
     def _look(
-        self, timeout: float | None, cap: float, *, needs_status: bool, dials: bool
+        self, timeout: float | None, cap: float, *, needs_status: bool, dials: Dials
     ) -> MembersView:
-        discovery = self._new_discovery(boottime(), needs_status=needs_status)
+        if dials is Dials.UNTOLD and (self.identity is not None or not self._sessions.needs_links):
+            dials = Dials.ALL
+        discovery = self._new_discovery(
+            boottime(), needs_status=needs_status, asks_by_datagram=dials is Dials.UNTOLD
+        )
         self._last_view = self._search.look(
             discovery, timeout, cap, needs_status=needs_status, dials=dials
         )
@@ -568,7 +575,9 @@ class Operator(Closing):
             fields["reason"] = request_reason(fields["reason"])
         return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
 
-    def _new_discovery(self, now: float, *, needs_status: bool = True) -> Discovery:
+    def _new_discovery(
+        self, now: float, *, needs_status: bool = True, asks_by_datagram: bool = False
+    ) -> Discovery:
         wait = DEV_WAIT if self.settings.profile == "dev" else FIRST_ROBOT_TIMEOUT
         with self._arrivals.lock:
             earlier = None if self._discovery is None else self._discovery.result(now)
@@ -580,6 +589,7 @@ class Operator(Closing):
                 is_local=self.settings.interface_name == "lo",
                 is_secured=self.identity is not None,
                 needs_status=needs_status,
+                asks_by_datagram=asks_by_datagram,
             )
             self._discovery = discovery
         return discovery
@@ -600,6 +610,9 @@ class Operator(Closing):
             self._discovery.on_beacon(body, source, now)
         elif isinstance(body, MemberList):
             self._discovery.on_member_list(body, now)
+        elif isinstance(body, StatusPart):
+            with contextlib.suppress(CodecError):
+                self._discovery.on_status_part(body, now)
         else:
             return False
         return True

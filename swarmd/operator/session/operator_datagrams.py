@@ -104,12 +104,24 @@ class OperatorDatagrams:
             self.carrier.send_to(payload, reachable(address, self._interface))
 
     def solicit(self, discovery: Discovery, now: float) -> None:
-        """Ask robots for beacons, and for member lists if they are due."""
+        """Ask robots for beacons, and for member lists and statuses if they are due.
+
+        The first solicit of a look by datagrams asks all robots for their statuses. Later ones are
+        for the robots whose status has not come.
+        """
         with self._arrivals.lock:
-            echo = self._new_echo(discovery, now)
+            wants_status = discovery.begin_status_request()
+            echo = self._new_echo(discovery, now, wants_status=wants_status)
             wants_members = discovery.begin_list_request(now)
             addresses = discovery.to_solicit()
-        self.send(Solicit(echo=echo, wants_members=wants_members), addresses)
+            to_ask = discovery.to_ask(now) if discovery.asks_by_datagram else ()
+            status_echo = 0
+            if to_ask:
+                status_echo = self._new_echo(discovery, now, wants_status=True, is_to_all=False)
+        solicit = Solicit(echo=echo, wants_members=wants_members, wants_status=wants_status)
+        self.send(solicit, addresses)
+        if to_ask:
+            self.send(Solicit(echo=status_echo, wants_status=True), to_ask, is_to_all=False)
 
     def ask_clocks(self, discovery: Discovery, now: float) -> None:
         """Ask robots for beacons, which show their clocks; also robots that have just started."""
@@ -118,13 +130,20 @@ class OperatorDatagrams:
             addresses = discovery.to_solicit()
         self.send(Solicit(echo=echo), addresses)
 
-    def _new_echo(self, discovery: Discovery, now: float) -> int:
+    def _new_echo(
+        self,
+        discovery: Discovery,
+        now: float,
+        *,
+        wants_status: bool = False,
+        is_to_all: bool = True,
+    ) -> int:
         """The number of a solicit that is sent now; call it with the lock held."""
         self._echo += 1
         if self.answers is not None:
             self.answers.freshness.note_echo(self._echo, now)
         self.clocks.on_solicit(self._echo, now)
-        discovery.on_solicit(self._echo, now)
+        discovery.on_solicit(self._echo, now, wants_status=wants_status, is_to_all=is_to_all)
         return self._echo
 
     def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:

@@ -162,9 +162,10 @@ class OperatorSessions:
     def dial(self, discovery: Discovery, now: float, only: Collection[str] | None = None) -> float:
         """Dial the robots that `discovery` has found and that have no link, if that is due now.
 
-        `only`: dial only these robots. None: dial all robots, and dial a robot again if its status
-        does not come. Beyond MAX_SESSIONS all sessions are closed and all robots dialled anew.
-        Returns the s after which to call again; inf if no robot waits to be dialled.
+        `only`: dial only these robots. None: dial all robots of `Discovery.to_link`, and dial a
+        robot again if its status does not come. Beyond MAX_SESSIONS all sessions are closed and all
+        robots dialled anew. Returns the s after which to call again; inf if no robot waits to be
+        dialled.
         """
         reachable, to_dial = self._to_dial(discovery, now, only)
         if not to_dial or not self.needs_links:
@@ -241,7 +242,9 @@ class OperatorSessions:
         if they answered earlier. None: consider all robots.
         """
         with self._arrivals.lock:
-            reachable = discovery.to_dial(now)
+            reachable = discovery.to_link(now) if only is None else discovery.to_dial(now)
+            if not reachable:
+                return {}, {}
             answered = discovery.answered
             redial_after = REDIAL_WAIT + REDIAL_TRIPS * discovery.round_trip
         if only is not None:

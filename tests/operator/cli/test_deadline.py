@@ -12,6 +12,7 @@ from swarmd.link.settings import NetworkSettings
 from swarmd.operator.cli.options import CommonOptions
 from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.operator.client.session import LEAST_REQUEST_TIME
+from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
 from swarmd.operator.session.outcome import Outcome
 
@@ -33,7 +34,9 @@ class Slow:
     def __exit__(self, *_: object) -> None:
         """Nothing is open."""
 
-    def members(self, *, timeout: float, needs_status: bool, dials: bool = True) -> MembersView:
+    def members(
+        self, *, timeout: float, needs_status: bool, dials: Dials = Dials.ALL
+    ) -> MembersView:
         self.waits.append(timeout)
         seen = SeenMember(
             robot="a",

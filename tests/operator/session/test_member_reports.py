@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from swarmd.core.messages import Presence
 from swarmd.link.datagram import MemberReport
 from swarmd.operator.session.member_reports import reported_address
-from tests.operator.session.discovery_rig import ALIVE, FAILED, LEFT, Rig, heard
+from tests.operator.session.discovery_rig import ALIVE, FAILED, LEFT, Rig, heard, life
 
 
 @pytest.fixture
@@ -107,3 +107,23 @@ def test_links_are_pairs_that_report_each_other_as_alive(rig: Rig) -> None:
     rig.tell("d", heard("a"), at=0.2)
     assert rig.found.links(0.3) == {("a", "b"), ("a", "d")}
     assert rig.found.links(60.0) == set()
+
+
+def test_two_lives_in_two_parts_of_a_list_are_both_known(rig: Rig) -> None:
+    rig.hear("a")
+    rig.tell("a", heard("b", instance=1), part=0, parts=2, echo=1)
+    rig.tell("a", heard("b", instance=2), heard("c"), part=1, parts=2, echo=1, at=0.02)
+    reports = rig.found._reports
+    assert {one.instance for one in reports.of("b")} == {life(1).hex(), life(2).hex()}
+    assert reports.doubles("b") == {life(1).hex(), life(2).hex()}
+    assert reports.listed_alive("a") == {"b", "c"}
+
+
+def test_a_newer_list_replaces_an_older_one_once_it_is_whole(rig: Rig) -> None:
+    rig.hear("a")
+    rig.tell("a", heard("b"), heard("c"), echo=1)
+    rig.tell("a", heard("d"), part=0, parts=2, echo=2, at=0.02)
+    assert rig.found._reports.listed_alive("a") == {"b", "c", "d"}
+    rig.tell("a", heard("b", instance=2), part=1, parts=2, echo=2, at=0.03)
+    assert rig.found._reports.listed_alive("a") == {"b", "d"}
+    assert [one.instance for one in rig.found._reports.of("b")] == [life(2).hex()]

@@ -14,6 +14,7 @@ from swarmd.core.messages import Epoch, Presence
 from swarmd.link.carriers.udp import UdpCarrier
 from swarmd.link.datagram import Beacon, Solicit, pack, tag_of, unpack
 from swarmd.link.settings import NetworkSettings
+from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.exit_codes import PARTIAL
 from swarmd.operator.session.operator import Operator
 from swarmd.operator.texts.members import health, heard_row
@@ -33,7 +34,7 @@ def test_members_come_with_their_own_status(settings: NetworkSettings, robots: R
 def test_a_look_by_datagrams_dials_nobody(settings: NetworkSettings, robots: Robots) -> None:
     robots("a", "b")
     with Operator(settings) as operator:
-        view = operator.members(needs_status=False, dials=False)
+        view = operator.members(needs_status=False, dials=Dials.NONE)
         assert not operator._sessions.is_open
     assert view.answered == {"a", "b"}
     assert not view.missing
