@@ -1,7 +1,8 @@
 """The names that modules had before they moved into rooms by who runs them.
 
 `import` of a former name gives the same module, so that scripts, plugins and recordings of 0.2.0
-keep working. A new module has no former name, and is not listed: a row is a package that moved.
+keep working. A new module has no former name, and is not listed: a row is a package that moved, or
+a module of 0.2.0 that left its package.
 `swarmd/__init__.py` installs the finder, which Python asks before
 it looks for a file: in a package that moved it would find a second copy of the module.
 """
@@ -22,7 +23,14 @@ FORMER: Mapping[str, str] = {
     "swarmd.acceptance": "swarmd.operator.acceptance",
     "swarmd.calibration": "swarmd.operator.calibration",
     "swarmd.cli": "swarmd.operator.cli",
+    "swarmd.cli.stop_and_reset": "swarmd.operator.verbs.stop.command",
     "swarmd.client": "swarmd.operator.client",
+    "swarmd.client.arguments": "swarmd.operator.session.arguments",
+    "swarmd.client.ask_robots": "swarmd.operator.session.ask_robots",
+    "swarmd.client.known_robots": "swarmd.operator.session.known_robots",
+    "swarmd.client.session": "swarmd.operator.session.session",
+    "swarmd.client.stops": "swarmd.operator.verbs.stop.ask",
+    "swarmd.client.targets": "swarmd.operator.session.targets",
     "swarmd.kin": "swarmd.robot.kin",
     "swarmd.network": "swarmd.link",
     "swarmd.network.operator": "swarmd.operator.session",
@@ -35,7 +43,7 @@ FORMER: Mapping[str, str] = {
     "swarmd.texts": "swarmd.operator.texts",
     "swarmd.view": "swarmd.operator.view",
 }
-"""By the former name of a package, its present name."""
+"""By the former name of a package or a module, its present name."""
 
 
 def present_name(module: str) -> str:

@@ -14,7 +14,7 @@ from swarmd.operator.cli.send import asking
 from swarmd.operator.cli.targets import takes_targets
 from swarmd.operator.client.canary import CANARY_TIME
 from swarmd.operator.client.runs import ON_JOIN, Run, carry_out, goal_targets
-from swarmd.operator.client.targets import Targets
+from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.assignments import read_assignments
 
 

@@ -12,9 +12,9 @@ from swarmd.operator.cli.output import signals_end, warn
 from swarmd.operator.cli.send import Asked, report
 from swarmd.operator.client.run_lease import follow_runs
 from swarmd.operator.client.runs import Run, carry_out
-from swarmd.operator.client.stops import stop_names
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.texts.values import seconds
+from swarmd.operator.verbs.stop.ask import stop_names
 
 SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waited for
 

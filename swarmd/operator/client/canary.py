@@ -11,7 +11,7 @@ from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
 from swarmd.operator.session.exit_codes import NO_TARGET
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.session import Session
+    from swarmd.operator.session.session import Session
 
 CANARY_TIME = 10.0
 """s for which canaries must run well by default."""
@@ -83,7 +83,7 @@ def watch_canary(
     with the reason; empty if all run well. A robot that sends no status does not run well. The
     watch ends at the first fault, and when the session is cancelled.
     """
-    from swarmd.operator.client.ask_robots import (  # most runs have no canary
+    from swarmd.operator.session.ask_robots import (  # most runs have no canary
         next_status,
         statuses_of,
     )

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmd.core.clock import boottime
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Reason
-from swarmd.operator.client.ask_robots import next_status, statuses_of
+from swarmd.operator.session.ask_robots import next_status, statuses_of
 from swarmd.operator.session.exit_codes import FAILED, PARTIAL, TIMEOUT
 from swarmd.operator.texts.values import seconds
 
 if TYPE_CHECKING:
     from swarmd.core.goal import Goal
     from swarmd.core.messages import Epoch, Status
-    from swarmd.operator.client.session import Session
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.session.session import Session
 
 PARTS = 4
 """How often the lease is renewed while it lasts: three copies may get lost."""

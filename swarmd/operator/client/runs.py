@@ -15,23 +15,23 @@ from swarmd.core.keys import is_id
 from swarmd.core.record import LABEL
 from swarmd.core.verbs import MAX_AHEAD, MAX_PLANNED, GoalRequest, RunRequest
 from swarmd.link.keys.roster import Role
-from swarmd.operator.client.arguments import check_time
-from swarmd.operator.client.stops import stop_names, stop_on_interrupt
+from swarmd.operator.session.arguments import check_time
 from swarmd.operator.session.clock_query import read_clocks, start_times
 from swarmd.operator.session.exit_codes import FAILED, PARTIAL
 from swarmd.operator.session.operator_goals import next_generation, next_goal, signed_again
 from swarmd.operator.session.request_sender import REQUEST_WAIT
 from swarmd.operator.texts.values import seconds as in_short
+from swarmd.operator.verbs.stop.ask import stop_names, stop_on_interrupt
 from swarmd.plugins import is_pattern_path
 
 if TYPE_CHECKING:
     from swarmd.core.goal import Goal
     from swarmd.core.messages import Epoch, Status
     from swarmd.operator.client.run_lease import LeaseKeeper
-    from swarmd.operator.client.session import Session, TargetedView
-    from swarmd.operator.client.targets import Targets
     from swarmd.operator.session.operator import Operator
     from swarmd.operator.session.outcome import Outcome
+    from swarmd.operator.session.session import Session, TargetedView
+    from swarmd.operator.session.targets import Targets
     from swarmd.operator.texts.assignments import Value
 
 ON_JOIN = ("offer", "run")

@@ -14,9 +14,9 @@ from swarmd.core.messages import Epoch, Reason, State, Status
 from swarmd.operator.cli.output import warn
 from swarmd.operator.client import run_lease
 from swarmd.operator.client.run_lease import Lapse, LeasedRuns, LeaseKeeper, follow_runs
-from swarmd.operator.client.session import Session
 from swarmd.operator.session.exit_codes import APPLIED, FAILED, PARTIAL, TIMEOUT
 from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.session import Session
 from tests.support.goals import make_goal
 from tests.support.statuses import status
 
