@@ -87,7 +87,7 @@ VERBS = dict((
     _verb("zenoh", LOOK, "--out meadow.json5",
           "Print the configuration with which any Zenoh program reads the swarm."),
     _verb("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s",
-          "Start a pattern on robots."),
+          "Start a pattern on robots.", folder="run"),
     _verb("stop", MOVE, "", "Stop robots, or all robots.", folder="stop"),
     _verb("estop", MOVE, "--reason 'a person in the arena'",
           "Emergency-stop robots, or all robots; latched.", folder="stop"),

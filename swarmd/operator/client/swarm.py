@@ -234,7 +234,7 @@ class Swarm(Closing):
         to has ended. `on_join` "run": robots that join within `valid` s run the goal, too.
         `timeout`: the longest wait for answers.
         """
-        from swarmd.operator.client.runs import Run, carry_out, goal_targets
+        from swarmd.operator.verbs.run.ask import Run, carry_out, goal_targets
 
         values = {
             "pattern": pattern,
@@ -258,8 +258,7 @@ class Swarm(Closing):
         with self._pool.requests.request(), ExitStack() as opened:
             life = None if lease is None else self._life_of_call(opened)
             session = opened.enter_context(self._session(timeout, life=life))
-            # A canary is judged by its status before the run, too.
-            targeted = session.target(targets, needs_status=canary is not None)
+            targeted = session.target(targets, needs_status=run.needs_status)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
             outcome = started.outcome
             if lease is not None and outcome.applied and not session.is_cancelled():
