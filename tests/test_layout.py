@@ -332,6 +332,17 @@ def test_packages_of_swarmd_keep_their_layers() -> None:
     assert upward == []
 
 
+def test_a_verb_is_asked_by_its_ask_and_not_by_its_command() -> None:
+    """`swarmctl` names the module of a command, and imports it when it is used."""
+    found = [
+        f"{name_of(path)}:{line} imports {module}"
+        for path in sources("swarmd", "sim", "drivers")
+        for line, module in imports(path)
+        if re.match(r"swarmd\.operator\.verbs\.\w+\.command\b", module)
+    ]
+    assert found == []
+
+
 def test_wings_import_from_no_later_wing() -> None:
     order = list(WINGS)
     later, homeless = [], []
