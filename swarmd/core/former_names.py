@@ -1,7 +1,8 @@
 """The names that modules had before they moved into rooms by who runs them.
 
 `import` of a former name gives the same module, so that scripts, plugins and recordings of 0.2.0
-keep working. A new module has no former name, and is not listed: a row is a package that moved.
+keep working. A new module has no former name, and is not listed: a row is a package that moved, or
+a module of 0.2.0 that left its package.
 `swarmd/__init__.py` installs the finder, which Python asks before
 it looks for a file: in a package that moved it would find a second copy of the module.
 """
@@ -22,10 +23,27 @@ FORMER: Mapping[str, str] = {
     "swarmd.acceptance": "swarmd.operator.acceptance",
     "swarmd.calibration": "swarmd.operator.calibration",
     "swarmd.cli": "swarmd.operator.cli",
+    "swarmd.cli.run": "swarmd.operator.verbs.run.command",
+    "swarmd.cli.run_lease": "swarmd.operator.verbs.run.command",
+    "swarmd.cli.stop_and_reset": "swarmd.operator.verbs.stop.command",
     "swarmd.client": "swarmd.operator.client",
+    "swarmd.client.arguments": "swarmd.operator.session.arguments",
+    "swarmd.client.ask_robots": "swarmd.operator.session.ask_robots",
+    "swarmd.client.canary": "swarmd.operator.verbs.run.canary",
+    "swarmd.client.known_robots": "swarmd.operator.session.known_robots",
+    "swarmd.client.run_lease": "swarmd.operator.verbs.run.lease",
+    "swarmd.client.runs": "swarmd.operator.verbs.run.ask",
+    "swarmd.client.session": "swarmd.operator.session.session",
+    "swarmd.client.stops": "swarmd.operator.verbs.stop.ask",
+    "swarmd.client.targets": "swarmd.operator.session.targets",
     "swarmd.kin": "swarmd.robot.kin",
     "swarmd.network": "swarmd.link",
     "swarmd.network.operator": "swarmd.operator.session",
+    "swarmd.network.operator.clock_query": "swarmd.operator.session.robot_clocks",
+    "swarmd.network.operator.repeat_timer": "swarmd.operator.session.arrivals",
+    "swarmd.network.operator.status_table": "swarmd.operator.session.seen_member",
+    "swarmd.network.operator.stop_origin": "swarmd.operator.session.stop_sender",
+    "swarmd.network.operator.stop_request": "swarmd.operator.session.stop_sender",
     "swarmd.protection": "swarmd.robot.protection",
     "swarmd.recording": "swarmd.daemon.recording",
     "swarmd.replay": "swarmd.operator.replay",
@@ -35,7 +53,7 @@ FORMER: Mapping[str, str] = {
     "swarmd.texts": "swarmd.operator.texts",
     "swarmd.view": "swarmd.operator.view",
 }
-"""By the former name of a package, its present name."""
+"""By the former name of a package or a module, its present name."""
 
 
 def present_name(module: str) -> str:

@@ -13,8 +13,7 @@ from swarmd.link.datagram import Ack, Stop
 from swarmd.link.stops.stop_freshness import MAX_ORIGINS, REPLAYED, SLACK, StopFreshness
 from swarmd.link.stops.stop_relay import StopRelay
 from swarmd.operator.session.discovery import Discovery
-from swarmd.operator.session.stop_origin import FILE, StopOrigin
-from swarmd.operator.session.stop_request import PendingStop
+from swarmd.operator.session.stop_sender import ORIGIN_FILE, PendingStop, StopOrigin
 
 HOME, LAB = b"home", b"lab!"
 FAR = ("10.0.0.9", 7440)
@@ -136,9 +135,9 @@ def test_a_copied_home_whose_clock_is_behind_takes_a_new_origin(tmp_path: Path) 
     robot = StopFreshness()
     numbers = StopOrigin(tmp_path, lambda: 1.0)
     numbers.next()
-    copy = (tmp_path / FILE).read_bytes()
+    copy = (tmp_path / ORIGIN_FILE).read_bytes()
     assert Issuer(StopOrigin(tmp_path, lambda: 9000.0)).send(robot) == 1
-    (tmp_path / FILE).write_bytes(copy)
+    (tmp_path / ORIGIN_FILE).write_bytes(copy)
     assert Issuer(numbers).send(robot) == 2
     assert Issuer(numbers).send(robot) == 1  # the file has the new origin
 
@@ -147,7 +146,7 @@ def test_a_lost_or_damaged_file_gives_a_new_origin(tmp_path: Path) -> None:
     robot = StopFreshness()
     for content in (None, b"", b"junk", b"\x92\xc4\x04home\xff"):
         if content is not None:
-            (tmp_path / FILE).write_bytes(content)
+            (tmp_path / ORIGIN_FILE).write_bytes(content)
         assert Issuer(StopOrigin(tmp_path, lambda: 1.0)).send(robot) == 1
     assert len(robot.counters) == 4
 
@@ -156,7 +155,7 @@ def test_without_a_file_each_command_has_an_origin(tmp_path: Path) -> None:
     robot = StopFreshness()
     for folder in (None, tmp_path / "absent", None):
         assert Issuer(StopOrigin(folder, lambda: 1.0)).send(robot) == 1
-    with (tmp_path / FILE).open("wb") as held:  # another command holds it, or hangs
+    with (tmp_path / ORIGIN_FILE).open("wb") as held:  # another command holds it, or hangs
         fcntl.flock(held, fcntl.LOCK_EX)
         assert Issuer(StopOrigin(tmp_path, lambda: 1.0)).send(robot) == 1
     assert len(robot.counters) == 4

@@ -35,7 +35,7 @@ MODULES = (
     *(
         "swarmd.operator.cli.swarmctl",
         "swarmd.operator.cli.send",
-        "swarmd.operator.cli.run",
+        "swarmd.operator.verbs.run.command",
         "swarmd.operator.cli.members",
     ),
     "swarmd.operator.session.operator",

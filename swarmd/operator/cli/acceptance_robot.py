@@ -35,12 +35,12 @@ from swarmd.operator.calibration.report import measured_file
 from swarmd.operator.cli.doctor import LISTEN_TIME, findings_of_robot
 from swarmd.operator.cli.options import CommonOptions, Failure
 from swarmd.operator.cli.send import known_members
-from swarmd.operator.client.ask_robots import ASK_TIME
 from swarmd.operator.client.operator_pool import OperatorPool
-from swarmd.operator.client.session import Session
 from swarmd.operator.client.swarm import Swarm
-from swarmd.operator.client.targets import Targets, check_known
+from swarmd.operator.session.ask_robots import ASK_TIME
 from swarmd.operator.session.exit_codes import TIMEOUT
+from swarmd.operator.session.session import Session
+from swarmd.operator.session.targets import Targets, check_known
 from swarmd.operator.texts.doctor import STEPS
 
 if TYPE_CHECKING:

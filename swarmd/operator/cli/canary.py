@@ -9,7 +9,7 @@ import click
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import is_id
 from swarmd.core.numbers import exact_number
-from swarmd.operator.client.canary import choose_canaries
+from swarmd.operator.verbs.run.canary import choose_canaries
 
 
 def read_canary(text: str | None) -> int | str | None:

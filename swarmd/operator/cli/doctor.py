@@ -22,9 +22,9 @@ from swarmd.operator.cli.findings import HERE, Line, exit_code_of, print_finding
 from swarmd.operator.cli.options import CommonOptions, common_options
 from swarmd.operator.cli.output import print_json
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.ask_robots import ASK_TIME, MAX_ANSWER, in_reach
-from swarmd.operator.client.known_robots import remember
-from swarmd.operator.client.targets import Targets, robots_of
+from swarmd.operator.session.ask_robots import ASK_TIME, MAX_ANSWER, in_reach
+from swarmd.operator.session.known_robots import remember
+from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts import doctor as findings_of
 from swarmd.operator.texts.doctor import worst
 from swarmd.settings.yamlfile import read

@@ -14,12 +14,12 @@ from swarmd.operator.cli.options import CommonOptions, Duration, common_options
 from swarmd.operator.cli.output import print_json, signals_end, warn
 from swarmd.operator.cli.send import exit_code_of, known_members, session_of
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.targets import Targets, robots_of
+from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts.values import printable, seconds
 
 if TYPE_CHECKING:
     from swarmd.operator.client.event_feed import EventFeed, EventLine
-    from swarmd.operator.client.session import Session
+    from swarmd.operator.session.session import Session
 
 PERIOD = 0.5  # s for which equal events of further robots are awaited
 NAME_WIDTH = 10

@@ -25,8 +25,8 @@ from swarmd.operator.client.incidents import (
     ask_incidents,
     mark_fields,
 )
-from swarmd.operator.client.targets import Targets
 from swarmd.operator.session.exit_codes import NO_TARGET
+from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.values import NOTHING, counted, megabytes, printable, seconds
 from swarmd.plugins import need
 

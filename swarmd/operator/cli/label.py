@@ -11,9 +11,9 @@ from swarmd.operator.cli.options import CommonOptions, Failure, common_options
 from swarmd.operator.cli.send import Asked, asking
 from swarmd.operator.cli.targets import takes_targets
 from swarmd.operator.client.changes import change_labels
-from swarmd.operator.client.targets import Targets, labels_of
 from swarmd.operator.session.exit_codes import TIMEOUT
 from swarmd.operator.session.outcome import joined
+from swarmd.operator.session.targets import Targets, labels_of
 from swarmd.operator.texts.labels import read_changes
 
 

@@ -14,8 +14,8 @@ from swarmd.operator.cli.options import CommonOptions, common_options
 from swarmd.operator.cli.output import print_json, print_table
 from swarmd.operator.cli.send import known_members
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.ask_robots import in_reach
-from swarmd.operator.client.targets import Targets, robots_of
+from swarmd.operator.session.ask_robots import in_reach
+from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts.values import NOTHING, counted, printable, seconds
 
 PING_TIME = 0.6  # s at least for robots to measure round trips, between two questions

@@ -14,7 +14,7 @@ from swarmd.operator.cli.send import asking, exit_code_of, known_members
 from swarmd.operator.cli.targets import read_targets, takes_targets, target_options
 from swarmd.operator.client.changes import params_of
 from swarmd.operator.client.changes import set_params as change
-from swarmd.operator.client.targets import Targets, robots_of
+from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts.assignments import read_assignments
 from swarmd.operator.texts.values import NOTHING, number
 

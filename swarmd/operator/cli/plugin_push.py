@@ -32,12 +32,12 @@ from swarmd.operator.cli.options import EXISTING, CommonOptions, Duration, Failu
 from swarmd.operator.cli.output import fields, print_json, print_table, warn
 from swarmd.operator.cli.send import Asked, asking, known_members
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.ask_robots import in_reach
-from swarmd.operator.client.runs import goal_targets
-from swarmd.operator.client.session import gap
-from swarmd.operator.client.targets import Targets, targets_of
+from swarmd.operator.session.ask_robots import in_reach
 from swarmd.operator.session.exit_codes import PARTIAL, TIMEOUT, code_of_answers
+from swarmd.operator.session.session import gap
+from swarmd.operator.session.targets import Targets, targets_of
 from swarmd.operator.texts.values import NOTHING
+from swarmd.operator.verbs.run.ask import goal_targets
 from swarmd.plugins import PATTERN_FILE, has_modules, parsed, pattern_file, pattern_name
 
 if TYPE_CHECKING:

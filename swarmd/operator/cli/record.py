@@ -17,9 +17,9 @@ from swarmd.operator.cli.output import fields, print_json, print_table, rewrite,
 from swarmd.operator.cli.record_merge import merge
 from swarmd.operator.cli.send import known_members, send_to
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.ask_robots import ASK_TIME
-from swarmd.operator.client.targets import Targets, targets_of
+from swarmd.operator.session.ask_robots import ASK_TIME
 from swarmd.operator.session.exit_codes import NO_TARGET, PARTIAL, TIMEOUT
+from swarmd.operator.session.targets import Targets, targets_of
 from swarmd.operator.texts.values import NOTHING, counted, megabytes, seconds
 
 if TYPE_CHECKING:

@@ -13,18 +13,18 @@ import click
 from swarmd.core.messages import Code
 from swarmd.core.refusal import Refusal
 from swarmd.operator.cli.output import fields, print_json, print_table, warn
-from swarmd.operator.client.session import Session, TargetedView
 from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.exit_codes import code_of_answers
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import Session, TargetedView
 from swarmd.operator.texts.values import NOTHING
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import AnyRequest
     from swarmd.operator.cli.options import CommonOptions
-    from swarmd.operator.client.targets import Targets
     from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.session.targets import Targets
 
 # Where the operator finds what all robots refused as a mistake.
 _HELP = {

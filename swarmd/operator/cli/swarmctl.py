@@ -59,9 +59,16 @@ CLOSED_PIPE = 141
 STDERR = 2  # file descriptor
 
 
-def _verb(name: str, section: str, example: str, text: str, file: str = "") -> tuple[str, LazyVerb]:
-    """A verb by name; `text`: its line of --help; `file`: its module, by default its name."""
-    place = f"swarmd.operator.cli.{file or name}:{name}"
+def _verb(
+    name: str, section: str, example: str, text: str, file: str = "", *, folder: str = ""
+) -> tuple[str, LazyVerb]:
+    """A verb by name; `text`: its line of --help.
+
+    `folder`: its folder in `swarmd/operator/verbs`; without one, `file` is its module in
+    `swarmd/operator/cli`, by default its name.
+    """
+    module = f"verbs.{folder}.command" if folder else f"cli.{file or name}"
+    place = f"swarmd.operator.{module}:{name}"
     return name, LazyVerb(place, text, section, f"swarmctl {name} {example}".rstrip())
 
 
@@ -80,12 +87,12 @@ VERBS = dict((
     _verb("zenoh", LOOK, "--out meadow.json5",
           "Print the configuration with which any Zenoh program reads the swarm."),
     _verb("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s",
-          "Start a pattern on robots."),
-    _verb("stop", MOVE, "", "Stop robots, or all robots.", "stop_and_reset"),
+          "Start a pattern on robots.", folder="run"),
+    _verb("stop", MOVE, "", "Stop robots, or all robots.", folder="stop"),
     _verb("estop", MOVE, "--reason 'a person in the arena'",
-          "Emergency-stop robots, or all robots; latched.", "stop_and_reset"),
+          "Emergency-stop robots, or all robots; latched.", folder="stop"),
     _verb("reset", MOVE, "--all",
-          "Clear emergency stops and faults; moves nothing.", "stop_and_reset"),
+          "Clear emergency stops and faults; moves nothing.", folder="stop"),
     _verb("param", MOVE, "set --all speed=0.2", "Get or set parameters of running patterns."),
     _verb("resume", MOVE, "tb3-07", "Let robots take up the goal that they were offered.", "goal"),
     _verb("undo", MOVE, "", "Set the goal before the present one again.", "goal"),

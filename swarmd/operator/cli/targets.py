@@ -13,7 +13,7 @@ import click
 
 from swarmd.core.errors import ConfigError, R
 from swarmd.operator.cli import completion
-from swarmd.operator.client.targets import Targets, make_targets
+from swarmd.operator.session.targets import Targets, make_targets
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

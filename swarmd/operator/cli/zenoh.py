@@ -13,7 +13,7 @@ from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.operator.cli.options import FILE, CommonOptions, common_options
 from swarmd.operator.cli.output import print_json, warn
 from swarmd.operator.cli.send import known_members
-from swarmd.operator.client.session import unreachable
+from swarmd.operator.session.session import unreachable
 from swarmd.operator.texts.values import counted
 
 

@@ -1,40 +1,22 @@
-"""Requests that start no motion: reset, parameters, labels, and forgetting members."""
+"""Requests that start no motion: parameters, labels, and forgetting members."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Member, Param, Presence
-from swarmd.core.verbs import ForgetRequest, LabelRequest, ParamRequest, ResetRequest
-from swarmd.operator.client.targets import labels_of
+from swarmd.core.verbs import ForgetRequest, LabelRequest, ParamRequest
 from swarmd.operator.session.exit_codes import REFUSED
 from swarmd.operator.session.outcome import Outcome, joined
+from swarmd.operator.session.targets import labels_of
 from swarmd.operator.texts.labels import changed
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.session import Session, TargetedView
     from swarmd.operator.session.members_view import MembersView
-
-
-def reset(targeted: TargetedView, *, reason: str = "", findings: bool = False) -> Outcome:
-    """Clear the emergency stops and faults of robots, as their statuses in `targeted` show them.
-
-    An emergency stop that came after these statuses stays. With `findings`, also clear the violated
-    assumptions of protection that the statuses show; until then such a robot drives slower.
-    """
-    ids = tuple(sorted(targeted.view.latches(targeted.names)))
-    shown_findings = findings_of(targeted.view, targeted.names) if findings else ()
-    ended = tuple(dict.fromkeys(text for _, text in shown_findings))
-    return targeted.request(ResetRequest, ids=ids, findings=ended, reason=reason)
-
-
-def findings_of(view: MembersView, names: Iterable[str]) -> list[tuple[str, str]]:
-    """The findings of the assumption monitors, each with its robot."""
-    statuses = ((name, view.members[name].status) for name in names if name in view.members)
-    return [(name, text) for name, status in statuses if status for text in status.findings]
+    from swarmd.operator.session.session import Session, TargetedView
 
 
 def set_params(targeted: TargetedView, values: Mapping[str, Any]) -> Outcome:

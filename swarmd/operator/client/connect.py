@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, get_args
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.link.settings import Profile
-from swarmd.operator.client.arguments import check_time, check_words
 from swarmd.operator.client.loop_life import LoopLife
 from swarmd.operator.client.network_options import NetworkOptions
 from swarmd.operator.client.operator_pool import OperatorPool
 from swarmd.operator.client.swarm import Places, Swarm, Tell
+from swarmd.operator.session.arguments import check_time, check_words
 
 if TYPE_CHECKING:
     from swarmd.operator.client.async_swarm import AsyncSwarm

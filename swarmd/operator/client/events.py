@@ -12,9 +12,9 @@ from swarmd.operator.client.event_feed import EventFeed, EventLine
 from swarmd.operator.client.swarm_watch import SwarmWatch
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.session import Session
-    from swarmd.operator.client.targets import Targets
     from swarmd.operator.session.members_view import MembersView
+    from swarmd.operator.session.session import Session
+    from swarmd.operator.session.targets import Targets
 
 PERIOD = 0.5  # s after which a wait for news is interrupted
 

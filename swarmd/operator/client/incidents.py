@@ -16,12 +16,12 @@ from msgspec import to_builtins
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.incident import Incident, IncidentKind, mark_part
 from swarmd.core.verbs import INCIDENTS, IncidentsReply, KeptIncident, mark_text
-from swarmd.operator.client.ask_robots import ask_robots, in_reach
+from swarmd.operator.session.ask_robots import ask_robots, in_reach
 from swarmd.operator.session.exit_codes import code_of_answers
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.session import Session
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.session.session import Session
 
 _SILENCE = (IncidentKind.SILENT, IncidentKind.STALL)
 

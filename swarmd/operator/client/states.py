@@ -19,10 +19,10 @@ from swarmd.core.values import Scalar
 from swarmd.operator.client.swarm_watch import SwarmWatch
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.session import Session
-    from swarmd.operator.client.targets import Targets
     from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.session.session import Session
+    from swarmd.operator.session.targets import Targets
 
 PERIOD = 0.2  # s after which a wait for a state is interrupted
 MAX_WAITING = 10_000

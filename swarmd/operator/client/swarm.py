@@ -12,13 +12,13 @@ from swarmd.core.clock import boottime
 from swarmd.core.closing import Closing, is_program_on
 from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmError
 from swarmd.core.numbers import python_value
-from swarmd.operator.client.arguments import Words, check_time, check_words, plain_params
 from swarmd.operator.client.loop_life import LoopLife
 from swarmd.operator.client.members import Description, Members
-from swarmd.operator.client.session import Session
 from swarmd.operator.client.states import Pose, RobotState, follow_states, read_poses
-from swarmd.operator.client.targets import Targets, make_targets, no_target, robots_of
+from swarmd.operator.session.arguments import Words, check_time, check_words, plain_params
 from swarmd.operator.session.exit_codes import TIMEOUT
+from swarmd.operator.session.session import Session
+from swarmd.operator.session.targets import Targets, make_targets, no_target, robots_of
 
 if TYPE_CHECKING:
     from swarmd.link.keys.identity import Identity
@@ -234,7 +234,7 @@ class Swarm(Closing):
         to has ended. `on_join` "run": robots that join within `valid` s run the goal, too.
         `timeout`: the longest wait for answers.
         """
-        from swarmd.operator.client.runs import Run, carry_out, goal_targets
+        from swarmd.operator.verbs.run.ask import Run, carry_out, goal_targets
 
         values = {
             "pattern": pattern,
@@ -258,8 +258,7 @@ class Swarm(Closing):
         with self._pool.requests.request(), ExitStack() as opened:
             life = None if lease is None else self._life_of_call(opened)
             session = opened.enter_context(self._session(timeout, life=life))
-            # A canary is judged by its status before the run, too.
-            targeted = session.target(targets, needs_status=canary is not None)
+            targeted = session.target(targets, needs_status=run.needs_status)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
             outcome = started.outcome
             if lease is not None and outcome.applied and not session.is_cancelled():
@@ -322,7 +321,7 @@ class Swarm(Closing):
         stop stays. With `findings`, also clear the violated assumptions of protection, for which
         robots drive slower, so that the robots may drive at full speed again.
         """
-        from swarmd.operator.client.changes import reset
+        from swarmd.operator.verbs.stop.ask import reset
 
         targets = _targets(robots, labels, exclude)
         with self._session(timeout, is_request=True) as session:
@@ -448,7 +447,7 @@ class Swarm(Closing):
         until_all: bool,
         timeout: float | None,
     ) -> Outcome:
-        from swarmd.operator.client.stops import send_stop
+        from swarmd.operator.verbs.stop.ask import send_stop
 
         with self._session(timeout, is_stop=True) as session:
             return send_stop(session, verb, targets, reason, until_all=until_all)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from swarmd.core.clock import boottime
-from swarmd.operator.client.session import Session, unreachable
-from swarmd.operator.client.targets import Targets, labels_of
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.operator_goals import signed_goals
+from swarmd.operator.session.session import Session, unreachable
+from swarmd.operator.session.targets import Targets, labels_of
 from swarmd.operator.texts.awaited import Awaited, meeting, unmet
 
 TIME = 30.0  # s of a wait without a timeout

@@ -2,7 +2,7 @@
 
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
 robots on other robots (`member_reports.py`), the robots' own statuses by datagram
-(`status_parts.py`) or by Zenoh (`status_table.py`), and rosters. A look is complete once every
+(`status_parts.py`) or by Zenoh (`seen_member.py`), and rosters. A look is complete once every
 expected robot has answered, and one of two conditions holds: the answers agree on the members, or
 nothing new has come for `quiet_time`.
 A look in which a robot does not answer ends after a time that follows from the measured round trip
@@ -32,9 +32,14 @@ from swarmd.operator.session.member_reports import (
 )
 from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
 from swarmd.operator.session.round_trips import QUIET_TIME, RoundTrips
-from swarmd.operator.session.seen_member import INDIRECT_TIME, present_member, silent_member
+from swarmd.operator.session.seen_member import (
+    INDIRECT_TIME,
+    StatusAnswer,
+    StatusTable,
+    present_member,
+    silent_member,
+)
 from swarmd.operator.session.status_parts import StatusParts, decode_status
-from swarmd.operator.session.status_table import StatusAnswer, StatusTable
 
 MAX_COPIES = 128  # unicast copies of one datagram: false reports may name many addresses
 MAX_INDIRECT_DIALS = 64  # robots dialled at a time that only other robots report

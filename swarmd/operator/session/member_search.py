@@ -11,14 +11,13 @@ from swarmd.core.codec import Decoder, encode, version_of
 from swarmd.core.keys import ANY, CONTROL
 from swarmd.core.messages import PeerView, StatusHeader
 from swarmd.core.verbs import MembersQuery
-from swarmd.operator.session.arrivals import Arrivals
+from swarmd.operator.session.arrivals import SOLICIT_PACE, Arrivals, RepeatTimer
 from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.discovery import Discovery
 from swarmd.operator.session.loop_watch import LoopWatch
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.operator_datagrams import OperatorDatagrams
 from swarmd.operator.session.operator_sessions import OperatorSessions
-from swarmd.operator.session.repeat_timer import SOLICIT_PACE, RepeatTimer
 
 POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))  # steps of a RepeatTimer
 # s after which a look that needs no status asks for statuses: most such looks are over before.

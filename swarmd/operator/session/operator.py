@@ -50,7 +50,7 @@ from swarmd.link.datagram import (
 from swarmd.link.keys.identity import Identity, authority_of
 from swarmd.link.keys.roster import Role
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.session.arrivals import Arrivals
+from swarmd.operator.session.arrivals import Arrivals, RepeatTimer
 from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Discovery
 from swarmd.operator.session.exit_codes import FAILED
@@ -66,7 +66,6 @@ from swarmd.operator.session.operator_text import (
     stop_reason,
 )
 from swarmd.operator.session.outcome import Outcome
-from swarmd.operator.session.repeat_timer import RepeatTimer
 from swarmd.operator.session.request_sender import (
     REQUEST_WAIT,
     RequestSender,
@@ -74,8 +73,7 @@ from swarmd.operator.session.request_sender import (
     stood_still,
 )
 from swarmd.operator.session.roster_follower import RosterFollower
-from swarmd.operator.session.stop_request import PendingStop, Renew, Select
-from swarmd.operator.session.stop_sender import StopSender
+from swarmd.operator.session.stop_sender import PendingStop, Renew, Select, StopOrigin, StopSender
 
 if TYPE_CHECKING:
     from swarmd.operator.session.operator_admission import OperatorAdmission
@@ -516,8 +514,6 @@ class Operator(Closing):
         """
         if self.identity is None:
             return stop, None
-        from swarmd.operator.session.stop_origin import StopOrigin
-
         numbers = StopOrigin(self.identity.folder)
         origin, counter = numbers.next()
         return replace(stop, origin=origin, counter=counter), partial(numbers.next, is_new=True)

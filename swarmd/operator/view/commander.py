@@ -11,17 +11,18 @@ from typing import Any, Literal
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError, SwarmError
-from swarmd.operator.client.changes import change_labels, reset, set_params
+from swarmd.operator.client.changes import change_labels, set_params
 from swarmd.operator.client.hand_over import in_thread
 from swarmd.operator.client.operator_pool import RequestLimit
-from swarmd.operator.client.runs import Run, carry_out
-from swarmd.operator.client.session import Session, TargetedView
-from swarmd.operator.client.stops import send_stop
-from swarmd.operator.client.targets import Targets
 from swarmd.operator.session.operator import Operator
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import Session, TargetedView
+from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.assignments import read_assignments
 from swarmd.operator.texts.labels import read_changes
+from swarmd.operator.verbs.run.ask import Run, carry_out, goal_targets_of_names
+from swarmd.operator.verbs.stop import words as stop_words
+from swarmd.operator.verbs.stop.ask import reset, send_stop
 from swarmd.operator.view.source import CommandProgress
 
 Tell = Callable[[CommandProgress], None]
@@ -117,7 +118,8 @@ class LiveCommander:
         ending: threading.Event,
     ) -> CommandProgress:
         def on_progress(missing: tuple[str, ...]) -> None:
-            tell(CommandProgress(f"{verb}: {len(missing)} not acknowledged", missing=list(missing)))
+            text = stop_words.not_acknowledged(verb, missing)
+            tell(CommandProgress(text, missing=list(missing)))
 
         with self._make() as operator:
             operator.expect(self._known())
@@ -177,13 +179,9 @@ class LiveCommander:
 def _send_run(
     run: Run, names: tuple[str, ...], targeted: TargetedView, opened: ExitStack
 ) -> Outcome:
-    """Run a pattern. `names`: the robots that the page names.
-
-    If the page names all robots, the goal names none: the goal then also targets robots that join
-    later.
-    """
-    is_for_all = targeted.view.expected <= set(names)
-    return carry_out(run, targeted, () if is_for_all else names, opened).outcome
+    """Run a pattern. `names`: the robots that the page names."""
+    targets = goal_targets_of_names(targeted.view, names)
+    return carry_out(run, targeted, targets, opened).outcome
 
 
 async def _unless_cancelled(

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.client.known_robots import (
+from swarmd.operator.session.known_robots import (
     EMPTY_AGE,
     MAX_AGE,
     MAX_SWARMS,

@@ -15,9 +15,9 @@ from swarmd.link.settings import NetworkSettings
 from swarmd.operator.cli.options import CommonOptions
 from swarmd.operator.cli.send import show
 from swarmd.operator.cli.swarmctl import exit_code_of
-from swarmd.operator.client.session import unreachable
 from swarmd.operator.session.exit_codes import UNREACHABLE
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import unreachable
 
 
 def refused(robot: str, text: str, refusal: Refusal = Refusal.ESTOPPED) -> Reply:

@@ -9,7 +9,10 @@ from msgspec.structs import replace
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Presence
 from swarmd.operator.cli.targets import read_targets
-from swarmd.operator.client.targets import (
+from swarmd.operator.session.exit_codes import NO_TARGET
+from swarmd.operator.session.members_view import MembersView
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.targets import (
     Targets,
     check_known,
     named,
@@ -17,9 +20,6 @@ from swarmd.operator.client.targets import (
     stop_targets,
     unlabelled,
 )
-from swarmd.operator.session.exit_codes import NO_TARGET
-from swarmd.operator.session.members_view import MembersView
-from swarmd.operator.session.outcome import Outcome
 from tests.support.statuses import make_member
 
 KNOWN = ("r1", "tb3-01", "tb3-02", "tb3-10")

@@ -23,23 +23,23 @@ from swarmd.core.messages import Code, Motion, Reply, State
 from swarmd.link.carriers import forked
 from swarmd.link.carriers.session import open_with
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.client.arguments import check_words, plain_params
 from swarmd.operator.client.async_swarm import AsyncSwarm
-from swarmd.operator.client.canary import choose_canaries
 from swarmd.operator.client.connect import Connection
 from swarmd.operator.client.hand_over import from_thread
 from swarmd.operator.client.members import Members
 from swarmd.operator.client.network_options import NetworkOptions
 from swarmd.operator.client.operator_pool import MAX_IDLE, MAX_REQUESTS, LookTurns, OperatorPool
-from swarmd.operator.client.run_lease import LeaseKeeper
-from swarmd.operator.client.runs import Run
-from swarmd.operator.client.session import Session
 from swarmd.operator.client.states import RobotState, _put
 from swarmd.operator.client.swarm import Swarm, _targets
-from swarmd.operator.client.targets import Targets
+from swarmd.operator.session.arguments import check_words, plain_params
 from swarmd.operator.session.exit_codes import NO_TARGET
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import Session
+from swarmd.operator.session.targets import Targets
+from swarmd.operator.verbs.run.ask import Run
+from swarmd.operator.verbs.run.canary import choose_canaries
+from swarmd.operator.verbs.run.lease import LeaseKeeper
 from swarmd.settings.contexts import Context, add_context
 from tests.support.processes import CAP, wait_until
 from tests.support.statuses import make_member

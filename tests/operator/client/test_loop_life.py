@@ -19,22 +19,22 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Reply
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.client import runs
 from swarmd.operator.client.async_swarm import AsyncSwarm
 from swarmd.operator.client.connect import Connection
 from swarmd.operator.client.loop_life import LoopLife
-from swarmd.operator.client.run_lease import LeaseKeeper
-from swarmd.operator.client.runs import Run, StartedRun
-from swarmd.operator.client.session import Session
 from swarmd.operator.client.swarm import Swarm
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import Session
+from swarmd.operator.verbs.run import ask as runs
+from swarmd.operator.verbs.run.ask import Run, StartedRun
+from swarmd.operator.verbs.run.lease import LeaseKeeper
 from tests.support.processes import CAP, wait_until
 from tests.support.statuses import make_member
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.session import TargetedView
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.session.session import TargetedView
 
 APPLIED = Outcome(replies={"r1": Reply(id="a", robot="r1", code=Code.APPLIED)})
 
@@ -213,7 +213,7 @@ class Leasing:
         )
         self.connection = Connection(lambda tell: cast("Operator", operator))
         monkeypatch.setattr(runs, "carry_out", self._carry_out)
-        monkeypatch.setattr("swarmd.operator.client.session.remember", lambda *_: None)
+        monkeypatch.setattr("swarmd.operator.session.session.remember", lambda *_: None)
 
     def _carry_out(
         self, run: Run, targeted: TargetedView, targets: object, opened: ExitStack

@@ -25,11 +25,10 @@ from swarmd.link.datagram import (
 )
 from swarmd.link.members.answer_budget import ANSWER_RATE_OF_HOST, STATUS_RATE
 from swarmd.link.members.membership import MAX_MEMBERS
-from swarmd.operator.session.arrivals import Arrivals
+from swarmd.operator.session.arrivals import SOLICIT_PACE, Arrivals, RepeatTimer
 from swarmd.operator.session.discovery import Discovery
 from swarmd.operator.session.members_view import Contact
 from swarmd.operator.session.operator_datagrams import OperatorDatagrams
-from swarmd.operator.session.repeat_timer import SOLICIT_PACE, RepeatTimer
 from swarmd.operator.session.status_parts import PARTS_WAIT, StatusParts, decode_status
 from tests.link.keyring import Keyring
 from tests.link.virtual_network import TAG, TICK, VirtualNetwork

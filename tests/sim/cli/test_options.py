@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from swarmd.core.errors import ConfigError
 from swarmd.operator.cli.options import plugin_dir_option
-from swarmd.operator.client.runs import Run
+from swarmd.operator.verbs.run.ask import Run
 from swarmd.sim.cli.exp_bench import _patterns_and_folder
 from swarmd.sim.cli.options import pattern_option, set_option, with_pattern
 from swarmd.sim.experiments.plan import parse_sets, parse_sweeps

@@ -7,8 +7,8 @@ import pytest
 
 from swarmd.operator.cli.label import label
 from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
-from swarmd.operator.client.runs import goal_targets
-from swarmd.operator.client.targets import Targets
+from swarmd.operator.session.targets import Targets
+from swarmd.operator.verbs.run.ask import goal_targets
 
 
 @pytest.mark.parametrize(

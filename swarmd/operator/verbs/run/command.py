@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from typing import NoReturn
 
 import click
 
@@ -10,12 +11,18 @@ from swarmd.core.verbs import MAX_AHEAD
 from swarmd.operator.cli import completion
 from swarmd.operator.cli.canary import read_canary
 from swarmd.operator.cli.options import CommonOptions, Duration, common_options
-from swarmd.operator.cli.send import asking
+from swarmd.operator.cli.output import signals_end, warn
+from swarmd.operator.cli.send import Asked, asking, report
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.canary import CANARY_TIME
-from swarmd.operator.client.runs import ON_JOIN, Run, carry_out, goal_targets
-from swarmd.operator.client.targets import Targets
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.assignments import read_assignments
+from swarmd.operator.verbs.run import words
+from swarmd.operator.verbs.run.ask import ON_JOIN, Run, carry_out, goal_targets
+from swarmd.operator.verbs.run.canary import CANARY_TIME
+from swarmd.operator.verbs.stop.ask import stop_names
+
+SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waited for
 
 
 class _Ahead(Duration):
@@ -107,14 +114,12 @@ def run(
         canary_time=canary_time,
     )
     new_run.check(_option)  # faults name a field as its option of the command line
-    with asking(options, targets, needs_status=canary is not None) as asked:
+    with asking(options, targets, needs_status=new_run.needs_status) as asked:
         # The goal keeps globs and labels, for robots that join later. `asked.targeted` has the
         # robots that must answer now.
         run_targets = goal_targets(targets, asked.names)
         if lease is not None:
-            from swarmd.operator.cli.run_lease import run_while_here
-
-            run_while_here(asked, new_run, run_targets, _option)
+            _run_while_here(asked, new_run, run_targets)
         else:
             nothing_opened = ExitStack()  # only a lease is kept open
             started = carry_out(new_run, asked.targeted, run_targets, nothing_opened, _option)
@@ -124,3 +129,41 @@ def run(
 def _option(name: str) -> str:
     """The option that gives a field of `Run`."""
     return "--for" if name == "seconds" else f"--{name.replace('_', '-')}"
+
+
+def _run_while_here(asked: Asked, new_run: Run, targets: tuple[str, ...]) -> NoReturn:
+    """Run a pattern with a lease until all robots have ended the run, or until a signal stops them.
+
+    A lease ends the run of a robot that does not hear this program. `targets`: those of the run's
+    goal.
+    """
+    from swarmd.operator.verbs.run.lease import follow_runs  # most runs have no lease
+
+    lease = new_run.lease or 0.0
+    ended = None
+    with signals_end(), ExitStack() as opened:
+        try:
+            started = carry_out(new_run, asked.targeted, targets, opened, _option)
+            outcome = asked.show(started.outcome)
+            if not outcome.applied:
+                _end_with(outcome)
+            warn(words.runs_while_here(lease))
+            running = {name: outcome.replies[name].epoch for name in outcome.applied}
+            assert started.keeper is not None  # the run has a lease
+            runs = follow_runs(
+                asked.targeted.session,
+                started.goal,
+                lease + SILENCE,
+                running,
+                started.keeper.lapse,
+            )
+        except (KeyboardInterrupt, SystemExit):
+            ended = stop_names(asked.operator, asked.names)
+    if ended is not None:
+        report(asked.options, ended)
+    click.get_current_context().exit(runs.exit_code(outcome.exit_code))
+
+
+def _end_with(outcome: Outcome) -> NoReturn:
+    """End with the exit code of an outcome that was printed."""
+    click.get_current_context().exit(outcome.exit_code)

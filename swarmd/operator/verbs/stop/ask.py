@@ -1,15 +1,16 @@
-"""Stops and emergency stops of robots: sent at once, repeated, and counted."""
+"""Stops and emergency stops of robots: sent at once, repeated, and counted; and their reset."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import TYPE_CHECKING, Literal
 
 from msgspec.structs import replace
 
 from swarmd.core.errors import unknown
-from swarmd.operator.client.session import Session, gap, other_swarms, unreachable, where
-from swarmd.operator.client.targets import (
+from swarmd.core.verbs import ResetRequest
+from swarmd.operator.session.session import Session, gap, unreachable
+from swarmd.operator.session.targets import (
     STOP_LOOK,
     Targets,
     no_target,
@@ -17,11 +18,13 @@ from swarmd.operator.client.targets import (
     stop_targets,
     unlabelled,
 )
-from swarmd.operator.texts.values import seconds
+from swarmd.operator.verbs.stop import words
 
 if TYPE_CHECKING:
+    from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.operator import Operator
     from swarmd.operator.session.outcome import Outcome
+    from swarmd.operator.session.session import TargetedView
 
 
 def send_stop(
@@ -47,8 +50,7 @@ def send_stop(
     def tell_missing(missing: tuple[str, ...]) -> None:
         """Tell the user which robots have not acknowledged; none: no robot was heard so far."""
         view = operator.seen()
-        lines = [gap(view, name) for name in missing] or ["a robot to be heard"]
-        session.tell(f"waiting for {'; '.join(lines)}")
+        session.tell(words.waiting_for([gap(view, name) for name in missing]))
 
     def send() -> Outcome:
         return operator.send_stop(
@@ -82,8 +84,7 @@ def _without_labels(session: Session, targets: Targets) -> Targets:
     without_labels = unlabelled(view, targets)
     stopped = stop_targets(view, targets)
     if without_labels:
-        text = ", ".join(without_labels)
-        session.tell(f"labels are not known, a stop is sent to them, too: {text}")
+        session.tell(words.without_labels(without_labels))
     return stopped
 
 
@@ -97,16 +98,14 @@ def _reported(session: Session, verb: str, targets: Targets, outcome: Outcome) -
     view = operator.seen()
     is_none_heard = not outcome.reached and not outcome.replies
     if is_none_heard and not view.roster:
-        how = f"`{verb}` was sent {where(operator)} for {seconds(outcome.seconds)}"
-        raise unreachable(operator, f"; {how} and no robot answered")
+        raise unreachable(operator, words.sent_in_vain(operator, verb, outcome.seconds))
     known = view.members.keys() | view.roster | outcome.replies.keys()
     unknown_names = [name for name in outcome.missing if name not in known]
     are_all_unknown = len(unknown_names) == outcome.targeted
     if not outcome.targeted or are_all_unknown:
-        names = robots_of(view, targets)
-        raise no_target(*(f"{name} has left" for name in names))
+        raise no_target(*map(words.left, robots_of(view, targets)))
     if is_none_heard:
-        session.tell(f"no robot was heard{other_swarms(operator)}")
+        session.tell(words.none_heard(operator))
     session.tell_gaps(view, [name for name in outcome.missing if name not in unknown_names])
     warnings = (unknown("robot", name, view.members) for name in unknown_names)
     return replace(outcome, warnings=(*outcome.warnings, *warnings))
@@ -114,7 +113,7 @@ def _reported(session: Session, verb: str, targets: Targets, outcome: Outcome) -
 
 def stop_on_interrupt(session: Session, names: Collection[str], reason: str = "interrupted") -> str:
     """Stop these robots when a verb is interrupted; tells the user, and returns that line."""
-    text = f"{reason}: stop sent: {stop_names(session.operator, names).line}"
+    text = words.interrupted(reason, stop_names(session.operator, names))
     session.tell(text)
     return text
 
@@ -125,3 +124,21 @@ def stop_names(operator: Operator, names: Collection[str]) -> Outcome:
     return operator.send_stop(
         "stop", select=lambda found: tuple(chosen & set(found)), names=tuple(names), timeout=5.0
     )
+
+
+def reset(targeted: TargetedView, *, reason: str = "", findings: bool = False) -> Outcome:
+    """Clear the emergency stops and faults of robots, as their statuses in `targeted` show them.
+
+    An emergency stop that came after these statuses stays. With `findings`, also clear the violated
+    assumptions of protection that the statuses show; until then such a robot drives slower.
+    """
+    ids = tuple(sorted(targeted.view.latches(targeted.names)))
+    shown_findings = findings_of(targeted.view, targeted.names) if findings else ()
+    ended = tuple(dict.fromkeys(text for _, text in shown_findings))
+    return targeted.request(ResetRequest, ids=ids, findings=ended, reason=reason)
+
+
+def findings_of(view: MembersView, names: Iterable[str]) -> list[tuple[str, str]]:
+    """The findings of the assumption monitors, each with its robot."""
+    statuses = ((name, view.members[name].status) for name in names if name in view.members)
+    return [(name, text) for name, status in statuses if status for text in status.findings]

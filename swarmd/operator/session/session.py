@@ -11,9 +11,9 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.closing import is_program_on
 from swarmd.core.errors import NetworkError, SwarmError, unknown
-from swarmd.operator.client.known_robots import remember
-from swarmd.operator.client.targets import Targets, named, targets_of, unlabelled
 from swarmd.operator.session.dials import Dials
+from swarmd.operator.session.known_robots import remember
+from swarmd.operator.session.targets import Targets, named, targets_of, unlabelled
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import AnyRequest

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from queue import SimpleQueue
 
     from swarmd.core.verbs import Verb
-    from swarmd.operator.client.session import Session
     from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.session.session import Session
 
 ASK_TIME = 5.0  # s for an answer, without a timeout
 MAX_ANSWER = 512 * 1024  # bytes of an answer, at most

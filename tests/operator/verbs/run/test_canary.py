@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import DecisionSummary, Health, Reason, State, Status
 from swarmd.operator.cli.canary import canaries_of, read_canary
-from swarmd.operator.client.canary import MIN_DECISIONS, fault_of
+from swarmd.operator.verbs.run.canary import MIN_DECISIONS, fault_of
 from tests.support.statuses import RUNNING
 
 NAMES = ("r1", "r2", "r3")

@@ -11,11 +11,11 @@ from msgspec import msgpack
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Code, Reply
-from swarmd.operator.client.session import Session
-from swarmd.operator.client.stops import send_stop
-from swarmd.operator.client.targets import Targets
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import Session
+from swarmd.operator.session.targets import Targets
+from swarmd.operator.verbs.stop.ask import send_stop
 
 APPLIED = {"a": Reply(id="s", robot="a", code=Code.APPLIED)}
 

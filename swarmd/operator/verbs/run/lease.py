@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmd.core.clock import boottime
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Reason
-from swarmd.operator.client.ask_robots import next_status, statuses_of
+from swarmd.operator.session.ask_robots import next_status, statuses_of
 from swarmd.operator.session.exit_codes import FAILED, PARTIAL, TIMEOUT
-from swarmd.operator.texts.values import seconds
+from swarmd.operator.verbs.run import words
 
 if TYPE_CHECKING:
     from swarmd.core.goal import Goal
     from swarmd.core.messages import Epoch, Status
-    from swarmd.operator.client.session import Session
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.session.session import Session
 
 PARTS = 4
 """How often the lease is renewed while it lasts: three copies may get lost."""
@@ -61,24 +61,19 @@ class LeasedRuns:
         if not _is_on(status, self._goal) and not _is_older(status, self.running[robot]):
             del self.running[robot]
             self.ended[robot] = status
-            detail = f" {status.detail}" if status.detail else ""
-            yield f"{robot}: {status.state} ({status.reason}){detail}"
+            yield words.ended(status)
 
     def advance(self, now: float, lapse: Lapse | None) -> Iterator[str]:
         """Let time pass; yields lines for the user. `lapse`: the last one of this command."""
         if lapse is not None and (self._lapse is None or lapse.begun > self._lapse.begun):
             self._lapse = lapse
             self._heard = dict.fromkeys(self._heard, now)
-            lease = seconds(self._goal.lease or 0.0)
-            yield (
-                f"this command renewed no lease for {seconds(lapse.seconds)}: it was stopped, or"
-                f" this computer slept. Runs end {lease} after the last renewal; start them anew"
-            )
+            yield words.renewed_nothing(lapse.seconds, self._goal.lease or 0.0)
         for name in [name for name in self.running if now - self._heard[name] > self._patience]:
             del self.running[name]
             self.ended[name] = None
-            after = " since then" if self._lapse is not None else ""
-            yield f"{name} was not heard for {seconds(self._patience)}{after}: it is not waited for"
+            is_after_lapse = self._lapse is not None
+            yield words.not_heard(name, self._patience, is_after_lapse=is_after_lapse)
 
     def exit_code(self, started: int) -> int:
         """The exit code of the command; `started`: that of the start of the runs.

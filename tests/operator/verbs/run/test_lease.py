@@ -12,11 +12,11 @@ from msgspec.structs import replace
 from swarmd.core.codec import encode
 from swarmd.core.messages import Epoch, Reason, State, Status
 from swarmd.operator.cli.output import warn
-from swarmd.operator.client import run_lease
-from swarmd.operator.client.run_lease import Lapse, LeasedRuns, LeaseKeeper, follow_runs
-from swarmd.operator.client.session import Session
 from swarmd.operator.session.exit_codes import APPLIED, FAILED, PARTIAL, TIMEOUT
 from swarmd.operator.session.operator import Operator
+from swarmd.operator.session.session import Session
+from swarmd.operator.verbs.run import lease as run_lease
+from swarmd.operator.verbs.run.lease import Lapse, LeasedRuns, LeaseKeeper, follow_runs
 from tests.support.goals import make_goal
 from tests.support.statuses import status
 

@@ -9,8 +9,8 @@ from swarmd.operator.cli.options import CommonOptions, common_options
 from swarmd.operator.cli.output import warn
 from swarmd.operator.cli.send import asking, report, session_of
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.stops import send_stop
-from swarmd.operator.client.targets import Targets
+from swarmd.operator.session.targets import Targets
+from swarmd.operator.verbs.stop import ask, words
 
 
 @click.command()
@@ -19,7 +19,7 @@ from swarmd.operator.client.targets import Targets
 def stop(options: CommonOptions, targets: Targets) -> None:
     """Stop TARGETS, or all robots; they need a `run` to move again."""
     with options.operator(needs_file=False) as operator:
-        report(options, send_stop(session_of(options, operator), "stop", targets))
+        report(options, ask.send_stop(session_of(options, operator), "stop", targets))
 
 
 @click.command()
@@ -39,7 +39,7 @@ def estop(options: CommonOptions, targets: Targets, reason: str, until_all: bool
     """
     with options.operator(needs_file=False) as operator:
         session = session_of(options, operator)
-        report(options, send_stop(session, "estop", targets, reason, until_all=until_all))
+        report(options, ask.send_stop(session, "estop", targets, reason, until_all=until_all))
 
 
 @click.command()
@@ -66,25 +66,17 @@ def reset(
     Clears only the emergency stops that swarmctl sees now; a later emergency stop stays. With
     --findings also ends the findings that swarmctl sees now.
     """
-    # Imported here, so that the verbs of this file that stop robots start faster.
-    from swarmd.operator.client.changes import findings_of
-    from swarmd.operator.client.changes import reset as clear
-    from swarmd.operator.texts.why import stop_text
-
     with asking(options, targets, needs_status=True) as asked:
         # A latch is an emergency stop that lasts until a reset. `latches`: those that the robots
         # reported just now, by id; the request names these ids, so a later latch stays.
         robots = asked.names
-        latches = asked.view.latches(asked.names)
-        # Say what the reset clears.
+        latches = asked.view.latches(robots)
         for latch_id, latch in latches.items():
-            warn(f"clears emergency stop {latch_id} {stop_text(latch)}")
-        # A finding is a doubt of a robot, such as brakes that are weaker than declared.
-        finding_action = "ends" if findings else "keeps (--findings ends it)"
-        for robot, finding in findings_of(asked.view, robots):
-            warn(f"{robot}: {finding_action}: {finding}")
+            warn(words.clears(latch_id, latch))
+        for robot, finding in ask.findings_of(asked.view, robots):
+            warn(words.of_finding(robot, finding, is_ended=findings))
         if len(robots) > 1 and not yes:
             question = f"Reset {', '.join(robots)}?"
             to_check = "all of them may move again"
             need_consent(f"reset of {len(robots)} robots", to_check, question)
-        asked.report(clear(asked.targeted, reason=reason, findings=findings))
+        asked.report(ask.reset(asked.targeted, reason=reason, findings=findings))

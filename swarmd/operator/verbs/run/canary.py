@@ -1,4 +1,7 @@
-"""Canaries: robots that run something before all others, and are watched for some time."""
+"""Canaries: robots that run something before all others, and are watched for some time.
+
+Who they are, when one does not run well, and a run with canaries.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,16 @@ from typing import TYPE_CHECKING
 from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, RequestError
 from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
-from swarmd.operator.session.exit_codes import NO_TARGET
+from swarmd.operator.session.exit_codes import FAILED, NO_TARGET, PARTIAL
+from swarmd.operator.session.operator_goals import next_generation, signed_again
+from swarmd.operator.verbs.run import words
+from swarmd.operator.verbs.run.send_goal import send_goal
+from swarmd.operator.verbs.stop.ask import stop_names, stop_on_interrupt
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.session import Session
+    from swarmd.core.goal import Goal
+    from swarmd.operator.session.outcome import Outcome
+    from swarmd.operator.session.session import Session, TargetedView
 
 CANARY_TIME = 10.0
 """s for which canaries must run well by default."""
@@ -83,7 +92,7 @@ def watch_canary(
     with the reason; empty if all run well. A robot that sends no status does not run well. The
     watch ends at the first fault, and when the session is cancelled.
     """
-    from swarmd.operator.client.ask_robots import (  # most runs have no canary
+    from swarmd.operator.session.ask_robots import (  # most runs have no canary
         next_status,
         statuses_of,
     )
@@ -117,4 +126,68 @@ def watch_canary(
                 silence = boottime() - heard_at
                 if silence > STATUS_SILENCE and robot not in faults:
                     faults[robot] = f"sent no status for {silence:.0f} s"
+    return faults
+
+
+def run_with_canary(
+    targeted: TargetedView, goal: Goal, canaries: tuple[str, ...], seconds: float | None
+) -> tuple[Outcome, Mapping[str, list[str]]]:
+    """Run a goal on canaries for `seconds`, then on all robots of `targeted`.
+
+    `seconds` None: CANARY_TIME. Returns the outcome, and the names of the canaries and of the other
+    robots. If a canary does not start, the canaries are stopped, and the outcome of their start is
+    returned without names. If a canary fails later, all canaries are stopped, and RequestError is
+    raised.
+    """
+    session = targeted.session
+    operator = targeted.operator
+    view = targeted.view
+    # This goal targets only the canaries, so that it ends no run of another robot.
+    canary_goal = signed_again(operator, goal, targets=canaries)
+    canary_epochs = view.epochs(canaries)
+    outcome = send_goal(session, canary_epochs, canary_goal, timeout=targeted.time_left)
+    if len(outcome.applied) < len(canaries):
+        stop_names(operator, canaries)
+        session.tell(words.canaries_not_started(canaries))
+        return outcome, {}
+    before = {name: view.members[name].status for name in canaries if name in view.members}
+    faults = _canary_faults(session, canaries, seconds or CANARY_TIME, before)
+    others = tuple(name for name in targeted.names if name not in canaries)
+    if faults:
+        stopped = stop_names(operator, canaries)
+        text = words.canaries_failed(faults, stopped.missing, len(others))
+        raise RequestError(text, PARTIAL if stopped.missing else FAILED)
+
+    # A robot that was stopped or changed while the canaries ran has another epoch, and refuses.
+    epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
+    present_view = operator.members(timeout=session.timeout)
+    # Newer than any goal that was issued meanwhile.
+    goal = signed_again(operator, goal, generation=next_generation(operator, present_view))
+    try:
+        outcome = send_goal(session, epochs, goal, timeout=session.timeout)
+    except RequestError as error:  # a standstill: a stop might end what its user ordered meanwhile
+        text = words.started_before(error, canaries)
+        raise RequestError(text, error.exit_code) from error
+    return outcome, {"canary": list(canaries), "others": list(others)}
+
+
+def _canary_faults(
+    session: Session,
+    canaries: tuple[str, ...],
+    seconds: float,
+    before: Mapping[str, Status | None],
+) -> Mapping[str, str]:
+    """Watch running canaries for `seconds`; the fault of each canary that does not run well.
+
+    `before`: the status of each canary before its run. If the session is cancelled, each canary
+    gets the cancellation as its fault. After Ctrl-C the canaries are stopped.
+    """
+    session.tell(words.canaries_begin(canaries, seconds))
+    try:
+        faults = watch_canary(session, canaries, seconds, before)
+    except (KeyboardInterrupt, SystemExit):
+        stop_on_interrupt(session, canaries)
+        raise
+    if session.is_cancelled():
+        return dict.fromkeys(canaries, "the run was cancelled")
     return faults
