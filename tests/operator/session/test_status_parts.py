@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import pytest
 from msgspec.structs import replace
 
@@ -275,8 +273,16 @@ def test_an_answer_to_another_look_is_dropped(parts: StatusParts) -> None:
 
 
 def heard(robot: str, told_parts: int, echo: int = 1) -> Beacon:
-    fields: Mapping[str, int] = {"sequence": 1, "wire": 1, "state": 0, "revision": 0}
-    return Beacon(robot=robot, instance=LIFE, echo=echo, status_parts=told_parts, **fields)
+    return Beacon(
+        robot=robot,
+        instance=LIFE,
+        echo=echo,
+        status_parts=told_parts,
+        sequence=1,
+        wire=1,
+        state=0,
+        revision=0,
+    )
 
 
 def test_an_answer_without_parts_is_dialled_and_not_asked_again(parts: StatusParts) -> None:

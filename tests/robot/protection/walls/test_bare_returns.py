@@ -373,7 +373,7 @@ def test_a_mirrored_scene_has_the_mirrored_bare_returns(
     name: str, gap: float, pole: Round, lost: float
 ) -> None:
     """A pole before a wall; seen, or lost to the lidar with all behind it."""
-    scene = [wall(side(name, gap)), Round(pole.x, pole.y, pole.radius, lost)]
+    scene: Scene = (wall(side(name, gap)), Round(pole.x, pole.y, pole.radius, lost))
     left = Watcher(name).watch(scene)
     right = Watcher(name).watch(mirrored(scene))
     count = len(left.bare)
