@@ -1,7 +1,8 @@
 """The names that modules had before they moved into rooms by who runs them.
 
 `import` of a former name gives the same module, so that scripts, plugins and recordings of 0.2.0
-keep working. A new module has no former name, and is not listed: a row is a package that moved.
+keep working. A new module has no former name, and is not listed: a row is a package that moved, or
+a module that left its package.
 `swarmd/__init__.py` installs the finder, which Python asks before
 it looks for a file: in a package that moved it would find a second copy of the module.
 """
@@ -23,9 +24,11 @@ FORMER: Mapping[str, str] = {
     "swarmd.calibration": "swarmd.operator.calibration",
     "swarmd.cli": "swarmd.operator.cli",
     "swarmd.client": "swarmd.operator.client",
+    "swarmd.client.incidents": "swarmd.operator.verbs.incidents.ask",
     "swarmd.kin": "swarmd.robot.kin",
     "swarmd.network": "swarmd.link",
     "swarmd.network.operator": "swarmd.operator.session",
+    "swarmd.operator.client.incidents": "swarmd.operator.verbs.incidents.ask",
     "swarmd.protection": "swarmd.robot.protection",
     "swarmd.recording": "swarmd.daemon.recording",
     "swarmd.replay": "swarmd.operator.replay",
@@ -35,7 +38,7 @@ FORMER: Mapping[str, str] = {
     "swarmd.texts": "swarmd.operator.texts",
     "swarmd.view": "swarmd.operator.view",
 }
-"""By the former name of a package, its present name."""
+"""By the former name of a package, or of a module that left its package, its present name."""
 
 
 def present_name(module: str) -> str:

@@ -62,8 +62,11 @@ MOVED = (
     "swarmd.view.source",
 )
 
+# Modules that left their packages.
+LEFT = ("swarmd.client.incidents", "swarmd.operator.client.incidents")
 
-@pytest.mark.parametrize("name", [*PUBLIC, *MOVED])
+
+@pytest.mark.parametrize("name", [*PUBLIC, *MOVED, *LEFT])
 def test_a_name_of_0_2_0_is_imported(name: str) -> None:
     module = import_module(name)
     assert module is sys.modules[present_name(name)]
@@ -72,7 +75,7 @@ def test_a_name_of_0_2_0_is_imported(name: str) -> None:
 
 
 def test_each_package_that_moved_is_tried() -> None:
-    assert {name.rpartition(".")[0] for name in MOVED} == FORMER.keys()
+    assert {name.rpartition(".")[0] for name in MOVED} | {*LEFT} == FORMER.keys()
 
 
 def test_an_unknown_name_in_a_former_package_is_not_found() -> None:

@@ -23,12 +23,12 @@ from swarmd.operator.session.exit_codes import TIMEOUT
 if TYPE_CHECKING:
     from swarmd.link.keys.identity import Identity
     from swarmd.operator.client.event_feed import EventLine
-    from swarmd.operator.client.incidents import Incidents
     from swarmd.operator.client.operator_pool import OperatorPool
     from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.outcome import Outcome
     from swarmd.operator.texts.assignments import Value
     from swarmd.operator.texts.goal import Difference
+    from swarmd.operator.verbs.incidents.ask import Incidents
 
 Tell: TypeAlias = Callable[[str], object]
 
@@ -166,7 +166,7 @@ class Swarm(Closing):
 
     def incidents(self, *, timeout: float | None = None) -> Incidents:
         """What went wrong on robots lately, and which robots keep their last minute of it."""
-        from swarmd.operator.client.incidents import ask_incidents
+        from swarmd.operator.verbs.incidents.ask import ask_incidents
 
         with self._session(timeout) as session:
             return ask_incidents(session)

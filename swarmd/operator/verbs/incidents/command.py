@@ -11,30 +11,30 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.core.bounds import MAX_REASON
-from swarmd.core.verbs import KeptIncident, MarkRequest, RecordingFile, shortened
+from swarmd.core.errors import ConfigError
+from swarmd.core.verbs import MarkRequest
 from swarmd.operator.cli import completion
 from swarmd.operator.cli.options import FOLDER, CommonOptions, Failure, VerbGroup, common_options
 from swarmd.operator.cli.output import line_width, print_json, print_table, warn
-from swarmd.operator.cli.record import fetch_files
+from swarmd.operator.cli.record import print_fetched, tell_bytes
 from swarmd.operator.cli.send import asking, session_of
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.incidents import (
-    Account,
+from swarmd.operator.client.targets import Targets
+from swarmd.operator.session.exit_codes import NO_TARGET
+from swarmd.operator.texts.values import counted, printable
+from swarmd.operator.verbs.incidents.ask import (
     Incidents,
     SwarmIncident,
     ask_incidents,
+    incident_named,
     mark_fields,
 )
-from swarmd.operator.client.targets import Targets
-from swarmd.operator.session.exit_codes import NO_TARGET
-from swarmd.operator.texts.values import NOTHING, counted, megabytes, printable, seconds
+from swarmd.operator.verbs.incidents.ask import fetch as ask_fetch
+from swarmd.operator.verbs.incidents.words import DETAILS, HEADER, detail_rows, heads_of, rows_of
 from swarmd.plugins import need
 
 if TYPE_CHECKING:
-    from swarmd.operator.session.operator import Operator
-
-HEADER = ("INCIDENT", "WHEN", "ROBOT", "KIND", "KEPT BY", "WHY")
-DETAILS = ("KEPT BY", "SECONDS", "SIZE", "MISSING", "TOLD BY", "ROBOT", "KIND", "WHY")
+    from swarmd.operator.client.session import Session
 
 
 class _IncidentGroup(VerbGroup):
@@ -78,14 +78,16 @@ def show(options: CommonOptions, words: tuple[str, ...]) -> None:
 
 def _show(options: CommonOptions, words: Sequence[str]) -> None:
     with options.operator() as operator:
-        found = _asked(options, operator)
+        found = _asked(session_of(options, operator))
         chosen, is_by_id = _named(found, words)
         if options.is_json:
             print_json("Incidents", found._replace(incidents=chosen).as_json())
         elif is_by_id and len(chosen) == 1:
-            _print_details(chosen[0])
+            for line in heads_of(chosen[0]):
+                click.echo(printable(line))
+            print_table(DETAILS, detail_rows(chosen[0]), width=line_width())
         else:
-            rows = [row for one in chosen for row in _rows(one, found)]
+            rows = [row for one in chosen for row in rows_of(one, found)]
             print_table(HEADER, rows, width=line_width())
             click.echo(counted(len(chosen), "incident"))
         click.get_current_context().exit(found.exit_code)
@@ -135,25 +137,14 @@ def fetch(options: CommonOptions, incident: str, folder: Path | None) -> None:
     interrupted continues where it ended.
     """
     need("mcap", "rosbags", extra="record")
-    from swarmd.daemon.recording.fetch import INCIDENT
-
     with options.operator() as operator:
-        found = _asked(options, operator)
-        chosen = _chosen(found, incident)
-        id = chosen.incident.id
-        files = {
-            robot: (
-                RecordingFile(
-                    name=f"{id}{INCIDENT.suffix}", size=one.size, is_open=False, crc=one.crc
-                ),
-            )
-            for robot, one in chosen.kept.items()
-            if one.size
-        }
-        if awaited := sorted(chosen.kept.keys() - files.keys()):
-            warn(f"no file so far: {shortened(', '.join(awaited))}; fetch again in 10 s")
-        failed = [*found.missing, *awaited]
-        fetch_files(options, operator, files, failed, folder or Path("incidents", id), INCIDENT)
+        session = session_of(options, operator)
+        found = _asked(session)
+        try:
+            chosen = incident_named(found, incident)
+        except ConfigError as error:
+            raise click.UsageError(str(error)) from error
+        print_fetched(options, ask_fetch(session, found, chosen, folder, tell_bytes))
 
 
 @incidents.command(epilog="Example: swarmctl incident mark 'it hit the chair'")
@@ -177,89 +168,11 @@ def mark(options: CommonOptions, targets: Targets, words: str) -> None:
         asked.report(outcome, {"incident": id})
 
 
-def _asked(options: CommonOptions, operator: Operator) -> Incidents:
+def _asked(session: Session) -> Incidents:
     """The incidents of all robots; warns of robots that keep nothing or did not answer."""
-    found = ask_incidents(session_of(options, operator))
+    found = ask_incidents(session)
     for robot, fault in found.faults.items():
         warn(f"{robot}: {fault}")
     if found.missing:
         warn(f"no answer: {', '.join(found.missing)}")
     return found
-
-
-def _chosen(found: Incidents, prefix: str) -> SwarmIncident:
-    """The incident whose id begins with `prefix`; Failure if there is none, or another."""
-    matching = [one for one in found.incidents if one.incident.id.startswith(prefix)]
-    if not matching:
-        raise Failure(f"no robot keeps an incident {prefix}; see `swarmctl incidents`", NO_TARGET)
-    if len(matching) > 1:
-        ids = ", ".join(one.incident.id for one in matching)
-        raise click.UsageError(f"{prefix} begins {len(matching)} ids ({ids}); type more of it")
-    return matching[0]
-
-
-def _rows(one: SwarmIncident, found: Incidents) -> list[tuple[str, ...]]:
-    """The row of an incident, and one for each account that contradicts it."""
-    when = NOTHING if one.age is None else f"{seconds(one.age)} ago"
-    rows = [_row(one, account, when) for account in one.accounts]
-    first = rows[0]
-    expected = (*found.answered, one.incident.robot)
-    return [(*first[:4], _kept_by(one, expected), first[-1]), *rows[1:]]
-
-
-def _row(one: SwarmIncident, account: Account, when: str) -> tuple[str, ...]:
-    incident = account.incident
-    return one.incident.id, when, _had_by(account), incident.kind, _says(account), incident.text
-
-
-def _had_by(account: Account) -> str:
-    """The robot that had the incident, or how many had it."""
-    robots = account.robots
-    return robots[0] if len(robots) == 1 else counted(len(robots), "robot")
-
-
-def _says(account: Account) -> str:
-    """Whose words these are."""
-    verb = "says" if len(account.tellers) == 1 else "say"
-    return f"as {shortened(', '.join(account.tellers))} {verb}"
-
-
-def _kept_by(one: SwarmIncident, expected: Sequence[str]) -> str:
-    """Which robots keep their minute, of those of the swarm: `6 of 7, not tb3-02`."""
-    keepers = [robot for robot, kept in one.kept.items() if kept.size]
-    awaited = [robot for robot, kept in one.kept.items() if not kept.size]
-    others = sorted(set(expected) - one.kept.keys())
-    count = len(keepers) + len(awaited) + len(others)
-    text = f"all {count}" if len(keepers) == count else f"{len(keepers)} of {count}"
-    if others and len(keepers) < len(others):
-        text += f": {shortened(', '.join(keepers))}" if keepers else ""
-    elif others:
-        text += f", not {shortened(', '.join(others))}"
-    return text + (f", {len(awaited)} awaited" if awaited else "")
-
-
-def _print_details(one: SwarmIncident) -> None:
-    """What each robot keeps of an incident, and its own words."""
-    when = "" if one.age is None else f", {seconds(one.age)} ago"
-    for account in one.accounts:
-        incident = account.incident
-        head = f"{incident.id} {incident.kind} of {_had_by(account)}{when}"
-        click.echo(printable(f"{head}, {_says(account)}: {incident.text}"))
-    rows = []
-    for robot, kept in one.kept.items():
-        told = kept.incident
-        through = f" through {kept.source}" if kept.source else ""
-        by = f"{told.by}{through}" if not kept.operator else f"{told.by}{through}, {kept.operator}"
-        rows.append(
-            (
-                robot, _span(kept), megabytes(kept.size, 2) if kept.size else NOTHING,
-                shortened(kept.missing) or NOTHING, by, told.robot, told.kind, told.text,
-            )
-        )  # fmt: skip
-    print_table(DETAILS, rows, width=line_width())
-
-
-def _span(kept: KeptIncident) -> str:
-    """The seconds of a file, from before the incident to after it."""
-    is_known = kept.begin is not None and kept.end is not None
-    return f"{kept.begin:+.0f} to {kept.end:+.0f}" if is_known else "awaited"

@@ -25,10 +25,10 @@ from swarmd.core.verbs import (
 from swarmd.daemon.recording import frames
 from swarmd.daemon.recording.incident_file import to_recording
 from swarmd.daemon.recording.lost_member import LOST, LostMember
-from swarmd.operator.cli import incidents, record
 from swarmd.operator.cli.options import CommonOptions
 from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
-from swarmd.operator.client.incidents import Incidents, accounts_of, gathered
+from swarmd.operator.verbs.incidents import command
+from swarmd.operator.verbs.incidents.ask import Incidents, accounts_of, gathered
 from tests.support.incidents import ID, incident_of, keep
 from tests.support.recorded_stories import Story
 
@@ -55,17 +55,15 @@ class Robots:
         self.missing: tuple[str, ...] = ()
         self.code = 0
         self.left = 10**6  # answers with pieces
-        monkeypatch.setattr(CommonOptions, "operator", lambda options: nullcontext())
-        monkeypatch.setattr(incidents, "session_of", lambda *words: None)
-        monkeypatch.setattr(incidents, "ask_incidents", self._incidents)
-        monkeypatch.setattr(record, "_ask", self._ask)
+        monkeypatch.setattr(CommonOptions, "operator", lambda options: nullcontext(self))
+        monkeypatch.setattr(command, "ask_incidents", self._incidents)
 
     def _incidents(self, session: object) -> Incidents:
         faults = {robot: one.fault for robot, one in self.replies.items() if one.fault}
         found = gathered(self.replies)
         return Incidents(found, faults, self.missing, self.code, tuple(self.replies))
 
-    def _ask(self, options: object, operator: object, robot: str, name: str, payload: bytes) -> Any:
+    def ask(self, robot: str, name: str, payload: bytes, *, timeout: float) -> Any:
         if name == "recordings":
             return encode(RecordingsReply(robot=robot, now=1e3, clock="c", files=()))
         assert name == "incident", "which needs the right of an operator"
